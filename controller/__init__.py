@@ -1,0 +1,1 @@
+"""Plays a library on a device: the runtime side of the project."""

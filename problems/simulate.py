@@ -1,0 +1,123 @@
+"""Simulated recordings: the undriven device strikes a real object (DESIGN 5)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from transopt.errors import InputError
+from transopt.models import StateSpace
+from transopt.recording import Recording
+from transopt.scene import Scene, SimulatedTaps
+from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+
+STEP_S = 1e-5
+APPROACH_S = 30e-3  # recorded before contact
+ENCODER_COUNT_M = 24.5e-6
+
+
+def _rk4(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
+    k1 = rate(state)
+    k2 = rate(state + h_s / 2 * k1)
+    k3 = rate(state + h_s / 2 * k2)
+    k4 = rate(state + h_s * k3)
+    return state + h_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def strike(
+    plant: StateSpace, target: SimulatedTaps, speeds_m_s: FloatArray, duration_s: float, step_s: float = STEP_S
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stylus acceleration and encoder position of V taps, from contact on.
+
+    The hand goes on meaning to move at the incoming speed, so the device's deviation from that motion obeys
+    the zero-state model with the contact force F = k delta^n (1 + c d delta/dt) >= 0 on the stylus. The object
+    is a mass on a spring and a damper.
+
+    Parameters
+    ----------
+    plant : from force on the stylus [N] to stylus acceleration; its chain states are elongations, then
+        velocities, so the stylus is the second mass from the front.
+    speeds_m_s : (V,).
+
+    Returns
+    -------
+    times_s (K,), acceleration_m_s2 (V, K), encoder_position_m (V, K).
+    """
+    n, masses, V = plant.order, plant.order // 2, speeds_m_s.size
+    stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
+    position_of_stylus = np.zeros(n)
+    position_of_stylus[stylus:masses] = 1.0
+
+    def force(state: FloatArray, time_s: float) -> FloatArray:
+        stylus_z = position_of_stylus @ state[:n] - speeds_m_s * time_s
+        stylus_v = state[masses + stylus] - speeds_m_s
+        depth = np.maximum(state[n] - stylus_z, 0.0)
+        closing = state[n + 1] - stylus_v
+        elastic = target.contact_stiffness_N_m * depth**target.contact_exponent
+        return np.asarray(np.maximum(elastic * (1 + target.contact_damping_s_m * closing), 0.0))
+
+    def rate(state: FloatArray) -> FloatArray:
+        F = force(state, state[-1, 0])
+        change = np.empty_like(state)
+        change[:n] = plant.A @ state[:n] + plant.B * F
+        change[n] = state[n + 1]
+        foam = target.object_stiffness_N_m * state[n] + target.object_damping_N_s_m * state[n + 1]
+        change[n + 1] = -(F + foam) / target.object_mass_kg
+        change[-1] = 1.0
+        return change
+
+    steps = int(np.ceil(duration_s / step_s))
+    states = np.zeros((steps + 1, n + 3, V))  # device, object, and time itself
+    for k in range(steps):
+        states[k + 1] = _rk4(rate, states[k], step_s)
+    times = states[:, -1, 0]
+    forces = np.stack([force(state, t) for state, t in zip(states, times, strict=True)])
+    acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces
+    encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - speeds_m_s * times[:, None]
+    return times, acceleration.T, encoder.T
+
+
+def recordings(scene: Scene) -> list[Recording]:
+    """Recordings of every grid speed with repeats at varied speed, as a hand and an ADXL321 would give them.
+
+    Static 1 g, white noise, end stops, encoder counts; a fixed seed makes them the same every time. The
+    recordings outlast the scene's horizon by 10 ms.
+
+    Raises
+    ------
+    InputError : the scene has no simulated table.
+    """
+    target = scene.recordings.simulated
+    if target is None:
+        raise InputError(f"{scene.name}: recordings.simulated: missing; this scene reads files")
+    random = np.random.default_rng(target.seed)
+    nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
+    speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
+    duration = scene.time_grid().end_s + 10e-3
+    t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+
+    dt = 1 / target.rate_Hz
+    before = int(np.ceil(APPROACH_S / dt))
+    # Sampling is not synchronous with the contact.
+    phases = random.uniform(0, dt, speeds.size)
+    made = []
+    for j, speed in enumerate(speeds):
+        times = np.arange(-before, int(duration / dt) - 1) * dt + phases[j]
+        clean = np.interp(times, t, acceleration[j], left=0.0)
+        clean[times < 0] = 0.0
+        noise = target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * random.standard_normal(times.size)
+        measured_g = np.clip(clean / STANDARD_GRAVITY_M_S2 + 1.0 + noise, -target.range_g, target.range_g)
+        z = np.where(times < 0, -speed * times, np.interp(times, t, encoder[j]))
+        counts = np.round(z / ENCODER_COUNT_M) * ENCODER_COUNT_M
+        repeat = j % target.repeats + 1
+        made.append(
+            Recording(
+                name=f"{scene.name}_{nodes[j]:g}_m_s_{repeat}",
+                source=f"simulated: the undriven device at {target.grip_N:g} N strikes the object of the scene",
+                sha256="",
+                acceleration=Signal(0.0, dt, measured_g * STANDARD_GRAVITY_M_S2),
+                position=Signal(0.0, dt, counts),
+                speed_m_s=float(speed),
+                grip_N=target.grip_N,
+            )
+        )
+    return made

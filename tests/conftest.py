@@ -1,0 +1,90 @@
+"""Shared scenes, recordings and one solved library; built once per session."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from problems.simulate import recordings
+from transopt.build import Build, build_library
+from transopt.discretise import discretise
+from transopt.library import Library
+from transopt.problem import TransientProblem
+from transopt.recording import Recording
+from transopt.reference import Reference, build_references
+from transopt.scene import Scene
+from transopt.scene_file import load_scene
+
+IMPACTS = Path(__file__).parents[2] / "shared" / "data" / "impacts"
+
+
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    return load_scene(problems.scene_path("wood_on_foam"))
+
+
+@pytest.fixture(scope="session")
+def taps(scene: Scene) -> list[Recording]:
+    return recordings(scene)
+
+
+@pytest.fixture(scope="session")
+def build(scene: Scene, taps: list[Recording]) -> Build:
+    return build_library(scene, taps)
+
+
+@pytest.fixture(scope="session")
+def library(build: Build) -> Library:
+    assert build.library is not None
+    return build.library
+
+
+@pytest.fixture(scope="session")
+def references(scene: Scene, taps: list[Recording]) -> list[Reference]:
+    return build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+
+
+class ProblemMaker:
+    """Entries of the default scene, varied where a test wants it."""
+
+    def __init__(self, scene: Scene, references: list[Reference]) -> None:
+        self.scene, self.references = scene, references
+
+    def __call__(
+        self,
+        speed_m_s: float = 0.4,
+        grip_N: float = 5.0,
+        *,
+        ideal: bool = False,
+        delay_s: float | None = None,
+        stages: int | None = None,
+        **limits: float | None,
+    ) -> TransientProblem:
+        scene = self.scene
+        grid, amplifier = scene.time_grid(), scene.amplifier_model()
+        if ideal:
+            amplifier, limits = None, {"command_A": None, **limits}
+        if delay_s is not None:
+            grid = replace(grid, delay_s=delay_s)
+            amplifier = None if amplifier is None else replace(amplifier, delay_s=delay_s)
+        if stages is not None:
+            grid = replace(grid, stages=stages)
+        reference = next(r for r in self.references if r.speed_m_s == speed_m_s).motor_m_s2
+        # A longer horizon goes on with nothing to do, a shorter one is cut.
+        padded = np.concatenate([reference, np.zeros(max(0, grid.stages - reference.size))])[: grid.stages]
+        return TransientProblem(
+            stage=discretise(scene.plant(grip_N), amplifier, grid.dt_s),
+            grid=grid,
+            reference_m_s2=padded,
+            tracking_weights=np.ones(grid.stages),
+            rho=scene.weights.rho,
+            limits=replace(scene.current_limits(), **limits),
+            hand_over_samples=scene.hand_over_samples,
+        )
+
+
+@pytest.fixture(scope="session")
+def make_problem(scene: Scene, references: list[Reference]) -> ProblemMaker:
+    return ProblemMaker(scene, references)

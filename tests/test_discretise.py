@@ -1,0 +1,108 @@
+"""Exact hold: the defining property, the adjoint, and an independent integrator."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from tests.conftest import ProblemMaker
+from transopt.discretise import discretise
+from transopt.problem import TransientProblem
+from transopt.replay import replay
+from transopt.signals import FloatArray
+
+
+def integrate_independently(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """y'' and i at the switching instants by DOP853, with the delay as a shift of the command in true time."""
+    stage, grid = problem.stage, problem.grid
+    plant, amplifier = stage.plant, stage.amplifier
+    n = plant.order
+
+    def rate(_: float, x: FloatArray, command: float) -> FloatArray:
+        if amplifier is None:
+            return plant.A @ x + plant.B[:, 0] * command
+        drive = amplifier.rate_rad_s * (command - x[n])
+        return np.append(plant.A @ x[:n] + plant.B[:, 0] * x[n], drive)
+
+    x = np.zeros(n + (amplifier is not None))
+    acceleration, current = [], []
+    issued = grid.issue_times_s
+    for k in range(grid.stages):
+        i = command_A[k] if amplifier is None else x[n]
+        acceleration.append(float(plant.C[0] @ x[:n] + plant.D[0, 0] * i))
+        current.append(i)
+        start = issued[k] + grid.delay_s
+        run = solve_ivp(
+            rate, (start, start + grid.dt_s), x, method="DOP853", rtol=1e-12, atol=1e-15, args=(command_A[k],)
+        )
+        x = run.y[:, -1]
+    return np.array(acceleration), np.array(current)
+
+
+@pytest.mark.parametrize(
+    ("delay_samples", "ideal"), [(0.0, False), (0.3, False), (1.0, False), (2.7, False), (0.0, True)]
+)
+def test_design_and_replay_agree_with_an_independent_integrator(
+    make_problem: ProblemMaker, delay_samples: float, ideal: bool
+) -> None:
+    problem = make_problem(stages=80, delay_s=delay_samples * 1e-4, ideal=ideal)
+    random = np.random.default_rng(7)
+    command = random.uniform(-4, 4, 80)
+    expected, expected_current = integrate_independently(problem, command)
+    peak = np.abs(expected).max()
+
+    predicted, predicted_current = problem.stage.rollout(command)
+    assert np.abs(predicted - expected).max() <= 1e-9 * peak
+    assert np.abs(predicted_current - expected_current).max() <= 1e-9 * 4
+
+    (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
+    assert np.abs(played.acceleration_m_s2 - expected).max() <= 1e-9 * peak
+    assert np.abs(played.current_A - expected_current).max() <= 1e-9 * 4
+
+
+def test_hold_preserves_the_step_response(make_problem: ProblemMaker) -> None:
+    """The defining property of a zero-order hold: a constant command gives the continuous step response."""
+    problem = make_problem(stages=200)
+    amplifier = problem.stage.amplifier
+    assert amplifier is not None
+    _, current = problem.stage.rollout(np.full(200, 2.0))
+    times = 1e-4 * np.arange(200)
+    np.testing.assert_allclose(current, 2 * (1 - np.exp(-amplifier.rate_rad_s * times)), atol=1e-12)
+
+
+def test_halving_the_period_changes_nothing(make_problem: ProblemMaker) -> None:
+    """Exact means independent of the step: the same held command, sampled twice as often."""
+    problem = make_problem()
+    stage = problem.stage
+    command = np.random.default_rng(3).uniform(-4, 4, 100)
+    finer = discretise(stage.plant, stage.amplifier, stage.dt_s / 2)
+    coarse, _ = stage.rollout(command)
+    fine, _ = finer.rollout(np.repeat(command, 2))
+    np.testing.assert_allclose(fine[::2], coarse, rtol=0, atol=1e-10 * np.abs(coarse).max())
+
+
+@pytest.mark.parametrize("ideal", [False, True])
+def test_adjoint_is_the_transpose_of_the_rollout(make_problem: ProblemMaker, ideal: bool) -> None:
+    stage = make_problem(ideal=ideal).stage
+    random = np.random.default_rng(5)
+    command, by_acceleration, by_current = random.standard_normal((3, 60))
+    acceleration, current = stage.rollout(command)
+    forward = by_acceleration @ acceleration + by_current @ current
+    assert stage.adjoint(by_acceleration, by_current) @ command == pytest.approx(forward, rel=1e-11)
+
+
+def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
+    problem = make_problem(stages=80)
+    command = np.random.default_rng(1).uniform(-4, 4, 80)
+    (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
+    assert played.step_error <= 1e-10
+    assert played.fine_times_s[0] == pytest.approx(-problem.grid.lead_s)
+    assert np.all(np.diff(played.fine_times_s) >= -1e-15)
+
+
+def test_a_box_at_the_switching_instants_bounds_the_current_for_all_times(make_problem: ProblemMaker) -> None:
+    problem = make_problem(stages=120)
+    command = np.random.default_rng(9).uniform(-6, 6, 120)
+    command[-10:] = 0
+    _, current = problem.stage.rollout(command)
+    (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
+    assert played.peak_current_A == pytest.approx(np.abs(current).max(), rel=1e-9)

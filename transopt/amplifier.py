@@ -1,0 +1,38 @@
+"""Current amplifier: one pole and a pure delay (DESIGN 3.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from transopt.signals import FloatArray
+
+
+@dataclass(frozen=True)
+class Amplifier:
+    """di/dt = w (c(t - delay) - i) with w = 2 pi pole.
+
+    Attributes
+    ----------
+    pole_Hz : > 0.
+    delay_s : beyond the hold of the command, >= 0.
+    command_limit_A : range of the command, +- [A].
+    """
+
+    pole_Hz: float
+    delay_s: float
+    command_limit_A: float
+
+    @property
+    def rate_rad_s(self) -> float:
+        return 2 * np.pi * self.pole_Hz
+
+
+def prefilter(current_A: FloatArray, amplifier: Amplifier, dt_s: float) -> FloatArray:
+    """Commands (..., N) that make the current reach `current_A` one servo period later.
+
+    c_k = (i_k - p i_(k-1)) / (1 - p), p = exp(-w dt), i_(-1) = 0: the exact inverse of the pole between two
+    switching instants (seed Sec. 4.1).
+    """
+    p = np.exp(-amplifier.rate_rad_s * dt_s)
+    return np.asarray(signal.lfilter([1 / (1 - p), -p / (1 - p)], [1.0], current_A, axis=-1))

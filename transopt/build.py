@@ -1,0 +1,387 @@
+"""From a scene and its recordings to a library: design every entry, admit it, assemble the file."""
+
+import multiprocessing
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from transopt.baselines import clipped_optimum, seed_inversion
+from transopt.certify import binding_limits, certify
+from transopt.discretise import StageModel, discretise
+from transopt.errors import InputError
+from transopt.library import MULTIPLIER_FIELDS, SCHEMA, Library
+from transopt.problem import Certificate, Solution, Status, TransientProblem, verdict
+from transopt.recording import Recording
+from transopt.reference import Reference, build_references
+from transopt.replay import Replay, replay
+from transopt.scene import Scene
+from transopt.signals import FloatArray
+from transopt.solvers import SolverOptions, solve, unlimited
+from transopt.thermal import CoilModel
+from transopt.verify import admit, temperature_bound_C
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """NRMSE of the two other methods after replay, at the transient limit and at the steady limit."""
+
+    seed: float
+    clipped: float
+    seed_steady: float
+    clipped_steady: float
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One (speed, grip) of a library, with everything that is said about it.
+
+    Attributes
+    ----------
+    predicted_m_s2, current_A : (N,) y'' and i of the command at the switching instants.
+    floor : NRMSE of the unlimited optimum. free_peak_A : its peak current.
+    status, shortfalls : admission; shortfalls is empty for an OPTIMAL entry.
+    left_out : part of the problem -> why it is not in it.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    problem: TransientProblem
+    solution: Solution
+    certificate: Certificate
+    played: Replay
+    predicted_m_s2: FloatArray
+    current_A: FloatArray
+    floor: float
+    free_peak_A: float
+    baselines: Baselines
+    repeatability: float
+    status: Status
+    shortfalls: list[str]
+    binding: str
+    left_out: dict[str, str]
+
+    @property
+    def nrmse(self) -> float:
+        return self.played.nrmse
+
+    @property
+    def verdict(self) -> str:
+        if self.status is not Status.OPTIMAL:
+            return "refused"
+        return verdict(self.nrmse, self.floor, self.repeatability)
+
+
+@dataclass(frozen=True)
+class Build:
+    """A designed library: entries speed by speed, `library` only if every entry is admitted."""
+
+    scene: Scene
+    references: list[Reference]
+    entries: list[list[Entry]]
+    library: Library | None
+    solver: str
+    elapsed_s: float
+
+    def all_entries(self) -> Iterator[Entry]:
+        for row in self.entries:
+            yield from row
+
+    @property
+    def refused(self) -> list[Entry]:
+        return [entry for entry in self.all_entries() if entry.status is not Status.OPTIMAL]
+
+
+def _inside_limits(problem: TransientProblem, command_A: FloatArray, current_A: FloatArray) -> bool:
+    limits = problem.limits
+    step = limits.slew_A_per_s
+    return bool(
+        np.abs(current_A).max() <= limits.current_A
+        and np.abs(command_A).max() <= limits.command_bound_A
+        and (step is None or np.abs(np.diff(command_A, prepend=0.0)).max() <= step * problem.grid.dt_s)
+    )
+
+
+def _left_out(scene: Scene, problem: TransientProblem, coil: CoilModel | None, free: str | None) -> dict[str, str]:
+    """Every part that the problem does not have, and why it may be missing."""
+    parts = {
+        "feedback": "the scene has no wall",
+        "position": "nothing in the scene depends on it",
+        "supply": "the scene states no supply limit",
+    }
+    if problem.limits.slew_A_per_s is None:
+        parts["slew"] = "the scene states no slew limit"
+    if problem.stage.amplifier is None:
+        parts["amplifier"] = "ideal in the scene"
+    if scene.grid.grips_N[0] == 0:
+        parts["hand"] = "free device, grip 0"
+    if coil is None:
+        parts["temperature"] = "the scene has no motor data"
+    else:
+        parts["temperature"] = (
+            f"cannot pass {temperature_bound_C(problem, coil):.2f} C even if {problem.limits.current_A:g} A flowed "
+            f"for the whole horizon and no heat left the winding, limit {coil.limit_C:g} C"
+        )
+    if free is not None:
+        parts["limits"] = free
+    return parts
+
+
+@dataclass(frozen=True)
+class _Designed:
+    """One entry before its replay."""
+
+    problem: TransientProblem
+    solution: Solution
+    unlimited_command_A: FloatArray
+    floor: float
+    free_peak_A: float
+    free: str | None
+
+
+def _design(problem: TransientProblem, options: SolverOptions) -> _Designed:
+    """The optimum of one entry: the unlimited one if it is inside all limits, else the solver's."""
+    if problem.reference_is_zero:
+        answer = solve(problem, options)
+        return _Designed(problem, answer, answer.command_A, 0.0, 0.0, "zero reference: zero waveform")
+    free = unlimited.solve(problem)
+    acceleration, current = problem.stage.rollout(free.command_A)
+    r = problem.reference_m_s2
+    floor = float(np.linalg.norm(acceleration - r) / np.linalg.norm(r))
+    peak = float(np.abs(current).max())
+    if _inside_limits(problem, free.command_A, current):
+        reason = (
+            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
+            f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
+        )
+        return _Designed(problem, free, free.command_A, floor, peak, reason)
+    return _Designed(problem, solve(problem, options), free.command_A, floor, peak, None)
+
+
+def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], options: SolverOptions) -> list[Entry]:
+    """All entries of one grip, in the order of the references.
+
+    Solved one by one with one solver object; the optimum and the baselines of all speeds are replayed together.
+    """
+    grid, limits, coil = scene.time_grid(), scene.current_limits(), scene.coil()
+    stage = discretise(scene.plant(grip_N), scene.amplifier_model(), grid.dt_s)
+    designed = [
+        _design(
+            TransientProblem(
+                stage=stage,
+                grid=grid,
+                reference_m_s2=reference.motor_m_s2,
+                tracking_weights=np.ones(grid.stages),
+                rho=scene.weights.rho,
+                limits=limits,
+                hand_over_samples=scene.hand_over_samples,
+            ),
+            options,
+        )
+        for reference in references
+    ]
+    rivals = [
+        _rivals(stage, d, limit) for d in designed for limit in (limits.current_A, scene.limits.steady_current_A)
+    ]
+    commands = [d.solution.command_A for d in designed] + [c for pair in rivals for c in pair]
+    each = np.stack([reference.motor_m_s2 for reference in references])
+    wanted = np.concatenate([each, np.repeat(each, 4, axis=0)])
+    # A solver that broke down returns NaN, which no integrator needs to see.
+    playable = np.nan_to_num(np.stack(commands), nan=0.0, posinf=0.0, neginf=0.0)
+    replays = replay(stage, grid, playable, wanted, coil)
+    return [
+        _entry(scene, grip_N, reference, d, replays[j], replays[len(designed) + 4 * j : len(designed) + 4 * (j + 1)])
+        for j, (reference, d) in enumerate(zip(references, designed, strict=True))
+    ]
+
+
+def _rivals(stage: StageModel, designed: _Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
+    grid, reference = designed.problem.grid, designed.problem.reference_m_s2
+    return (
+        seed_inversion(stage, grid, reference, limit_A, designed.problem.hand_over_samples),
+        clipped_optimum(stage, grid, designed.unlimited_command_A, limit_A),
+    )
+
+
+def _entry(
+    scene: Scene, grip_N: float, reference: Reference, designed: _Designed, played: Replay, rivals: Sequence[Replay]
+) -> Entry:
+    problem, solution, coil = designed.problem, designed.solution, scene.coil()
+    certificate = certify(problem, solution.command_A, solution.multipliers)
+    predicted, current = problem.stage.rollout(solution.command_A)
+    status, shortfalls = admit(solution.status, certificate, played, problem, coil, predicted)
+    seed, clipped, seed_steady, clipped_steady = (rival.nrmse for rival in rivals)
+    return Entry(
+        speed_m_s=reference.speed_m_s,
+        grip_N=grip_N,
+        problem=problem,
+        solution=solution,
+        certificate=certificate,
+        played=played,
+        predicted_m_s2=predicted,
+        current_A=current,
+        floor=designed.floor,
+        free_peak_A=designed.free_peak_A,
+        baselines=Baselines(seed, clipped, seed_steady, clipped_steady),
+        repeatability=reference.repeatability,
+        status=status,
+        shortfalls=shortfalls,
+        binding=binding_limits(problem, solution.command_A, solution.multipliers),
+        left_out=_left_out(scene, problem, coil, designed.free),
+    )
+
+
+def build_library(
+    scene: Scene,
+    recordings: Sequence[Recording],
+    *,
+    options: SolverOptions | None = None,
+    jobs: int = 1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Build:
+    """Design, certify and replay every entry of a scene.
+
+    Parameters
+    ----------
+    recordings : of the scene (`importers.scene_recordings`, or simulated ones).
+    jobs : processes; the grips are shared among them.
+    progress : called with the number of entries that have just been finished.
+
+    Raises
+    ------
+    InputError : recordings that cannot serve, or parameters that are not passive at some grip.
+    """
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: must be at least 1")
+    start = time.perf_counter()
+    options = SolverOptions() if options is None else options
+    speeds, grips = scene.grid.speeds_m_s, scene.grid.grips_N
+    references = build_references(recordings, speeds, scene.time_grid(), scene.recordings)
+    columns: list[list[Entry]] = [[] for _ in grips]
+    if jobs == 1 or len(grips) == 1:
+        for j, grip in enumerate(grips):
+            columns[j] = design_grip(scene, grip, references, options)
+            progress(len(speeds))
+    else:
+        # Spawned, not forked: the parent has solver objects and threads that a fork would copy half-alive.
+        with ProcessPoolExecutor(min(jobs, len(grips)), multiprocessing.get_context("spawn")) as pool:
+            futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
+            for future in as_completed(futures):
+                columns[futures[future]] = future.result()
+                progress(len(speeds))
+    entries = [[column[i] for column in columns] for i in range(len(speeds))]
+    admitted = all(entry.status is Status.OPTIMAL for row in entries for entry in row)
+    return Build(
+        scene=scene,
+        references=references,
+        entries=entries,
+        library=_assemble(scene, references, entries, options) if admitted else None,
+        solver=options.solver,
+        elapsed_s=time.perf_counter() - start,
+    )
+
+
+def _assemble(
+    scene: Scene, references: list[Reference], entries: list[list[Entry]], options: SolverOptions
+) -> Library:
+    def over_grid(value: Callable[[Entry], Any]) -> Any:
+        return np.array([[value(entry) for entry in row] for row in entries])
+
+    def multiplier(name: str) -> Callable[[Entry], Any]:
+        return lambda entry: getattr(entry.solution.multipliers, name)
+
+    plants = [entry.problem.stage.plant for entry in entries[0]]
+    command = over_grid(lambda e: e.solution.command_A)
+    return Library(
+        speeds_m_s=np.asarray(scene.grid.speeds_m_s),
+        grips_N=np.asarray(scene.grid.grips_N),
+        command_A=command,
+        transient_command_A=command.copy(),
+        current_A=over_grid(lambda e: e.current_A),
+        acceleration_m_s2=over_grid(lambda e: e.predicted_m_s2),
+        reference_m_s2=np.stack([r.motor_m_s2 for r in references]),
+        reference_raw_m_s2=np.stack([r.raw_m_s2 for r in references]),
+        nominal_position_m=np.stack([r.nominal_position_m for r in references]),
+        nrmse=over_grid(lambda e: e.nrmse),
+        floor=over_grid(lambda e: e.floor),
+        peak_current_A=over_grid(lambda e: e.played.peak_current_A),
+        peak_temperature_C=over_grid(lambda e: e.played.winding_C),
+        objective=over_grid(lambda e: e.certificate.objective),
+        primal_violation=over_grid(lambda e: e.certificate.primal_violation_A),
+        dual_residual=over_grid(lambda e: e.certificate.dual_residual),
+        duality_gap=over_grid(lambda e: e.certificate.duality_gap),
+        solve_time_s=over_grid(lambda e: e.solution.solve_time_s),
+        status=over_grid(lambda e: e.status.value),
+        binding=over_grid(lambda e: e.binding),
+        **{field: over_grid(multiplier(name)) for name, field in MULTIPLIER_FIELDS.items()},
+        **{f"plant_{m}": np.stack([getattr(plant, m) for plant in plants]) for m in ("A", "B", "C", "D", "Ce")},
+        meta=_meta(scene, references, entries, options),
+    )
+
+
+def _meta(
+    scene: Scene, references: list[Reference], entries: list[list[Entry]], options: SolverOptions
+) -> dict[str, Any]:
+    amplifier, coil, problem = scene.amplifier_model(), scene.coil(), entries[0][0].problem
+    return {
+        "schema": SCHEMA,
+        "dt_s": scene.time.dt_s,
+        "lead_s": scene.time.lead_s,
+        "grip_min_N": scene.grid.grip_min_N,
+        "amplifier": None if amplifier is None else asdict(amplifier),
+        "limits": {
+            "current_A": problem.limits.current_A,
+            "steady_current_A": scene.limits.steady_current_A,
+            "slew_A_per_s": problem.limits.slew_A_per_s,
+            "supply_V": None,
+            # Shown not to bind (left_out); null because it is no constraint of the problem.
+            "temperature_C": None,
+        },
+        "thermal": None if coil is None else asdict(coil),
+        "feedback": None,
+        "weights": {"rho": problem.rho, "tracking": problem.tracking_weights.tolist()},
+        "hand_over_samples": scene.hand_over_samples,
+        "left_out": _shared_left_out(entries),
+        "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
+        "scene": scene.model_dump(mode="json"),
+        "solver": asdict(options),
+        "sources": [source for r in references for source in _sources(r)],
+        "versions": {
+            **{name: metadata.version(name) for name in ("transopt", "casadi", "numpy", "scipy")},
+            "python": platform.python_version(),
+        },
+    }
+
+
+def _shared_left_out(entries: list[list[Entry]]) -> dict[str, Any]:
+    """Part -> reason, or -> reasons per entry (nv, ng) where they differ (null: the part is in)."""
+    parts = dict.fromkeys(part for row in entries for entry in row for part in entry.left_out)
+    shared: dict[str, Any] = {}
+    for part in parts:
+        reasons = [[entry.left_out.get(part) for entry in row] for row in entries]
+        alike = {reason for row in reasons for reason in row}
+        shared[part] = reasons[0][0] if len(alike) == 1 else reasons
+    return shared
+
+
+def _sources(reference: Reference) -> list[dict[str, Any]]:
+    return [
+        {
+            "file": tap.recording.name,
+            "origin": tap.recording.source,
+            "sha256": tap.recording.sha256,
+            "grid_speed_m_s": reference.speed_m_s,
+            "grip_N": tap.recording.grip_N,
+            "speed_source": tap.speed_source,
+            "scaling": float(factor),
+            "onset_s": tap.onset_s,
+            "offset_m_s2": tap.offset_m_s2,
+            "polarity": tap.polarity,
+        }
+        for tap, factor in zip(reference.taps, reference.factors, strict=True)
+    ]

@@ -1,0 +1,298 @@
+"""The solve-library command line: scene, taps, solve, verify, show, export (DESIGN 10).
+
+Exit codes: 0 done, 1 a result fell short, 2 bad input. Heavy imports stand inside the commands, so that help and
+errors come at once.
+"""
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from transopt.errors import InputError
+
+if TYPE_CHECKING:
+    from transopt.build import Build
+    from transopt.recording import Recording
+    from transopt.scene import Scene
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Motor-current transients that make a virtual surface feel as hard as the real one.",
+)
+scenes = typer.Typer(no_args_is_help=True, help="Built-in scenes: list, show, copy.")
+app.add_typer(scenes, name="scene")
+
+DEFAULT_SCENE = "wood_on_foam"
+
+
+def _console() -> Console:
+    """Where tables go. Without a terminal the width is fixed, so that logs and pipes keep whole lines."""
+    return Console() if sys.stdout.isatty() else Console(width=160)
+
+
+def _load(scene: str, recordings: Path | None) -> "Scene":
+    """A scene by built-in name or by path, with the recordings folder replaced if one is given."""
+    import problems
+    from transopt.scene_file import load_scene
+
+    path = Path(scene) if scene.endswith(".toml") else problems.scene_path(scene)
+    loaded = load_scene(path, search=[problems.FOLDER])
+    if recordings is None:
+        return loaded
+    if not recordings.is_dir():
+        raise InputError(f"--recordings {recordings}: no such folder")
+    settings = loaded.recordings.model_copy(update={"folder": str(recordings.resolve())})
+    return loaded.model_copy(update={"recordings": settings})
+
+
+def _recordings(scene: "Scene") -> "list[Recording]":
+    if scene.recordings.simulated is not None:
+        from problems.simulate import recordings
+
+        return recordings(scene)
+    from transopt.reference import read_recordings
+
+    return read_recordings(scene.recordings)
+
+
+@scenes.command("list")
+def scene_list() -> None:
+    """Name the built-in scenes and what each shows."""
+    import tomllib
+
+    import problems
+
+    for name in problems.scene_names():
+        text = problems.scene_path(name).read_text(encoding="utf-8")
+        typer.echo(f"{name:20} {tomllib.loads(text)['description']}")
+
+
+@scenes.command("show")
+def scene_show(name: str) -> None:
+    """Print a built-in scene, comments included."""
+    import problems
+
+    typer.echo(problems.scene_path(name).read_text(encoding="utf-8"), nl=False)
+
+
+@scenes.command("new")
+def scene_new(
+    file: Path, source: Annotated[str, typer.Option("--from", help="Built-in scene to copy.")] = DEFAULT_SCENE
+) -> None:
+    """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
+    import problems
+
+    if file.suffix != ".toml":
+        raise InputError(f"{file}: a scene file ends in .toml")
+    try:
+        with file.open("x", encoding="utf-8") as new:
+            new.write(problems.scene_path(source).read_text(encoding="utf-8"))
+    except FileExistsError:
+        raise InputError(f"{file}: exists already; choose another name") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror}); choose another place") from None
+    typer.echo(f"{file} written; solve it with: transopt solve {file}")
+
+
+@app.command()
+def taps(
+    files: Annotated[list[Path], typer.Argument(help="Recordings: CSV, TXT, MAT, NPZ, WAV.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the overlay figure.")] = None,
+    columns: Annotated[str, typer.Option(help="Column names of TXT files: time_s,acceleration_g")] = "",
+    speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none [m/s].")] = None,
+    full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale [m/s^2].")] = None,
+    time_scale: Annotated[float, typer.Option(help="Similarity: time is stretched by this.")] = 1.0,
+    amplitude_scale: Annotated[float, typer.Option(help="Similarity: acceleration is multiplied by this.")] = 1.0,
+) -> None:
+    """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping."""
+    from pydantic import ValidationError
+
+    from transopt.reference import prepare, read_recordings
+    from transopt.scene import Recordings
+    from transopt.taps import scene_section, taps_table
+
+    try:
+        settings = Recordings(
+            files=[str(file.absolute()) for file in files],
+            columns=[name.strip() for name in columns.split(",") if name.strip()],
+            speed_m_s=speed,
+            full_scale_m_s2=full_scale,
+            time_scale=time_scale,
+            amplitude_scale=amplitude_scale,
+        )
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InputError(f"--{str(first['loc'][0]).replace('_', '-')} {first['input']}: {first['msg']}") from None
+    prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
+    console = _console()
+    console.print(taps_table(prepared))
+    if out is not None:
+        from transopt.figures import save_figure, taps_figure
+
+        _make_folder(out)
+        save_figure(taps_figure(prepared), out / "taps.png")
+        console.print(f"overlay: {out / 'taps.png'}")
+    console.print("\nFor your scene:\n", style="bold")
+    typer.echo(scene_section(prepared, files, settings))
+
+
+def _make_folder(folder: Path) -> None:
+    """Make sure that a folder can be written before any work is done for it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+
+
+def _publish(folder: Path, writers: dict[str, Callable[[Path], None]], stale: list[str]) -> None:
+    """Write all files beside the folder's own and move them in only when all are whole."""
+    staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
+    try:
+        for name, write in writers.items():
+            write(staging / name)
+        for name in writers:
+            (staging / name).replace(folder / name)
+        for name in stale:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _writers(build: "Build") -> dict[str, Callable[[Path], None]]:
+    from transopt.report import build_json, build_markdown
+
+    def text(content: str) -> Callable[[Path], None]:
+        def write(path: Path) -> None:
+            path.write_text(content, encoding="utf-8")
+
+        return write
+
+    library = build.library
+    if library is None:
+        return {"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}
+    from transopt.figures import bode_figure, library_figure, method_figure, save_figure
+
+    return {
+        "library.npz": library.save,
+        "report.md": text(build_markdown(build)),
+        "report.json": text(build_json(build)),
+        "transients.png": lambda path: save_figure(library_figure(library), path),
+        "methods.png": lambda path: save_figure(method_figure(build), path),
+        "bode.png": lambda path: save_figure(bode_figure(library), path),
+    }
+
+
+@app.command()
+def solve(
+    scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
+    recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
+    jobs: Annotated[int, typer.Option(help="Processes; the grips are shared among them.")] = 1,
+    solver: Annotated[str, typer.Option(help="casadi-piqp or casadi-ipopt.")] = "casadi-piqp",
+    solver_tolerance: Annotated[float, typer.Option(help="On residuals and gap, scaled; 1e-10 is usual.")] = 1e-10,
+) -> None:
+    """Solve a scene: certified library of current transients, report, figures."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from transopt.build import build_library
+    from transopt.report import build_table, summary
+    from transopt.solvers import SolverOptions, check_name
+
+    check_name(solver)
+    options = SolverOptions(solver, solver_tolerance)
+    loaded = _load(scene, recordings)
+    folder = Path("out") / loaded.name if out is None else out
+    _make_folder(folder)
+    bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*bar, console=Console(stderr=True)) as progress:
+        task = progress.add_task("recordings", total=None)
+        taps_of_scene = _recordings(loaded)
+        count = len(loaded.grid.speeds_m_s) * len(loaded.grid.grips_N)
+        progress.update(task, description="entries", total=count)
+        build = build_library(
+            loaded, taps_of_scene, options=options, jobs=jobs, progress=lambda done: progress.advance(task, done)
+        )
+    console = _console()
+    console.print(build_table(build))
+    writers = _writers(build)
+    _publish(folder, writers, stale=["refused.md", "refused.json"] if build.library is not None else [])
+    console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
+    for entry in build.refused:
+        reasons = "; ".join(entry.shortfalls)
+        message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {reasons}: {entry.status.value}"
+        console.print(message, style="red", highlight=False, soft_wrap=True)
+    console.print(f"{folder}: {', '.join(writers)}", highlight=False, soft_wrap=True)
+    if build.refused:
+        raise typer.Exit(1)
+
+
+@app.command()
+def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:
+    """Certify and replay every entry again, from the file alone; exit 1 if one fails."""
+    from transopt.library import load_library
+    from transopt.report import verify_table
+    from transopt.verify import verify_library
+
+    checks = verify_library(load_library(library))
+    console = _console()
+    console.print(verify_table(checks, str(library)))
+    failed = sum(bool(check.shortfalls) for check in checks)
+    console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean", highlight=False)
+    if failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    library: Annotated[Path, typer.Argument(help="library.npz")],
+    figure: Annotated[Path | None, typer.Option(help="Also draw the transients into this PNG.")] = None,
+) -> None:
+    """Print a library's table; optionally draw its transients."""
+    from transopt.library import load_library
+    from transopt.report import library_table
+
+    loaded = load_library(library)
+    console = _console()
+    console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
+    if figure is not None:
+        from transopt.figures import library_figure, save_figure
+
+        save_figure(library_figure(loaded), figure)
+        console.print(f"figure: {figure}", highlight=False)
+
+
+@app.command()
+def export(
+    library: Annotated[Path, typer.Argument(help="library.npz")],
+    file: Annotated[Path, typer.Argument(help="What to write: .mat, .csv, .wav or .h")],
+) -> None:
+    """Write a library as MAT, CSV, WAV (to listen to) or a C header."""
+    from transopt.export import export_library
+    from transopt.library import load_library
+
+    export_library(load_library(library), file)
+    typer.echo(f"{file} written")
+
+
+def main() -> None:
+    """Entry point: errors a user can cause end in one line, never in a traceback."""
+    try:
+        app()
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        typer.echo("stopped; earlier results are untouched", err=True)
+        sys.exit(130)

@@ -1,0 +1,371 @@
+"""From recordings to references: what the motor has to make the stylus do (DESIGN 2 and 5)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy import integrate, signal
+
+from transopt.discretise import TimeGrid
+from transopt.errors import InputError
+from transopt.importers import load_recording
+from transopt.recording import Recording
+from transopt.scene import Recordings
+from transopt.signals import FloatArray, Signal, highpass, lowpass, nrmse
+
+BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
+BASELINE_SAMPLES = 8  # fewer are no baseline
+SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
+ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
+SETTLING_S = 20e-3  # the filters start this long before contact
+
+
+def read_recordings(settings: Recordings) -> list[Recording]:
+    """Load the files that a scene names; patterns such as `tap_*.csv` are expanded in sorted order.
+
+    Raises
+    ------
+    InputError : a pattern that matches nothing, or whatever a file itself is refused for.
+    """
+    folder = Path(settings.folder)
+    paths: list[Path] = []
+    for pattern in settings.files:
+        if any(character in pattern for character in "*?["):
+            found = sorted(folder.glob(pattern))
+            if not found:
+                source = f" (source: {settings.source})" if settings.source else ""
+                raise InputError(
+                    f"recordings.files: {pattern!r} matches no file in {folder}: "
+                    f"name the right folder with --recordings FOLDER or recordings.folder{source}"
+                )
+            paths += found
+        else:
+            paths.append(folder / pattern)
+    return [
+        load_recording(
+            path,
+            columns=settings.columns,
+            full_scale_m_s2=settings.full_scale_m_s2,
+            speed_m_s=settings.speed_m_s,
+            grip_N=settings.grip_N,
+        )
+        for path in paths
+    ]
+
+
+@dataclass(frozen=True)
+class Tap:
+    """A recording made ready: SI, contact at t = 0, positive where the tap decelerates the stylus.
+
+    Attributes
+    ----------
+    acceleration : low-passed, similarity-scaled, not yet scaled to a grid speed [m/s^2].
+    speed_m_s : incoming speed after similarity scaling; NaN where the recording serves every grid speed.
+    speed_source : how the speed is known.
+    offset_m_s2, polarity, onset_s : found in the recording, in its own time and sign.
+    peak_m_s2 : of the low-passed acceleration.
+    clipped_samples : samples that sit at the sensor's end stop.
+    notes : what a user should know about this recording, one sentence each.
+    """
+
+    recording: Recording
+    acceleration: Signal
+    speed_m_s: float
+    speed_source: str
+    offset_m_s2: float
+    polarity: int
+    onset_s: float
+    peak_m_s2: float
+    clipped_samples: int
+    notes: tuple[str, ...]
+
+
+def _crossing(times_s: FloatArray, values: FloatArray, peak: int, level: float) -> float:
+    """Last time before sample `peak` at which the values rise through `level`; the first sample if none."""
+    below = np.flatnonzero(values[:peak] < level)
+    if below.size == 0:
+        return float(times_s[0])
+    j = int(below[-1])
+    fraction = (level - values[j]) / (values[j + 1] - values[j])
+    return float(times_s[j] + fraction * (times_s[j + 1] - times_s[j]))
+
+
+def find_onset(x: Signal) -> float:
+    """Contact time of a tap without offset and with positive polarity [s].
+
+    The line through the rise's 10 % and 30 % points is followed back to zero. A threshold alone would be
+    late by a part of the rise, and a servo tick of error costs 8 % NRMSE.
+    """
+    peak = int(np.argmax(x.values))
+    height = float(x.values[peak])
+    low = _crossing(x.times_s, x.values, peak, 0.1 * height)
+    high = _crossing(x.times_s, x.values, peak, 0.3 * height)
+    return max(low - 0.5 * (high - low), x.start_s)
+
+
+def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
+    """Static offset of the sensor, from the samples before the tap."""
+    if settings.offset_m_s2 != "baseline":
+        return float(settings.offset_m_s2), []
+    centred = x.values - np.median(x.values)
+    peak = int(np.argmax(np.abs(centred)))
+    upright = replace(x, values=centred * np.sign(centred[peak]))
+    quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
+    if quiet.size < BASELINE_SAMPLES:
+        return 0.0, ["no baseline before the onset: offset taken as 0"]
+    return float(quiet.mean()), []
+
+
+def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
+    high, low = float(values.max()), float(-values.min())
+    if settings.polarity != "auto":
+        return (1 if settings.polarity == "positive" else -1), []
+    notes = []
+    if min(high, low) > 0.8 * max(high, low):
+        notes.append("both signs peak alike: state recordings.polarity")
+    return (1 if high >= low else -1), notes
+
+
+def _clipped(values: FloatArray, offset: float) -> int:
+    """Samples in runs of three or more that sit exactly at the largest or smallest value.
+
+    Only an extreme at least half as far from the offset as the other is an end stop; a silent baseline is none.
+    """
+    count = 0
+    reach = float(np.abs(values - offset).max())
+    for extreme in (values.max(), values.min()):
+        if abs(extreme - offset) < 0.5 * reach:
+            continue
+        at_stop = np.concatenate([[False], values == extreme, [False]])
+        edges = np.flatnonzero(np.diff(at_stop.astype(int)))
+        runs = edges[1::2] - edges[::2]
+        count += int(runs[runs >= 3].sum())
+    return count
+
+
+def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
+    """Incoming speed [m/s] and its source."""
+    if recording.speed_m_s is not None:
+        return recording.speed_m_s, "stated"
+    if recording.position is None:
+        raise InputError(
+            f"{recording.name}: no incoming speed: add `# speed_m_s: ...` to the file, a position_m column, "
+            "or recordings.speed_m_s to the scene"
+        )
+    t, z = recording.position.times_s, recording.position.values
+    before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
+    if np.count_nonzero(before) < BASELINE_SAMPLES:
+        raise InputError(
+            f"{recording.name}: position_m has {np.count_nonzero(before)} samples in the {SPEED_FIT_S * 1e3:g} ms "
+            f"before contact, {BASELINE_SAMPLES} needed to fit the speed: state `# speed_m_s: ...`"
+        )
+    fit = np.polynomial.Polynomial.fit(t[before], z[before], 2)
+    speed = -float(fit.deriv()(onset_s))
+    if not speed > 0:
+        raise InputError(
+            f"{recording.name}: speed fitted from position_m = {speed:g} m/s: must be > 0 (z is positive out of "
+            "the object): check the sign of position_m or state `# speed_m_s: ...`"
+        )
+    return speed, "position"
+
+
+def prepare(recording: Recording, settings: Recordings) -> Tap:
+    """Offset, polarity, onset, speed, similarity scaling and low-pass of one recording.
+
+    Raises
+    ------
+    InputError : no way to know the speed, or no tap in the recording.
+    """
+    raw = recording.acceleration
+    offset, notes = _offset(raw, settings)
+    polarity, more = _polarity(raw.values - offset, settings)
+    upright = replace(raw, values=polarity * (raw.values - offset))
+    if not upright.values.max() > 0:
+        raise InputError(
+            f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
+            "check recordings.polarity and recordings.offset_m_s2"
+        )
+    onset = find_onset(upright) if settings.onset_s == "auto" else float(settings.onset_s)
+    speed, source = _speed(recording, onset)
+    clipped = _clipped(raw.values, offset)
+    if clipped:
+        more.append(f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range")
+
+    stretch = settings.time_scale
+    if settings.amplitude_scale == "to_grid_speed":
+        # Linear contact: time stretches by s, acceleration scales by v' / (v s); v' follows at each grid speed.
+        factor, speed, source = 1 / (speed * stretch), float("nan"), f"{source}, scaled to every grid speed"
+    else:
+        factor = settings.amplitude_scale
+        if (stretch, factor) != (1.0, 1.0):
+            source += ", similarity-scaled"
+        speed *= stretch * factor
+    scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
+    filtered = lowpass(scaled, settings.lowpass_Hz)
+    peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
+    return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, clipped, (*notes, *more))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the device has to do at one grid speed, at the switching instants.
+
+    Attributes
+    ----------
+    raw_m_s2 : (N,) r_raw, the recorded acceleration. motor_m_s2 : (N,) r = H r_raw.
+    nominal_position_m : (N,) z_nom.
+    repeatability, repeatability_unaligned : mean NRMSE of the repeats against their mean; NaN for one tap.
+    taps : the recordings used. factors : (n,) by which each was scaled to the grid speed.
+    times_s, repeats_m_s2 : (K,), (n, K) the aligned repeats, for figures.
+    """
+
+    speed_m_s: float
+    raw_m_s2: FloatArray
+    motor_m_s2: FloatArray
+    nominal_position_m: FloatArray
+    repeatability: float
+    repeatability_unaligned: float
+    taps: tuple[Tap, ...]
+    factors: FloatArray
+    times_s: FloatArray
+    repeats_m_s2: FloatArray
+
+    @property
+    def user_share(self) -> float:
+        """|r_raw - r| / |r_raw|: the part of the tap that is the user's own motion."""
+        return nrmse(self.motor_m_s2, self.raw_m_s2)
+
+
+def _fine_times(grid: TimeGrid) -> FloatArray:
+    """Ten points per servo period around contact, with t = 0 among them."""
+    step = min(grid.dt_s / 10, 1e-5)
+    before = int(np.ceil((SETTLING_S + grid.lead_s) / step))
+    after = int(np.ceil(max(grid.end_s, 0.0) / step)) + 1
+    return np.asarray(np.arange(-before, after + 1) * step)
+
+
+def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
+    """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
+    reach = round(ALIGNMENT_S / step_s)
+    lags = []
+    for repeat in repeats:
+        match = signal.correlate(repeat, mean, mode="full", method="fft")
+        window = match[mean.size - 1 - reach : mean.size + reach]
+        best = int(np.argmax(window))
+        shift = float(best - reach)
+        if 0 < best < window.size - 1:
+            left, centre, right = window[best - 1 : best + 2]
+            curvature = left - 2 * centre + right
+            shift += 0.5 * (left - right) / curvature if curvature < 0 else 0.0
+        lags.append(shift * step_s)
+    return np.asarray(lags)
+
+
+def _spread(repeats: FloatArray) -> float:
+    if repeats.shape[0] < 2:
+        return float("nan")
+    mean = repeats.mean(axis=0)
+    return float(np.mean([nrmse(repeat, mean) for repeat in repeats]))
+
+
+def build_reference(
+    speed_m_s: float, taps: Sequence[Tap], factors: FloatArray, grid: TimeGrid, settings: Recordings
+) -> Reference:
+    """Scale, align and average the taps of one grid speed, and split off the user's share.
+
+    r_raw is the mean; r = H r_raw with H a causal second-order high-pass; z_nom integrates r_raw - r twice from
+    z = 0, dz/dt = -speed at contact.
+
+    Raises
+    ------
+    InputError : a tap that ends before the horizon does.
+    """
+    needed = float(grid.switching_times_s[-1])
+    for tap in taps:
+        if tap.acceleration.end_s < needed:
+            raise InputError(
+                f"{tap.recording.name}: ends {tap.acceleration.end_s * 1e3:.1f} ms after contact, the window needs "
+                f"{needed * 1e3:.1f} ms: record longer or lower time.stages"
+            )
+    times = _fine_times(grid)
+    repeats = np.stack([f * tap.acceleration.at(times) for f, tap in zip(factors, taps, strict=True)])
+    unaligned = _spread(repeats)
+    if len(taps) > 1:
+        lags = _lags(repeats, repeats.mean(axis=0), times[1] - times[0])
+        # The mean onset stays where it is: alignment must not move the contact.
+        lags -= lags.mean()
+        shifted = [tap.acceleration.shifted(-lag) for tap, lag in zip(taps, lags, strict=True)]
+        repeats = np.stack([f * x.at(times) for f, x in zip(factors, shifted, strict=True)])
+    raw = Signal(float(times[0]), float(times[1] - times[0]), repeats.mean(axis=0))
+    motor = highpass(raw, settings.highpass_Hz)
+    user = raw.values - motor.values
+    contact = int(np.argmin(np.abs(times)))
+    velocity = integrate.cumulative_trapezoid(user, times, initial=0)
+    velocity += -speed_m_s - velocity[contact]
+    position = integrate.cumulative_trapezoid(velocity, times, initial=0)
+    position -= position[contact]
+    tau = grid.switching_times_s
+    return Reference(
+        speed_m_s=speed_m_s,
+        raw_m_s2=raw.at(tau),
+        motor_m_s2=motor.at(tau),
+        nominal_position_m=Signal(raw.start_s, raw.dt_s, position).at(tau),
+        repeatability=_spread(repeats),
+        repeatability_unaligned=unaligned,
+        taps=tuple(taps),
+        factors=np.asarray(factors),
+        times_s=times,
+        repeats_m_s2=repeats,
+    )
+
+
+def assign(taps: Sequence[Tap], speeds_m_s: Sequence[float], settings: Recordings) -> list[list[tuple[Tap, float]]]:
+    """For each grid speed its taps, each with the factor that scales it to that speed.
+
+    A tap belongs to the nearest grid speed, if it lies within `speed_tolerance` of it; taps that serve every
+    grid speed belong to all.
+
+    Raises
+    ------
+    InputError : a tap too far from every grid speed; a grid speed without a tap.
+    """
+    nodes = np.asarray(speeds_m_s, dtype=float)
+    groups: list[list[tuple[Tap, float]]] = [[] for _ in nodes]
+    for tap in taps:
+        if np.isnan(tap.speed_m_s):
+            for group, node in zip(groups, nodes, strict=True):
+                group.append((tap, float(node)))
+            continue
+        distance = np.abs(nodes / tap.speed_m_s - 1)
+        nearest = int(np.argmin(distance))
+        if distance[nearest] > settings.speed_tolerance:
+            raise InputError(
+                f"{tap.recording.name}: speed {tap.speed_m_s:.4g} m/s is {distance[nearest]:.0%} from the nearest "
+                f"grid speed {nodes[nearest]:g} m/s, limit {settings.speed_tolerance:.0%}: "
+                "add a grid speed or leave the file out"
+            )
+        groups[nearest].append((tap, float(nodes[nearest] / tap.speed_m_s)))
+    for group, node in zip(groups, nodes, strict=True):
+        if not group:
+            raise InputError(
+                f"grid.speeds_m_s: no recording within {settings.speed_tolerance:.0%} of {node:g} m/s: "
+                "record taps at that speed or take it off the grid"
+            )
+    return groups
+
+
+def build_references(
+    recordings: Sequence[Recording], speeds_m_s: Sequence[float], grid: TimeGrid, settings: Recordings
+) -> list[Reference]:
+    """One reference per grid speed from all recordings of a scene.
+
+    Raises
+    ------
+    InputError : see `prepare`, `assign` and `build_reference`.
+    """
+    taps = [prepare(recording, settings) for recording in recordings]
+    return [
+        build_reference(node, [tap for tap, _ in group], np.array([f for _, f in group]), grid, settings)
+        for node, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True)
+    ]

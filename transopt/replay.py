@@ -1,0 +1,223 @@
+"""Independent continuous-time replay of commands (DESIGN 4).
+
+Nothing here is shared with the design model: the time axis is the true one (commands issued at t_k, felt a delay
+later), the integrator is an implicit Runge-Kutta method on a finer step instead of a matrix exponential, and
+every limit is checked at every fine step.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from transopt.discretise import StageModel, TimeGrid
+from transopt.problem import TransientProblem
+from transopt.signals import FloatArray, nrmse
+from transopt.thermal import CoilModel, effective_square_mean
+
+STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
+FIRST_STEPS, MOST_STEPS = 4, 256  # fine steps per servo period
+CURRENT_TOLERANCE_A = 1e-6  # what counts as leaving a limit, as in the certificate
+AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What one command does in continuous time.
+
+    Attributes
+    ----------
+    acceleration_m_s2, current_A : (N,) y'' and i at the switching instants.
+    nrmse : of that acceleration against the reference.
+    peak_current_A, peak_command_A : over all t.
+    winding_C, housing_C : highest temperatures over the horizon; NaN without a coil model.
+    fine_times_s, fine_acceleration_m_s2, fine_current_A : (K,) at every fine step, with the values before and
+        after each switching instant.
+    step_error : relative difference of y'' to a replay with half the step.
+    """
+
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    nrmse: float
+    peak_current_A: float
+    peak_command_A: float
+    winding_C: float
+    housing_C: float
+    fine_times_s: FloatArray
+    fine_acceleration_m_s2: FloatArray
+    fine_current_A: FloatArray
+    step_error: float
+
+    def shortfalls(self, problem: TransientProblem, coil: CoilModel | None, predicted_m_s2: FloatArray) -> list[str]:
+        """What speaks against admitting this command, one sentence each; empty if clean."""
+        found = []
+        limits = problem.limits
+        if not self.peak_current_A <= limits.current_A + CURRENT_TOLERANCE_A:
+            found.append(f"replayed current {self.peak_current_A:.6f} A, limit {limits.current_A:g} A")
+        if limits.command_A is not None and not self.peak_command_A <= limits.command_A + CURRENT_TOLERANCE_A:
+            found.append(f"command {self.peak_command_A:.6f} A, limit {limits.command_A:g} A")
+        if coil is not None and not self.winding_C <= coil.limit_C:
+            found.append(f"winding {self.winding_C:.2f} C, limit {coil.limit_C:g} C")
+        peak = max(float(np.abs(self.acceleration_m_s2).max()), 1e-9)
+        difference = float(np.abs(self.acceleration_m_s2 - predicted_m_s2).max()) / peak
+        if not difference <= AGREEMENT:
+            found.append(f"replayed acceleration differs from the predicted one by {difference:.1e} of its peak")
+        return found
+
+
+def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
+    """Butcher matrix (s, s) and weights (s,) of Radau IIA: order 2 s - 1, L-stable, last node at 1.
+
+    Nodes as in Hairer & Wanner, Solving Ordinary Differential Equations II, Sec. IV.5.
+    """
+    nodes = np.append((special.roots_jacobi(stages - 1, 1.0, 0.0)[0] + 1) / 2, 1.0)
+    powers = np.arange(stages)
+    integrals = nodes[:, None] ** (powers + 1) / (powers + 1)
+    butcher = integrals @ np.linalg.inv(nodes[:, None] ** powers)
+    return butcher, butcher[-1]
+
+
+_BUTCHER, _WEIGHTS = _radau(5)
+
+
+def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, FloatArray]:
+    """One Radau step of dx/dt = A x + B u with u held: x+ = P x + Q u."""
+    n, s = A.shape[0], _WEIGHTS.size
+    equations = np.eye(s * n) - h_s * np.kron(_BUTCHER, A)
+    slopes = np.linalg.solve(equations, np.tile(np.hstack([A, B]), (s, 1))).reshape(s, n, n + 1)
+    step = h_s * np.einsum("s,snm->nm", _WEIGHTS, slopes)
+    return np.eye(n) + step[:, :n], step[:, n:]
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """The part of a servo period in which one command is felt: maps from its start to each fine step.
+
+    `behind` is how many ticks that command was issued before the period's own.
+    """
+
+    behind: int
+    offsets_s: FloatArray  # (m + 1,) from the start of the period, the segment's start first
+    P: FloatArray  # (m + 1, n, n)
+    Q: FloatArray  # (m + 1, n, 1)
+
+
+def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind: int, steps: int) -> _Segment:
+    n = A.shape[0]
+    one_P, one_Q = _step_map(A, B, (end_s - start_s) / steps)
+    P, Q = [np.eye(n)], [np.zeros((n, 1))]
+    for _ in range(steps):
+        P.append(one_P @ P[-1])
+        Q.append(one_P @ Q[-1] + one_Q)
+    return _Segment(behind, np.linspace(start_s, end_s, steps + 1), np.stack(P), np.stack(Q))
+
+
+def _segments(A: FloatArray, B: FloatArray, grid: TimeGrid, steps: int) -> list[_Segment]:
+    """A period [t_k, t_(k+1)) feels the command of one tick earlier until the delay's fraction has passed."""
+    dt = grid.dt_s
+    whole = int(np.floor(grid.delay_s / dt + 1e-9))
+    late = grid.delay_s - whole * dt
+    if late <= 1e-9 * dt:
+        return [_segment(A, B, 0.0, dt, whole, steps)]
+    split = min(max(round(steps * late / dt), 1), steps - 1)
+    return [
+        _segment(A, B, 0.0, late, whole + 1, split),
+        _segment(A, B, late, dt, whole, steps - split),
+    ]
+
+
+@dataclass(frozen=True)
+class _Trajectory:
+    times_s: FloatArray  # (K,)
+    acceleration_m_s2: FloatArray  # (M, K)
+    current_A: FloatArray  # (M, K)
+    at_switching: NDArray[np.intp]  # (N,) indices of the fine samples just after each switching instant
+    segment_starts: NDArray[np.intp]  # (S,) indices of the first sample of each segment
+
+
+def _simulate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, steps: int) -> _Trajectory:
+    """Fine trajectories of M commands (M, N) from the first tick until tau_N has passed."""
+    plant, amplifier = stage.plant, stage.amplifier
+    n, (M, N) = plant.order, commands_A.shape
+    if amplifier is None:
+        A, B = plant.A, plant.B
+    else:
+        w = amplifier.rate_rad_s
+        A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
+        B = np.append(np.zeros((n, 1)), [[w]], axis=0)
+    segments = _segments(A, B, grid, steps)
+    periods = N + segments[0].behind
+    x = np.zeros((A.shape[0], M))
+    silence = np.zeros(M)
+    states, felt, times, at_switching, starts, count = [], [], [], [], [], 0
+    for k in range(periods):
+        for segment in segments:
+            index = k - segment.behind
+            u = commands_A[:, index] if 0 <= index < N else silence
+            if segment is segments[-1] and 0 <= index < N:
+                at_switching.append(count)
+            fine = segment.P @ x + segment.Q * u
+            x = fine[-1]
+            states.append(fine)
+            felt.append(np.broadcast_to(u, (fine.shape[0], M)))
+            times.append(segment.offsets_s + (k * grid.dt_s - grid.lead_s))
+            starts.append(count)
+            count += fine.shape[0]
+    trajectory, command = np.concatenate(states), np.concatenate(felt)
+    current = command if amplifier is None else trajectory[:, n]
+    acceleration = np.einsum("n,knm->km", plant.C[0], trajectory[:, :n]) + plant.D[0, 0] * current
+    return _Trajectory(np.concatenate(times), acceleration.T, current.T, np.asarray(at_switching), np.asarray(starts))
+
+
+def _temperatures(run: _Trajectory, coil: CoilModel) -> tuple[FloatArray, FloatArray]:
+    """(M,) highest winding and housing temperature; the heat is summed over each segment."""
+    steps = np.diff(run.times_s)
+    # Exact for a current that is linear within a fine step; the steps between segments have no length.
+    heat = steps * effective_square_mean(run.current_A[:, :-1], run.current_A[:, 1:])
+    lengths = np.add.reduceat(np.append(steps, 0.0), run.segment_starts)
+    energy = np.add.reduceat(
+        np.append(heat, np.zeros((run.current_A.shape[0], 1)), axis=1), run.segment_starts, axis=1
+    )
+    winding, housing = coil.simulate(energy / lengths, lengths)
+    return winding.max(axis=1), housing.max(axis=1)
+
+
+def replay(
+    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, references_m_s2: FloatArray, coil: CoilModel | None
+) -> list[Replay]:
+    """Play M commands (M, N) through one device, from rest, and compare each with its reference (M, N).
+
+    The step is halved until the acceleration at the switching instants changes by less than 1e-10 of its peak,
+    or rounding stops it from getting smaller; the difference reached is reported as `step_error`.
+    """
+    steps = FIRST_STEPS
+    run = _simulate(stage, grid, commands_A, steps)
+    while True:
+        finer = _simulate(stage, grid, commands_A, 2 * steps)
+        coarse = run.acceleration_m_s2[:, run.at_switching]
+        accurate = finer.acceleration_m_s2[:, finer.at_switching]
+        peak = np.maximum(np.abs(accurate).max(axis=1), np.finfo(float).tiny)
+        step_error = np.abs(accurate - coarse).max(axis=1) / peak
+        steps, run = 2 * steps, finer
+        if np.all(step_error <= STEP_ERROR) or steps >= MOST_STEPS:
+            break
+    current = run.current_A[:, run.at_switching]
+    M = commands_A.shape[0]
+    winding, housing = (np.full(M, np.nan),) * 2 if coil is None else _temperatures(run, coil)
+    return [
+        Replay(
+            acceleration_m_s2=accurate[m],
+            current_A=current[m],
+            nrmse=nrmse(accurate[m], references_m_s2[m]),
+            peak_current_A=float(np.abs(run.current_A[m]).max()),
+            peak_command_A=float(np.abs(commands_A[m]).max()),
+            winding_C=float(winding[m]),
+            housing_C=float(housing[m]),
+            fine_times_s=run.times_s,
+            fine_acceleration_m_s2=run.acceleration_m_s2[m],
+            fine_current_A=run.current_A[m],
+            step_error=float(step_error[m]),
+        )
+        for m in range(M)
+    ]

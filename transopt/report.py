@@ -1,0 +1,285 @@
+"""What a build says about itself: table, Markdown, JSON."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from transopt.build import Build, Entry
+from transopt.library import Library
+from transopt.problem import Status, verdict
+from transopt.reference import Reference
+from transopt.signals import STANDARD_GRAVITY_M_S2
+from transopt.verify import EntryCheck
+
+
+def _percent(value: float) -> str:
+    return "-" if np.isnan(value) else f"{100 * value:.3g}" if value < 1 else f"{100 * value:.0f}"
+
+
+def _entry_cells(entry: Entry) -> list[str]:
+    b = entry.baselines
+    if entry.status is not Status.OPTIMAL:
+        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, "; ".join(entry.shortfalls), entry.verdict]
+    return [
+        f"{entry.speed_m_s:g}",
+        f"{entry.grip_N:g}",
+        _percent(entry.nrmse),
+        _percent(entry.floor),
+        f"{_percent(b.seed)} / {_percent(b.seed_steady)}",
+        f"{_percent(b.clipped)} / {_percent(b.clipped_steady)}",
+        _percent(entry.repeatability),
+        f"{entry.played.peak_current_A:.2f}",
+        f"{entry.solution.solve_time_s * 1e3:.0f}",
+        entry.binding,
+        entry.verdict,
+    ]
+
+
+def _columns(build: Build) -> list[str]:
+    limit, steady = build.scene.limits.transient_current_A, build.scene.limits.steady_current_A
+    return [
+        "speed m/s",
+        "grip N",
+        "NRMSE %",
+        "floor %",
+        f"seed % at {limit:g} / {steady:g} A",
+        f"clipped % at {limit:g} / {steady:g} A",
+        "repeats %",
+        "peak A",
+        "ms",
+        "what binds",
+        "verdict",
+    ]
+
+
+def build_table(build: Build) -> Table:
+    """The table that `transopt solve` prints."""
+    table = Table(title=f"{build.scene.name}: {build.scene.description}", show_lines=False)
+    for j, column in enumerate(_columns(build)):
+        table.add_column(column, justify="right" if j < 9 else "left", overflow="fold")
+    for row in build.entries:
+        for entry in row:
+            style = "red" if entry.status is not Status.OPTIMAL else None
+            table.add_row(*_entry_cells(entry), style=style)
+        table.add_section()
+    return table
+
+
+def summary(build: Build) -> str:
+    """One line: error, certificate, time per entry, time in all."""
+    entries = list(build.all_entries())
+    times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
+    if build.refused:
+        return f"{len(build.refused)} of {len(entries)} entries refused; no library written"
+    worst = max(entries, key=lambda entry: entry.nrmse)
+    return (
+        f"{len(entries)} entries certified and replayed: NRMSE {100 * min(e.nrmse for e in entries):.2f} to "
+        f"{100 * worst.nrmse:.2f} % (worst at {worst.speed_m_s:g} m/s, {worst.grip_N:g} N), "
+        f"gap <= {max(e.certificate.relative_gap for e in entries):.0e}, "
+        f"violation <= {max(e.certificate.primal_violation_A for e in entries):.0e} A; "
+        f"{np.median(times_ms):.0f} ms per entry (median), {build.elapsed_s:.2f} s in all"
+    )
+
+
+def _recorded_lines(references: Sequence[Reference]) -> list[str]:
+    lines = [
+        "| speed m/s | taps | scaled by | repeats %, aligned / not | user's share % | peak g | speed from |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for r in references:
+        factors = f"{r.factors.min():.3g}" + (f" to {r.factors.max():.3g}" if r.factors.size > 1 else "")
+        sources = ", ".join(sorted({tap.speed_source for tap in r.taps}))
+        lines.append(
+            f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {_percent(r.repeatability)} / "
+            f"{_percent(r.repeatability_unaligned)} | {_percent(r.user_share)} | "
+            f"{r.raw_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
+        )
+    notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
+    shown = sorted(notes)
+    more = [f"- and {len(shown) - 10} more"] if shown[10:] else []
+    return [*lines, "", *(f"- {note}" for note in shown[:10]), *more]
+
+
+def _origin(build: Build) -> str:
+    simulated = build.scene.recordings.simulated
+    if simulated is not None:
+        return (
+            f"The recordings are **simulated**: the undriven device at {simulated.grip_N:g} N strikes the object of "
+            f"the scene, {simulated.repeats} repeats per speed, accelerometer noise "
+            f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
+        )
+    settings = build.scene.recordings
+    scaling = ""
+    if settings.time_scale != 1 or settings.amplitude_scale != 1:
+        scaling = f" Similarity-scaled: time x {settings.time_scale:g}, amplitude {settings.amplitude_scale}."
+    return f"The recordings are files{': ' + settings.source if settings.source else ''}.{scaling}"
+
+
+def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
+    """Each reason once, with the entries it holds for where it does not hold for all."""
+    by_reason: dict[tuple[str, str], list[Entry]] = {}
+    for entry in entries:
+        for part, reason in entry.left_out.items():
+            by_reason.setdefault((part, reason), []).append(entry)
+    lines = []
+    for (part, reason), holders in by_reason.items():
+        where = (
+            "" if len(holders) == len(entries) else ", ".join(f"{e.speed_m_s:g} m/s {e.grip_N:g} N" for e in holders)
+        )
+        lines.append(f"- {part}{f' ({where})' if where else ''}: {reason}")
+    return lines
+
+
+def build_markdown(build: Build) -> str:
+    """report.md."""
+    entries = list(build.all_entries())
+    columns = _columns(build)
+    lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
+    lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    lines += ["| " + " | ".join(_entry_cells(entry)) + " |" for entry in entries]
+    lines += [
+        "",
+        "NRMSE is |a - r| / |r| after replay, r the motor's share of the recorded acceleration. floor: the unlimited "
+        "optimum. seed: frequency-domain inversion, clipped. clipped: the unlimited optimum, its current clipped. "
+        "repeats: trial-to-mean NRMSE of the recordings.",
+        "",
+        "## Certificates",
+        "",
+        "| speed m/s | grip N | J | gap / max(J, 1e-3) | violation A | NRMSE to r_raw % | winding C | solver |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
+    for e in entries:
+        c = e.certificate
+        lines.append(
+            f"| {e.speed_m_s:g} | {e.grip_N:g} | {c.objective:.6e} | {c.relative_gap:.1e} | "
+            f"{c.primal_violation_A:.1e} | {_percent(e.nrmse * shares[e.speed_m_s])} | {e.played.winding_C:.3f} | "
+            f"{e.solution.solver} |"
+        )
+    lines += ["", "## Left out", "", *_left_out_lines(entries)]
+    lines += ["", "## Recordings", "", *_recorded_lines(build.references), ""]
+    return "\n".join(lines)
+
+
+def _raw_over_motor(reference: Reference) -> float:
+    motor = float(np.linalg.norm(reference.motor_m_s2))
+    return float(np.linalg.norm(reference.raw_m_s2)) / motor if motor > 0 else float("inf")
+
+
+def build_json(build: Build) -> str:
+    """report.json: the report's numbers, with units in their names; NaN becomes null."""
+    rows = [
+        {
+            "speed_m_s": e.speed_m_s,
+            "grip_N": e.grip_N,
+            "status": e.status.value,
+            "shortfalls": e.shortfalls,
+            "verdict": e.verdict,
+            "nrmse": e.nrmse,
+            "floor": e.floor,
+            "baselines": asdict(e.baselines),
+            "repeatability": e.repeatability,
+            "peak_current_A": e.played.peak_current_A,
+            "free_peak_current_A": e.free_peak_A,
+            "winding_C": e.played.winding_C,
+            "housing_C": e.played.housing_C,
+            "binding": e.binding,
+            "certificate": {**asdict(e.certificate), "relative_gap": e.certificate.relative_gap},
+            "replay_step_error": e.played.step_error,
+            "solver": e.solution.solver,
+            "solver_message": e.solution.message,
+            "solve_time_s": e.solution.solve_time_s,
+            "left_out": e.left_out,
+        }
+        for e in build.all_entries()
+    ]
+    content = {
+        "scene": build.scene.name,
+        "simulated_recordings": build.scene.recordings.simulated is not None,
+        "solver": build.solver,
+        "elapsed_s": build.elapsed_s,
+        "entries": rows,
+        "references": [
+            {
+                "speed_m_s": r.speed_m_s,
+                "taps": [tap.recording.name for tap in r.taps],
+                "scaling": r.factors.tolist(),
+                "repeatability": r.repeatability,
+                "repeatability_unaligned": r.repeatability_unaligned,
+                "user_share": r.user_share,
+            }
+            for r in build.references
+        ],
+    }
+    return json.dumps(_without_nan(content), indent=1)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def library_table(library: Library, name: str) -> Table:
+    """The table that `transopt show` prints, from the file alone."""
+    table = Table(title=name)
+    columns = [
+        "speed m/s",
+        "grip N",
+        "NRMSE %",
+        "floor %",
+        "peak A",
+        "winding C",
+        "gap",
+        "ms",
+        "what binds",
+        "verdict",
+    ]
+    for j, column in enumerate(columns):
+        table.add_column(column, justify="right" if j < 8 else "left", overflow="fold")
+    repeats = library.meta.get("repeatability") or [None] * library.speeds_m_s.size
+    for iv, speed in enumerate(library.speeds_m_s):
+        for ig, grip in enumerate(library.grips_N):
+            gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], 1e-3)
+            spread = float("nan") if repeats[iv] is None else repeats[iv]
+            table.add_row(
+                f"{speed:g}",
+                f"{grip:g}",
+                _percent(library.nrmse[iv, ig]),
+                _percent(library.floor[iv, ig]),
+                f"{library.peak_current_A[iv, ig]:.3f}",
+                f"{library.peak_temperature_C[iv, ig]:.2f}",
+                f"{gap:.0e}",
+                f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
+                str(library.binding[iv, ig]),
+                verdict(library.nrmse[iv, ig], library.floor[iv, ig], spread),
+            )
+        table.add_section()
+    return table
+
+
+def verify_table(checks: Sequence[EntryCheck], name: str) -> Table:
+    """The table that `transopt verify` prints."""
+    table = Table(title=name)
+    for column in ("speed m/s", "grip N", "NRMSE %", "peak A", "violation A", "gap", "result"):
+        table.add_column(column, justify="left" if column == "result" else "right", overflow="fold")
+    for check in checks:
+        table.add_row(
+            f"{check.speed_m_s:g}",
+            f"{check.grip_N:g}",
+            _percent(check.played.nrmse),
+            f"{check.played.peak_current_A:.4f}",
+            f"{check.certificate.primal_violation_A:.0e}",
+            f"{check.certificate.relative_gap:.0e}",
+            "; ".join(check.shortfalls) or "certified, replayed clean",
+            style="red" if check.shortfalls else None,
+        )
+    return table

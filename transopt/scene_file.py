@@ -1,0 +1,90 @@
+"""Reading scene files, with errors in the words of the file."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from transopt.errors import InputError
+from transopt.scene import Scene, Section
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; `transopt scene list` names the built-in scenes") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({error}); a scene is a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def _keys_only(location: tuple[str | int, ...], content: Any) -> tuple[str | int, ...]:
+    """The location as the file spells it: pydantic also lists the names of union members on the way."""
+    keys: list[str | int] = []
+    for position, part in enumerate(location):
+        inside = part in content if isinstance(content, dict) else isinstance(part, int)
+        if inside:
+            content = content[part]
+        if inside or position == len(location) - 1:
+            keys.append(part)
+    return tuple(keys)
+
+
+def _known_keys(keys: tuple[str | int, ...]) -> str:
+    """The keys that the table around the last of `keys` takes."""
+    tables: list[Any] = [Scene]
+    for part in keys[:-1]:
+        annotations = [t.model_fields[part].annotation for t in tables if part in t.model_fields]
+        members = [member for a in annotations for member in (a, *get_args(a))]
+        tables = [member for member in members if isinstance(member, type) and issubclass(member, Section)]
+    return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields))
+
+
+def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str:
+    """The first complaint in one line, and how many more keys there are complaints about."""
+    first = error.errors()[0]
+    keys = _keys_only(first["loc"], content)
+    where = ".".join(str(part) for part in keys)
+    if first["type"] == "extra_forbidden":
+        text = f"{where}: unknown key; known here: {_known_keys(keys)}"
+    elif first["type"] == "missing":
+        text = f"{where}: missing; add it to the scene"
+    else:
+        message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {first['input']!r}"
+        text = f"{where}{shown}: {message}" if where else message
+    others = {_keys_only(complaint["loc"], content) for complaint in error.errors()} - {keys}
+    more = f" (and {len(others)} more)" if others else ""
+    return f"{path}: {text}{more}"
+
+
+def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
+    """Read and check a scene file.
+
+    Relative paths in it count from the scene's folder; a motor file not found there is looked for in the
+    `search` folders.
+
+    Raises
+    ------
+    InputError : one line: file, key, value, what is wrong.
+    """
+    content = _read_toml(path)
+    content.setdefault("name", path.stem)
+    motor = content.get("motor")
+    if isinstance(motor, str):
+        places = [folder / motor for folder in (path.parent, *search)]
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
+            raise InputError(f"{path}: motor = {motor!r}: no such file in {', '.join(str(p.parent) for p in places)}")
+        content["motor"] = _read_toml(found)
+    recordings = content.get("recordings")
+    if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
+        recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(_explain(path, error, content)) from None

@@ -1,0 +1,26 @@
+"""What a user may set about a solver."""
+
+from dataclasses import dataclass
+
+from transopt.errors import InputError
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Attributes
+    ----------
+    solver : name, the same in files, on the command line and in reports.
+    tolerance : absolute tolerance on residuals and gap, in units of DESIGN 4's objective scale of 1e-3 and of
+        the limit current. The default leaves three digits to the certificate's tolerance.
+    max_iterations : at least 1.
+    """
+
+    solver: str = "casadi-piqp"
+    tolerance: float = 1e-10
+    max_iterations: int = 250
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < 1:
+            raise InputError(f"--solver-tolerance {self.tolerance:g}: must be between 0 and 1; 1e-10 is usual")
+        if self.max_iterations < 1:
+            raise InputError(f"max_iterations = {self.max_iterations}: must be at least 1")

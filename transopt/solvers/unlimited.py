@@ -1,0 +1,54 @@
+"""The problem without its limits: one sparse KKT solve (DESIGN 2, the floor; DESIGN 4, leaving out).
+
+The hand-over stays, because a waveform that does not end is no transient. Where the answer lies inside all
+limits it is the answer to the limited problem too, with every multiplier zero.
+"""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from transopt import transcribe
+from transopt.problem import Multipliers, Solution, Status, TransientProblem
+
+REFINEMENTS = 2
+
+
+def solve(problem: TransientProblem) -> Solution:
+    """Minimise J subject to dynamics and hand-over only; see `Solution`.
+
+    `command_A` is not clipped: it is what the limits would have to allow.
+    """
+    shape = transcribe.program_shape(problem)
+    program = transcribe.state_program(shape)
+    start = time.perf_counter()
+    scale = transcribe.scaling(problem)
+    data = program.qp_data(p=transcribe.parameters(problem, scale))
+    A = data["A"].sparse()
+    kkt = sparse.block_array([[data["H"].sparse(), A.T], [A, None]], format="csc")
+    right = np.concatenate([-np.asarray(data["q"]).ravel(), np.zeros(A.shape[0])])
+    try:
+        factors = splu(kkt)
+        point = factors.solve(right)
+        for _ in range(REFINEMENTS):
+            point += factors.solve(right - kkt @ point)
+        status, message = Status.OPTIMAL, "KKT system solved"
+    except RuntimeError as singular:
+        point, status, message = np.full(right.size, np.nan), Status.NUMERICAL_FAILURE, str(singular)
+    nz = shape.stage_states + 1
+    n = shape.stages * (nz + 1)
+    command = point[:n].reshape(-1, nz + 1)[:, nz] * scale.current_A
+    command[problem.free_stages :] = 0.0
+    free = transcribe.multipliers(problem, scale, np.zeros(n), point[n:])
+    return Solution(
+        status=status,
+        command_A=command,
+        multipliers=replace(Multipliers.zero(problem), hand_over=free.hand_over),
+        solver="unlimited",
+        message=message,
+        iterations=1,
+        solve_time_s=time.perf_counter() - start,
+    )

@@ -1,0 +1,107 @@
+"""Coil temperature: winding over housing over ambient (DESIGN 3.3, seed Eqs. 6-7)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.errors import InputError
+from transopt.signals import FloatArray
+
+COPPER_PER_K = 0.0039  # temperature coefficient of resistance
+RESISTANCE_REFERENCE_C = 25.0  # datasheets state R here
+PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
+
+
+def effective_square(current_A: FloatArray) -> FloatArray:
+    """i_eff^2 = (|i| + 0.02 A)^2 of seed Eq. 7: the PWM ripple heats even around zero current [A^2]."""
+    return np.asarray((np.abs(current_A) + PWM_RIPPLE_A) ** 2)
+
+
+def effective_square_mean(before_A: FloatArray, after_A: FloatArray) -> FloatArray:
+    """Mean of i_eff^2 over a step in which |i| goes linearly from one value to the other [A^2]."""
+    a, b = np.abs(before_A) + PWM_RIPPLE_A, np.abs(after_A) + PWM_RIPPLE_A
+    return np.asarray((a * a + a * b + b * b) / 3)
+
+
+@dataclass(frozen=True)
+class CoilModel:
+    """Two thermal nodes with copper whose resistance rises with the winding temperature.
+
+    C_w dT_w/dt = R (1 + alpha (T_w - 25)) i_eff^2 - (T_w - T_h) / R_wh
+    C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_ambient) / R_ha
+    with C_w = tau_w / R_wh and C_h = tau_h / R_ha.
+    """
+
+    R_ohm: float
+    R_wh_K_W: float
+    R_ha_K_W: float
+    tau_w_s: float
+    tau_h_s: float
+    limit_C: float
+    ambient_C: float = 25.0
+    start_winding_C: float = 25.0
+    start_housing_C: float = 25.0
+
+    def __post_init__(self) -> None:
+        for field in ("R_ohm", "R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s"):
+            value = getattr(self, field)
+            if not 0 < value < np.inf:
+                raise InputError(f"motor: {field} = {value:g}: must be > 0 and finite")
+        if self.start_winding_C > self.limit_C:
+            raise InputError(
+                f"thermal: start_winding_C = {self.start_winding_C:g} C is above the winding limit "
+                f"{self.limit_C:g} C: let the motor cool or raise the limit"
+            )
+
+    def continuous_current_A(self) -> float:
+        """Current that holds the winding at its limit for ever: the datasheet's continuous current."""
+        rise = self.limit_C - self.ambient_C
+        resistance = self.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
+        return float(np.sqrt(rise / ((self.R_wh_K_W + self.R_ha_K_W) * resistance)))
+
+    def adiabatic_bound_C(self, current_A: float, duration_s: float) -> float:
+        """Rigorous bound on the winding temperature while |i| <= `current_A` for `duration_s`.
+
+        No heat leaves and the limit current flows throughout: dT/dt = R (1 + alpha (T - 25)) i_eff^2 / C_w
+        from the hottest node. The true winding cannot overtake this: where it is the hottest node heat only
+        leaves it, and where it is not it lies below a node that only cools.
+        """
+        hottest = max(self.start_winding_C, self.start_housing_C, self.ambient_C)
+        heating = self.R_ohm * float(effective_square(np.asarray(current_A))) * self.R_wh_K_W / self.tau_w_s
+        above = hottest - RESISTANCE_REFERENCE_C
+        growth = np.expm1(COPPER_PER_K * heating * duration_s)
+        return float(hottest + (above + 1 / COPPER_PER_K) * growth)
+
+    def simulate(self, effective_square_A2: FloatArray, steps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Winding and housing temperature, by the implicit midpoint rule.
+
+        Parameters
+        ----------
+        effective_square_A2 : (M, K) mean of i_eff^2 over each of K steps for M waveforms [A^2].
+        steps_s : (K,) step lengths [s].
+
+        Returns
+        -------
+        (M, K + 1) winding and housing temperatures [C], from the start temperatures on.
+        """
+        M, K = effective_square_A2.shape
+        C_w = self.tau_w_s / self.R_wh_K_W
+        C_h = self.tau_h_s / self.R_ha_K_W
+        winding = np.empty((M, K + 1))
+        housing = np.empty((M, K + 1))
+        winding[:, 0], housing[:, 0] = self.start_winding_C, self.start_housing_C
+        g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
+        for k in range(K):
+            power = self.R_ohm * effective_square_A2[:, k]
+            half = steps_s[k] / 2
+            # Linear in both temperatures, so the midpoint T_m = T + h/2 f(T_m) is a 2 x 2 solve.
+            a11 = 1 + half / C_w * (g_w - COPPER_PER_K * power)
+            a12 = -half / C_w * g_w
+            a21 = -half / C_h * g_w
+            a22 = 1 + half / C_h * (g_w + g_h)
+            b1 = winding[:, k] + half / C_w * power * (1 - COPPER_PER_K * RESISTANCE_REFERENCE_C)
+            b2 = housing[:, k] + half / C_h * g_h * self.ambient_C
+            determinant = a11 * a22 - a12 * a21
+            winding[:, k + 1] = 2 * (b1 * a22 - a12 * b2) / determinant - winding[:, k]
+            housing[:, k + 1] = 2 * (a11 * b2 - a21 * b1) / determinant - housing[:, k]
+        return winding, housing

@@ -1,0 +1,115 @@
+"""Admission of entries, when a library is built and whenever it is checked again."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.certify import certify
+from transopt.library import Library
+from transopt.problem import Certificate, Status, TransientProblem
+from transopt.replay import Replay, replay
+from transopt.signals import FloatArray
+from transopt.thermal import CoilModel
+
+STORED_TOLERANCE = 1e-6  # stored figures agree with recomputed ones to this, relative to their size or 1
+
+
+def admit(
+    status: Status,
+    certificate: Certificate,
+    played: Replay,
+    problem: TransientProblem,
+    coil: CoilModel | None,
+    predicted_m_s2: FloatArray,
+) -> tuple[Status, list[str]]:
+    """Whether an entry may stand in a library: OPTIMAL, certified, replayed clean, temperature proven.
+
+    Returns
+    -------
+    The entry's status and, unless it is OPTIMAL, what speaks against it.
+    """
+    if status is not Status.OPTIMAL:
+        return status, [status.value]
+    if not certificate.accepted:
+        return Status.NOT_CERTIFIED, [
+            f"violation {certificate.primal_violation_A:.1e} A (limit {Certificate.VIOLATION_TOLERANCE_A:.0e} A), "
+            f"gap {certificate.relative_gap:.1e} (limit {Certificate.GAP_TOLERANCE:.0e})"
+        ]
+    shortfalls = played.shortfalls(problem, coil, predicted_m_s2)
+    if shortfalls:
+        return Status.REPLAY_VIOLATION, shortfalls
+    if coil is not None:
+        bound = temperature_bound_C(problem, coil)
+        if not bound <= coil.limit_C:
+            return Status.TEMPERATURE_MAY_BIND, [
+                f"{problem.limits.current_A:g} A held throughout would reach up to {bound:.2f} C, "
+                f"limit {coil.limit_C:g} C"
+            ]
+    return Status.OPTIMAL, []
+
+
+def temperature_bound_C(problem: TransientProblem, coil: CoilModel) -> float:
+    """What the winding cannot exceed within the horizon, whatever the optimiser chooses."""
+    return coil.adiabatic_bound_C(problem.limits.current_A, problem.grid.stages * problem.grid.dt_s)
+
+
+@dataclass(frozen=True)
+class EntryCheck:
+    """One entry checked again from the file alone."""
+
+    speed_m_s: float
+    grip_N: float
+    certificate: Certificate
+    played: Replay
+    shortfalls: list[str]
+
+
+def _stored(library: Library, iv: int, ig: int, certificate: Certificate, played: Replay) -> list[str]:
+    """Figures in the file that do not follow from the waveform in the file."""
+    claims = {
+        "nrmse": played.nrmse,
+        "peak_current_A": played.peak_current_A,
+        "peak_temperature_C": played.winding_C,
+        "objective": certificate.objective,
+    }
+    found = []
+    for name, value in claims.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=STORED_TOLERANCE, equal_nan=True):
+            found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+    current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
+    if not current_off <= STORED_TOLERANCE:
+        found.append(f"current_A differs from the replay by {current_off:.1e} A")
+    return found
+
+
+def verify_library(library: Library) -> list[EntryCheck]:
+    """Certify and replay every entry from the file alone, without solving.
+
+    Returns
+    -------
+    One check per entry, speeds outermost; clean where `shortfalls` is empty.
+    """
+    coil = library.coil()
+    nv, ng, _ = library.command_A.shape
+    checks: dict[tuple[int, int], EntryCheck] = {}
+    for ig in range(ng):
+        stage = library.stage(ig)
+        replays = replay(stage, library.time_grid(), library.command_A[:, ig], library.reference_m_s2, coil)
+        for iv, played in enumerate(replays):
+            problem = library.problem(iv, ig, stage)
+            certificate = certify(problem, library.command_A[iv, ig], library.multipliers(iv, ig))
+            claimed = str(library.status[iv, ig])
+            status = Status.OPTIMAL if claimed == Status.OPTIMAL.value else Status.NOT_CERTIFIED
+            predicted = library.acceleration_m_s2[iv, ig]
+            _, shortfalls = admit(status, certificate, played, problem, coil, predicted)
+            if status is not Status.OPTIMAL:
+                shortfalls = [f"status in the file: {claimed}"]
+            checks[iv, ig] = EntryCheck(
+                speed_m_s=float(library.speeds_m_s[iv]),
+                grip_N=float(library.grips_N[ig]),
+                certificate=certificate,
+                played=played,
+                shortfalls=shortfalls + _stored(library, iv, ig, certificate, played),
+            )
+    return [checks[iv, ig] for iv in range(nv) for ig in range(ng)]
