@@ -9,7 +9,15 @@ from problems.simulate import recordings, strike
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
 from transopt.recording import Recording
-from transopt.reference import Reference, assign, build_reference, build_references, find_onset, prepare, read_recordings
+from transopt.reference import (
+    Reference,
+    assign,
+    build_reference,
+    build_references,
+    find_onset,
+    prepare,
+    read_recordings,
+)
 from transopt.scene import Recordings, Scene
 from transopt.signals import STANDARD_GRAVITY_M_S2, Signal, highpass, lowpass, nrmse
 
@@ -244,7 +252,9 @@ class TestSimulatedTaps:
 
     def test_same_seed_same_recordings(self, scene: Scene, taps: list[Recording]) -> None:
         again = recordings(scene)
-        assert all(np.array_equal(a.acceleration.values, b.acceleration.values) for a, b in zip(taps, again, strict=True))
+        assert all(
+            np.array_equal(a.acceleration.values, b.acceleration.values) for a, b in zip(taps, again, strict=True)
+        )
         assert len({recording.speed_m_s for recording in taps}) == len(taps)
 
     def test_repeats_serve_every_grid_speed(self, scene: Scene, taps: list[Recording]) -> None:

@@ -49,14 +49,20 @@ def test_simulation_agrees_with_an_independent_integrator(coil: CoilModel) -> No
     assert housing[0, -1] == pytest.approx(T[1], abs=1e-6)
 
 
-@pytest.mark.parametrize(("winding_C", "housing_C", "ambient_C"), [(25, 25, 25), (90, 30, 25), (30, 90, 25), (30, 40, 60)])
+@pytest.mark.parametrize(
+    ("winding_C", "housing_C", "ambient_C"), [(25, 25, 25), (90, 30, 25), (30, 90, 25), (30, 40, 60)]
+)
 def test_the_adiabatic_bound_holds_and_is_not_idle(
     coil: CoilModel, winding_C: float, housing_C: float, ambient_C: float
 ) -> None:
     start = replace(coil, start_winding_C=winding_C, start_housing_C=housing_C, ambient_C=ambient_C)
     for duration in (0.06, 5.0):
         run = solve_ivp(
-            lambda _, T: rate(start, T, 4.0), (0, duration), [winding_C, housing_C], rtol=1e-10, max_step=duration / 50
+            lambda _, T: rate(start, T, 4.0),
+            (0, duration),
+            [winding_C, housing_C],
+            rtol=1e-10,
+            max_step=duration / 50,
         )
         bound = start.adiabatic_bound_C(4.0, duration)
         assert run.y[0].max() <= bound

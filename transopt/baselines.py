@@ -51,8 +51,8 @@ def clipped_optimum(
     wanted = np.clip(current, -current_limit_A, current_limit_A)
     if stage.amplifier is None:
         return wanted
-    # c_k carries the current from tau_k to tau_(k+1).
-    return _play(stage, grid, np.append(wanted[1:], 0.0))
+    # c_k carries the current from tau_k to tau_(k+1); the last command is zero, as in every waveform.
+    return np.append(_play(stage, grid, wanted[1:]), 0.0)
 
 
 def _play(stage: StageModel, grid: TimeGrid, wanted_A: FloatArray) -> FloatArray:

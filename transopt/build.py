@@ -248,7 +248,7 @@ def build_library(
 
     Parameters
     ----------
-    recordings : of the scene (`importers.scene_recordings`, or simulated ones).
+    recordings : of the scene (`reference.read_recordings`, or `problems.simulate.recordings`).
     jobs : processes; the grips are shared among them.
     progress : called with the number of entries that have just been finished.
 

@@ -106,7 +106,10 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
     for name, mu, slack in rows:
         active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < BINDING_SLACK * limits.current_A)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
-        for first, after in zip(edges[::2], edges[1::2], strict=True):
-            until = "" if after - first == 1 else f" to {times_ms[after - 1]:.2f}"
-            found.append((times_ms[first], f"{name} at {times_ms[first]:.2f}{until} ms"))
+        spans = [
+            f"{times_ms[first]:.2f}" + (f" to {times_ms[after - 1]:.2f}" if after - first > 1 else "")
+            for first, after in zip(edges[::2], edges[1::2], strict=True)
+        ]
+        if spans:
+            found.append((times_ms[edges[0]], f"{name} at {', '.join(spans)} ms"))
     return "; ".join(text for _, text in sorted(found)) or "none"

@@ -2,8 +2,6 @@
 
 import io
 import json
-import os
-import tempfile
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,8 +12,9 @@ from scipy.io import savemat, wavfile
 
 from transopt.baselines import seed_inversion
 from transopt.errors import InputError
+from transopt.files import whole_file
 from transopt.header import c_header
-from transopt.library import HASH_FIELD, TEXTS, Library, _content_hash
+from transopt.library import HASH_FIELD, TEXTS, Library
 from transopt.signals import FloatArray
 
 SOUND_RATE_HZ = 48000
@@ -37,23 +36,9 @@ def export_library(library: Library, path: Path) -> None:
     if suffix not in formats:
         known = ", ".join(formats)
         raise InputError(f"{path}: suffix {suffix!r} names no export format; give the file one of {known}")
-    _write_whole(path, formats[suffix](library))
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    try:
-        descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        temporary = Path(name)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(content)
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another file or folder") from None
+    content = formats[suffix](library)
+    with whole_file(path) as file:
+        file.write(content)
 
 
 def mat_file(library: Library) -> bytes:
@@ -62,11 +47,10 @@ def mat_file(library: Library) -> bytes:
     Arrays keep their shapes; one-dimensional ones become rows, and `status` and `binding` cells, because rows
     of a char array would have to share one length. MATLAB itself drops trailing dimensions of size 1.
     """
-    arrays = library._arrays()
-    digest = _content_hash(arrays)
+    arrays = library.arrays()
     cells = {name: arrays[name].astype(object) for name in TEXTS}
     file = io.BytesIO()
-    content = {**arrays, **cells, HASH_FIELD: digest}
+    content = {**arrays, **cells}
     savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects
     return file.getvalue()
 
@@ -91,8 +75,7 @@ def csv_file(library: Library) -> bytes:
     }
     comments = [
         # JSON keeps the name on one line, whatever is in it.
-        f"transopt library, scene {json.dumps(meta['scene']['name'])}, "
-        f"{HASH_FIELD} {_content_hash(library._arrays())}",
+        f"transopt library, scene {json.dumps(meta['scene']['name'])}, {HASH_FIELD} {library.content_sha256}",
         "SI units; current > 0 pushes out of the surface, acceleration > 0 decelerates the incoming stylus, "
         "contact at time 0",
         "command k is issued at issue_time_s = -lead + k dt and held; current, acceleration (what the current "

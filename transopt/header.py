@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.errors import InputError
-from transopt.library import Library, _content_hash
+from transopt.library import Library
 from transopt.signals import FloatArray
 
 FULL_SCALE = 32767  # counts; -32768 stays unused so that the scale is symmetric
@@ -76,7 +76,7 @@ def c_header(library: Library) -> str:
     speeds = _single_precision("speeds_m_s", library.speeds_m_s)
     grips = _single_precision("grips_N", library.grips_N)
     counts, scale_A = _quantise(library.transient_command_A)
-    digest = _content_hash(library._arrays())
+    digest = library.content_sha256
     # The guard names the content: two different libraries in one program must collide, not hide each other.
     guard = f"TRANSOPT_{digest[:16].upper()}_H"
     parts = [

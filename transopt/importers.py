@@ -8,9 +8,7 @@ Errors are raised without the file's name; `load_recording` puts it in front of 
 import hashlib
 import io
 import re
-import struct
 import warnings
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.io import wavfile
 
+from transopt import matfile
 from transopt.errors import InputError
 from transopt.recording import Recording
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
@@ -45,8 +44,6 @@ _SKIPPED = "-"
 _HOW_TO_NAME = 'name them in the scene: recordings.columns = ["time_s", "acceleration_g"] ("-" skips one)'
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
-_MAT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_MAT_COMPRESSED = 15
 _HEADER_LINE = re.compile(r"#\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 _UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
@@ -225,40 +222,9 @@ def _read_npz(data: bytes, columns: Sequence[str]) -> _Table:
 
 
 def _read_mat(data: bytes, columns: Sequence[str]) -> _Table:
-    """Real numeric arrays of a level 5 MAT file (MATLAB's "MAT-File Format", Sec. 1).
-
-    scipy.io.loadmat would do, but a damaged type tag makes it crash the process.
-    """
-    order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
-    if order is None:
-        raise InputError(f"not a MAT file of -v6 or -v7 (-v7.3 is HDF5); {_SAVE_MAT}")
-    variables: dict[str, object] = {}
     with _guarded("not a readable MAT file", _SAVE_MAT):
-        for kind, content in _mat_elements(data[128:], order):
-            is_compressed = kind == _MAT_COMPRESSED
-            matrix = next(_mat_elements(zlib.decompress(content), order))[1] if is_compressed else content
-            (_, flags), (_, dims), (_, name), *parts = _mat_elements(matrix, order)
-            flag_bits = int(np.frombuffer(flags, order + "u4")[0])
-            value = None  # of text, cells, structures and complex numbers only the name matters
-            if 6 <= flag_bits & 0xFF <= 15 and not flag_bits & 0x800:
-                shape = np.frombuffer(dims, order + "i4")
-                value = np.frombuffer(parts[0][1], order + _MAT_TYPES[parts[0][0]]).reshape(shape, order="F")
-            variables[name.decode("latin-1")] = value
+        variables = matfile.variables(data)
     return _from_variables(variables, columns, lambda k: f"element ({k + 1})")
-
-
-def _mat_elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Type number and content of the elements of a MAT file, or of one matrix in it."""
-    at = 0
-    while at < len(data):
-        kind, size = struct.unpack_from(order + "II", data, at)
-        start, end = at + 8, at + 8 + size
-        at = end if kind == _MAT_COMPRESSED else end + -size % 8
-        if kind >> 16:  # a small element packs size, type and up to 4 bytes of content into the 8
-            kind, start, end, at = kind & 0xFFFF, start - 4, start - 4 + (kind >> 16), start
-        if end > len(data):
-            raise ValueError("it is cut short")
-        yield kind, data[start:end]
 
 
 @contextmanager
@@ -320,11 +286,10 @@ def _check_names(names: Sequence[str], found: Sequence[str] = ()) -> None:
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     for quantity in ("time", "acceleration", "position", "force", "current"):
-        choice = [name for name, (of, _) in _COLUMNS.items() if of == quantity]
-        count = sum(used.count(name) for name in choice)
+        count = sum(_COLUMNS[name][0] == quantity for name in used)
         if count > 1 or (count == 0 and quantity in ("time", "acceleration")):
-            known = " or ".join(choice)
-            raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {known}")
+            choice = " or ".join(name for name, (of, _) in _COLUMNS.items() if of == quantity)
+            raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
 
 
 def _signals(table: _Table) -> dict[str, Signal]:

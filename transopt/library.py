@@ -69,7 +69,21 @@ TEXTS = ("status", "binding")
 MAY_BE_NAN = ("peak_temperature_C",)  # unknown where the drive is stated at the tip
 # Pairs of multipliers stand in the file only where their limit is in force.
 OPTIONAL = ("mu_slew_lower", "mu_slew_upper")
-META_KEYS = ("dt_s", "lead_s", "amplifier", "limits", "thermal", "feedback", "weights", "hand_over_samples")
+META_KEYS = {
+    "dt_s": (),
+    "lead_s": (),
+    "grip_min_N": (),
+    "amplifier": ("pole_Hz", "delay_s", "command_limit_A"),
+    "limits": ("current_A", "slew_A_per_s", "supply_V", "temperature_C"),
+    "thermal": ("R_ohm", "limit_C"),
+    "feedback": (),
+    "weights": ("rho", "tracking"),
+    "hand_over_samples": (),
+    "left_out": (),
+    "scene": ("name", "description"),
+    "sources": (),
+    "versions": (),
+}
 
 
 @dataclass(frozen=True)
@@ -81,6 +95,7 @@ class Waveform:
     command_A : (N,) total command c_k, issued at -lead + k dt and held [A].
     speed_m_s, grip_N : where it was blended, after clamping to the grid.
     speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
+    silent : the grip is below the least one at which a transient is played; the command is zero.
     """
 
     command_A: FloatArray
@@ -88,6 +103,7 @@ class Waveform:
     grip_N: float
     speed_clamped: bool
     grip_clamped: bool
+    silent: bool
 
 
 def _weights(nodes: FloatArray, value: float) -> FloatArray:
@@ -175,6 +191,8 @@ class Library:
         """Bilinear blend at any speed and grip; outside the grid the nearest edge is taken and reported.
 
         A convex combination of feasible currents is feasible, so every limit holds between the nodes too.
+        Below `grip_min_N` the command is zero, since a free stylus would be thrown; a library of the free
+        device (its only grip is 0) has no such bound.
 
         Raises
         ------
@@ -185,16 +203,23 @@ class Library:
         speed = float(np.clip(speed_m_s, self.speeds_m_s[0], self.speeds_m_s[-1]))
         grip = float(np.clip(grip_N, self.grips_N[0], self.grips_N[-1]))
         by_speed, by_grip = _weights(self.speeds_m_s, speed), _weights(self.grips_N, grip)
-        command = np.einsum("v,g,vgk->k", by_speed, by_grip, self.command_A)
-        return Waveform(command, speed, grip, speed != speed_m_s, grip != grip_N)
+        silent = self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"]
+        command = np.einsum("v,g,vgk->k", by_speed, by_grip, self.command_A) * (0.0 if silent else 1.0)
+        return Waveform(command, speed, grip, speed != speed_m_s, grip != grip_N, silent)
 
-    def _arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
         arrays = {name: np.asarray(getattr(self, name)) for name in SHAPES}
         if self.meta["limits"]["slew_A_per_s"] is None:
             for name in OPTIONAL:
                 del arrays[name]
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
+        arrays[HASH_FIELD] = np.array(_content_hash(arrays))
         return arrays
+
+    @property
+    def content_sha256(self) -> str:
+        return str(self.arrays()[HASH_FIELD])
 
     def save(self, path: Path) -> None:
         """Write the file whole or not at all.
@@ -203,8 +228,7 @@ class Library:
         ------
         InputError : the folder cannot be written.
         """
-        arrays = self._arrays()
-        arrays[HASH_FIELD] = np.array(_content_hash(arrays))
+        arrays = self.arrays()
         with whole_file(path) as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
@@ -221,10 +245,13 @@ def _content_hash(arrays: dict[str, NDArray[Any]]) -> str:
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
     advice = "give a library.npz written by `transopt solve`"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
+        with path.open("rb") as stream:
+            archive = np.load(stream, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise InputError(f"{path}: a single array, not a library; {advice}")
-            return {name: file[name] for name in file.files}
+            return {name: archive[name] for name in archive.files}
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {advice}") from None
     except IsADirectoryError:
@@ -249,6 +276,11 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
         found = meta.get("schema") if isinstance(meta, dict) else None
         raise InputError(f"{path}: schema {found}, this version reads {SCHEMA}; solve the scene again")
     missing = [key for key in META_KEYS if key not in meta]
+    for key, inner in META_KEYS.items():
+        # null: the scene has no such part; anything else holds the keys that are read from it.
+        table = meta.get(key)
+        if inner and table is not None:
+            missing += [f"{key}.{name}" for name in inner if not isinstance(table, dict) or name not in table]
     if missing:
         raise InputError(f"{path}: meta lacks {', '.join(missing)}; solve the scene again")
     return meta
@@ -285,7 +317,7 @@ def load_library(path: Path) -> Library:
         if name not in arrays:
             raise InputError(f"{path}: no array {name}: not a library of this project; solve the scene again")
     meta = _check_meta(path, arrays["meta"])
-    slew = meta["limits"].get("slew_A_per_s") if isinstance(meta["limits"], dict) else None
+    slew = meta["limits"]["slew_A_per_s"]
     absent = [name for name in SHAPES if name not in arrays and not (name in OPTIONAL and slew is None)]
     if absent:
         raise InputError(f"{path}: array {absent[0]} is missing; solve the scene again")

@@ -17,7 +17,10 @@ from transopt.verify import EntryCheck
 
 
 def _percent(value: float) -> str:
-    return "-" if np.isnan(value) else f"{100 * value:.3g}" if value < 1 else f"{100 * value:.0f}"
+    """Percent with two decimals below ten, one above; a dash for what is not known."""
+    if np.isnan(value):
+        return "-"
+    return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
 def _entry_cells(entry: Entry) -> list[str]:
@@ -120,18 +123,16 @@ def _origin(build: Build) -> str:
 
 
 def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
-    """Each reason once, with the entries it holds for where it does not hold for all."""
-    by_reason: dict[tuple[str, str], list[Entry]] = {}
+    """Each reason once; what differs from entry to entry behind its colon stands in report.json."""
+    holders: dict[tuple[str, str], int] = {}
     for entry in entries:
         for part, reason in entry.left_out.items():
-            by_reason.setdefault((part, reason), []).append(entry)
-    lines = []
-    for (part, reason), holders in by_reason.items():
-        where = (
-            "" if len(holders) == len(entries) else ", ".join(f"{e.speed_m_s:g} m/s {e.grip_N:g} N" for e in holders)
-        )
-        lines.append(f"- {part}{f' ({where})' if where else ''}: {reason}")
-    return lines
+            shared = reason.split(":")[0]
+            holders[part, shared] = holders.get((part, shared), 0) + 1
+    return [
+        f"- {part}: {reason}" + ("" if count == len(entries) else f" ({count} of {len(entries)} entries)")
+        for (part, reason), count in holders.items()
+    ]
 
 
 def build_markdown(build: Build) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from transopt.errors import InputError
 from transopt.scene import Scene, Section
@@ -22,15 +23,16 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
 
-def _keys_only(location: tuple[str | int, ...], content: Any) -> tuple[str | int, ...]:
+def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
     """The location as the file spells it: pydantic also lists the names of union members on the way."""
     keys: list[str | int] = []
-    for position, part in enumerate(location):
+    for part in complaint["loc"]:
         inside = part in content if isinstance(content, dict) else isinstance(part, int)
         if inside:
             content = content[part]
-        if inside or position == len(location) - 1:
             keys.append(part)
+    if complaint["type"] == "missing":
+        keys.append(complaint["loc"][-1])
     return tuple(keys)
 
 
@@ -47,7 +49,7 @@ def _known_keys(keys: tuple[str | int, ...]) -> str:
 def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str:
     """The first complaint in one line, and how many more keys there are complaints about."""
     first = error.errors()[0]
-    keys = _keys_only(first["loc"], content)
+    keys = _keys_only(first, content)
     where = ".".join(str(part) for part in keys)
     if first["type"] == "extra_forbidden":
         text = f"{where}: unknown key; known here: {_known_keys(keys)}"
@@ -57,8 +59,10 @@ def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
         shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {first['input']!r}"
         text = f"{where}{shown}: {message}" if where else message
-    others = {_keys_only(complaint["loc"], content) for complaint in error.errors()} - {keys}
-    more = f" (and {len(others)} more)" if others else ""
+    others = {_keys_only(complaint, content) for complaint in error.errors()}
+    # Complaints about a table around this key are the other members of a union, not faults of their own.
+    elsewhere = [other for other in others if other != keys[: len(other)]]
+    more = f" (and {len(elsewhere)} more)" if elsewhere else ""
     return f"{path}: {text}{more}"
 
 

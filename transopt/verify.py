@@ -11,7 +11,8 @@ from transopt.replay import Replay, replay
 from transopt.signals import FloatArray
 from transopt.thermal import CoilModel
 
-STORED_TOLERANCE = 1e-6  # stored figures agree with recomputed ones to this, relative to their size or 1
+STORED_TOLERANCE = 1e-6  # relative, to which stored figures agree with recomputed ones
+ROUNDING = 1e-9  # absolute, for figures that are zero
 
 
 def admit(
@@ -75,7 +76,7 @@ def _stored(library: Library, iv: int, ig: int, certificate: Certificate, played
     found = []
     for name, value in claims.items():
         stored = float(getattr(library, name)[iv, ig])
-        if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=STORED_TOLERANCE, equal_nan=True):
+        if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
     if not current_off <= STORED_TOLERANCE:

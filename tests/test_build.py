@@ -1,0 +1,304 @@
+"""The built-in scene end to end: what the issue asks for, entry by entry."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from tests.conftest import IMPACTS, ProblemMaker
+from transopt.baselines import clipped_optimum, seed_inversion
+from transopt.build import Build, build_library
+from transopt.certify import certify
+from transopt.discretise import discretise
+from transopt.library import Library
+from transopt.problem import Status, verdict
+from transopt.recording import Recording
+from transopt.reference import read_recordings
+from transopt.replay import replay
+from transopt.scene import Scene
+from transopt.scene_file import load_scene
+from transopt.signals import nrmse
+from transopt.solvers import SolverOptions, solve, unlimited
+from transopt.verify import admit, verify_library
+
+CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
+
+
+def assert_entries_are_proven(build: Build) -> None:
+    for entry in build.all_entries():
+        assert entry.status is Status.OPTIMAL, entry.shortfalls
+        assert entry.certificate.primal_violation_A <= 1e-6
+        assert entry.certificate.relative_gap <= 1e-6
+        assert entry.played.peak_current_A <= build.scene.limits.transient_current_A + 1e-6
+        assert entry.played.step_error <= 1e-10
+        assert entry.played.winding_C <= 100
+
+
+def assert_independent_check_is_clean(library: Library, path: Path) -> None:
+    if not CHECKER.exists():
+        pytest.skip(f"the independent checker is not at {CHECKER}")
+    library.save(path)
+    run = subprocess.run([sys.executable, str(CHECKER), str(path)], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "0 shortfalls" in run.stdout
+
+
+def test_every_entry_is_certified_and_replayed_clean(build: Build) -> None:
+    assert_entries_are_proven(build)
+    assert not build.refused
+
+
+def test_unsaturated_entries_reach_their_floor(build: Build) -> None:
+    free = [entry for entry in build.all_entries() if entry.binding == "none"]
+    assert len(free) == 9
+    for entry in free:
+        assert entry.nrmse <= entry.floor + 1e-3
+        assert entry.floor <= 0.01
+        assert entry.solution.solver == "unlimited"
+        assert "inside all limits" in entry.left_out["limits"]
+
+
+def test_saturated_entries_beat_the_better_baseline(build: Build) -> None:
+    compared = 0
+    for entry in build.all_entries():
+        better = min(entry.baselines.seed, entry.baselines.clipped)
+        if better > entry.floor + 0.02:
+            compared += 1
+            assert entry.nrmse <= 0.7 * better
+    assert compared == 2
+
+
+def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
+    """EVIDENCE, Physics: floors, and 0.4 m/s at 4 A; the recordings here are noisy and scaled, hence the margins."""
+    for entry in build.all_entries():
+        assert entry.floor == pytest.approx({1.0: 0.0041, 3.0: 0.0049, 5.0: 0.0053}[entry.grip_N], abs=5e-4)
+    fast = [entry.nrmse for entry in build.entries[3]]
+    np.testing.assert_allclose(fast, [0.0115, 0.102, 0.191], rtol=0.03)
+    clipped = [entry.baselines.clipped for entry in build.entries[3]]
+    np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
+    assert all(0.12 < entry.baselines.seed < 0.16 for row in build.entries[:3] for entry in row)
+
+
+def test_an_optimum_at_the_old_limit_is_far_off(make_problem: ProblemMaker) -> None:
+    for grip, expected in ((1.0, 0.60), (3.0, 0.65), (5.0, 0.69)):
+        problem = make_problem(0.4, grip, current_A=1.25)
+        acceleration, _ = problem.stage.rollout(solve(problem).command_A)
+        assert nrmse(acceleration, problem.reference_m_s2) == pytest.approx(expected, abs=0.01)
+
+
+def test_independent_checker_finds_nothing(library: Library, tmp_path: Path) -> None:
+    assert_independent_check_is_clean(library, tmp_path / "library.npz")
+
+
+def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
+    if not IMPACTS.is_dir():
+        pytest.skip(f"the measured impacts are not at {IMPACTS}")
+    scene = load_scene(problems.scene_path("measured_impacts"))
+    settings = scene.recordings.model_copy(update={"folder": str(IMPACTS)})
+    scene = scene.model_copy(update={"recordings": settings})
+    build = build_library(scene, read_recordings(settings))
+    assert_entries_are_proven(build)
+    assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
+    assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
+    # EVIDENCE: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
+    first, _, last = build.entries[3]
+    assert (first.nrmse, last.nrmse) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
+    assert (first.baselines.clipped, last.baselines.clipped) == (
+        pytest.approx(0.25, abs=0.02),
+        pytest.approx(0.51, abs=0.02),
+    )
+    assert build.library is not None
+    assert "scaled to every grid speed" in build.library.meta["sources"][0]["speed_source"]
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+def test_processes_give_the_same_library(scene: Scene, taps: list[Recording], library: Library) -> None:
+    done: list[int] = []
+    parallel = build_library(scene, taps, jobs=2, progress=done.append)
+    assert parallel.library is not None
+    np.testing.assert_array_equal(parallel.library.command_A, library.command_A)
+    assert sum(done) == 12
+
+
+def test_second_method_gives_the_same_library(scene: Scene, taps: list[Recording], build: Build) -> None:
+    other = build_library(scene, taps, options=SolverOptions("casadi-ipopt"))
+    for ours, theirs in zip(build.all_entries(), other.all_entries(), strict=True):
+        scale = max(ours.certificate.objective, 1e-3)
+        assert abs(ours.certificate.objective - theirs.certificate.objective) <= 1e-6 * scale
+
+
+def test_temperature_that_could_bind_is_refused_by_name(scene: Scene, taps: list[Recording]) -> None:
+    hot = scene.model_copy(update={"thermal": scene.thermal.model_copy(update={"start_winding_C": 99.9})})
+    build = build_library(hot, taps)
+    assert build.library is None
+    assert len(build.refused) == 12
+    entry = build.refused[0]
+    assert entry.status is Status.TEMPERATURE_MAY_BIND
+    assert entry.verdict == "refused"
+    assert entry.shortfalls == ["4 A held throughout would reach up to 100.61 C, limit 100 C"]
+
+
+def test_every_part_left_out_has_its_reason(build: Build) -> None:
+    for entry in build.all_entries():
+        assert set(entry.left_out) >= {"feedback", "position", "supply", "slew", "temperature"}
+        assert "25.55 C" in entry.left_out["temperature"]
+    assert build.library is not None
+    limits = build.library.meta["left_out"]["limits"]
+    assert limits[3][1] is None
+    assert limits[0][0].startswith("the unlimited optimum is inside all limits")
+
+
+@pytest.mark.parametrize(("kind", "solved"), [("second_order", True), ("fourth_order", True)])
+def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: str, solved: bool) -> None:
+    from pydantic import TypeAdapter
+
+    from transopt.scene import FourthOrder, SecondOrder
+
+    table = {"kind": kind} if kind == "second_order" else {**scene.model.model_dump(), "kind": kind}
+    model = TypeAdapter(SecondOrder | FourthOrder).validate_python(table)
+    build = build_library(scene.model_copy(update={"model": model}), taps)
+    assert (build.library is not None) is solved
+    assert_entries_are_proven(build)
+
+
+def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
+    build = build_library(scene.model_copy(update={"amplifier": "ideal"}), taps)
+    assert_entries_are_proven(build)
+    assert build.library is not None
+    assert build.library.meta["amplifier"] is None
+    assert all(not check.shortfalls for check in verify_library(build.library))
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+def test_slew_limit_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
+    limits = scene.limits.model_copy(update={"slew_A_per_s": 5000.0})
+    build = build_library(scene.model_copy(update={"limits": limits}), taps)
+    assert_entries_are_proven(build)
+    assert build.library is not None
+    assert "slew" in "".join(entry.binding for entry in build.all_entries())
+    assert all(not check.shortfalls for check in verify_library(build.library))
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+class TestAdmission:
+    """Both the certificate and the replay decide."""
+
+    @pytest.fixture
+    def parts(self, scene: Scene, make_problem: ProblemMaker) -> dict:
+        problem = make_problem(0.4, 5.0)
+        solution = solve(problem)
+        predicted, _ = problem.stage.rollout(solution.command_A)
+        (played,) = replay(
+            problem.stage, problem.grid, solution.command_A[None], problem.reference_m_s2[None], scene.coil()
+        )
+        return {
+            "status": solution.status,
+            "certificate": certify(problem, solution.command_A, solution.multipliers),
+            "played": played,
+            "problem": problem,
+            "coil": scene.coil(),
+            "predicted_m_s2": predicted,
+        }
+
+    def test_clean(self, parts: dict) -> None:
+        assert admit(**parts) == (Status.OPTIMAL, [])
+
+    def test_solver_status_is_not_overruled(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "status": Status.ITERATION_LIMIT})
+        assert status is Status.ITERATION_LIMIT
+        assert "iteration limit" in why[0]
+
+    @pytest.mark.parametrize(
+        "change", [{"duality_gap": 1.0}, {"duality_gap": np.nan}, {"primal_violation_A": 1e-5}, {"finite": False}]
+    )
+    def test_bad_certificate(self, parts: dict, change: dict) -> None:
+        status, why = admit(**{**parts, "certificate": replace(parts["certificate"], **change)})
+        assert status is Status.NOT_CERTIFIED
+        assert "limit 1e-06" in why[0]
+
+    @pytest.mark.parametrize(
+        ("change", "text"),
+        [
+            ({"peak_current_A": 4.00001}, "replayed current 4.000010 A, limit 4 A"),
+            ({"peak_current_A": np.nan}, "replayed current nan A"),
+            ({"peak_command_A": 6.1}, "command 6.100000 A, limit 6 A"),
+            ({"winding_C": 100.5}, "winding 100.50 C, limit 100 C"),
+            ({"winding_C": np.nan}, "winding nan C"),
+        ],
+    )
+    def test_replay_beyond_a_limit(self, parts: dict, change: dict, text: str) -> None:
+        status, why = admit(**{**parts, "played": replace(parts["played"], **change)})
+        assert status is Status.REPLAY_VIOLATION
+        assert text in why[0]
+
+    def test_replay_that_misses_the_prediction(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "predicted_m_s2": np.roll(parts["predicted_m_s2"], 1)})
+        assert status is Status.REPLAY_VIOLATION
+        assert "differs from the predicted" in why[0]
+
+
+class TestVerify:
+    def test_a_library_verifies_from_its_file_alone(self, library: Library) -> None:
+        checks = verify_library(library)
+        assert len(checks) == 12
+        assert all(not check.shortfalls for check in checks)
+
+    @pytest.mark.parametrize(
+        "field", ["nrmse", "peak_current_A", "peak_temperature_C", "objective", "current_A", "acceleration_m_s2"]
+    )
+    def test_a_figure_that_does_not_follow_from_the_waveform(self, library: Library, field: str) -> None:
+        changed = getattr(library, field).copy()
+        changed[1, 2] *= 1.01
+        checks = verify_library(replace(library, **{field: changed}))
+        failed = [(check.speed_m_s, check.grip_N) for check in checks if check.shortfalls]
+        assert failed == [(0.2, 5.0)]
+
+    def test_a_waveform_of_another_node(self, library: Library) -> None:
+        swapped = library.command_A[::-1].copy()
+        assert all(check.shortfalls for check in verify_library(replace(library, command_A=swapped)))
+
+    def test_another_plant(self, library: Library) -> None:
+        softer = library.plant_A * 0.999
+        assert all(check.shortfalls for check in verify_library(replace(library, plant_A=softer)))
+
+    def test_a_status_that_is_not_optimal(self, library: Library) -> None:
+        status = library.status.astype("U100")
+        status[0, 0] = Status.ITERATION_LIMIT.value
+        checks = verify_library(replace(library, status=status))
+        assert "status in the file" in checks[0].shortfalls[0]
+
+
+class TestBaselines:
+    def test_clipping_at_no_limit_is_the_unlimited_optimum(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.2, 3.0)
+        free = unlimited.solve(problem).command_A
+        again = clipped_optimum(problem.stage, problem.grid, free, 100.0)
+        np.testing.assert_allclose(again, free, atol=1e-9)
+
+    def test_clipped_optimum_keeps_the_limits(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0)
+        command = clipped_optimum(problem.stage, problem.grid, unlimited.solve(problem).command_A, 4.0)
+        _, current = problem.stage.rollout(command)
+        assert np.abs(current).max() <= 4 + 1e-9
+
+    def test_inversion_recovers_a_known_current(self, make_problem: ProblemMaker) -> None:
+        """A current that comes and goes smoothly while the device comes to rest is what the inverse must return."""
+        problem = make_problem(ideal=True)
+        grid, fine = replace(problem.grid, stages=4000, lead_s=0.0), 50
+        times = grid.dt_s / fine * np.arange(grid.stages * fine)
+        current = np.where((times > 0.02) & (times < 0.05), np.sin(np.pi * (times - 0.02) / 0.03) ** 4, 0.0)
+        stage = discretise(problem.stage.plant, None, grid.dt_s / fine)
+        reference = stage.rollout(current)[0][::fine]
+        found = seed_inversion(problem.stage, grid, reference, 100.0, 10)
+        assert nrmse(found, current[::fine]) < 0.02
+
+
+def test_verdicts() -> None:
+    assert verdict(0.0055, 0.005, np.nan) == "at its floor"
+    assert verdict(0.02, 0.005, 0.03) == "below repeatability"
+    assert verdict(0.1, 0.005, np.nan) == "below 20 % threshold"
+    assert verdict(0.3, 0.005, 0.05) == "above 20 % threshold"

@@ -1,0 +1,140 @@
+"""Scene files: what is accepted, and that every refusal names file, key, value and limit."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import problems
+from transopt.errors import InputError
+from transopt.scene_file import load_scene
+
+TEXT = problems.scene_path("wood_on_foam").read_text()
+
+
+@pytest.mark.parametrize("name", problems.scene_names())
+def test_every_built_in_scene_loads_and_its_plants_are_passive(name: str) -> None:
+    scene = load_scene(problems.scene_path(name))
+    assert scene.name == name
+    assert scene.description
+    for grip in scene.grid.grips_N:
+        scene.plant(grip)
+    scene.current_limits()
+    scene.coil()
+
+
+def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
+    scene = load_scene(problems.scene_path("wood_on_foam"))
+    assert scene.current_limits().current_A == 4.0
+    assert scene.time_grid().lead_s == 3e-4
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("beta = 3.2", "betta = 3.2", r"limits.betta: unknown key; known here: steady_current_A, beta, current_A"),
+        ("[0.1, 0.2", "[0.1, 0.1", r"grid.speeds_m_s = \[0.1, 0.1, 0.3, 0.4\]: must be strictly increasing"),
+        ("[0.1, 0.2", "[0.2, 0.1", r"grid.speeds_m_s = .*strictly increasing"),
+        ("[0.1, 0.2", "[0.0, 0.2", r"grid.speeds_m_s.0 = 0.0: must be greater than 0"),
+        ("grips_N = [1.0", "grips_N = [-1.0", r"grid.grips_N.0 = -1.0: must be greater than or equal to 0"),
+        ("grips_N = [1.0", "grips_N = [0.0", r"grip 0\) is its own scene"),
+        ("grips_N = [1.0", "grips_N = [0.2", r"0.2 N is below grip_min_N = 0.5 N"),
+        ("[1.0, 3.0, 5.0]", "[]", r"grid.grips_N = \[\]"),
+        ("pole_Hz = 1050.0", "pole_Hz = -1.0", r"amplifier.pole_Hz = -1.0: must be greater than 0$"),
+        ("pole_Hz = 1050.0", "", r"amplifier.pole_Hz: missing"),
+        (
+            "steady_current_A = 1.25",
+            "steady_current_A = 0.0",
+            r"limits.steady_current_A = 0.0: must be greater than 0",
+        ),
+        ("beta = 3.2", "beta = 3.2\ncurrent_A = 4.0", r"limits: give beta or current_A, not both"),
+        ("rho = 1e-3", "rho = nan", r"weights.rho = nan: must be a finite number"),
+        ('"drive"', '"dirve"', r"model: .*'second_order', 'fourth_order', 'drive'"),
+        ("stylus_mass_kg = 0.026", "stylus_mass_kg = 0.0", r"model.stylus_mass_kg = 0.0: must be greater than 0"),
+        ("motors/maxon", "motors/maxxon", r"motor = 'motors/maxxon_re25_118743.toml': no such file in"),
+        (
+            "[transmission]",
+            "[tip]\nforce_per_current_N_A = 1.0\nmoving_mass_kg = 0.1\n[transmission]",
+            "give exactly one",
+        ),
+        ("stages = 600", "stages = 5", r"hand_over_samples = 10: must not exceed time.stages = 5"),
+        ("[grid]", "[grid", r"not valid TOML"),
+        ("[recordings]", '[recordings]\nfiles = ["a.csv"]', r"recordings: give either files or a simulated table"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    path = tmp_path / "mine.toml"
+    path.write_text(TEXT.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        load_scene(path, search=[problems.FOLDER])
+    text = str(refused.value)
+    assert "\n" not in text
+    assert text.startswith(str(path))
+    assert re.search(message, text), text
+
+
+def test_parameters_that_are_not_passive_at_a_grip_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        TEXT.replace(
+            "skin_stiffness_N_m = { constant = 3000.0, per_newton = 2000.0 }",
+            "skin_stiffness_N_m = { constant = 3000.0, per_newton = -2000.0 }",
+        )
+    )
+    scene = load_scene(path, search=[problems.FOLDER])
+    with pytest.raises(InputError, match=r"stiffness_N_m of link 2 .* = -3000: must be >= 0"):
+        scene.plant(3.0)
+
+
+def test_paths_count_from_the_scene_file(tmp_path: Path) -> None:
+    (tmp_path / "motor.toml").write_text((problems.FOLDER / "motors" / "maxon_re25_118743.toml").read_text())
+    path = tmp_path / "mine.toml"
+    simulated = TEXT[TEXT.index("[recordings.simulated]") : TEXT.index("[model]")]
+    path.write_text(
+        TEXT.replace(simulated, 'files = ["a.csv"]\nfolder = "taps"\n').replace(
+            "motors/maxon_re25_118743.toml", "motor.toml"
+        )
+    )
+    scene = load_scene(path)
+    assert scene.motor is not None
+    assert scene.motor.R_ohm == 2.18
+    assert Path(scene.recordings.folder) == (tmp_path / "taps").resolve()
+
+
+def test_a_drive_stated_at_the_tip(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    start = TEXT.index("[transmission]")
+    tip = "[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\nstiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n\n"
+    text = TEXT[:start] + tip + TEXT[TEXT.index("[amplifier]") :]
+    path.write_text(text.replace('motor = "motors/maxon_re25_118743.toml"', ""))
+    scene = load_scene(path)
+    assert scene.coil() is None
+    assert scene.force_per_current_N_A == 1.25
+    path.write_text(path.read_text().replace("stiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n", ""))
+    with pytest.raises(InputError, match=r"needs tip.stiffness_N_m"):
+        load_scene(path)
+
+
+def test_an_ideal_amplifier_is_stated_never_assumed(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    without = TEXT[: TEXT.index("[amplifier]")] + TEXT[TEXT.index("[limits]") :]
+    path.write_text(without)
+    with pytest.raises(InputError, match="amplifier: missing"):
+        load_scene(path, search=[problems.FOLDER])
+    path.write_text('amplifier = "ideal"\n' + without)
+    scene = load_scene(path, search=[problems.FOLDER])
+    assert scene.amplifier_model() is None
+    assert scene.time_grid().delay_s == 0.0
+    assert scene.current_limits().command_A is None
+
+
+def test_files_that_are_no_scene(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_scene(tmp_path / "absent.toml")
+    with pytest.raises(InputError, match="cannot be read as text"):
+        load_scene(tmp_path)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="cannot be read as text"):
+        load_scene(binary)

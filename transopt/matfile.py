@@ -1,0 +1,55 @@
+"""Real numeric arrays of level 5 MAT files (MATLAB's "MAT-File Format", Sec. 1).
+
+scipy.io.loadmat would do, but one damaged type tag in a file makes it crash the process, and a recording that was
+copied badly must end in an error message.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_COMPRESSED = 15
+_NUMERIC_CLASSES = range(6, 16)  # mxDOUBLE_CLASS to mxUINT64_CLASS
+_COMPLEX = 0x800
+
+
+def variables(data: bytes) -> dict[str, object]:
+    """Every variable of a file by name; None for text, cells, structures and complex numbers.
+
+    Raises
+    ------
+    ValueError : not a level 5 file (-v7.3 is HDF5), or cut short. Other damage raises whatever the bytes lead to
+        (struct.error, zlib.error, KeyError, IndexError ...).
+    """
+    order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
+    if order is None:
+        raise ValueError("not of -v6 or -v7; -v7.3 is HDF5")
+    found: dict[str, object] = {}
+    for kind, content in _elements(data[128:], order):
+        is_compressed = kind == _COMPRESSED
+        matrix = next(_elements(zlib.decompress(content), order))[1] if is_compressed else content
+        (_, flags), (_, dims), (_, name), *parts = _elements(matrix, order)
+        flag_bits = int(np.frombuffer(flags, order + "u4")[0])
+        value = None
+        if flag_bits & 0xFF in _NUMERIC_CLASSES and not flag_bits & _COMPLEX:
+            shape = np.frombuffer(dims, order + "i4")
+            value = np.frombuffer(parts[0][1], order + _TYPES[parts[0][0]]).reshape(shape, order="F")
+        found[name.decode("latin-1")] = value
+    return found
+
+
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Type number and content of the elements of a MAT file, or of one matrix in it."""
+    at = 0
+    while at < len(data):
+        kind, size = struct.unpack_from(order + "II", data, at)
+        start, end = at + 8, at + 8 + size
+        at = end if kind == _COMPRESSED else end + -size % 8
+        if kind >> 16:  # a small element packs size, type and up to 4 bytes of content into the 8
+            kind, start, end, at = kind & 0xFFFF, start - 4, start - 4 + (kind >> 16), start
+        if end > len(data):
+            raise ValueError("it is cut short")
+        yield kind, data[start:end]
