@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.patches import Rectangle
 
-from transopt.build import Baselines, Build, Entry
+from transopt.build import Build
+from transopt.design import Baselines, Entry
 from transopt.errors import InputError
 from transopt.figures import bode_figure, library_figure, method_figure, save_figure, taps_figure
 from transopt.library import SHAPES, TEXTS, Library

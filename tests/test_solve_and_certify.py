@@ -82,11 +82,10 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
     shape, scale = transcribe.program_shape(problem), transcribe.scaling(problem)
     program = transcribe.state_program(shape)
     p = transcribe.parameters(problem, scale)
-    nz = shape.stage_states + 1
+    nz = shape.variables - 1
     z = np.zeros((shape.stages + 1, nz))
     movement = np.diff(solution.command_A, prepend=0.0) / scale.current_A
-    matrix = p[: nz * nz].reshape(nz, nz, order="F")
-    gain = p[nz * nz : nz * nz + nz]
+    matrix, gain, _ = transcribe.stage_matrices(problem, scale)
     for k in range(shape.stages):
         z[k + 1] = matrix @ z[k] + gain * movement[k]
     x = np.column_stack([movement, z[1:]]).ravel()

@@ -216,18 +216,23 @@ def solve(
     folder = Path("out") / loaded.name if out is None else out
     _make_folder(folder)
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*bar, console=Console(stderr=True)) as progress:
-        task = progress.add_task("recordings", total=None)
-        taps_of_scene = _recordings(loaded)
-        count = len(loaded.grid.speeds_m_s) * len(loaded.grid.grips_N)
-        progress.update(task, description="entries", total=count)
-        build = build_library(
-            loaded, taps_of_scene, options=options, jobs=jobs, progress=lambda done: progress.advance(task, done)
-        )
+    terminal = sys.stderr.isatty()
+    try:
+        with Progress(*bar, console=Console(stderr=True), transient=True, disable=not terminal) as progress:
+            task = progress.add_task("recordings", total=None)
+            taps_of_scene = _recordings(loaded)
+            count = len(loaded.grid.speeds_m_s) * len(loaded.grid.grips_N)
+            progress.update(task, description="entries", total=count)
+            build = build_library(
+                loaded, taps_of_scene, options=options, jobs=jobs, progress=lambda done: progress.advance(task, done)
+            )
+        writers = _writers(build)
+        _publish(folder, writers, stale=["refused.md", "refused.json"] if build.library is not None else [])
+    except KeyboardInterrupt:
+        typer.echo("stopped; earlier results are untouched", err=True)
+        raise typer.Exit(130) from None
     console = _console()
     console.print(build_table(build))
-    writers = _writers(build)
-    _publish(folder, writers, stale=["refused.md", "refused.json"] if build.library is not None else [])
     console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     for entry in build.refused:
         reasons = "; ".join(entry.shortfalls)
@@ -293,6 +298,3 @@ def main() -> None:
     except InputError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
-        typer.echo("stopped; earlier results are untouched", err=True)
-        sys.exit(130)

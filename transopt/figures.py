@@ -25,7 +25,8 @@ from transopt.problem import AMPLITUDE_THRESHOLD, Status
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which `transopt show` can do without
-    from transopt.build import Build, Entry
+    from transopt.build import Build
+    from transopt.design import Entry
     from transopt.reference import Tap
 
 DPI = 150

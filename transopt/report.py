@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from transopt.build import Build, Entry
+from transopt.build import Build
+from transopt.design import Entry
 from transopt.library import Library
 from transopt.problem import Status, verdict
 from transopt.reference import Reference

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 from transopt import models
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
+from transopt.errors import InputError
 from transopt.problem import Limits
 from transopt.thermal import CoilModel
 
@@ -292,9 +293,15 @@ class Scene(Section):
         ------
         InputError : parameters that are not passive at this grip.
         """
+        try:
+            return self._chain(grip_N, struck)
+        except InputError as error:
+            raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
+
+    def _chain(self, grip_N: float, struck: bool) -> models.StateSpace:
+        gain = 1.0 if struck else self.force_per_current_N_A
         match self.model:
             case SecondOrder():
-                gain = 1.0 if struck else self.force_per_current_N_A
                 return models.second_order(grip_N, force_per_current_N_A=gain)
             case FourthOrder(stylus_mass_kg=stylus, hand=hand):
                 return models.fourth_order(
@@ -302,7 +309,7 @@ class Scene(Section):
                     hand=hand.hand(),
                     stylus_mass_kg=stylus,
                     moving_mass_kg=self.moving_mass_kg,
-                    force_per_current_N_A=1.0 if struck else self.force_per_current_N_A,
+                    force_per_current_N_A=gain,
                 )
             case Drive(stylus_mass_kg=stylus, hand=hand):
                 return models.drive(
@@ -311,7 +318,7 @@ class Scene(Section):
                     stylus_mass_kg=stylus,
                     moving_mass_kg=self.moving_mass_kg,
                     transmission=self._transmission_link(),
-                    force_per_current_N_A=1.0 if struck else self.force_per_current_N_A,
+                    force_per_current_N_A=gain,
                     driven=1 if struck else 0,
                 )
 

@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.discretise import state_scale
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
@@ -19,11 +20,37 @@ from transopt.signals import FloatArray
 
 @dataclass(frozen=True)
 class Shape:
-    """What fixes the sparsity of the program; problems of one shape share one solver object."""
+    """What fixes the sparsity of the program; problems of one shape share one solver object.
+
+    Attributes
+    ----------
+    plant_states : of the device alone. amplifier : False for an ideal one, which has no state.
+    """
 
     stages: int
-    stage_states: int
+    plant_states: int
+    amplifier: bool
     hand_over_samples: int
+
+    @property
+    def variables(self) -> int:
+        """Variables of one stage: movement, plant states, current (unless ideal), command."""
+        return self.plant_states + 2 + int(self.amplifier)
+
+    def dynamics_mask(self) -> NDArray[np.bool_]:
+        """(nz, nz) entries of the scaled stage matrix that can differ from zero; z is plant, current, command."""
+        nz = self.variables - 1
+        mask = np.zeros((nz, nz), dtype=bool)
+        mask[: self.plant_states] = True  # the plant feels itself, the current and the held command
+        np.fill_diagonal(mask, True)
+        mask[:-1, -1] = True
+        return mask
+
+    def output_mask(self) -> NDArray[np.bool_]:
+        """(1, nz) entries of the acceleration's row; the command acts on it directly only if it is the current."""
+        mask = np.ones((1, self.variables - 1), dtype=bool)
+        mask[0, -1] = not self.amplifier
+        return mask
 
 
 @dataclass(frozen=True)
@@ -32,8 +59,8 @@ class Program:
 
     Attributes
     ----------
-    x : MX (N (nz + 1), 1) variables, stage by stage. p : MX parameters (see `parameters`).
-    f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, equality rows: N nz of dynamics, then the hand-over.
+    x : MX (N variables, 1) variables, stage by stage. p : MX parameters (see `parameters`).
+    f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, equality rows: dynamics, then the hand-over.
     qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, A x = 0.
     """
 
@@ -45,26 +72,37 @@ class Program:
     qp_data: ca.Function
 
 
+def _sparse_symbol(name: str, mask: NDArray[np.bool_]) -> tuple[ca.MX, ca.MX]:
+    """A symbol for the nonzeros, column by column, and the matrix they fill."""
+    rows, columns = np.nonzero(mask.T)[::-1]
+    sparsity = ca.Sparsity.triplet(mask.shape[0], mask.shape[1], rows.tolist(), columns.tolist())
+    nonzeros = ca.MX.sym(name, int(mask.sum()))
+    return nonzeros, ca.MX(sparsity, nonzeros)
+
+
 @lru_cache(maxsize=16)
 def state_program(shape: Shape) -> Program:
     """State the problem for one shape; all numbers are parameters."""
-    N, nz = shape.stages, shape.stage_states + 1
+    N, nz = shape.stages, shape.variables - 1
     variables = ca.MX.sym("stages", nz + 1, N)
     movement, after = variables[0, :], variables[1:, :]
-    A, B = ca.MX.sym("A", nz, nz), ca.MX.sym("B", nz)
-    C, D = ca.MX.sym("C", 1, nz), ca.MX.sym("D")
+    A_values, A = _sparse_symbol("A", shape.dynamics_mask())
+    C_values, C = _sparse_symbol("C", shape.output_mask())
+    B = ca.MX.sym("B", nz)
     reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", 1, N)
     movement_weight = ca.MX.sym("rho")
 
     before = ca.horzcat(ca.MX(nz, 1), after[:, :-1])
     dynamics = after - A @ before - B @ movement
-    error = C @ before + D * movement - reference
+    error = C @ before - reference
+    if not shape.amplifier:
+        error += C[0, nz - 1] * movement  # the command issued now acts at once
     objective = ca.dot(weights, error**2) + movement_weight * ca.dot(movement, movement)
 
     x = ca.vec(variables)
     f = objective / OBJECTIVE_SCALE
     g = ca.vertcat(ca.vec(dynamics), ca.vec(after[nz - 1, N - shape.hand_over_samples :]))
-    p = ca.veccat(A, B, C, D, reference, weights, movement_weight)
+    p = ca.veccat(A_values, B, C_values, reference, weights, movement_weight)
     hessian, gradient = ca.hessian(f, x)
     at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
     qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
@@ -88,25 +126,30 @@ def scaling(problem: TransientProblem) -> Scaling:
 
 
 def program_shape(problem: TransientProblem) -> Shape:
-    return Shape(problem.grid.stages, problem.stage.A.shape[0], problem.hand_over_samples)
+    stage = problem.stage
+    return Shape(problem.grid.stages, stage.plant.order, stage.amplifier is not None, problem.hand_over_samples)
+
+
+def stage_matrices(problem: TransientProblem, scale: Scaling) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The scaled stage model on z = [states, command]: A (nz, nz), B (nz,), C (1, nz) of y'' / |r|."""
+    stage, units = problem.stage, scale.states
+    size = float(np.linalg.norm(problem.reference_m_s2))
+    held = stage.B * scale.current_A / units[:, None]
+    A = np.block([[stage.A * units / units[:, None], held], [np.zeros((1, units.size)), np.ones((1, 1))]])
+    C = np.hstack([stage.C * units, stage.D * scale.current_A]) / size
+    return A, A[:, -1], C
 
 
 def parameters(problem: TransientProblem, scale: Scaling) -> FloatArray:
     """The program's parameter vector for one problem, scaled; the reference enters as r / |r|."""
-    stage, units = problem.stage, scale.states
-    size = float(np.linalg.norm(problem.reference_m_s2))
-    A = stage.A * units / units[:, None]
-    B = stage.B[:, 0] * scale.current_A / units
-    full_A = np.block([[A, B[:, None]], [np.zeros((1, units.size)), np.ones((1, 1))]])
-    full_C = np.append(stage.C[0] * units, stage.D[0, 0] * scale.current_A) / size
+    shape = program_shape(problem)
+    A, B, C = stage_matrices(problem, scale)
     return np.concatenate(
         [
-            full_A.ravel(order="F"),
+            A.T[shape.dynamics_mask().T],
             B,
-            [1.0],
-            full_C,
-            [stage.D[0, 0] * scale.current_A / size],
-            problem.reference_m_s2 / size,
+            C[shape.output_mask()],
+            problem.reference_m_s2 / np.linalg.norm(problem.reference_m_s2),
             problem.tracking_weights,
             [problem.movement_weight * scale.current_A**2],
         ]

@@ -6,8 +6,11 @@ limits it is the answer to the limited problem too, with every multiplier zero.
 
 import time
 from dataclasses import replace
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -15,6 +18,17 @@ from transopt import transcribe
 from transopt.problem import Multipliers, Solution, Status, TransientProblem
 
 REFINEMENTS = 2
+
+
+@lru_cache(maxsize=16)
+def _pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Row indices and column starts of a matrix of the program; reading them off takes longer than the solve."""
+    sparsity = transcribe.state_program(shape).qp_data.sparsity_out(name)
+    return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
+
+
+def _scipy(matrix: ca.DM, pattern: tuple[NDArray[np.int32], NDArray[np.int32]]) -> sparse.csc_array:
+    return sparse.csc_array((np.asarray(matrix.nonzeros()), *pattern), shape=matrix.shape)
 
 
 def solve(problem: TransientProblem) -> Solution:
@@ -27,8 +41,8 @@ def solve(problem: TransientProblem) -> Solution:
     start = time.perf_counter()
     scale = transcribe.scaling(problem)
     data = program.qp_data(p=transcribe.parameters(problem, scale))
-    A = data["A"].sparse()
-    kkt = sparse.block_array([[data["H"].sparse(), A.T], [A, None]], format="csc")
+    H, A = (_scipy(data[name], _pattern(shape, name)) for name in ("H", "A"))
+    kkt = sparse.block_array([[H, A.T], [A, None]], format="csc")
     right = np.concatenate([-np.asarray(data["q"]).ravel(), np.zeros(A.shape[0])])
     try:
         factors = splu(kkt)
@@ -38,9 +52,8 @@ def solve(problem: TransientProblem) -> Solution:
         status, message = Status.OPTIMAL, "KKT system solved"
     except RuntimeError as singular:
         point, status, message = np.full(right.size, np.nan), Status.NUMERICAL_FAILURE, str(singular)
-    nz = shape.stage_states + 1
-    n = shape.stages * (nz + 1)
-    command = point[:n].reshape(-1, nz + 1)[:, nz] * scale.current_A
+    n = shape.stages * shape.variables
+    command = point[:n].reshape(-1, shape.variables)[:, -1] * scale.current_A
     command[problem.free_stages :] = 0.0
     free = transcribe.multipliers(problem, scale, np.zeros(n), point[n:])
     return Solution(

@@ -1,0 +1,314 @@
+"""Speed against the named peers, in one run on one machine (DESIGN 10).
+
+    python scripts/benchmark.py --json FILE
+
+Prints machine, versions, and per row the median and quartiles of the solve, the set-up, the objective gap to the
+certified lower bound and the limit violation, both recomputed from the rolled-out command. Ratios bind, milliseconds
+need the calibration row.
+"""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from importlib import metadata
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+import problems
+from problems.simulate import recordings
+from transopt.build import build_library
+from transopt.certify import certify
+from transopt.discretise import discretise
+from transopt.files import whole_file
+from transopt.problem import Multipliers, TransientProblem
+from transopt.reference import build_references
+from transopt.scene import Scene
+from transopt.scene_file import load_scene
+from transopt.signals import FloatArray
+from transopt.solvers import SolverOptions, solve, unlimited
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one case; gap relative to max(J, 1e-3), violation in A, NaN where it has no meaning."""
+
+    case: str
+    method: str
+    version: str
+    options: str
+    threads: int
+    stages: int
+    setup_ms: float
+    median_ms: float
+    q25_ms: float
+    q75_ms: float
+    runs: int
+    objective_gap: float
+    violation: float
+
+
+def timed(runs: int, **methods: Callable[[], object]) -> dict[str, FloatArray]:
+    """(runs,) wall times [ms] of each method, after one run that is not counted.
+
+    The methods take turns, so that a machine whose speed drifts changes no ratio between them.
+    """
+    for run in methods.values():
+        run()
+    times = {name: np.empty(runs) for name in methods}
+    for j in range(runs):
+        for name, run in methods.items():
+            start = time.perf_counter()
+            run()
+            times[name][j] = 1e3 * (time.perf_counter() - start)
+    return times
+
+
+def row(
+    case: str,
+    method: str,
+    options: str,
+    stages: int,
+    times_ms: FloatArray,
+    *,
+    setup_ms: float = 0.0,
+    gap: float = float("nan"),
+    violation: float = float("nan"),
+) -> Row:
+    q25, median, q75 = np.percentile(times_ms, [25, 50, 75])
+    version = metadata.version("casadi") if "ipopt" in method or "piqp" in method else metadata.version("transopt")
+    return Row(case, method, version, options, 1, stages, setup_ms, median, q25, q75, times_ms.size, gap, violation)
+
+
+def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> TransientProblem:
+    """One entry of the scene; a longer horizon goes on with nothing to do."""
+    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    wanted = references[scene.grid.speeds_m_s.index(speed_m_s)].motor_m_s2
+    return TransientProblem(
+        stage=discretise(scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s),
+        grid=replace(scene.time_grid(), stages=stages),
+        reference_m_s2=np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages],
+        tracking_weights=np.ones(stages),
+        rho=scene.weights.rho,
+        limits=scene.current_limits(),
+        hand_over_samples=scene.hand_over_samples,
+    )
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A method ready to be timed: what one run does, what preparing it took, and what its answer is worth."""
+
+    name: str
+    options: str
+    run: Callable[[], object]
+    setup_ms: float
+    gap: float
+    violation: float
+
+
+def project_solver(problem: TransientProblem, solver: str) -> Peer:
+    """A solver of the project, its object reused; set-up is what the first call takes longer than the second."""
+    options = SolverOptions(solver)
+    first, second = (elapsed_ms(lambda: solve(problem, options)) for _ in range(2))
+    solution = solve(problem, options)
+    proof = certify(problem, solution.command_A, solution.multipliers)
+    return Peer(
+        name=solver,
+        options=f"tol {options.tolerance:g}, object reused",
+        run=lambda: solve(problem, options),
+        setup_ms=max(first - second, 0.0),
+        gap=proof.relative_gap,
+        violation=proof.primal_violation_A,
+    )
+
+
+def unlimited_solver(problem: TransientProblem) -> Peer:
+    solution = unlimited.solve(problem)
+    proof = certify(problem, solution.command_A, solution.multipliers)
+    gap, violation = proof.relative_gap, proof.primal_violation_A
+    return Peer("unlimited", "one KKT factorisation", lambda: unlimited.solve(problem), 0.0, gap, violation)
+
+
+def elapsed_ms(run: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    run()
+    return 1e3 * (time.perf_counter() - start)
+
+
+def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
+    """The usual way of writing it, as CasADi's own multiple-shooting examples do.
+
+    Opti, a stage Function called in a loop, every limit through subject_to, SI units, IPOPT's defaults. States are
+    plant, current and previous command, input its movement, as in the project's own statement.
+    """
+    stage, limits, N = problem.stage, problem.limits, problem.grid.stages
+    assert limits.command_A is not None
+    r, n = problem.reference_m_s2, stage.A.shape[0]
+    state, movement = ca.MX.sym("z", n + 1), ca.MX.sym("dc")
+    command = state[n] + movement
+    advance = ca.Function("F", [state, movement], [ca.vertcat(stage.A @ state[:n] + stage.B * command, command)])
+
+    def build() -> tuple[ca.Opti, ca.MX]:
+        opti = ca.Opti()
+        z, dc, wanted = opti.variable(n + 1, N + 1), opti.variable(1, N), opti.parameter(1, N)
+        cost = 0
+        opti.subject_to(z[:, 0] == 0)
+        for k in range(N):
+            opti.subject_to(z[:, k + 1] == advance(z[:, k], dc[k]))
+            opti.subject_to(opti.bounded(-limits.current_A, z[n - 1, k], limits.current_A))
+            opti.subject_to(opti.bounded(-limits.command_A, z[n, k + 1], limits.command_A))
+            cost += (stage.C @ z[:n, k] - wanted[k]) ** 2 / float(r @ r) + problem.movement_weight * dc[k] ** 2
+            if k >= problem.free_stages:
+                opti.subject_to(z[n, k + 1] == 0)
+        opti.minimize(cost)
+        opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
+        opti.set_value(wanted, r)
+        return opti, z[n, 1:]
+
+    start = time.perf_counter()
+    opti, commands = build()
+    found = np.asarray(opti.solve().value(commands)).ravel()
+    setup_and_first = 1e3 * (time.perf_counter() - start)
+
+    def again() -> None:
+        opti.set_initial(opti.x, 0)
+        opti.solve()
+
+    proof = certify(problem, found, Multipliers.zero(problem))
+    return Peer(
+        name="opti-ipopt",
+        options="as commonly written, IPOPT defaults, object reused",
+        run=again,
+        setup_ms=max(setup_and_first - elapsed_ms(again), 0.0),
+        gap=(proof.objective - lower_bound) / max(proof.objective, 1e-3),
+        violation=proof.primal_violation_A,
+    )
+
+
+def compare(case: str, problem: TransientProblem, runs: int, *peers: Peer) -> list[Row]:
+    """Rows of peers that take turns on one problem."""
+    times = timed(runs, **{peer.name: peer.run for peer in peers})
+    return [
+        row(
+            case,
+            peer.name,
+            peer.options,
+            problem.grid.stages,
+            times[peer.name],
+            setup_ms=peer.setup_ms,
+            gap=peer.gap,
+            violation=peer.violation,
+        )
+        for peer in peers
+    ]
+
+
+def calibration() -> Row:
+    """A fixed workload: 200 products and factorisations of 200 x 200 matrices."""
+    matrix = np.random.default_rng(0).standard_normal((200, 200))
+    spd = matrix @ matrix.T + 200 * np.eye(200)
+
+    def work() -> None:
+        for _ in range(200):
+            np.linalg.cholesky(spd)
+            matrix @ matrix
+
+    return row("calibration", "numpy", "200 x (product + Cholesky) of 200 x 200", 0, timed(7, work=work)["work"])
+
+
+def cold_start(runs: int) -> tuple[Row, float]:
+    """README's first command from an installed environment, figures included; and its peak memory [MB]."""
+    resource = (
+        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL); "
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
+    )
+    times, memory = [], 0.0
+    for _ in range(runs):
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            command = [sys.executable, "-c", "from transopt.cli import main; main()", "solve", "--out", folder]
+            done = subprocess.run(
+                [sys.executable, "-c", resource, *command], check=True, capture_output=True, text=True
+            )
+            times.append(1e3 * (time.perf_counter() - start))
+            memory = max(memory, float(done.stdout))
+    return row("command", "transopt solve", "cold process, figures included", 600, np.array(times)), memory
+
+
+def machine() -> dict[str, object]:
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = [line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        name = models[0] if models else name
+    return {"cpu": name, "cores": os.cpu_count(), "system": platform.platform()}
+
+
+def measure(runs: int) -> tuple[list[Row], float]:
+    scene = load_scene(problems.scene_path("wood_on_foam"))
+    rows = [calibration()]
+    saturated = entry(scene, 0.4, 5.0, 600)
+    reference = solve(saturated, SolverOptions("casadi-ipopt"))
+    proof = certify(saturated, reference.command_A, reference.multipliers)
+    # Ten saturated taps in a row: ten times the work, nothing of it idle.
+    long = replace(entry(scene, 0.4, 5.0, 6000), reference_m_s2=np.tile(saturated.reference_m_s2, 10))
+    piqp = project_solver(saturated, "casadi-piqp")
+    rivals = project_solver(saturated, "casadi-ipopt"), opti_ipopt(saturated, proof.objective - proof.duality_gap)
+    rows += compare("saturated", saturated, runs, piqp, *rivals)
+    rows += compare("horizon", long, runs, project_solver(long, "casadi-piqp"))
+    free = entry(scene, 0.2, 3.0, 600)
+    rows += compare("unsaturated", free, runs, unlimited_solver(free), project_solver(free, "casadi-piqp"))
+
+    taps = recordings(scene)
+    times = timed(max(runs // 3, 3), library=lambda: build_library(scene, taps))["library"]
+    rows.append(row("library", "transopt", "12 entries solved, certified, replayed, baselines", 600, times))
+    cold, memory = cold_start(3)
+    return [*rows, cold], memory
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="also write the rows here")
+    parser.add_argument("--runs", type=int, default=15, help="timed runs of each method")
+    arguments = parser.parse_args()
+    rows, memory_MB = measure(arguments.runs)
+    names = ("casadi", "numpy", "scipy", "transopt")
+    result = {
+        "machine": machine(),
+        "versions": {**{name: metadata.version(name) for name in names}, "python": platform.python_version()},
+        "default_solver": SolverOptions().solver,
+        "peak_memory_MB": round(memory_MB, 1),
+        "rows": [asdict(r) for r in rows],
+    }
+    print(json.dumps({key: result[key] for key in ("machine", "versions", "default_solver", "peak_memory_MB")}))
+    print(
+        f"{'case':12} {'method':15} {'N':>5} {'setup ms':>9} {'median ms':>10} {'quartiles':>17} "
+        f"{'gap':>9} {'violation':>9}"
+    )
+    for r in rows:
+        spread = f"{r.q25_ms:.1f} to {r.q75_ms:.1f}"
+        print(
+            f"{r.case:12} {r.method:15} {r.stages:5d} {r.setup_ms:9.1f} {r.median_ms:10.2f} {spread:>17} "
+            f"{r.objective_gap:9.0e} {r.violation:9.0e}  {r.options}"
+        )
+    by = {(r.case, r.method): r.median_ms for r in rows}
+    fast = by["saturated", "casadi-piqp"]
+    print(f"\nopti-ipopt / casadi-piqp, saturated: {by['saturated', 'opti-ipopt'] / fast:.1f}")
+    print(f"casadi-ipopt / casadi-piqp, saturated: {by['saturated', 'casadi-ipopt'] / fast:.1f}")
+    print(f"6000 stages / 600 stages, casadi-piqp: {by['horizon', 'casadi-piqp'] / fast:.1f}")
+    if arguments.json is not None:
+        with whole_file(arguments.json) as file:
+            file.write(json.dumps(result, indent=1).encode())
+
+
+if __name__ == "__main__":
+    main()

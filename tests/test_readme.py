@@ -1,0 +1,56 @@
+"""README's Python runs as it stands there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from transopt.library import Library
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+def test_readme_has_the_two_examples() -> None:
+    assert len(BLOCKS) == 2
+    assert "build_library" in BLOCKS[0]
+    assert "transopt" not in re.sub("#.*", "", BLOCKS[1])
+
+
+def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(BLOCKS[0], {})  # the block is this repository's own text
+    assert "0.4 m/s, 5 N: 19.08%" in capsys.readouterr().out
+    assert (tmp_path / "library.npz").exists()
+
+
+class TestNumpyAlone:
+    @pytest.mark.parametrize("entry", ["3, 2", "3, 0", "0, 1"])
+    def test_certifies_a_real_library(
+        self,
+        library: Library,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+        entry: str,
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        library.save(tmp_path / "library.npz")
+        assert "iv, ig = 3, 2" in BLOCKS[1]
+        names: dict[str, float] = {}
+        exec(BLOCKS[1].replace("iv, ig = 3, 2", f"iv, ig = {entry}"), names)
+        iv, ig = (int(part) for part in entry.split(","))
+        assert names["J"] == pytest.approx(library.objective[iv, ig], rel=1e-9)
+        assert "above the optimum" in capsys.readouterr().out
+
+    def test_rejects_a_changed_command(
+        self, library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        from dataclasses import replace
+
+        monkeypatch.chdir(tmp_path)
+        command = library.command_A.copy()
+        command[3, 2, 100] += 0.01
+        replace(library, command_A=command).save(tmp_path / "library.npz")
+        with pytest.raises(AssertionError):
+            exec(BLOCKS[1], {})
