@@ -217,6 +217,14 @@ class TestBlend:
             assert np.abs(current).max() <= 4 + 1e-9
             assert np.abs(command).max() <= 6 + 1e-9
 
+    def test_below_the_least_grip_nothing_is_played(self, library: Library) -> None:
+        waveform = library.at(0.3, 0.4)
+        assert waveform.silent
+        assert not waveform.command_A.any()
+        edge = library.at(0.3, 0.5)
+        assert not edge.silent
+        np.testing.assert_array_equal(edge.command_A, library.command_A[2, 0])
+
     @pytest.mark.parametrize(("speed", "grip"), [(np.nan, 1.0), (0.2, np.inf)])
     def test_nonsense_is_refused(self, library: Library, speed: float, grip: float) -> None:
         with pytest.raises(InputError, match="both must be finite"):
@@ -228,4 +236,4 @@ class TestBlend:
             index = tuple(slice(1, 2) if letter in "vg" else slice(None) for letter in letters)
             cut[name] = getattr(library, name)[index]
         small = replace(library, **cut)
-        np.testing.assert_array_equal(small.at(0.9, 0.1).command_A, library.command_A[1, 1])
+        np.testing.assert_array_equal(small.at(0.9, 0.6).command_A, library.command_A[1, 1])
