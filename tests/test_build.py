@@ -228,6 +228,7 @@ class TestAdmission:
             ({"peak_command_A": 6.1}, "command 6.100000 A, limit 6 A"),
             ({"winding_C": 100.5}, "winding 100.50 C, limit 100 C"),
             ({"winding_C": np.nan}, "winding nan C"),
+            ({"step_error": 1e-3}, "replay did not converge"),
         ],
     )
     def test_replay_beyond_a_limit(self, parts: dict, change: dict, text: str) -> None:

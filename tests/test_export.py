@@ -66,7 +66,7 @@ def make_library(
         "reference_raw_m_s2": reference * 1.1,
         **{f"plant_{m}": np.stack([getattr(plant, m) for plant in plants]) for m in ("A", "B", "C", "D", "Ce")},
     }
-    sizes = {"v": nv, "g": ng, "N": samples, "h": HAND_OVER}
+    sizes = {"v": nv, "g": ng, "N": samples, "h": HAND_OVER, "2": 2}
     free = {field: letters for field, letters in SHAPES.items() if field not in {*derived, *TEXTS}}
     others = {field: rng.uniform(size=[sizes[letter] for letter in letters]) for field, letters in free.items()}
     binding = np.where(np.eye(nv, ng) == 1, "", "current +4 A")

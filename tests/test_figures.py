@@ -34,7 +34,7 @@ FORCE_N_A, MASS_KG = 1.25, 0.04
 
 def make_library(nv: int = 2, ng: int = 2, stages: int = 300, decay_s: float = 2e-3) -> Library:
     """A library of decaying oscillations that grow with speed; nothing in it is solved."""
-    sizes = {"v": nv, "g": ng, "N": stages, "h": 10, "n": 2, "1": 1}
+    sizes = {"v": nv, "g": ng, "N": stages, "h": 10, "n": 2, "1": 1, "2": 2}
     arrays: dict[str, Any] = {
         name: np.full([sizes[letter] for letter in shape], "" if name in TEXTS else 0.0)
         for name, shape in SHAPES.items()

@@ -50,8 +50,9 @@ def test_default_device_has_the_slopes_and_the_resonance_of_design(scene: Scene,
 
 
 def test_drive_at_the_tip_is_a_datasheet_motor_through_its_ratio(scene: Scene) -> None:
-    assert scene.force_per_current_N_A == pytest.approx(1.25, rel=1e-3)
-    assert scene.moving_mass_kg == pytest.approx(0.014, rel=1e-3)
+    tip = scene.drive_at_tip()
+    assert tip.force_per_current_N_A == pytest.approx(1.25, rel=1e-3)
+    assert tip.moving_mass_kg == pytest.approx(0.014, rel=1e-3)
 
 
 @pytest.mark.parametrize("grip_N", [0.0, 1.0, 5.0])
@@ -74,9 +75,9 @@ def test_encoder_sees_the_motor_mass(scene: Scene) -> None:
 
 def test_free_device_moves_as_its_total_mass(scene: Scene) -> None:
     plant = scene.plant(0.0)
-    slow = plant.response(np.array([0.5]))[0]
+    slow, tip = plant.response(np.array([0.5]))[0], scene.drive_at_tip()
     assert plant.order == 4
-    assert slow.real == pytest.approx(scene.force_per_current_N_A / (scene.moving_mass_kg + 0.026), rel=1e-4)
+    assert slow.real == pytest.approx(tip.force_per_current_N_A / (tip.moving_mass_kg + 0.026), rel=1e-4)
 
 
 def test_struck_stylus_gets_newtons_not_amperes(scene: Scene) -> None:

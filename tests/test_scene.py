@@ -52,10 +52,11 @@ def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
         ('"drive"', '"dirve"', r"model: .*'second_order', 'fourth_order', 'drive'"),
         ("stylus_mass_kg = 0.026", "stylus_mass_kg = 0.0", r"model.stylus_mass_kg = 0.0: must be greater than 0"),
         ("motors/maxon", "motors/maxxon", r"motor = 'motors/maxxon_re25_118743.toml': no such file in"),
+        ("[amplifier]", "[tip]\nforce_per_current_N_A = 1.0\nmoving_mass_kg = 0.1\n[amplifier]", "give exactly one"),
         (
-            "[transmission]",
-            "[tip]\nforce_per_current_N_A = 1.0\nmoving_mass_kg = 0.1\n[transmission]",
-            "give exactly one",
+            "transmissions/phantom",
+            "transmissions/fantom",
+            r"transmission = 'transmissions/fantom_class.toml': no such",
         ),
         ("stages = 600", "stages = 5", r"hand_over_samples = 10: must not exceed time.stages = 5"),
         ("[grid]", "[grid", r"not valid TOML"),
@@ -88,7 +89,8 @@ def test_parameters_that_are_not_passive_at_a_grip_are_refused(tmp_path: Path) -
 
 
 def test_paths_count_from_the_scene_file(tmp_path: Path) -> None:
-    (tmp_path / "motor.toml").write_text((problems.FOLDER / "motors" / "maxon_re25_118743.toml").read_text())
+    motor = (problems.FOLDER / "motors" / "maxon_re25_118743.toml").read_text()
+    (tmp_path / "motor.toml").write_text(motor.replace("R_ohm = 2.18", "R_ohm = 3.0"))
     path = tmp_path / "mine.toml"
     simulated = TEXT[TEXT.index("[recordings.simulated]") : TEXT.index("[model]")]
     path.write_text(
@@ -96,24 +98,30 @@ def test_paths_count_from_the_scene_file(tmp_path: Path) -> None:
             "motors/maxon_re25_118743.toml", "motor.toml"
         )
     )
-    scene = load_scene(path)
+    scene = load_scene(path, search=[problems.FOLDER])
     assert scene.motor is not None
-    assert scene.motor.R_ohm == 2.18
+    assert scene.motor.R_ohm == 3.0
     assert Path(scene.recordings.folder) == (tmp_path / "taps").resolve()
 
 
 def test_a_drive_stated_at_the_tip(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    start = TEXT.index("[transmission]")
     tip = "[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\nstiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n\n"
-    text = TEXT[:start] + tip + TEXT[TEXT.index("[amplifier]") :]
-    path.write_text(text.replace('motor = "motors/maxon_re25_118743.toml"', ""))
+    lines = [line for line in TEXT.splitlines() if not line.startswith(("motor =", "transmission ="))]
+    path.write_text("\n".join(lines).replace("[amplifier]", tip + "[amplifier]"))
     scene = load_scene(path)
     assert scene.coil() is None
-    assert scene.force_per_current_N_A == 1.25
+    assert scene.drive_at_tip().force_per_current_N_A == 1.25
     path.write_text(path.read_text().replace("stiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n", ""))
     with pytest.raises(InputError, match=r"needs tip.stiffness_N_m"):
         load_scene(path)
+
+
+def test_motor_without_transmission_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join(line for line in TEXT.splitlines() if not line.startswith("transmission =")))
+    with pytest.raises(InputError, match="motor and transmission belong together"):
+        load_scene(path, search=[problems.FOLDER])
 
 
 def test_an_ideal_amplifier_is_stated_never_assumed(tmp_path: Path) -> None:

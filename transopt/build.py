@@ -124,6 +124,8 @@ def _assemble(
         nominal_position_m=np.stack([r.nominal_position_m for r in references]),
         nrmse=over_grid(lambda e: e.nrmse),
         floor=over_grid(lambda e: e.floor),
+        nrmse_seed=over_grid(lambda e: (e.baselines.seed, e.baselines.seed_steady)),
+        nrmse_clipped=over_grid(lambda e: (e.baselines.clipped, e.baselines.clipped_steady)),
         peak_current_A=over_grid(lambda e: e.played.peak_current_A),
         peak_temperature_C=over_grid(lambda e: e.played.winding_C),
         objective=over_grid(lambda e: e.certificate.objective),

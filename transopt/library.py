@@ -30,7 +30,8 @@ MULTIPLIER_FIELDS = {
     "slew_upper": "mu_slew_upper",
     "hand_over": "mu_end",
 }
-# Shape of each array in the sizes v (speeds), g (grips), N (stages), h (hand-over), n (plant states).
+# Shape of each array in the sizes v (speeds), g (grips), N (stages), h (hand-over), n (plant states). The two
+# baselines stand for the transient and the steady limit.
 SHAPES = {
     "speeds_m_s": "v",
     "grips_N": "g",
@@ -43,6 +44,8 @@ SHAPES = {
     "nominal_position_m": "vN",
     "nrmse": "vg",
     "floor": "vg",
+    "nrmse_seed": "vg2",
+    "nrmse_clipped": "vg2",
     "peak_current_A": "vg",
     "peak_temperature_C": "vg",
     "objective": "vg",
@@ -74,12 +77,13 @@ META_KEYS = {
     "lead_s": (),
     "grip_min_N": (),
     "amplifier": ("pole_Hz", "delay_s", "command_limit_A"),
-    "limits": ("current_A", "slew_A_per_s", "supply_V", "temperature_C"),
+    "limits": ("current_A", "steady_current_A", "slew_A_per_s", "supply_V", "temperature_C"),
     "thermal": ("R_ohm", "limit_C"),
     "feedback": (),
     "weights": ("rho", "tracking"),
     "hand_over_samples": (),
     "left_out": (),
+    "repeatability": (),
     "scene": ("name", "description"),
     "sources": (),
     "versions": (),
@@ -126,6 +130,8 @@ class Library:
     nominal_position_m: FloatArray
     nrmse: FloatArray
     floor: FloatArray
+    nrmse_seed: FloatArray
+    nrmse_clipped: FloatArray
     peak_current_A: FloatArray
     peak_temperature_C: FloatArray
     objective: FloatArray
@@ -287,7 +293,7 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
 
 
 def _check_shapes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    sizes = {"1": 1}
+    sizes = {"1": 1, "2": 2}
     for name, letters in SHAPES.items():
         array = arrays[name]
         if array.ndim != len(letters):

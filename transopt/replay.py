@@ -59,6 +59,8 @@ class Replay:
             found.append(f"command {self.peak_command_A:.6f} A, limit {limits.command_A:g} A")
         if coil is not None and not self.winding_C <= coil.limit_C:
             found.append(f"winding {self.winding_C:.2f} C, limit {coil.limit_C:g} C")
+        if not self.step_error <= AGREEMENT:
+            found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
         peak = max(float(np.abs(self.acceleration_m_s2).max()), 1e-9)
         difference = float(np.abs(self.acceleration_m_s2 - predicted_m_s2).max()) / peak
         if not difference <= AGREEMENT:

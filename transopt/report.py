@@ -11,7 +11,7 @@ from rich.table import Table
 from transopt.build import Build
 from transopt.design import Entry
 from transopt.library import Library
-from transopt.problem import Status, verdict
+from transopt.problem import OBJECTIVE_SCALE, Status, verdict
 from transopt.reference import Reference
 from transopt.signals import STANDARD_GRAVITY_M_S2
 from transopt.verify import EntryCheck
@@ -232,37 +232,32 @@ def _without_nan(value: Any) -> Any:
 
 def library_table(library: Library, name: str) -> Table:
     """The table that `transopt show` prints, from the file alone."""
+    limits = library.meta["limits"]
+    at = f"at {limits['current_A']:g} / {limits['steady_current_A']:g} A"
+    columns = ["speed m/s", "grip N", "NRMSE %", "floor %", f"seed % {at}", f"clipped % {at}", "peak A", "winding C"]
     table = Table(title=name)
-    columns = [
-        "speed m/s",
-        "grip N",
-        "NRMSE %",
-        "floor %",
-        "peak A",
-        "winding C",
-        "gap",
-        "ms",
-        "what binds",
-        "verdict",
-    ]
-    for j, column in enumerate(columns):
-        table.add_column(column, justify="right" if j < 8 else "left", overflow="fold")
-    repeats = library.meta.get("repeatability") or [None] * library.speeds_m_s.size
+    for column in (*columns, "gap", "ms"):
+        table.add_column(column, justify="right", overflow="fold")
+    for column in ("what binds", "verdict"):
+        table.add_column(column, overflow="fold")
     for iv, speed in enumerate(library.speeds_m_s):
+        spread = library.meta["repeatability"][iv]
         for ig, grip in enumerate(library.grips_N):
-            gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], 1e-3)
-            spread = float("nan") if repeats[iv] is None else repeats[iv]
+            gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], OBJECTIVE_SCALE)
+            nrmse, floor = library.nrmse[iv, ig], library.floor[iv, ig]
             table.add_row(
                 f"{speed:g}",
                 f"{grip:g}",
-                _percent(library.nrmse[iv, ig]),
-                _percent(library.floor[iv, ig]),
+                _percent(nrmse),
+                _percent(floor),
+                " / ".join(_percent(error) for error in library.nrmse_seed[iv, ig]),
+                " / ".join(_percent(error) for error in library.nrmse_clipped[iv, ig]),
                 f"{library.peak_current_A[iv, ig]:.3f}",
                 f"{library.peak_temperature_C[iv, ig]:.2f}",
                 f"{gap:.0e}",
                 f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
                 str(library.binding[iv, ig]),
-                verdict(library.nrmse[iv, ig], library.floor[iv, ig], spread),
+                verdict(nrmse, floor, float("nan") if spread is None else spread),
             )
         table.add_section()
     return table

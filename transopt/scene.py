@@ -1,7 +1,7 @@
 """What a scene holds: everything that defines one library (DESIGN 3, 5, 8)."""
 
 import itertools
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -263,26 +263,21 @@ class Scene(Section):
             )
         return self
 
-    @property
-    def force_per_current_N_A(self) -> float:
-        if self.tip is not None:
-            return self.tip.force_per_current_N_A
-        assert self.motor is not None
-        assert self.transmission is not None
-        return self.motor.kt_Nm_A * self.transmission.ratio_1_m
+    def drive_at_tip(self) -> Tip:
+        """What the stylus feels of the drive: force per ampere, rotor and link as one mass, transmission.
 
-    @property
-    def moving_mass_kg(self) -> float:
-        """Rotor and link as felt at the tip [kg]."""
-        if self.tip is not None:
-            return self.tip.moving_mass_kg
-        assert self.motor is not None
-        assert self.transmission is not None
-        return self.motor.rotor_kg_m2 * self.transmission.ratio_1_m**2 + self.transmission.link_mass_kg
-
-    def _transmission_link(self) -> models.Link:
-        stated: Any = self.tip if self.tip is not None else self.transmission
-        return models.Link(stated.stiffness_N_m, stated.damping_N_s_m)
+        k_f = k_t ratio, m = J ratio^2 + m_link, with the ratio in shaft radian per metre of tip travel.
+        """
+        if self.motor is None or self.transmission is None:
+            assert self.tip is not None
+            return self.tip
+        ratio = self.transmission.ratio_1_m
+        return Tip(
+            force_per_current_N_A=self.motor.kt_Nm_A * ratio,
+            moving_mass_kg=self.motor.rotor_kg_m2 * ratio**2 + self.transmission.link_mass_kg,
+            stiffness_N_m=self.transmission.stiffness_N_m,
+            damping_N_s_m=self.transmission.damping_N_s_m,
+        )
 
     def plant(self, grip_N: float, *, struck: bool = False) -> models.StateSpace:
         """Model from motor current to stylus acceleration at one grip.
@@ -299,7 +294,8 @@ class Scene(Section):
             raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
 
     def _chain(self, grip_N: float, struck: bool) -> models.StateSpace:
-        gain = 1.0 if struck else self.force_per_current_N_A
+        tip = self.drive_at_tip()
+        gain = 1.0 if struck else tip.force_per_current_N_A
         match self.model:
             case SecondOrder():
                 return models.second_order(grip_N, force_per_current_N_A=gain)
@@ -308,16 +304,18 @@ class Scene(Section):
                     grip_N,
                     hand=hand.hand(),
                     stylus_mass_kg=stylus,
-                    moving_mass_kg=self.moving_mass_kg,
+                    moving_mass_kg=tip.moving_mass_kg,
                     force_per_current_N_A=gain,
                 )
             case Drive(stylus_mass_kg=stylus, hand=hand):
+                assert tip.stiffness_N_m is not None
+                assert tip.damping_N_s_m is not None
                 return models.drive(
                     grip_N,
                     hand=hand.hand(),
                     stylus_mass_kg=stylus,
-                    moving_mass_kg=self.moving_mass_kg,
-                    transmission=self._transmission_link(),
+                    moving_mass_kg=tip.moving_mass_kg,
+                    transmission=models.Link(tip.stiffness_N_m, tip.damping_N_s_m),
                     force_per_current_N_A=gain,
                     driven=1 if struck else 0,
                 )

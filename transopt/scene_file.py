@@ -69,8 +69,8 @@ def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str
 def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """Read and check a scene file.
 
-    Relative paths in it count from the scene's folder; a motor file not found there is looked for in the
-    `search` folders.
+    Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
+    not tables, are also looked for in the `search` folders.
 
     Raises
     ------
@@ -78,13 +78,16 @@ def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """
     content = _read_toml(path)
     content.setdefault("name", path.stem)
-    motor = content.get("motor")
-    if isinstance(motor, str):
-        places = [folder / motor for folder in (path.parent, *search)]
+    for part in ("motor", "transmission"):
+        named = content.get(part)
+        if not isinstance(named, str):
+            continue
+        places = [folder / named for folder in (path.parent, *search)]
         found = next((place for place in places if place.is_file()), None)
         if found is None:
-            raise InputError(f"{path}: motor = {motor!r}: no such file in {', '.join(str(p.parent) for p in places)}")
-        content["motor"] = _read_toml(found)
+            folders = ", ".join(str(place.parent) for place in places)
+            raise InputError(f"{path}: {part} = {named!r}: no such file in {folders}")
+        content[part] = _read_toml(found)
     recordings = content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())
