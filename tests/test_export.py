@@ -29,7 +29,8 @@ AMPLIFIER = {"pole_Hz": 1050.0, "delay_s": 68e-6, "command_limit_A": 6.0}
 EPSILON = 2.0**-24  # relative rounding of one single-precision operation
 COMPILERS = {"gcc": ["-std=c99", "-x", "c"], "g++": ["-std=c++11", "-x", "c++"]}
 META = """{"schema": 1, "dt_s": 1e-4, "lead_s": 3e-4, "grip_min_N": 0.5, "hand_over_samples": 10,
-    "limits": {"current_A": 4.0, "slew_A_per_s": null, "supply_V": null, "temperature_C": null}, "thermal": null,
+    "limits": {"current_A": 4.0, "steady_current_A": 1.25, "slew_A_per_s": null, "supply_V": null,
+    "temperature_C": null}, "thermal": null,
     "feedback": null, "left_out": {"feedback": "the scene has no wall"}, "sources": [],
     "versions": {"transopt": "0.1.0", "python": "3.11"}}"""
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
