@@ -1,14 +1,20 @@
 """Exact hold: the defining property, the adjoint, and an independent integrator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from tests.conftest import ProblemMaker
+from transopt.build import build_library
 from transopt.discretise import discretise
 from transopt.problem import TransientProblem
+from transopt.recording import Recording
 from transopt.replay import replay
+from transopt.scene import Scene
 from transopt.signals import FloatArray
+from transopt.verify import verify_library
 
 
 def integrate_independently(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -106,3 +112,26 @@ def test_a_box_at_the_switching_instants_bounds_the_current_for_all_times(make_p
     _, current = problem.stage.rollout(command)
     (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
     assert played.peak_current_A == pytest.approx(np.abs(current).max(), rel=1e-9)
+
+
+def test_states_that_nothing_depends_on_are_left_out(scene: Scene) -> None:
+    """The free device without its position behaves as with it, and a held one has nothing to leave out."""
+    free = scene.plant(0.0)
+    stage = discretise(free, scene.amplifier_model(), 1e-4)
+    assert stage.A.shape == (free.order, free.order)  # one state fewer, one for the current
+    assert discretise(scene.plant(3.0), None, 1e-4).A.shape == (6, 6)
+    command = np.random.default_rng(8).uniform(-4, 4, 100)
+    grid = replace(scene.time_grid(), stages=100)
+    predicted, _ = stage.rollout(command)
+    (played,) = replay(stage, grid, command[None], predicted[None], None)
+    assert played.nrmse < 1e-11
+
+
+def test_free_device_is_solved_and_verified(scene: Scene, taps: list[Recording]) -> None:
+    alone = scene.model_copy(update={"grid": scene.grid.model_copy(update={"grips_N": [0.0]})})
+    build = build_library(alone, taps)
+    assert build.library is not None, [entry.shortfalls for entry in build.refused]
+    assert build.entries[0][0].left_out["hand"] == "free device, grip 0"
+    assert build.entries[0][0].left_out["position"].endswith("1 state fewer")
+    assert all(not check.shortfalls for check in verify_library(build.library))
+    assert not build.library.at(0.2, 0.0).silent

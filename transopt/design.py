@@ -7,7 +7,7 @@ import numpy as np
 
 from transopt.baselines import clipped_optimum, seed_inversion
 from transopt.certify import binding_limits, certify
-from transopt.discretise import StageModel, discretise
+from transopt.discretise import StageModel, acting_states, discretise
 from transopt.problem import Certificate, Solution, Status, TransientProblem, verdict
 from transopt.reference import Reference
 from transopt.replay import Replay, replay
@@ -80,9 +80,10 @@ def _inside_limits(problem: TransientProblem, command_A: FloatArray, current_A: 
 
 def _left_out(scene: Scene, problem: TransientProblem, coil: CoilModel | None, free: str | None) -> dict[str, str]:
     """Every part that the problem does not have, and why it may be missing."""
+    idle = int(np.sum(~acting_states(problem.stage.plant)))
     parts = {
         "feedback": "the scene has no wall",
-        "position": "nothing in the scene depends on it",
+        "position": "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
         "supply": "the scene states no supply limit",
     }
     if problem.limits.slew_A_per_s is None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from transopt.amplifier import Amplifier
@@ -40,7 +41,7 @@ class StageModel:
     """One grip's device over one servo period, exact for a held command.
 
     x_(k+1) = A x_k + B c_k,  y''_k = C x_k + D c_k,  i_k = Ci x_k + Di c_k  at the switching instants.
-    x holds the plant's states and, unless the amplifier is ideal, the current (its last entry).
+    x holds the plant's acting states and, unless the amplifier is ideal, the current (its last entry).
 
     Attributes
     ----------
@@ -94,22 +95,38 @@ class StageModel:
         return np.asarray(gradient)
 
 
+def acting_states(plant: StateSpace) -> NDArray[np.bool_]:
+    """(n,) states that the acceleration depends on, by the structure of A and C.
+
+    A free device's position only integrates its velocity: nothing depends on it, and without a wall nobody asks.
+    """
+    acting: NDArray[np.bool_] = plant.C[0] != 0
+    while True:
+        more = acting | np.any(plant.A[acting] != 0, axis=0)
+        if np.array_equal(more, acting):
+            return acting
+        acting = more
+
+
 def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
-    The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2).
+    The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2). States that the acceleration
+    does not depend on are left out.
     """
-    n = plant.order
+    acting = acting_states(plant)
+    n = int(acting.sum())
+    A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
     zero = np.zeros((1, 1))
     if amplifier is None:
-        flow = np.block([[plant.A, plant.B], [np.zeros((1, n + 1))]])
-        C, D, Ci, Di = plant.C, plant.D, np.zeros((1, n)), np.ones((1, 1))
+        flow = np.block([[A, B], [np.zeros((1, n + 1))]])
+        D, Ci, Di = plant.D, np.zeros((1, n)), np.ones((1, 1))
     else:
         w = amplifier.rate_rad_s
         flow = np.zeros((n + 2, n + 2))
-        flow[:n, : n + 1] = np.hstack([plant.A, plant.B])
+        flow[:n, : n + 1] = np.hstack([A, B])
         flow[n, n:] = -w, w
-        C, D = np.hstack([plant.C, plant.D]), zero
+        C, D = np.hstack([C, plant.D]), zero
         Ci, Di = np.eye(1, n + 1, n), zero
     hold = linalg.expm(flow * dt_s)
     return StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di)

@@ -24,7 +24,7 @@ class Shape:
 
     Attributes
     ----------
-    plant_states : of the device alone. amplifier : False for an ideal one, which has no state.
+    plant_states : of the device alone, acting ones. amplifier : False for an ideal one, which has no state.
     """
 
     stages: int
@@ -127,7 +127,12 @@ def scaling(problem: TransientProblem) -> Scaling:
 
 def program_shape(problem: TransientProblem) -> Shape:
     stage = problem.stage
-    return Shape(problem.grid.stages, stage.plant.order, stage.amplifier is not None, problem.hand_over_samples)
+    return Shape(
+        stages=problem.grid.stages,
+        plant_states=stage.A.shape[0] - int(stage.amplifier is not None),
+        amplifier=stage.amplifier is not None,
+        hand_over_samples=problem.hand_over_samples,
+    )
 
 
 def stage_matrices(problem: TransientProblem, scale: Scaling) -> tuple[FloatArray, FloatArray, FloatArray]:
