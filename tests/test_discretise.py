@@ -7,8 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.conftest import ProblemMaker
+from transopt.amplifier import Amplifier
 from transopt.build import build_library
-from transopt.discretise import discretise
+from transopt.discretise import TimeGrid, discretise
+from transopt.models import Link, chain
 from transopt.problem import TransientProblem
 from transopt.recording import Recording
 from transopt.replay import replay
@@ -135,3 +137,17 @@ def test_free_device_is_solved_and_verified(scene: Scene, taps: list[Recording])
     assert build.entries[0][0].left_out["position"].endswith("1 state fewer")
     assert all(not check.shortfalls for check in verify_library(build.library))
     assert not build.library.at(0.2, 0.0).silent
+
+
+def test_a_stiff_undamped_mode_does_not_die_out_in_the_replay() -> None:
+    """332 kHz, 2000 rad per servo period: an L-stable step that does not resolve it would damp it away unnoticed."""
+    springs = [Link(1.65e8, 3e-3), Link(0.0, 0.0)]
+    plant = chain([1e-2, 4e-5], springs, force_per_current_N_A=1.0, stylus=1)
+    assert np.abs(np.linalg.eigvals(plant.A)).max() / (2 * np.pi) > 3e5
+    stage = discretise(plant, Amplifier(87e3, 0.0, 6.0), 1e-3)
+    grid = TimeGrid(1e-3, 60, 0.0, 0.0)
+    command = np.where(np.arange(60) < 30, 1.0, 0.0)
+    predicted, _ = stage.rollout(command)
+    (played,) = replay(stage, grid, command[None], predicted[None], None)
+    assert played.step_error <= 1e-10
+    assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-6 * np.abs(predicted).max()
