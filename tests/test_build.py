@@ -13,6 +13,7 @@ from tests.conftest import IMPACTS, ProblemMaker
 from transopt.baselines import clipped_optimum, seed_inversion
 from transopt.build import Build, build_library
 from transopt.certify import certify
+from transopt.design import _proven
 from transopt.discretise import discretise
 from transopt.library import Library
 from transopt.problem import Status, verdict
@@ -129,6 +130,14 @@ def test_second_method_gives_the_same_library(scene: Scene, taps: list[Recording
     for ours, theirs in zip(build.all_entries(), other.all_entries(), strict=True):
         scale = max(ours.certificate.objective, 1e-3)
         assert abs(ours.certificate.objective - theirs.certificate.objective) <= 1e-6 * scale
+
+
+def test_an_entry_that_one_solver_cannot_prove_goes_to_the_other(make_problem: ProblemMaker) -> None:
+    """Two iterations are too few for both; with enough for IPOPT alone, its answer is taken and says so."""
+    problem = make_problem(0.4, 5.0)
+    assert _proven(problem, SolverOptions(max_iterations=10)).solver == "casadi-ipopt"
+    refused = _proven(problem, SolverOptions(max_iterations=2))
+    assert (refused.solver, refused.status) == ("casadi-piqp", Status.ITERATION_LIMIT)
 
 
 def test_temperature_that_could_bind_is_refused_by_name(scene: Scene, taps: list[Recording]) -> None:

@@ -149,5 +149,4 @@ def test_a_stiff_undamped_mode_does_not_die_out_in_the_replay() -> None:
     command = np.where(np.arange(60) < 30, 1.0, 0.0)
     predicted, _ = stage.rollout(command)
     (played,) = replay(stage, grid, command[None], predicted[None], None)
-    assert played.step_error <= 1e-10
     assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-6 * np.abs(predicted).max()

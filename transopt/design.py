@@ -1,7 +1,7 @@
 """The design of library entries: optimum, floor, baselines, certificate, replay, admission (DESIGN 4)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from transopt.reference import Reference
 from transopt.replay import Replay, replay
 from transopt.scene import Scene
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, solve, unlimited
+from transopt.solvers import SOLVERS, SolverOptions, solve, unlimited
 from transopt.thermal import CoilModel
 from transopt.verify import admit, temperature_bound_C
 
@@ -132,7 +132,24 @@ def _design(problem: TransientProblem, options: SolverOptions) -> _Designed:
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
         )
         return _Designed(problem, free, free.command_A, floor, peak, reason)
-    return _Designed(problem, solve(problem, options), free.command_A, floor, peak, None)
+    return _Designed(problem, _proven(problem, options), free.command_A, floor, peak, None)
+
+
+def _proven(problem: TransientProblem, options: SolverOptions) -> Solution:
+    """The wanted solver's answer or, where that is not certified, the first other solver's that is.
+
+    On stiff and extreme problems the methods fail on different cases; the certificate tells.
+    """
+
+    def is_proven(answer: Solution) -> bool:
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        return answer.status is Status.OPTIMAL and proof.accepted
+
+    wanted = solve(problem, options)
+    if is_proven(wanted):
+        return wanted
+    others = (solve(problem, replace(options, solver=name)) for name in SOLVERS if name != options.solver)
+    return next((answer for answer in others if is_proven(answer)), wanted)
 
 
 def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], options: SolverOptions) -> list[Entry]:
