@@ -312,3 +312,4 @@ def test_verdicts() -> None:
     assert verdict(0.02, 0.005, 0.03) == "below repeatability"
     assert verdict(0.1, 0.005, np.nan) == "below 20 % threshold"
     assert verdict(0.3, 0.005, 0.05) == "above 20 % threshold"
+    assert verdict(0.97, 0.97, 0.05) == "above 20 % threshold"

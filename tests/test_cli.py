@@ -107,6 +107,8 @@ class TestScene:
         assert_refused(run("scene", "show", "wood"), "no built-in scene", "wood_on_foam")
         assert_refused(run("scene", "new", "mine.txt"), "ends in .toml")
         assert_refused(run("scene", "new", "absent/mine.toml"), "cannot be written")
+        assert_refused(run("scene", "new", "mine.toml", "--from", "nope"), "nope", "no built-in scene")
+        assert not Path("mine.toml").exists()
 
 
 class TestTaps:
@@ -117,17 +119,28 @@ class TestTaps:
         assert "stated" in outcome.out
         assert Path("look/taps.png").read_bytes()[:4] == b"\x89PNG"
 
-    def test_the_section_is_a_scene_that_solves(self, run) -> None:
-        """Pasted over the tables of the default scene, as the user is told."""
+    def test_the_lines_make_a_scene_that_solves(self, run) -> None:
+        """Put where the user is told to put them."""
         outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")))
-        section = outcome.out[outcome.out.index("[grid]") :]
-        grid, recordings = section.split("\n\n")
-        text = WOOD.replace("speeds_m_s = [0.1, 0.2, 0.3, 0.4]", grid.removeprefix("[grid]\n"))
-        start, end = text.index("[recordings]"), text.index("[model]")
-        Path("pasted.toml").write_text(
-            f"{text[:start]}{recordings}\n\n{text[end:]}".replace("[1.0, 3.0, 5.0]", "[3.0]")
-        )
+        lines = outcome.out[outcome.out.index("# in [grid]") :]
+        grid, recordings = lines.split("\n\n")
+        text = problems.scene_path("own_taps").read_text()
+        text = text.replace("speeds_m_s = [0.2, 0.3, 0.4]", grid).replace("[1.0, 3.0, 5.0]", "[3.0]")
+        text = text.replace('folder = "recordings"\nfiles = ["tap_*.csv"]', recordings)
+        assert "# in [recordings]" in text
+        Path("pasted.toml").write_text(text)
         assert run("solve", "pasted.toml").code == 0
+
+    def test_a_pattern_and_a_name_with_brackets(self, run) -> None:
+        Path("a [1]").mkdir()
+        Path("a [1]/tap[1].csv").write_bytes((EXAMPLES / "tap_0.2_m_s.csv").read_bytes())
+        assert run("taps", "a [1]/tap[1].csv").code == 0
+        assert run("taps", EXAMPLES / "tap_*.csv").out.count("stated") == 3
+        assert_refused(run("taps", "a [1]/none*.csv"), "none*.csv", "matches no file")
+
+    def test_speed_is_for_files_that_state_none(self, run) -> None:
+        outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
+        assert "0.3098" in outcome.out
 
     def test_text_files_need_columns_and_scaling_is_stated(self, run) -> None:
         rows = "\n".join(f"{k * 2e-5:.6f} {100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
@@ -144,7 +157,7 @@ class TestTaps:
         assert_refused(run("taps", "absent.csv"), "absent.csv")
         Path("empty.csv").write_text("")
         assert_refused(run("taps", "empty.csv"), "empty.csv", "empty")
-        assert_refused(run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed-m-s -1", "greater than 0")
+        assert_refused(run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than 0")
 
 
 class TestSolve:
@@ -195,6 +208,19 @@ class TestSolve:
         assert "100.61 C" in Path("here/refused.md").read_text()
         assert run("solve", quick_scene, "--out", "here").code == 0
         assert not Path("here/refused.md").exists()
+
+    @pytest.mark.parametrize("columns", [80, 100])
+    def test_narrow_terminals_keep_whole_words(
+        self, run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, columns: int
+    ) -> None:
+        from rich.console import Console
+
+        monkeypatch.setattr("transopt.cli._console", lambda: Console(width=columns))
+        outcome = run("solve", quick_scene)
+        header = next(line for line in outcome.out.splitlines() if "NRMSE" in line)
+        assert "what binds" in header
+        assert "verdict" in header
+        assert max(map(len, outcome.out.splitlines()[:8])) <= columns
 
     def test_second_solver(self, run, quick_scene: Path) -> None:
         assert run("solve", quick_scene, "--solver", "casadi-ipopt", "--jobs", 2).code == 0

@@ -221,6 +221,9 @@ class TestBlend:
         waveform = library.at(0.3, 0.4)
         assert waveform.silent
         assert not waveform.command_A.any()
+        for speed in (0.0, -0.3):
+            assert library.at(speed, 3.0).silent
+            assert not library.at(speed, 3.0).command_A.any()
         edge = library.at(0.3, 0.5)
         assert not edge.silent
         np.testing.assert_array_equal(edge.command_A, library.command_A[2, 0])

@@ -99,7 +99,7 @@ class TestPrepare:
         assert tap.speed_source == "position"
 
     def test_no_speed_is_refused(self) -> None:
-        with pytest.raises(InputError, match=r"tap: no incoming speed: add `# speed_m_s"):
+        with pytest.raises(InputError, match=r"tap: no incoming speed: state it in the file \(`# speed_m_s"):
             prepare(pulse(speed=None), SETTINGS)
 
     def test_receding_position_is_refused(self) -> None:
@@ -114,6 +114,22 @@ class TestPrepare:
         assert tap.clipped_samples >= 3
         assert "end stop" in tap.notes[-1]
         assert prepare(recording, SETTINGS).clipped_samples == 0
+
+    @pytest.mark.parametrize(
+        ("recording", "doubt"),
+        [
+            (pulse(height=50.0, speed=200.0), "faster than a hand taps"),
+            (pulse(height=50.0 / 9.81 / 9.81), "check the unit of the acceleration"),
+            (pulse(rate_Hz=500.0, duration_s=0.2), "sampled at 500 Hz"),
+        ],
+    )
+    def test_unlikely_taps_are_doubted(self, recording: Recording, doubt: str) -> None:
+        assert doubt in "; ".join(prepare(recording, SETTINGS).notes)
+
+    def test_noise_alone_is_doubted(self) -> None:
+        noise = np.random.default_rng(0).standard_normal(900)
+        recording = replace(pulse(), acceleration=Signal(0.0, 1e-4, noise))
+        assert "is there a tap?" in "; ".join(prepare(recording, SETTINGS).notes)
 
     def test_similarity_scaling_of_time_and_amplitude(self) -> None:
         settings = SETTINGS.model_copy(update={"time_scale": 4.0, "amplitude_scale": 0.5})
@@ -275,3 +291,14 @@ def test_files_are_found_by_pattern_and_a_missing_folder_is_named(tmp_path) -> N
 
 def test_onset_of_a_signal_that_starts_high() -> None:
     assert find_onset(Signal(1.0, 1e-3, np.array([5.0, 10.0, 3.0, 1.0]))) == 1.0
+
+
+def test_speeds_by_file_name(tmp_path) -> None:
+    for name, height in (("slow", 1.0), ("fast", 2.0)):
+        samples = height * np.exp(-np.arange(200) / 20.0)
+        np.savez(tmp_path / f"{name}.npz", time_s=np.arange(200) * 1e-4, acceleration_g=samples)
+    speeds = {"slow.npz": 0.1, "fast.npz": 0.2}
+    found = read_recordings(Recordings(files=["*.npz"], folder=str(tmp_path), speed_by_file_m_s=speeds))
+    assert {recording.name: recording.speed_m_s for recording in found} == speeds
+    with pytest.raises(InputError, match=r"speed_by_file_m_s: 'slwo.npz' is not among the files"):
+        read_recordings(Recordings(files=["*.npz"], folder=str(tmp_path), speed_by_file_m_s={"slwo.npz": 0.1}))

@@ -60,6 +60,14 @@ def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
         ),
         ("stages = 600", "stages = 5", r"hand_over_samples = 10: must not exceed time.stages = 5"),
         ("[grid]", "[grid", r"not valid TOML"),
+        ("[grid]", "[gird]", r"gird: unknown key; known here: name, description, grid"),
+        (
+            "skin_stiffness",
+            "skin_stifness",
+            r"model.hand.skin_stifness_N_m: unknown key; known here: mass_kg, skin_stiff",
+        ),
+        ('"drive"', '"second_order"', r"model.stylus_mass_kg: unknown key; known here: kind \(and 1 more\)"),
+        ("beta = 3.2", "beta = 32.0", r"transient limit 40 A is above the motor's i_peak_A = 10 A"),
         ("[recordings]", '[recordings]\nfiles = ["a.csv"]', r"recordings: give either files or a simulated table"),
     ],
 )

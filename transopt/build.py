@@ -3,9 +3,11 @@
 import multiprocessing
 import platform
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Any
@@ -42,8 +44,17 @@ class Build:
         return [entry for entry in self.all_entries() if entry.status is not Status.OPTIMAL]
 
 
-def _leave_ctrl_c_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _children_ignore_ctrl_c() -> Iterator[None]:
+    """Processes started inside ignore SIGINT from their first instruction on: Ctrl-C is the parent's business."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may touch signals, and only it gets them
+        return
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
 
 
 def build_library(
@@ -80,8 +91,9 @@ def build_library(
     else:
         # Spawned, not forked: the parent has solver objects and threads that a fork would copy half-alive.
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(jobs, len(grips)), spawn, initializer=_leave_ctrl_c_to_the_parent) as pool:
-            futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
+        with ProcessPoolExecutor(min(jobs, len(grips)), spawn) as pool:
+            with _children_ignore_ctrl_c():
+                futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
             try:
                 for future in as_completed(futures):
                     columns[futures[future]] = future.result()

@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 a result fell short, 2 bad input. Heavy imports stand insi
 errors come at once.
 """
 
+import shlex
 import shutil
 import sys
 import tempfile
@@ -92,14 +93,25 @@ def scene_new(
 
     if file.suffix != ".toml":
         raise InputError(f"{file}: a scene file ends in .toml")
+    text = problems.scene_path(source).read_text(encoding="utf-8")
     try:
         with file.open("x", encoding="utf-8") as new:
-            new.write(problems.scene_path(source).read_text(encoding="utf-8"))
+            new.write(text)
     except FileExistsError:
         raise InputError(f"{file}: exists already; choose another name") from None
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror}); choose another place") from None
-    typer.echo(f"{file} written; solve it with: transopt solve {file}")
+    typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
+
+
+@app.callback(invoke_without_command=True)
+def version(show: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    """Motor-current transients that make a virtual surface feel as hard as the real one."""
+    if show:
+        from importlib import metadata
+
+        typer.echo(metadata.version("transopt"))
+        raise typer.Exit
 
 
 @app.command()
@@ -107,8 +119,8 @@ def taps(
     files: Annotated[list[Path], typer.Argument(help="Recordings: CSV, TXT, MAT, NPZ, WAV.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the overlay figure.")] = None,
     columns: Annotated[str, typer.Option(help="Column names of TXT files: time_s,acceleration_g")] = "",
-    speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none [m/s].")] = None,
-    full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale [m/s^2].")] = None,
+    speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
+    full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale, in m/s^2.")] = None,
     time_scale: Annotated[float, typer.Option(help="Similarity: time is stretched by this.")] = 1.0,
     amplitude_scale: Annotated[float, typer.Option(help="Similarity: acceleration is multiplied by this.")] = 1.0,
 ) -> None:
@@ -117,7 +129,7 @@ def taps(
 
     from transopt.reference import prepare, read_recordings
     from transopt.scene import Recordings
-    from transopt.taps import scene_section, taps_table
+    from transopt.taps import scene_lines, taps_table
 
     try:
         settings = Recordings(
@@ -130,7 +142,11 @@ def taps(
         )
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"--{str(first['loc'][0]).replace('_', '-')} {first['input']}: {first['msg']}") from None
+        option = {"speed_m_s": "speed", "full_scale_m_s2": "full-scale"}.get(
+            str(first["loc"][0]), str(first["loc"][0])
+        )
+        message = first["msg"].replace("Input should be", "must be")
+        raise InputError(f"--{option.replace('_', '-')} {first['input']}: {message}") from None
     prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
     console = _console()
     console.print(taps_table(prepared))
@@ -140,8 +156,8 @@ def taps(
         _make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
-    console.print("\nFor your scene:\n", style="bold")
-    typer.echo(scene_section(prepared, files, settings))
+    console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
+    typer.echo(scene_lines(prepared, files, settings))
 
 
 def _make_folder(folder: Path) -> None:
@@ -207,7 +223,7 @@ def solve(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.build import build_library
-    from transopt.report import build_table, summary
+    from transopt.report import LEGEND, build_table, refusal, summary
     from transopt.solvers import SolverOptions, check_name
 
     check_name(solver)
@@ -232,11 +248,14 @@ def solve(
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
     console = _console()
-    console.print(build_table(build))
+    console.print(build_table(build, console.width))
+    console.print(LEGEND, style="dim", highlight=False)
+    doubts = sum(bool(tap.notes) for reference in build.references for tap in reference.taps)
+    if doubts:
+        console.print(f"{doubts} recordings with notes: see the report, or transopt taps", style="yellow")
     console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     for entry in build.refused:
-        reasons = "; ".join(entry.shortfalls)
-        message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {reasons}: {entry.status.value}"
+        message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}"
         console.print(message, style="red", highlight=False, soft_wrap=True)
     console.print(f"{folder}: {', '.join(writers)}", highlight=False, soft_wrap=True)
     if build.refused:
@@ -269,6 +288,8 @@ def show(
     from transopt.report import library_table
 
     loaded = load_library(library)
+    if figure is not None and figure.suffix.lower() != ".png":
+        raise InputError(f"--figure {figure}: figures are written as .png")
     console = _console()
     console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
     if figure is not None:

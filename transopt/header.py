@@ -29,7 +29,8 @@ static inline int32_t transopt_interval(const float *axis, int32_t nodes, float 
 }
 
 /* Transient command [A] of tick k, bilinear in speed [m/s] and grip [N], clamped to the grid and to
- * +-TRANSOPT_COMMAND_LIMIT_A. 0 outside 0 <= k < TRANSOPT_SAMPLES, below TRANSOPT_GRIP_MIN_N, and for NaN. */
+ * +-TRANSOPT_COMMAND_LIMIT_A. 0 outside 0 <= k < TRANSOPT_SAMPLES, for speed <= 0, below TRANSOPT_GRIP_MIN_N and
+ * for NaN. */
 static inline float transopt_command(float speed_m_s, float grip_N, int32_t k)
 {
     float by_speed, by_grip, slower, faster, other, command_A;
@@ -37,8 +38,8 @@ static inline float transopt_command(float speed_m_s, float grip_N, int32_t k)
     if (k < 0 || k >= TRANSOPT_SAMPLES) {
         return 0.0f;
     }
-    /* Every comparison with NaN is false, so a NaN speed or grip ends here. */
-    if (!(speed_m_s <= 0.0f || speed_m_s > 0.0f) || !(grip_N >= TRANSOPT_GRIP_MIN_N)) {
+    /* A stylus that does not come in taps nothing. Every comparison with NaN is false, so NaN ends here too. */
+    if (!(speed_m_s > 0.0f) || !(grip_N >= TRANSOPT_GRIP_MIN_N)) {
         return 0.0f;
     }
     iv = transopt_interval(transopt_speeds_m_s, TRANSOPT_SPEEDS, speed_m_s, &by_speed);

@@ -144,6 +144,8 @@ def _read_text(data: bytes, columns: Sequence[str]) -> _Table:
     rows: list[tuple[int, str]] = []
     for number, line in enumerate(io.StringIO(_decode(data), newline=None), 1):
         content = line.strip()
+        if number == 1 and content.lower().startswith("sep="):
+            continue  # a spreadsheet's own note about its delimiter
         if content.startswith("#"):
             _read_header_line(number, content, header)
         elif content:
@@ -151,7 +153,7 @@ def _read_text(data: bytes, columns: Sequence[str]) -> _Table:
     if not rows:
         raise InputError(f"no rows of numbers, at least {_MIN_SAMPLES} are needed; record or export it again")
     number, first = rows[0]
-    cells = [cell.strip() for cell in first.split(_delimiter(first))]
+    cells = [cell.strip() for cell in first.rstrip(";,").split(_delimiter(first))]
     if not any(_NUMBER_START.match(cell) for cell in cells):
         del rows[0]
     elif not columns:
@@ -178,6 +180,7 @@ def _read_header_line(number: int, line: str, header: dict[str, object]) -> None
     """Add `# key: value` to `header`; a comment that merely has a colon in it stays a comment."""
     found = _HEADER_LINE.fullmatch(line)
     key, value = found.groups() if found else ("", "")
+    value = value.rstrip(";, ")  # spreadsheets pad short rows with delimiters
     if key in header:
         raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
     if key in _HEADER:
@@ -198,7 +201,10 @@ def _parse(rows: Sequence[tuple[int, str]], names: Sequence[str]) -> dict[str, F
     delimiter = _delimiter(rows[0][1]) if rows else None
     columns: dict[str, list[float]] = {name: [] for name in used}
     for number, line in rows:
-        cells = line.split(delimiter)
+        # Between semicolons a comma can only be a decimal comma.
+        cells = line.replace(",", ".").split(delimiter) if delimiter == ";" else line.split(delimiter)
+        if len(cells) == len(names) + 1 and not cells[-1].strip():
+            del cells[-1]  # spreadsheets end every row with a delimiter if one row needs it
         if len(cells) != len(names):
             listed = _quote(", ".join(names))
             remedy = "correct the row or the columns' names (decimal commas? write points)"

@@ -99,7 +99,7 @@ class Waveform:
     command_A : (N,) total command c_k, issued at -lead + k dt and held [A].
     speed_m_s, grip_N : where it was blended, after clamping to the grid.
     speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
-    silent : the grip is below the least one at which a transient is played; the command is zero.
+    silent : no transient is played, for want of speed or grip; the command is zero.
     """
 
     command_A: FloatArray
@@ -198,7 +198,7 @@ class Library:
 
         A convex combination of feasible currents is feasible, so every limit holds between the nodes too.
         Below `grip_min_N` the command is zero, since a free stylus would be thrown; a library of the free
-        device (its only grip is 0) has no such bound.
+        device (its only grip is 0) has no such bound. A stylus that does not come in (speed <= 0) taps nothing.
 
         Raises
         ------
@@ -209,7 +209,7 @@ class Library:
         speed = float(np.clip(speed_m_s, self.speeds_m_s[0], self.speeds_m_s[-1]))
         grip = float(np.clip(grip_N, self.grips_N[0], self.grips_N[-1]))
         by_speed, by_grip = _weights(self.speeds_m_s, speed), _weights(self.grips_N, grip)
-        silent = self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"]
+        silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"])
         command = np.einsum("v,g,vgk->k", by_speed, by_grip, self.command_A) * (0.0 if silent else 1.0)
         return Waveform(command, speed, grip, speed != speed_m_s, grip != grip_N, silent)
 

@@ -228,10 +228,9 @@ def verdict(nrmse: float, floor: float, repeatability: float) -> str:
     ----------
     repeatability : trial-to-mean NRMSE of the recordings, NaN if unknown.
     """
+    if nrmse > AMPLITUDE_THRESHOLD:
+        # Nothing to be proud of, even where the floor is no lower.
+        return "above 20 % threshold"
     if nrmse <= floor + AT_FLOOR:
         return "at its floor"
-    if nrmse <= repeatability:
-        return "below repeatability"
-    if nrmse <= AMPLITUDE_THRESHOLD:
-        return "below 20 % threshold"
-    return "above 20 % threshold"
+    return "below repeatability" if nrmse <= repeatability else "below 20 % threshold"

@@ -1,5 +1,6 @@
 """From recordings to references: what the motor has to make the stylus do (DESIGN 2 and 5)."""
 
+import glob
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from transopt.errors import InputError
 from transopt.importers import load_recording
 from transopt.recording import Recording
 from transopt.scene import Recordings
-from transopt.signals import FloatArray, Signal, highpass, lowpass, nrmse
+from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, highpass, lowpass, nrmse
 
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 BASELINE_SAMPLES = 8  # fewer are no baseline
@@ -21,37 +22,49 @@ ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
 
 
+def _paths(settings: Recordings) -> list[Path]:
+    """Files of the scene; an entry that is no file itself is a pattern, expanded in sorted order."""
+    paths: list[Path] = []
+    for entry in settings.files:
+        literal = Path(settings.folder) / entry
+        if literal.is_file() or not any(character in entry for character in "*?["):
+            paths.append(literal)
+            continue
+        # The folder is no pattern, whatever characters its name has; an absolute entry stands for itself.
+        found = sorted(glob.glob(str(Path(glob.escape(settings.folder)) / entry)))  # noqa: PTH207
+        if not found:
+            source = f" (source: {settings.source})" if settings.source else ""
+            raise InputError(
+                f"recordings.files: {entry!r} matches no file in {settings.folder}: "
+                f"put the recordings there, or name their folder with --recordings FOLDER{source}"
+            )
+        paths += [Path(name) for name in found]
+    return paths
+
+
 def read_recordings(settings: Recordings) -> list[Recording]:
-    """Load the files that a scene names; patterns such as `tap_*.csv` are expanded in sorted order.
+    """Load the files that a scene names.
+
+    `speed_by_file_m_s` overrides what a file states; `speed_m_s` and `grip_N` serve files that state none.
 
     Raises
     ------
-    InputError : a pattern that matches nothing, or whatever a file itself is refused for.
+    InputError : a pattern that matches nothing, a file name in `speed_by_file_m_s` that is not among the files, or
+        whatever a file itself is refused for.
     """
-    folder = Path(settings.folder)
-    paths: list[Path] = []
-    for pattern in settings.files:
-        if any(character in pattern for character in "*?["):
-            found = sorted(folder.glob(pattern))
-            if not found:
-                source = f" (source: {settings.source})" if settings.source else ""
-                raise InputError(
-                    f"recordings.files: {pattern!r} matches no file in {folder}: "
-                    f"name the right folder with --recordings FOLDER or recordings.folder{source}"
-                )
-            paths += found
-        else:
-            paths.append(folder / pattern)
-    return [
-        load_recording(
-            path,
-            columns=settings.columns,
-            full_scale_m_s2=settings.full_scale_m_s2,
-            speed_m_s=settings.speed_m_s,
-            grip_N=settings.grip_N,
+    paths = _paths(settings)
+    stray = set(settings.speed_by_file_m_s) - {path.name for path in paths}
+    if stray:
+        raise InputError(
+            f"recordings.speed_by_file_m_s: {sorted(stray)[0]!r} is not among the files; correct the name"
         )
-        for path in paths
-    ]
+    found = []
+    for path in paths:
+        recording = load_recording(path, columns=settings.columns, full_scale_m_s2=settings.full_scale_m_s2)
+        stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
+        grip = settings.grip_N if recording.grip_N is None else recording.grip_N
+        found.append(replace(recording, speed_m_s=settings.speed_by_file_m_s.get(path.name, stated), grip_N=grip))
+    return found
 
 
 @dataclass(frozen=True)
@@ -113,7 +126,7 @@ def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
     upright = replace(x, values=centred * np.sign(centred[peak]))
     quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
     if quiet.size < BASELINE_SAMPLES:
-        return 0.0, ["no baseline before the onset: offset taken as 0"]
+        return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
     return float(quiet.mean()), []
 
 
@@ -150,8 +163,8 @@ def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
         return recording.speed_m_s, "stated"
     if recording.position is None:
         raise InputError(
-            f"{recording.name}: no incoming speed: add `# speed_m_s: ...` to the file, a position_m column, "
-            "or recordings.speed_m_s to the scene"
+            f"{recording.name}: no incoming speed: state it in the file (`# speed_m_s: ...`), record a position_m "
+            "column, or name it in recordings.speed_by_file_m_s (`transopt taps`: --speed)"
         )
     t, z = recording.position.times_s, recording.position.values
     before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
@@ -168,6 +181,21 @@ def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
             "the object): check the sign of position_m or state `# speed_m_s: ...`"
         )
     return speed, "position"
+
+
+def _doubts(raw: Signal, upright: FloatArray, onset_s: float, speed_m_s: float, peak_m_s2: float) -> list[str]:
+    """What makes a recording an unlikely tap; none of it refuses the file."""
+    notes = []
+    quiet = upright[raw.times_s < onset_s - BASELINE_GUARD_S]
+    if quiet.size >= BASELINE_SAMPLES and peak_m_s2 < 10 * float(quiet.std()):
+        notes.append(f"peak is only {peak_m_s2 / float(quiet.std()):.1f} times the noise: is there a tap?")
+    if speed_m_s > 3:
+        notes.append(f"{speed_m_s:g} m/s is faster than a hand taps: check the unit of the speed")
+    if not np.isnan(speed_m_s) and not 0.2 <= peak_m_s2 / STANDARD_GRAVITY_M_S2 <= 200:
+        notes.append("peak is far from a tap's 0.5 to 100 g: check the unit of the acceleration")
+    if raw.rate_Hz < 2000:
+        notes.append(f"sampled at {raw.rate_Hz:.0f} Hz: what a tap has above {raw.rate_Hz / 2:.0f} Hz is missing")
+    return notes
 
 
 def prepare(recording: Recording, settings: Recordings) -> Tap:
@@ -204,6 +232,7 @@ def prepare(recording: Recording, settings: Recordings) -> Tap:
     scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
     filtered = lowpass(scaled, settings.lowpass_Hz)
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
+    more += _doubts(raw, upright.values, onset, speed, peak)
     return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, clipped, (*notes, *more))
 
 

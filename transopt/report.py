@@ -24,10 +24,20 @@ def _percent(value: float) -> str:
     return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
+WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
+ESSENTIAL = (0, 1, 2, 3, 7, 9, 10)  # columns of the entry table that a narrow terminal keeps
+LEGEND = (
+    "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap. floor: the same problem without its "
+    "limits. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its current clipped (both "
+    "keep current and command limits only). repeats: NRMSE of the recordings to their mean. 20 %: a just noticeable "
+    "difference of amplitude."
+)
+
+
 def _entry_cells(entry: Entry) -> list[str]:
     b = entry.baselines
     if entry.status is not Status.OPTIMAL:
-        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, "; ".join(entry.shortfalls), entry.verdict]
+        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, refusal(entry), entry.verdict]
     return [
         f"{entry.speed_m_s:g}",
         f"{entry.grip_N:g}",
@@ -36,11 +46,16 @@ def _entry_cells(entry: Entry) -> list[str]:
         f"{_percent(b.seed)} / {_percent(b.seed_steady)}",
         f"{_percent(b.clipped)} / {_percent(b.clipped_steady)}",
         _percent(entry.repeatability),
-        f"{entry.played.peak_current_A:.2f}",
+        f"{entry.played.peak_current_A:.3f}",
         f"{entry.solution.solve_time_s * 1e3:.0f}",
         entry.binding,
         entry.verdict,
     ]
+
+
+def refusal(entry: Entry) -> str:
+    """Why an entry is refused, and the remedy, once each."""
+    return ": ".join(dict.fromkeys(["; ".join(entry.shortfalls), entry.status.value]))
 
 
 def _columns(build: Build) -> list[str]:
@@ -60,15 +75,16 @@ def _columns(build: Build) -> list[str]:
     ]
 
 
-def build_table(build: Build) -> Table:
-    """The table that `transopt solve` prints."""
+def build_table(build: Build, width: int) -> Table:
+    """The table that `transopt solve` prints into `width` columns."""
+    shown = range(11) if width >= WIDE_TERMINAL else ESSENTIAL
     table = Table(title=f"{build.scene.name}: {build.scene.description}", show_lines=False)
-    for j, column in enumerate(_columns(build)):
-        table.add_column(column, justify="right" if j < 9 else "left", overflow="fold")
+    for j in shown:
+        table.add_column(_columns(build)[j], justify="right" if j < 9 else "left")
     for row in build.entries:
         for entry in row:
-            style = "red" if entry.status is not Status.OPTIMAL else None
-            table.add_row(*_entry_cells(entry), style=style)
+            cells = _entry_cells(entry)
+            table.add_row(*(cells[j] for j in shown), style="red" if entry.status is not Status.OPTIMAL else None)
         table.add_section()
     return table
 
@@ -78,7 +94,7 @@ def summary(build: Build) -> str:
     entries = list(build.all_entries())
     times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
     if build.refused:
-        return f"{len(build.refused)} of {len(entries)} entries refused; no library written"
+        return f"{len(build.refused)} of {len(entries)} entries refused; no library written, an earlier one is kept"
     worst = max(entries, key=lambda entry: entry.nrmse)
     return (
         f"{len(entries)} entries certified and replayed: NRMSE {100 * min(e.nrmse for e in entries):.2f} to "
@@ -145,9 +161,7 @@ def build_markdown(build: Build) -> str:
     lines += ["| " + " | ".join(_entry_cells(entry)) + " |" for entry in entries]
     lines += [
         "",
-        "NRMSE is |a - r| / |r| after replay, r the motor's share of the recorded acceleration. floor: the unlimited "
-        "optimum. seed: frequency-domain inversion, clipped. clipped: the unlimited optimum, its current clipped. "
-        "repeats: trial-to-mean NRMSE of the recordings.",
+        LEGEND,
         "",
         "## Certificates",
         "",

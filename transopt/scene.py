@@ -88,6 +88,7 @@ class Recordings(Section):
     columns: list[str] = []
     full_scale_m_s2: Positive | None = None
     speed_m_s: Positive | None = None
+    speed_by_file_m_s: dict[str, Positive] = {}
     grip_N: NonNegative | None = None
     source: str = ""
     polarity: Literal["auto", "positive", "negative"] = "auto"
@@ -257,6 +258,11 @@ class Scene(Section):
             )
         ):
             raise ValueError("model.kind = drive needs tip.stiffness_N_m and tip.damping_N_s_m")
+        if self.motor is not None and self.limits.transient_current_A > self.motor.i_peak_A:
+            raise ValueError(
+                f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
+                f"{self.motor.i_peak_A:g} A: lower beta or current_A"
+            )
         if self.hand_over_samples > self.time.stages:
             raise ValueError(
                 f"hand_over_samples = {self.hand_over_samples}: must not exceed time.stages = {self.time.stages}"

@@ -36,23 +36,31 @@ def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
     return tuple(keys)
 
 
-def _known_keys(keys: tuple[str | int, ...]) -> str:
+def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
     """The keys that the table around the last of `keys` takes."""
     tables: list[Any] = [Scene]
     for part in keys[:-1]:
+        content = content[part]
         annotations = [t.model_fields[part].annotation for t in tables if part in t.model_fields]
         members = [member for a in annotations for member in (a, *get_args(a))]
         tables = [member for member in members if isinstance(member, type) and issubclass(member, Section)]
+        of_kind = [
+            t
+            for t in tables
+            if "kind" in t.model_fields and content.get("kind") in get_args(t.model_fields["kind"].annotation)
+        ]
+        tables = of_kind or tables
     return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields))
 
 
 def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str:
     """The first complaint in one line, and how many more keys there are complaints about."""
-    first = error.errors()[0]
+    # A misspelt key comes before the one that is missing for it.
+    first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = _keys_only(first, content)
     where = ".".join(str(part) for part in keys)
     if first["type"] == "extra_forbidden":
-        text = f"{where}: unknown key; known here: {_known_keys(keys)}"
+        text = f"{where}: unknown key; known here: {_known_keys(keys, content)}"
     elif first["type"] == "missing":
         text = f"{where}: missing; add it to the scene"
     else:

@@ -1,6 +1,7 @@
 """Looking at recordings before anything is solved: `transopt taps`."""
 
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from rich.table import Table
 from transopt.reference import Tap
 from transopt.scene import Recordings
 from transopt.signals import STANDARD_GRAVITY_M_S2
+
+CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
 
 
 def taps_table(taps: Sequence[Tap]) -> Table:
@@ -47,24 +50,29 @@ def taps_table(taps: Sequence[Tap]) -> Table:
     return table
 
 
-def _grid_speeds(speeds_m_s: Sequence[float], tolerance: float) -> list[float]:
-    """Nodes such that every tap lies within the tolerance of one: the mean of each cluster of sorted speeds."""
+def _grid_speeds(speeds_m_s: Sequence[float]) -> list[float]:
+    """The mean of each cluster of sorted speeds, a cluster being no wider than a tenth."""
     clusters: list[list[float]] = []
     for speed in sorted(speeds_m_s):
-        # The mean of a cluster is within tolerance of both its ends if they differ by no more than this.
-        if clusters and speed <= clusters[-1][0] * (1 + tolerance):
+        if clusters and speed <= clusters[-1][0] * (1 + CLUSTER_WIDTH):
             clusters[-1].append(speed)
         else:
             clusters.append([speed])
     return [float(f"{np.mean(cluster):.3g}") for cluster in clusters]
 
 
-def scene_section(taps: Sequence[Tap], paths: Sequence[Path], settings: Recordings) -> str:
-    """TOML to paste into a scene: the grid speeds that serve these taps, and the recordings table."""
-    speeds = _grid_speeds([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)], settings.speed_tolerance)
+def scene_lines(taps: Sequence[Tap], paths: Sequence[Path], settings: Recordings) -> str:
+    """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
+    speeds = _grid_speeds([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
     stated = settings.model_dump(exclude_defaults=True, exclude={"folder", "files", "simulated"})
-    files = json.dumps([path.resolve().as_posix() for path in paths])
-    lines = ["[grid]", f"speeds_m_s = {speeds}", "", "[recordings]", f"files = {files}"]
-    for key, value in stated.items():
-        lines.append(f"{key} = {json.dumps(value)}")  # strings, numbers and lists are spelt alike in TOML
-    return "\n".join(lines)
+    folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
+    files = [path.resolve().relative_to(folder).as_posix() for path in paths]
+    lines = [
+        "# in [grid]",
+        f"speeds_m_s = {speeds}",
+        "",
+        "# in [recordings], in place of folder, files and simulated",
+    ]
+    # Strings, numbers and lists are spelt alike in JSON and TOML.
+    lines += [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
+    return "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in stated.items()])
