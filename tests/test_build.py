@@ -73,6 +73,15 @@ def test_saturated_entries_beat_the_better_baseline(build: Build) -> None:
     assert compared == 2
 
 
+def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
+    """Free motion after the end, by the design model: no term of the problem holds it down, so it is shown."""
+    for entry in build.entries[3]:
+        stage, N = entry.problem.stage, entry.problem.grid.stages
+        acceleration, _ = stage.rollout(np.append(entry.solution.command_A, np.zeros(200)))
+        after = np.abs(acceleration[N:]).max()
+        assert (1 - 1e-9) * after <= entry.played.after_peak_m_s2 <= 1.1 * after
+
+
 def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
     """EVIDENCE, Physics: floors, and 0.4 m/s at 4 A; the recordings here are noisy and scaled, hence the margins."""
     for entry in build.all_entries():

@@ -20,6 +20,7 @@ SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
 STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode that is not resolved would die out
 STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
+AFTER_S = 20e-3  # of free motion after the waveform
 CURRENT_TOLERANCE_A = 1e-6  # what counts as leaving a limit, as in the certificate
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
 
@@ -33,6 +34,7 @@ class Replay:
     acceleration_m_s2, current_A : (N,) y'' and i at the switching instants.
     nrmse : of that acceleration against the reference.
     peak_current_A, peak_command_A : over all t.
+    after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
     winding_C, housing_C : highest temperatures over the horizon; NaN without a coil model.
     fine_times_s, fine_acceleration_m_s2, fine_current_A : (K,) at every fine step, with the values before and
         after each switching instant.
@@ -44,6 +46,7 @@ class Replay:
     nrmse: float
     peak_current_A: float
     peak_command_A: float
+    after_peak_m_s2: float
     winding_C: float
     housing_C: float
     fine_times_s: FloatArray
@@ -145,7 +148,7 @@ class _Trajectory:
 
 
 def _simulate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, halvings: int) -> _Trajectory:
-    """Fine trajectories of M commands (M, N) from the first tick until tau_N has passed."""
+    """Fine trajectories of M commands (M, N) from the first tick until `AFTER_S` after tau_N."""
     plant, amplifier = stage.plant, stage.amplifier
     n, (M, N) = plant.order, commands_A.shape
     if amplifier is None:
@@ -157,7 +160,7 @@ def _simulate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, halving
     segments = _segments(A, B, grid, halvings)
     # With a whole delay the command arrives with the tick, else with the second segment.
     arriving = segments[0] if segments[0].behind == segments[1].behind else segments[1]
-    periods = N + segments[0].behind
+    periods = N + segments[0].behind + int(np.ceil(AFTER_S / grid.dt_s))
     x = np.zeros((A.shape[0], M))
     silence = np.zeros(M)
     states, felt, times, at_switching, starts, count = [], [], [], [], [], 0
@@ -221,6 +224,7 @@ def replay(
             nrmse=nrmse(accurate[m], references_m_s2[m]),
             peak_current_A=float(np.abs(run.current_A[m]).max()),
             peak_command_A=float(np.abs(commands_A[m]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, run.times_s > grid.end_s]).max()),
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
             fine_times_s=run.times_s,
