@@ -3,7 +3,6 @@
 import multiprocessing
 import platform
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -45,16 +44,16 @@ class Build:
 
 
 @contextmanager
-def _children_ignore_ctrl_c() -> Iterator[None]:
-    """Processes started inside ignore SIGINT from their first instruction on: Ctrl-C is the parent's business."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may touch signals, and only it gets them
+def _children_never_see_ctrl_c() -> Iterator[None]:
+    """Processes started inside inherit a blocked SIGINT; one that comes meanwhile waits for the parent."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield  # Windows has no signal masks
         return
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, previous)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
 def build_library(
@@ -92,7 +91,7 @@ def build_library(
         # Spawned, not forked: the parent has solver objects and threads that a fork would copy half-alive.
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(min(jobs, len(grips)), spawn) as pool:
-            with _children_ignore_ctrl_c():
+            with _children_never_see_ctrl_c():
                 futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
             try:
                 for future in as_completed(futures):
