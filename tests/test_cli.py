@@ -294,7 +294,11 @@ class TestSolve:
 
 def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
     """The signal itself, sent while entries are solved: one line, exit code 130, no file, no child left."""
-    program = "import sys; sys.argv = ['transopt', 'solve', '--jobs', '2']; from transopt.cli import main; main()"
+    program = (
+        # A background job of a shell starts with SIGINT ignored; a user's terminal does not.
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "sys.argv = ['transopt', 'solve', '--jobs', '2']; from transopt.cli import main; main()"
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", program],
         cwd=tmp_path,
