@@ -157,7 +157,9 @@ class TestTaps:
         assert_refused(run("taps", "absent.csv"), "absent.csv")
         Path("empty.csv").write_text("")
         assert_refused(run("taps", "empty.csv"), "empty.csv", "empty")
-        assert_refused(run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than 0")
+        assert_refused(
+            run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than or equal to 0.0001"
+        )
 
 
 class TestSolve:
@@ -221,6 +223,15 @@ class TestSolve:
         assert "what binds" in header
         assert "verdict" in header
         assert max(map(len, outcome.out.splitlines()[:8])) <= columns
+
+    def test_brackets_in_names_are_only_brackets(self, run, quick_scene: Path) -> None:
+        text = quick_scene.read_text()
+        line = next(line for line in text.splitlines() if line.startswith("description"))
+        Path("b.toml").write_text(text.replace(line, 'description = "tap in [g] and [/x]"'))
+        outcome = run("solve", "b.toml", "--out", "run [1]/[/b]")
+        assert outcome.code == 0
+        assert "tap in [g] and [/x]" in outcome.out
+        assert run("show", "run [1]/[/b]/library.npz").code == 0
 
     def test_second_solver(self, run, quick_scene: Path) -> None:
         assert run("solve", quick_scene, "--solver", "casadi-ipopt", "--jobs", 2).code == 0

@@ -98,7 +98,7 @@ def make_tap(name: str, speed_m_s: float, end_s: float = 0.07) -> Tap:
     pulse = 100.0 * np.where(t < 0, 0.0, np.exp(-np.abs(t) / 3e-3) * np.sin(2 * np.pi * 120 * t))
     signal = Signal(-0.03, 1e-4, pulse)
     recording = Recording(name, "made here", "", signal)
-    return Tap(recording, signal, speed_m_s, "stated", 0.0, 1, 0.0, float(pulse.max()), 0, ())
+    return Tap(recording, signal, speed_m_s, "stated", 0.0, 1, 0.0, float(pulse.max()), 1.0, 0, ())
 
 
 def legend_texts(figure: Figure) -> list[str]:

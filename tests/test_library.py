@@ -160,6 +160,26 @@ class TestRefusals:
         with pytest.raises(InputError, match="schema 2, this version reads 1"):
             load_library(saved)
 
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"dt_s": "x"},
+            {"dt_s": 0},
+            {"dt_s": -1e-4},
+            {"lead_s": None},
+            {"amplifier": {"pole_Hz": "x", "delay_s": 0, "command_limit_A": 6}},
+            {"amplifier": {"pole_Hz": 1000.0, "delay_s": -1.0, "command_limit_A": 6}},
+            {"weights": {"rho": 1e-3, "tracking": [1.0]}},
+            {"feedback": {"stiffness_N_m": 200.0}},
+            {"thermal": {"R_ohm": -1.0, "limit_C": 100.0}},
+        ],
+    )
+    def test_meta_that_describes_no_problem(self, saved: Path, library: Library, change: dict) -> None:
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
+        rehash(saved)
+        with pytest.raises(InputError, match="meta"):
+            load_library(saved)
+
     def test_truncated_at_every_tenth(self, saved: Path, tmp_path: Path) -> None:
         whole = saved.read_bytes()
         cut = tmp_path / "cut.npz"

@@ -118,18 +118,38 @@ class TestPrepare:
     @pytest.mark.parametrize(
         ("recording", "doubt"),
         [
-            (pulse(height=50.0, speed=200.0), "faster than a hand taps"),
-            (pulse(height=50.0 / 9.81 / 9.81), "check the unit of the acceleration"),
+            (pulse(height=50.0, speed=20.0), "faster than a hand taps"),
+            (pulse(height=0.5), "check the unit of the acceleration"),
             (pulse(rate_Hz=500.0, duration_s=0.2), "sampled at 500 Hz"),
         ],
     )
     def test_unlikely_taps_are_doubted(self, recording: Recording, doubt: str) -> None:
         assert doubt in "; ".join(prepare(recording, SETTINGS).notes)
 
-    def test_noise_alone_is_doubted(self) -> None:
-        noise = np.random.default_rng(0).standard_normal(900)
-        recording = replace(pulse(), acceleration=Signal(0.0, 1e-4, noise))
-        assert "is there a tap?" in "; ".join(prepare(recording, SETTINGS).notes)
+    def test_noise_alone_is_refused_and_a_weak_tap_doubted(self) -> None:
+        noise = np.random.default_rng(0).standard_normal(800)
+        recording = pulse(height=8.0)
+        weak = replace(recording.acceleration, values=recording.acceleration.values + noise)
+        assert "times the noise" in "; ".join(prepare(replace(recording, acceleration=weak), SETTINGS).notes)
+        with pytest.raises(InputError, match=r"tap: highest sample .* no tap stands out"):
+            prepare(replace(recording, acceleration=Signal(0.0, 1e-4, noise)), SETTINGS)
+
+    def test_the_highest_peak_need_not_be_the_first(self) -> None:
+        t = np.arange(0, 0.08, 1e-4)
+
+        def bump(at: float, size: float) -> np.ndarray:
+            return size * np.exp(-(((t - at) / 5e-4) ** 2))
+
+        two = replace(pulse(), acceleration=Signal(0.0, 1e-4, bump(0.021, 30.0) + bump(0.023, 50.0)))
+        one = replace(pulse(), acceleration=Signal(0.0, 1e-4, bump(0.021, 30.0)))
+        assert prepare(two, SETTINGS).onset_s == pytest.approx(prepare(one, SETTINGS).onset_s, abs=1.5e-4)
+
+    def test_a_bump_in_the_approach_does_not_move_the_offset(self) -> None:
+        recording = pulse(offset=9.81)
+        bumped = recording.acceleration.values.copy()
+        bumped[50:70] += 5.0
+        tap = prepare(replace(recording, acceleration=Signal(0.0, 1e-4, bumped)), SETTINGS)
+        assert tap.offset_m_s2 == pytest.approx(9.81, abs=1e-6)
 
     def test_similarity_scaling_of_time_and_amplitude(self) -> None:
         settings = SETTINGS.model_copy(update={"time_scale": 4.0, "amplitude_scale": 0.5})

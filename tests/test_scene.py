@@ -35,7 +35,7 @@ def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
         ("beta = 3.2", "betta = 3.2", r"limits.betta: unknown key; known here: steady_current_A, beta, current_A"),
         ("[0.1, 0.2", "[0.1, 0.1", r"grid.speeds_m_s = \[0.1, 0.1, 0.3, 0.4\]: must be strictly increasing"),
         ("[0.1, 0.2", "[0.2, 0.1", r"grid.speeds_m_s = .*strictly increasing"),
-        ("[0.1, 0.2", "[0.0, 0.2", r"grid.speeds_m_s.0 = 0.0: must be greater than 0"),
+        ("[0.1, 0.2", "[0.0, 0.2", r"grid.speeds_m_s.0 = 0.0: must be greater than or equal to 0.0001"),
         ("grips_N = [1.0", "grips_N = [-1.0", r"grid.grips_N.0 = -1.0: must be greater than or equal to 0"),
         ("grips_N = [1.0", "grips_N = [0.0", r"grip 0\) is its own scene"),
         ("grips_N = [1.0", "grips_N = [0.2", r"0.2 N is below grip_min_N = 0.5 N"),
@@ -60,6 +60,9 @@ def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
         ),
         ("stages = 600", "stages = 5", r"hand_over_samples = 10: must not exceed time.stages = 5"),
         ("[grid]", "[grid", r"not valid TOML"),
+        ("highpass_Hz = 8.0", "highpass_Hz = 5000.0", r"highpass_Hz = 5000: must be below lowpass_Hz = 1000"),
+        ("lead_s = 3e-4", "lead_s = 0.2", r"time.lead_s = 0.2: must be less than or equal to 0.02"),
+        ("seed = 1", "seed = -1", r"recordings.simulated.seed = -1"),
         ("[grid]", "[gird]", r"gird: unknown key; known here: name, description, grid"),
         (
             "skin_stiffness",

@@ -44,6 +44,20 @@ def test_two_methods_agree_and_are_certified(make_problem: ProblemMaker, variant
     assert abs(objectives[0] - objectives[1]) <= 1e-6 * max(objectives[0], 1e-3)
 
 
+def test_both_methods_agree_on_every_entry_of_the_default_scene(make_problem: ProblemMaker) -> None:
+    """Also where the unlimited optimum would do: J to 1e-6 max(J, 1e-3)."""
+    for speed in (0.1, 0.2, 0.3, 0.4):
+        for grip in (1.0, 3.0, 5.0):
+            problem = make_problem(speed, grip)
+            proofs = []
+            for solver in ("casadi-piqp", "casadi-ipopt"):
+                solution = solve(problem, SolverOptions(solver))
+                proofs.append(certify(problem, solution.command_A, solution.multipliers))
+            assert all(proof.accepted for proof in proofs)
+            first, second = (proof.objective for proof in proofs)
+            assert abs(first - second) <= 1e-6 * max(first, 1e-3)
+
+
 def test_certified_lower_bound_is_below_every_feasible_command(saturated: tuple[TransientProblem, Solution]) -> None:
     """J - gap bounds the optimum: random feasible commands, also close to the optimum, never fall below it."""
     problem, solution = saturated

@@ -2,11 +2,9 @@
 
 import multiprocessing
 import platform
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Any
@@ -15,6 +13,7 @@ import numpy as np
 
 from transopt.design import Entry, design_grip
 from transopt.errors import InputError
+from transopt.files import ctrl_c_waits
 from transopt.library import MULTIPLIER_FIELDS, SCHEMA, Library
 from transopt.problem import Status
 from transopt.recording import Recording
@@ -41,19 +40,6 @@ class Build:
     @property
     def refused(self) -> list[Entry]:
         return [entry for entry in self.all_entries() if entry.status is not Status.OPTIMAL]
-
-
-@contextmanager
-def _children_never_see_ctrl_c() -> Iterator[None]:
-    """Processes started inside inherit a blocked SIGINT; one that comes meanwhile waits for the parent."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield  # Windows has no signal masks
-        return
-    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
 def build_library(
@@ -91,7 +77,7 @@ def build_library(
         # Spawned, not forked: the parent has solver objects and threads that a fork would copy half-alive.
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(min(jobs, len(grips)), spawn) as pool:
-            with _children_never_see_ctrl_c():
+            with ctrl_c_waits():
                 futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
             try:
                 for future in as_completed(futures):
@@ -178,7 +164,7 @@ def _meta(
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
         "scene": scene.model_dump(mode="json"),
         "solver": asdict(options),
-        "sources": [source for r in references for source in _sources(r)],
+        "sources": [source for r in references for source in _sources(scene, r)],
         "versions": {
             **{name: metadata.version(name) for name in ("transopt", "casadi", "numpy", "scipy")},
             "python": platform.python_version(),
@@ -197,7 +183,7 @@ def _shared_left_out(entries: list[list[Entry]]) -> dict[str, Any]:
     return shared
 
 
-def _sources(reference: Reference) -> list[dict[str, Any]]:
+def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:
     return [
         {
             "file": tap.recording.name,
@@ -206,7 +192,8 @@ def _sources(reference: Reference) -> list[dict[str, Any]]:
             "grid_speed_m_s": reference.speed_m_s,
             "grip_N": tap.recording.grip_N,
             "speed_source": tap.speed_source,
-            "scaling": float(factor),
+            "time_scale": scene.recordings.time_scale,
+            "scaling": float(factor * tap.amplitude),
             "onset_s": tap.onset_s,
             "offset_m_s2": tap.offset_m_s2,
             "polarity": tap.polarity,

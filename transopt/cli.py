@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 
 from transopt.errors import InputError
+from transopt.files import ctrl_c_waits
 
 if TYPE_CHECKING:
     from transopt.build import Build
@@ -36,7 +37,8 @@ DEFAULT_SCENE = "wood_on_foam"
 
 def _console() -> Console:
     """Where tables go. Without a terminal the width is fixed, so that logs and pipes keep whole lines."""
-    return Console() if sys.stdout.isatty() else Console(width=160)
+    # No markup: names and descriptions are the user's and may hold brackets.
+    return Console(markup=False, width=None if sys.stdout.isatty() else 160)
 
 
 def _load(scene: str, recordings: Path | None) -> "Scene":
@@ -44,7 +46,7 @@ def _load(scene: str, recordings: Path | None) -> "Scene":
     import problems
     from transopt.scene_file import load_scene
 
-    path = Path(scene) if scene.endswith(".toml") else problems.scene_path(scene)
+    path = Path(scene) if scene.lower().endswith(".toml") else problems.scene_path(scene)
     loaded = load_scene(path, search=[problems.FOLDER])
     if recordings is None:
         return loaded
@@ -176,10 +178,11 @@ def _publish(folder: Path, writers: dict[str, Callable[[Path], None]], stale: li
     try:
         for name, write in writers.items():
             write(staging / name)
-        for name in writers:
-            (staging / name).replace(folder / name)
-        for name in stale:
-            (folder / name).unlink(missing_ok=True)
+        with ctrl_c_waits():
+            for name in writers:
+                (staging / name).replace(folder / name)
+            for name in stale:
+                (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
     finally:

@@ -12,7 +12,7 @@ from transopt.problem import Certificate, Solution, Status, TransientProblem, ve
 from transopt.reference import Reference
 from transopt.replay import Replay, replay
 from transopt.scene import Scene
-from transopt.signals import FloatArray
+from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SOLVERS, SolverOptions, solve, unlimited
 from transopt.thermal import CoilModel
 from transopt.verify import admit, temperature_bound_C
@@ -65,6 +65,8 @@ class Entry:
     def verdict(self) -> str:
         if self.status is not Status.OPTIMAL:
             return "refused"
+        if self.problem.reference_is_zero:
+            return "zero reference"
         return verdict(self.nrmse, self.floor, self.repeatability)
 
 
@@ -94,7 +96,7 @@ def _left_out(scene: Scene, problem: TransientProblem, coil: CoilModel | None, f
         parts["hand"] = "free device, grip 0"
     if coil is None:
         parts["temperature"] = "the scene has no motor data"
-    else:
+    elif temperature_bound_C(problem, coil) <= coil.limit_C:
         parts["temperature"] = (
             f"cannot pass {temperature_bound_C(problem, coil):.2f} C even if {problem.limits.current_A:g} A flowed "
             f"for the whole horizon and no heat left the winding, limit {coil.limit_C:g} C"
@@ -120,11 +122,12 @@ def _design(problem: TransientProblem, options: SolverOptions) -> _Designed:
     """The optimum of one entry: the unlimited one if it is inside all limits, else the solver's."""
     if problem.reference_is_zero:
         answer = solve(problem, options)
-        return _Designed(problem, answer, answer.command_A, 0.0, 0.0, "zero reference: zero waveform")
+        floor = nrmse(answer.command_A, problem.reference_m_s2)
+        return _Designed(problem, answer, answer.command_A, floor, 0.0, "zero reference: zero waveform")
     free = unlimited.solve(problem)
     acceleration, current = problem.stage.rollout(free.command_A)
     r = problem.reference_m_s2
-    floor = float(np.linalg.norm(acceleration - r) / np.linalg.norm(r))
+    floor = nrmse(acceleration, r)
     peak = float(np.abs(current).max())
     if _inside_limits(problem, free.command_A, current):
         reason = (
@@ -132,7 +135,9 @@ def _design(problem: TransientProblem, options: SolverOptions) -> _Designed:
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
         )
         return _Designed(problem, free, free.command_A, floor, peak, reason)
-    return _Designed(problem, _proven(problem, options), free.command_A, floor, peak, None)
+    answer = _proven(problem, options)
+    answer = replace(answer, solve_time_s=free.solve_time_s + answer.solve_time_s)
+    return _Designed(problem, answer, free.command_A, floor, peak, None)
 
 
 def _proven(problem: TransientProblem, options: SolverOptions) -> Solution:

@@ -24,7 +24,7 @@ from transopt.models import StateSpace
 from transopt.problem import AMPLITUDE_THRESHOLD, Status
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
-if TYPE_CHECKING:  # these import casadi and pydantic, which `transopt show` can do without
+if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.build import Build
     from transopt.design import Entry
     from transopt.reference import Tap

@@ -334,4 +334,24 @@ def load_library(path: Path) -> Library:
         arrays.setdefault(name, np.zeros_like(arrays["mu_current_lower"]))
     _check_shapes(path, arrays)
     known = {field.name for field in fields(Library)}
-    return Library(**{k: v for k, v in arrays.items() if k in known and k != "meta"}, meta=meta)
+    library = Library(**{k: v for k, v in arrays.items() if k in known and k != "meta"}, meta=meta)
+    _check_problem(path, library)
+    return library
+
+
+def _check_problem(path: Path, library: Library) -> None:
+    """The numbers of `meta` must make a time grid, a coil and a problem; only the first entry's is tried."""
+    advice = "solve the scene again"
+    if library.meta["feedback"] is not None:
+        raise InputError(f"{path}: meta.feedback: this version plays libraries without a wall only; {advice}")
+    if not (library.speeds_m_s[0] > 0 and library.grips_N[0] >= 0):
+        raise InputError(f"{path}: speeds_m_s must be > 0 and grips_N >= 0; {advice}")
+    try:
+        grid = library.time_grid()
+        sound = 0 < grid.dt_s < np.inf and 0 <= grid.lead_s < np.inf and 0 <= grid.delay_s < np.inf
+        library.coil()
+        library.problem(0, 0)
+    except (InputError, TypeError, ValueError, ArithmeticError) as error:
+        raise InputError(f"{path}: meta does not describe a problem ({error}); {advice}") from None
+    if not sound:
+        raise InputError(f"{path}: meta: dt_s must be > 0, lead_s and delay_s >= 0, all finite; {advice}")

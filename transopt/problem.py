@@ -173,7 +173,8 @@ class Solution:
     solver : name, version-free.
     message : the solver's raw status.
     iterations : -1 where the solver does not tell.
-    solve_time_s : wall time of this solve, stage data included, set-up excluded.
+    solve_time_s : wall time of this solve, stage data included, set-up excluded; a designed entry's includes
+        the unlimited solve before it.
     """
 
     status: Status

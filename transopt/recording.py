@@ -36,7 +36,7 @@ class Recording:
     grip_N: float | None = None
 
     def __post_init__(self) -> None:
-        if self.speed_m_s is not None and not 0 < self.speed_m_s < float("inf"):
-            raise InputError(f"{self.name}: speed_m_s = {self.speed_m_s:g} m/s: must be > 0 and finite")
+        if self.speed_m_s is not None and not 1e-4 <= self.speed_m_s <= 100:
+            raise InputError(f"{self.name}: speed_m_s = {self.speed_m_s:g} m/s: must be between 1e-4 and 100 m/s")
         if self.grip_N is not None and not 0 <= self.grip_N < float("inf"):
             raise InputError(f"{self.name}: grip_N = {self.grip_N:g} N: must be >= 0 and finite")

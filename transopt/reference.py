@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy import integrate, signal
+from scipy import integrate, signal, stats
 
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
@@ -18,6 +18,7 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, highpass
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 BASELINE_SAMPLES = 8  # fewer are no baseline
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
+LEAST_PEAK_TO_NOISE = 6.0
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
 
@@ -78,6 +79,7 @@ class Tap:
     speed_source : how the speed is known.
     offset_m_s2, polarity, onset_s : found in the recording, in its own time and sign.
     peak_m_s2 : of the low-passed acceleration.
+    amplitude : similarity factor that `acceleration` has been multiplied by.
     clipped_samples : samples that sit at the sensor's end stop.
     notes : what a user should know about this recording, one sentence each.
     """
@@ -90,13 +92,14 @@ class Tap:
     polarity: int
     onset_s: float
     peak_m_s2: float
+    amplitude: float
     clipped_samples: int
     notes: tuple[str, ...]
 
 
-def _crossing(times_s: FloatArray, values: FloatArray, peak: int, level: float) -> float:
-    """Last time before sample `peak` at which the values rise through `level`; the first sample if none."""
-    below = np.flatnonzero(values[:peak] < level)
+def _crossing(times_s: FloatArray, values: FloatArray, before: int, level: float) -> float:
+    """Last time before sample `before` at which the values rise through `level`; the first sample if none."""
+    below = np.flatnonzero(values[:before] < level)
     if below.size == 0:
         return float(times_s[0])
     j = int(below[-1])
@@ -107,27 +110,27 @@ def _crossing(times_s: FloatArray, values: FloatArray, peak: int, level: float) 
 def find_onset(x: Signal) -> float:
     """Contact time of a tap without offset and with positive polarity [s].
 
-    The line through the rise's 10 % and 30 % points is followed back to zero. A threshold alone would be
-    late by a part of the rise, and a servo tick of error costs 8 % NRMSE.
+    The line through the first rise's 10 % and 30 % points (of the highest peak) is followed back to zero. A
+    threshold alone would be late by a part of the rise, and a servo tick of error costs 8 % NRMSE; and the highest
+    peak need not be the first.
     """
-    peak = int(np.argmax(x.values))
-    height = float(x.values[peak])
-    low = _crossing(x.times_s, x.values, peak, 0.1 * height)
-    high = _crossing(x.times_s, x.values, peak, 0.3 * height)
+    height = float(x.values.max())
+    risen = int(np.argmax(x.values >= 0.3 * height))
+    low = _crossing(x.times_s, x.values, risen, 0.1 * height)
+    high = _crossing(x.times_s, x.values, risen, 0.3 * height)
     return max(low - 0.5 * (high - low), x.start_s)
 
 
 def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
-    """Static offset of the sensor, from the samples before the tap."""
+    """Static offset of the sensor, from the samples before the tap; a bump while the hand moves does not count."""
     if settings.offset_m_s2 != "baseline":
         return float(settings.offset_m_s2), []
     centred = x.values - np.median(x.values)
-    peak = int(np.argmax(np.abs(centred)))
-    upright = replace(x, values=centred * np.sign(centred[peak]))
+    upright = replace(x, values=centred * np.sign(centred[np.argmax(np.abs(centred))]))
     quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
     if quiet.size < BASELINE_SAMPLES:
         return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
-    return float(quiet.mean()), []
+    return float(stats.trim_mean(quiet, 0.2)), []
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
@@ -183,12 +186,11 @@ def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
     return speed, "position"
 
 
-def _doubts(raw: Signal, upright: FloatArray, onset_s: float, speed_m_s: float, peak_m_s2: float) -> list[str]:
+def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
     """What makes a recording an unlikely tap; none of it refuses the file."""
     notes = []
-    quiet = upright[raw.times_s < onset_s - BASELINE_GUARD_S]
-    if quiet.size >= BASELINE_SAMPLES and peak_m_s2 < 10 * float(quiet.std()):
-        notes.append(f"peak is only {peak_m_s2 / float(quiet.std()):.1f} times the noise: is there a tap?")
+    if peak_m_s2 < 10 * noise_m_s2:
+        notes.append(f"peak is only {peak_m_s2 / noise_m_s2:.1f} times the noise")
     if speed_m_s > 3:
         notes.append(f"{speed_m_s:g} m/s is faster than a hand taps: check the unit of the speed")
     if not np.isnan(speed_m_s) and not 0.2 <= peak_m_s2 / STANDARD_GRAVITY_M_S2 <= 200:
@@ -215,6 +217,13 @@ def prepare(recording: Recording, settings: Recordings) -> Tap:
             "check recordings.polarity and recordings.offset_m_s2"
         )
     onset = find_onset(upright) if settings.onset_s == "auto" else float(settings.onset_s)
+    # A tap is short: most of a recording is noise, and the median deviation is its size, wherever the tap is.
+    noise = float(stats.median_abs_deviation(raw.values, scale="normal"))
+    if upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
+        raise InputError(
+            f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
+            f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
+        )
     speed, source = _speed(recording, onset)
     clipped = _clipped(raw.values, offset)
     if clipped:
@@ -232,8 +241,8 @@ def prepare(recording: Recording, settings: Recordings) -> Tap:
     scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
     filtered = lowpass(scaled, settings.lowpass_Hz)
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
-    more += _doubts(raw, upright.values, onset, speed, peak)
-    return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, clipped, (*notes, *more))
+    more += _doubts(raw, speed, peak, noise)
+    return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, factor, clipped, (*notes, *more))
 
 
 @dataclass(frozen=True)
@@ -259,6 +268,11 @@ class Reference:
     factors: FloatArray
     times_s: FloatArray
     repeats_m_s2: FloatArray
+
+    @property
+    def scalings(self) -> FloatArray:
+        """(n,) by which each recorded acceleration was multiplied in all."""
+        return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
 
     @property
     def user_share(self) -> float:

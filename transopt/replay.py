@@ -1,8 +1,8 @@
 """Independent continuous-time replay of commands (DESIGN 4).
 
-Nothing here is shared with the design model: the time axis is the true one (commands issued at t_k, felt a delay
-later), the integrator is an implicit Runge-Kutta method on a finer step instead of a matrix exponential, and
-every limit is checked at every fine step.
+Nothing but the plant's matrices is shared with the design model: the time axis is the true one (commands issued at
+t_k, felt a delay later), the integrator is an implicit Runge-Kutta method on a finer step instead of a matrix
+exponential, and every limit is checked at every fine step.
 """
 
 from dataclasses import dataclass

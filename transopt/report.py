@@ -112,7 +112,7 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
         "|---|---|---|---|---|---|---|",
     ]
     for r in references:
-        factors = f"{r.factors.min():.3g}" + (f" to {r.factors.max():.3g}" if r.factors.size > 1 else "")
+        factors = f"{r.scalings.min():.3g}" + (f" to {r.scalings.max():.3g}" if r.scalings.size > 1 else "")
         sources = ", ".join(sorted({tap.speed_source for tap in r.taps}))
         lines.append(
             f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {_percent(r.repeatability)} / "
@@ -193,6 +193,7 @@ def _raw_over_motor(reference: Reference) -> float:
 
 def build_json(build: Build) -> str:
     """report.json: the report's numbers, with units in their names; NaN becomes null."""
+    shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
     rows = [
         {
             "speed_m_s": e.speed_m_s,
@@ -201,6 +202,7 @@ def build_json(build: Build) -> str:
             "shortfalls": e.shortfalls,
             "verdict": e.verdict,
             "nrmse": e.nrmse,
+            "nrmse_to_raw": e.nrmse * shares[e.speed_m_s],
             "floor": e.floor,
             "baselines": asdict(e.baselines),
             "repeatability": e.repeatability,
@@ -229,7 +231,7 @@ def build_json(build: Build) -> str:
             {
                 "speed_m_s": r.speed_m_s,
                 "taps": [tap.recording.name for tap in r.taps],
-                "scaling": r.factors.tolist(),
+                "scaling": r.scalings.tolist(),
                 "repeatability": r.repeatability,
                 "repeatability_unaligned": r.repeatability_unaligned,
                 "user_share": r.user_share,
@@ -237,14 +239,15 @@ def build_json(build: Build) -> str:
             for r in build.references
         ],
     }
-    return json.dumps(_without_nan(content), indent=1)
+    return json.dumps(without_nan(content), indent=1)
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
+    """The same with null for every number that JSON cannot hold."""
     if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value

@@ -14,6 +14,7 @@ from transopt.thermal import CoilModel
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Speed = Annotated[float, Field(ge=1e-4, le=100)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -32,7 +33,7 @@ def _increasing(values: list[float]) -> list[float]:
 class Grid(Section):
     """Nodes of the library."""
 
-    speeds_m_s: Annotated[list[Positive], Field(min_length=1)]
+    speeds_m_s: Annotated[list[Speed], Field(min_length=1)]
     grips_N: Annotated[list[NonNegative], Field(min_length=1)]
     grip_min_N: Positive = 0.5
 
@@ -56,7 +57,7 @@ class Time(Section):
 
     dt_s: Positive = 1e-4
     stages: Annotated[int, Field(ge=2)] = 600
-    lead_s: NonNegative = 3e-4
+    lead_s: Annotated[float, Field(ge=0, le=0.02)] = 3e-4
 
 
 class SimulatedTaps(Section):
@@ -76,8 +77,8 @@ class SimulatedTaps(Section):
     speed_spread: Annotated[float, Field(ge=0, lt=0.15)] = 0.05
     noise_g_rtHz: NonNegative = 320e-6
     range_g: Positive = 18.0
-    rate_Hz: Positive = 10e3
-    seed: int = 1
+    rate_Hz: Annotated[float, Field(ge=1e3, le=1e6)] = 10e3
+    seed: Annotated[int, Field(ge=0)] = 1
 
 
 class Recordings(Section):
@@ -87,24 +88,26 @@ class Recordings(Section):
     folder: str = "."
     columns: list[str] = []
     full_scale_m_s2: Positive | None = None
-    speed_m_s: Positive | None = None
-    speed_by_file_m_s: dict[str, Positive] = {}
+    speed_m_s: Speed | None = None
+    speed_by_file_m_s: dict[str, Speed] = {}
     grip_N: NonNegative | None = None
     source: str = ""
     polarity: Literal["auto", "positive", "negative"] = "auto"
     offset_m_s2: Finite | Literal["baseline"] = "baseline"
     onset_s: Finite | Literal["auto"] = "auto"
-    lowpass_Hz: Positive = 1000.0
-    highpass_Hz: Positive = 8.0
+    lowpass_Hz: Annotated[float, Field(ge=50, le=1e6)] = 1000.0
+    highpass_Hz: Annotated[float, Field(ge=0.1, le=1e5)] = 8.0
     speed_tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.15
-    time_scale: Positive = 1.0
-    amplitude_scale: Positive | Literal["to_grid_speed"] = 1.0
+    time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
+    amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
     simulated: SimulatedTaps | None = None
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:
         if bool(self.files) == (self.simulated is not None):
             raise ValueError("give either files or a simulated table, not both and not neither")
+        if self.highpass_Hz >= self.lowpass_Hz:
+            raise ValueError(f"highpass_Hz = {self.highpass_Hz:g}: must be below lowpass_Hz = {self.lowpass_Hz:g}")
         return self
 
 
@@ -262,6 +265,11 @@ class Scene(Section):
             raise ValueError(
                 f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
+            )
+        if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
+            raise ValueError(
+                f"recordings.highpass_Hz = {self.recordings.highpass_Hz:g}: must not exceed a tenth of the servo "
+                f"rate, {0.1 / self.time.dt_s:g} Hz"
             )
         if self.hand_over_samples > self.time.stages:
             raise ValueError(

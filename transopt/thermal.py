@@ -18,7 +18,10 @@ def effective_square(current_A: FloatArray) -> FloatArray:
 
 
 def effective_square_mean(before_A: FloatArray, after_A: FloatArray) -> FloatArray:
-    """Mean of i_eff^2 over a step in which |i| goes linearly from one value to the other [A^2]."""
+    """Mean of i_eff^2 over a step in which |i| goes linearly from one value to the other [A^2].
+
+    A change of sign within the step is taken for a change of size; on the replay's fine steps that is nothing.
+    """
     a, b = np.abs(before_A) + PWM_RIPPLE_A, np.abs(after_A) + PWM_RIPPLE_A
     return np.asarray((a * a + a * b + b * b) / 3)
 

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transopt.certify import certify
+from transopt.certify import binding_limits, certify
 from transopt.library import Library
-from transopt.problem import Certificate, Status, TransientProblem
+from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
 from transopt.replay import Replay, replay
-from transopt.signals import FloatArray
+from transopt.signals import FloatArray, nrmse
+from transopt.solvers import unlimited
 from transopt.thermal import CoilModel
 
 STORED_TOLERANCE = 1e-6  # relative, to which stored figures agree with recomputed ones
@@ -51,7 +52,9 @@ def admit(
 
 def temperature_bound_C(problem: TransientProblem, coil: CoilModel) -> float:
     """What the winding cannot exceed within the horizon, whatever the optimiser chooses."""
-    return coil.adiabatic_bound_C(problem.limits.current_A, problem.grid.stages * problem.grid.dt_s)
+    # The delay belongs to it: the ripple of Eq. 7 heats before the first command arrives.
+    duration = (problem.grid.stages + 1) * problem.grid.dt_s + problem.grid.delay_s
+    return coil.adiabatic_bound_C(problem.limits.current_A, duration)
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,14 @@ class EntryCheck:
     shortfalls: list[str]
 
 
-def _stored(library: Library, iv: int, ig: int, certificate: Certificate, played: Replay) -> list[str]:
+def _floor(problem: TransientProblem) -> float:
+    free = np.zeros(problem.grid.stages) if problem.reference_is_zero else unlimited.solve(problem).command_A
+    return nrmse(problem.stage.rollout(free)[0], problem.reference_m_s2)
+
+
+def _stored(
+    library: Library, iv: int, ig: int, problem: TransientProblem, certificate: Certificate, played: Replay
+) -> list[str]:
     """Figures in the file that do not follow from the waveform in the file."""
     claims = {
         "nrmse": played.nrmse,
@@ -78,6 +88,24 @@ def _stored(library: Library, iv: int, ig: int, certificate: Certificate, played
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+    bounds = {
+        "primal_violation": (certificate.primal_violation_A, Certificate.VIOLATION_TOLERANCE_A),
+        "duality_gap": (
+            certificate.duality_gap,
+            Certificate.GAP_TOLERANCE * max(certificate.objective, OBJECTIVE_SCALE),
+        ),
+        "dual_residual": (certificate.dual_residual, Certificate.GAP_TOLERANCE),
+        "floor": (_floor(problem), STORED_TOLERANCE),
+    }
+    for name, (value, tolerance) in bounds.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not abs(stored - value) <= tolerance:
+            found.append(f"{name} says {stored:.3g}, recomputed {value:.3g}")
+    binds = binding_limits(problem, library.command_A[iv, ig], library.multipliers(iv, ig))
+    if str(library.binding[iv, ig]) != binds:
+        found.append(f"binding says {library.binding[iv, ig]}, recomputed {binds}")
+    if not np.array_equal(library.transient_command_A[iv, ig], library.command_A[iv, ig]):
+        found.append("transient_command_A differs from command_A, though the scene has no wall")
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
     if not current_off <= STORED_TOLERANCE:
         found.append(f"current_A differs from the replay by {current_off:.1e} A")
@@ -111,6 +139,6 @@ def verify_library(library: Library) -> list[EntryCheck]:
                 grip_N=float(library.grips_N[ig]),
                 certificate=certificate,
                 played=played,
-                shortfalls=shortfalls + _stored(library, iv, ig, certificate, played),
+                shortfalls=shortfalls + _stored(library, iv, ig, problem, certificate, played),
             )
     return [checks[iv, ig] for iv in range(nv) for ig in range(ng)]
