@@ -253,9 +253,9 @@ def solve(
     console = _console()
     console.print(build_table(build, console.width))
     console.print(LEGEND, style="dim", highlight=False)
-    doubts = sum(bool(tap.notes) for reference in build.references for tap in reference.taps)
-    if doubts:
-        console.print(f"{doubts} recordings with notes: see the report, or transopt taps", style="yellow")
+    doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
+    if doubtful:
+        console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
     console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     for entry in build.refused:
         message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}"
