@@ -134,6 +134,20 @@ class TestPrepare:
         with pytest.raises(InputError, match=r"tap: highest sample .* no tap stands out"):
             prepare(replace(recording, acceleration=Signal(0.0, 1e-4, noise)), SETTINGS)
 
+    def test_a_pulse_that_fills_half_the_recording_is_a_tap(self) -> None:
+        t = np.arange(0, 0.06, 1e-4)
+        slow = np.where((t > 0.01) & (t < 0.05), np.sin(np.pi * (t - 0.01) / 0.04), 0.0)
+        slow = 20.0 * slow + 0.05 * np.random.default_rng(0).standard_normal(t.size)
+        tap = prepare(replace(pulse(), acceleration=Signal(0.0, 1e-4, slow)), SETTINGS)
+        assert tap.onset_s == pytest.approx(0.01, abs=1e-3)
+        assert not tap.notes
+
+    def test_a_stated_onset_admits_a_noisy_recording(self) -> None:
+        noise = np.random.default_rng(0).standard_normal(800)
+        settings = SETTINGS.model_copy(update={"onset_s": 0.02})
+        tap = prepare(replace(pulse(), acceleration=Signal(0.0, 1e-4, noise)), settings)
+        assert "times the noise" in "; ".join(tap.notes)
+
     def test_the_highest_peak_need_not_be_the_first(self) -> None:
         t = np.arange(0, 0.08, 1e-4)
 

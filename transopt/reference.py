@@ -18,7 +18,8 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, highpass
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 BASELINE_SAMPLES = 8  # fewer are no baseline
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
-LEAST_PEAK_TO_NOISE = 6.0
+LEAST_PEAK_TO_NOISE = 6.0  # below, nothing stands out
+CLEAR_PEAK_TO_NOISE = 20.0  # below, noise alone may pass the 30 % of the peak by which the onset is found
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
 
@@ -186,11 +187,16 @@ def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
     return speed, "position"
 
 
+def _noise(x: Signal) -> float:
+    """Size (rms) of the white noise in a recording, from its steps: a tap is smooth, whatever part of it it fills."""
+    return float(stats.median_abs_deviation(np.diff(x.values), scale="normal") / np.sqrt(2))
+
+
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
     """What makes a recording an unlikely tap; none of it refuses the file."""
     notes = []
-    if peak_m_s2 < 10 * noise_m_s2:
-        notes.append(f"peak is only {peak_m_s2 / noise_m_s2:.1f} times the noise")
+    if peak_m_s2 < CLEAR_PEAK_TO_NOISE * noise_m_s2:
+        notes.append(f"peak is only {peak_m_s2 / noise_m_s2:.1f} times the noise: the onset may be wrong")
     if speed_m_s > 3:
         notes.append(f"{speed_m_s:g} m/s is faster than a hand taps: check the unit of the speed")
     if not np.isnan(speed_m_s) and not 0.2 <= peak_m_s2 / STANDARD_GRAVITY_M_S2 <= 200:
@@ -217,9 +223,8 @@ def prepare(recording: Recording, settings: Recordings) -> Tap:
             "check recordings.polarity and recordings.offset_m_s2"
         )
     onset = find_onset(upright) if settings.onset_s == "auto" else float(settings.onset_s)
-    # A tap is short: most of a recording is noise, and the median deviation is its size, wherever the tap is.
-    noise = float(stats.median_abs_deviation(raw.values, scale="normal"))
-    if upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
+    noise = _noise(raw)
+    if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
         raise InputError(
             f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
             f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
@@ -241,7 +246,7 @@ def prepare(recording: Recording, settings: Recordings) -> Tap:
     scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
     filtered = lowpass(scaled, settings.lowpass_Hz)
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
-    more += _doubts(raw, speed, peak, noise)
+    more += _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
     return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, factor, clipped, (*notes, *more))
 
 

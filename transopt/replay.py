@@ -116,7 +116,7 @@ def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind:
     samples = SAMPLES_PER_PERIOD // 2
     spacing = (end_s - start_s) / samples
     fastest = float(np.abs(np.linalg.eigvals(A)).max())
-    doublings = max(int(np.ceil(np.log2(max(fastest * spacing / STEP_RADIUS, 1.0)))), 0) + halvings
+    doublings = int(np.ceil(np.log2(max(fastest * spacing / STEP_RADIUS, 1.0)))) + halvings
     step = np.eye(n + 1)
     step[:n, :n], step[:n, n:] = _step_map(A, B, spacing / 2**doublings)
     between = np.linalg.matrix_power(step, 2**doublings)

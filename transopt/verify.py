@@ -113,7 +113,7 @@ def _stored(
 
 
 def verify_library(library: Library) -> list[EntryCheck]:
-    """Certify and replay every entry from the file alone, without solving.
+    """Certify and replay every entry from the file alone; only the floor takes a (linear) solve.
 
     Returns
     -------
