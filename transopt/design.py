@@ -107,8 +107,14 @@ def _left_out(scene: Scene, problem: TransientProblem, coil: CoilModel | None, f
 
 
 @dataclass(frozen=True)
-class _Designed:
-    """One entry before its replay."""
+class Designed:
+    """One entry before its replay.
+
+    Attributes
+    ----------
+    floor, free_peak_A : NRMSE and peak current of the unlimited optimum `unlimited_command_A` (N,).
+    free : why the unlimited optimum is the answer, None if it is not.
+    """
 
     problem: TransientProblem
     solution: Solution
@@ -118,12 +124,12 @@ class _Designed:
     free: str | None
 
 
-def _design(problem: TransientProblem, options: SolverOptions) -> _Designed:
+def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     """The optimum of one entry: the unlimited one if it is inside all limits, else the solver's."""
     if problem.reference_is_zero:
         answer = solve(problem, options)
         floor = nrmse(answer.command_A, problem.reference_m_s2)
-        return _Designed(problem, answer, answer.command_A, floor, 0.0, "zero reference: zero waveform")
+        return Designed(problem, answer, answer.command_A, floor, 0.0, "zero reference: zero waveform")
     free = unlimited.solve(problem)
     acceleration, current = problem.stage.rollout(free.command_A)
     r = problem.reference_m_s2
@@ -134,10 +140,10 @@ def _design(problem: TransientProblem, options: SolverOptions) -> _Designed:
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
         )
-        return _Designed(problem, free, free.command_A, floor, peak, reason)
+        return Designed(problem, free, free.command_A, floor, peak, reason)
     answer = _proven(problem, options)
     answer = replace(answer, solve_time_s=free.solve_time_s + answer.solve_time_s)
-    return _Designed(problem, answer, free.command_A, floor, peak, None)
+    return Designed(problem, answer, free.command_A, floor, peak, None)
 
 
 def _proven(problem: TransientProblem, options: SolverOptions) -> Solution:
@@ -157,6 +163,20 @@ def _proven(problem: TransientProblem, options: SolverOptions) -> Solution:
     return next((answer for answer in others if is_proven(answer)), wanted)
 
 
+def entry_problem(scene: Scene, stage: StageModel, reference: Reference) -> TransientProblem:
+    """What one entry has to meet: the stage model of its grip, the reference of its speed."""
+    grid = scene.time_grid()
+    return TransientProblem(
+        stage=stage,
+        grid=grid,
+        reference_m_s2=reference.motor_m_s2,
+        tracking_weights=np.ones(grid.stages),
+        rho=scene.weights.rho,
+        limits=scene.current_limits(),
+        hand_over_samples=scene.hand_over_samples,
+    )
+
+
 def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], options: SolverOptions) -> list[Entry]:
     """All entries of one grip, in the order of the references.
 
@@ -164,21 +184,7 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     """
     grid, limits, coil = scene.time_grid(), scene.current_limits(), scene.coil()
     stage = discretise(scene.plant(grip_N), scene.amplifier_model(), grid.dt_s)
-    designed = [
-        _design(
-            TransientProblem(
-                stage=stage,
-                grid=grid,
-                reference_m_s2=reference.motor_m_s2,
-                tracking_weights=np.ones(grid.stages),
-                rho=scene.weights.rho,
-                limits=limits,
-                hand_over_samples=scene.hand_over_samples,
-            ),
-            options,
-        )
-        for reference in references
-    ]
+    designed = [optimum(entry_problem(scene, stage, reference), options) for reference in references]
     rivals = [
         _rivals(stage, d, limit) for d in designed for limit in (limits.current_A, scene.limits.steady_current_A)
     ]
@@ -194,7 +200,7 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     ]
 
 
-def _rivals(stage: StageModel, designed: _Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
+def _rivals(stage: StageModel, designed: Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
     grid, reference = designed.problem.grid, designed.problem.reference_m_s2
     return (
         seed_inversion(stage, grid, reference, limit_A, designed.problem.hand_over_samples),
@@ -203,7 +209,7 @@ def _rivals(stage: StageModel, designed: _Designed, limit_A: float) -> tuple[Flo
 
 
 def _entry(
-    scene: Scene, grip_N: float, reference: Reference, designed: _Designed, played: Replay, rivals: Sequence[Replay]
+    scene: Scene, grip_N: float, reference: Reference, designed: Designed, played: Replay, rivals: Sequence[Replay]
 ) -> Entry:
     problem, solution, coil = designed.problem, designed.solution, scene.coil()
     certificate = certify(problem, solution.command_A, solution.multipliers)

@@ -257,7 +257,8 @@ class Reference:
     Attributes
     ----------
     raw_m_s2 : (N,) r_raw, the recorded acceleration. motor_m_s2 : (N,) r = H r_raw.
-    nominal_position_m : (N,) z_nom.
+    nominal_position_m, nominal_velocity_m_s : (N,) z_nom and its derivative.
+    nominal_position_at_ticks_m : (N,) z_nom at the servo ticks t_k, where the encoder is read.
     repeatability, repeatability_unaligned : mean NRMSE of the repeats against their mean; NaN for one tap.
     taps : the recordings used. factors : (n,) by which each was scaled to the grid speed.
     times_s, repeats_m_s2 : (K,), (n, K) the aligned repeats, for figures.
@@ -267,6 +268,8 @@ class Reference:
     raw_m_s2: FloatArray
     motor_m_s2: FloatArray
     nominal_position_m: FloatArray
+    nominal_velocity_m_s: FloatArray
+    nominal_position_at_ticks_m: FloatArray
     repeatability: float
     repeatability_unaligned: float
     taps: tuple[Tap, ...]
@@ -354,11 +357,14 @@ def build_reference(
     position = integrate.cumulative_trapezoid(velocity, times, initial=0)
     position -= position[contact]
     tau = grid.switching_times_s
+    nominal = Signal(raw.start_s, raw.dt_s, position)
     return Reference(
         speed_m_s=speed_m_s,
         raw_m_s2=raw.at(tau),
         motor_m_s2=motor.at(tau),
-        nominal_position_m=Signal(raw.start_s, raw.dt_s, position).at(tau),
+        nominal_position_m=nominal.at(tau),
+        nominal_velocity_m_s=Signal(raw.start_s, raw.dt_s, velocity).at(tau),
+        nominal_position_at_ticks_m=nominal.at(grid.issue_times_s),
         repeatability=_spread(repeats),
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
