@@ -15,8 +15,9 @@ from transopt.errors import InputError
 from transopt.files import whole_file
 from transopt.models import StateSpace
 from transopt.recording import Recording
-from transopt.scene import Scene, SimulatedTaps
+from transopt.scene import Scene
 from transopt.scene_file import load_scene
+from transopt.scene_sections import SimulatedTaps
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 
 STEP_S = 1e-5

@@ -13,7 +13,6 @@ from tests.conftest import IMPACTS, ProblemMaker
 from transopt.baselines import clipped_optimum, seed_inversion
 from transopt.build import Build, build_library
 from transopt.certify import certify
-from transopt.design import _proven
 from transopt.discretise import discretise
 from transopt.library import Library
 from transopt.problem import Status, verdict
@@ -23,13 +22,13 @@ from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.signals import nrmse
-from transopt.solvers import SolverOptions, solve, unlimited
+from transopt.solvers import SolverOptions, solve, solve_certified, unlimited
 from transopt.verify import admit, verify_library
 
 CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
 
 
-def assert_entries_are_proven(build: Build) -> None:
+def assert_entries_aresolve_certified(build: Build) -> None:
     for entry in build.all_entries():
         assert entry.status is Status.OPTIMAL, entry.shortfalls
         assert entry.certificate.primal_violation_A <= 1e-6
@@ -49,7 +48,7 @@ def assert_independent_check_is_clean(library: Library, path: Path) -> None:
 
 
 def test_every_entry_is_certified_and_replayed_clean(build: Build) -> None:
-    assert_entries_are_proven(build)
+    assert_entries_aresolve_certified(build)
     assert not build.refused
 
 
@@ -104,14 +103,14 @@ def test_independent_checker_finds_nothing(library: Library, tmp_path: Path) -> 
     assert_independent_check_is_clean(library, tmp_path / "library.npz")
 
 
-def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
+def test_measured_impacts_are_solved_andsolve_certified(tmp_path: Path) -> None:
     if not IMPACTS.is_dir():
         pytest.skip(f"the measured impacts are not at {IMPACTS}")
     scene = load_scene(problems.scene_path("measured_impacts"))
     settings = scene.recordings.model_copy(update={"folder": str(IMPACTS)})
     scene = scene.model_copy(update={"recordings": settings})
     build = build_library(scene, read_recordings(settings))
-    assert_entries_are_proven(build)
+    assert_entries_aresolve_certified(build)
     assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
     assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
     # EVIDENCE: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
@@ -144,8 +143,8 @@ def test_second_method_gives_the_same_library(scene: Scene, taps: list[Recording
 def test_an_entry_that_one_solver_cannot_prove_goes_to_the_other(make_problem: ProblemMaker) -> None:
     """Two iterations are too few for both; with enough for IPOPT alone, its answer is taken and says so."""
     problem = make_problem(0.4, 5.0)
-    assert _proven(problem, SolverOptions(max_iterations=10)).solver == "casadi-ipopt"
-    refused = _proven(problem, SolverOptions(max_iterations=2))
+    assert solve_certified(problem, SolverOptions(max_iterations=10)).solver == "casadi-ipopt"
+    refused = solve_certified(problem, SolverOptions(max_iterations=2))
     assert (refused.solver, refused.status) == ("casadi-piqp", Status.ITERATION_LIMIT)
 
 
@@ -174,18 +173,18 @@ def test_every_part_left_out_has_its_reason(build: Build) -> None:
 def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: str) -> None:
     from pydantic import TypeAdapter
 
-    from transopt.scene import FourthOrder, SecondOrder
+    from transopt.scene_sections import FourthOrder, SecondOrder
 
     table = {"kind": kind} if kind == "second_order" else {**scene.model.model_dump(), "kind": kind}
     model = TypeAdapter(SecondOrder | FourthOrder).validate_python(table)
     build = build_library(scene.model_copy(update={"model": model}), taps)
     assert build.library is not None
-    assert_entries_are_proven(build)
+    assert_entries_aresolve_certified(build)
 
 
 def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
     build = build_library(scene.model_copy(update={"amplifier": "ideal"}), taps)
-    assert_entries_are_proven(build)
+    assert_entries_aresolve_certified(build)
     assert build.library is not None
     assert build.library.meta["amplifier"] is None
     assert all(not check.shortfalls for check in verify_library(build.library))
@@ -195,7 +194,7 @@ def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording]
 def test_slew_limit_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
     limits = scene.limits.model_copy(update={"slew_A_per_s": 5000.0})
     build = build_library(scene.model_copy(update={"limits": limits}), taps)
-    assert_entries_are_proven(build)
+    assert_entries_aresolve_certified(build)
     assert build.library is not None
     assert "slew" in "".join(entry.binding for entry in build.all_entries())
     assert all(not check.shortfalls for check in verify_library(build.library))

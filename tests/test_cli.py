@@ -14,7 +14,8 @@ import pytest
 import problems
 from tests.conftest import IMPACTS
 from transopt.cli import main
-from transopt.library import Library, load_library
+from transopt.library import Library
+from transopt.library_file import load_library
 from transopt.problem import Status
 
 WOOD = problems.scene_path("wood_on_foam").read_text()

@@ -20,7 +20,8 @@ from transopt.baselines import seed_inversion
 from transopt.discretise import TimeGrid, discretise
 from transopt.errors import InputError
 from transopt.export import export_library
-from transopt.library import SHAPES, TEXTS, Library, load_library
+from transopt.library import SHAPES, TEXTS, Library
+from transopt.library_file import load_library
 from transopt.models import second_order
 from transopt.problem import Status
 

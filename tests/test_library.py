@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from transopt.errors import InputError
-from transopt.library import HASH_FIELD, SHAPES, Library, load_library
+from transopt.library import HASH_FIELD, SHAPES, Library, content_hash
+from transopt.library_file import load_library
 
 
 @pytest.fixture
@@ -27,11 +28,10 @@ def rewrite(path: Path, *, drop: str | None = None, **changed: object) -> None:
 
 
 def rehash(path: Path) -> None:
-    from transopt.library import _content_hash
 
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if name != HASH_FIELD}
-    np.savez(path, **arrays, **{HASH_FIELD: np.array(_content_hash(arrays))})
+    np.savez(path, **arrays, **{HASH_FIELD: np.array(content_hash(arrays))})
 
 
 def test_round_trip(library: Library, saved: Path) -> None:

@@ -18,7 +18,8 @@ from transopt.reference import (
     prepare,
     read_recordings,
 )
-from transopt.scene import Recordings, Scene
+from transopt.scene import Scene
+from transopt.scene_sections import Recordings
 from transopt.signals import STANDARD_GRAVITY_M_S2, Signal, highpass, lowpass, nrmse
 
 GRID = TimeGrid(1e-4, 300, 3e-4, 68e-6)

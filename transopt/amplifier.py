@@ -28,11 +28,16 @@ class Amplifier:
         return 2 * np.pi * self.pole_Hz
 
 
+def prefilter_coefficients(amplifier: Amplifier, dt_s: float) -> tuple[float, float]:
+    """1 / (1 - p) and -p / (1 - p), p = exp(-w dt): weights of the wanted current now and one tick earlier."""
+    p = float(np.exp(-amplifier.rate_rad_s * dt_s))
+    return 1 / (1 - p), -p / (1 - p)
+
+
 def prefilter(current_A: FloatArray, amplifier: Amplifier, dt_s: float) -> FloatArray:
     """Commands (..., N) that make the current reach `current_A` one servo period later.
 
     c_k = (i_k - p i_(k-1)) / (1 - p), p = exp(-w dt), i_(-1) = 0: the exact inverse of the pole between two
     switching instants (seed Sec. 4.1).
     """
-    p = np.exp(-amplifier.rate_rad_s * dt_s)
-    return np.asarray(signal.lfilter([1 / (1 - p), -p / (1 - p)], [1.0], current_A, axis=-1))
+    return np.asarray(signal.lfilter(prefilter_coefficients(amplifier, dt_s), [1.0], current_A, axis=-1))

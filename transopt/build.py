@@ -14,7 +14,7 @@ import numpy as np
 from transopt.design import Entry, design_grip
 from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
-from transopt.library import MULTIPLIER_FIELDS, SCHEMA, Library
+from transopt.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library
 from transopt.problem import Status
 from transopt.recording import Recording
 from transopt.reference import Reference, build_references
@@ -108,17 +108,25 @@ def _assemble(
         return lambda entry: getattr(entry.solution.multipliers, name)
 
     plants = [entry.problem.stage.plant for entry in entries[0]]
-    command = over_grid(lambda e: e.solution.command_A)
+    spreads = [[device.plant for device in entry.problem.spread] for entry in entries[0]]
+
+    def stacked(name: str) -> Any:
+        own = np.stack([getattr(plant, name) for plant in plants])
+        others = [[getattr(plant, name) for plant in devices] for devices in spreads]
+        return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
+
     return Library(
         speeds_m_s=np.asarray(scene.grid.speeds_m_s),
         grips_N=np.asarray(scene.grid.grips_N),
-        command_A=command,
-        transient_command_A=command.copy(),
+        command_A=over_grid(lambda e: e.solution.command_A),
+        transient_command_A=over_grid(lambda e: e.transient_command_A),
         current_A=over_grid(lambda e: e.current_A),
         acceleration_m_s2=over_grid(lambda e: e.predicted_m_s2),
         reference_m_s2=np.stack([r.motor_m_s2 for r in references]),
         reference_raw_m_s2=np.stack([r.raw_m_s2 for r in references]),
         nominal_position_m=np.stack([r.nominal_position_m for r in references]),
+        nominal_velocity_m_s=np.stack([r.nominal_velocity_m_s for r in references]),
+        nominal_position_at_ticks_m=np.stack([r.nominal_position_at_ticks_m for r in references]),
         nrmse=over_grid(lambda e: e.nrmse),
         floor=over_grid(lambda e: e.floor),
         nrmse_seed=over_grid(lambda e: (e.baselines.seed, e.baselines.seed_steady)),
@@ -126,14 +134,16 @@ def _assemble(
         peak_current_A=over_grid(lambda e: e.played.peak_current_A),
         peak_temperature_C=over_grid(lambda e: e.played.winding_C),
         objective=over_grid(lambda e: e.certificate.objective),
-        primal_violation=over_grid(lambda e: e.certificate.primal_violation_A),
+        primal_violation=over_grid(lambda e: e.certificate.primal_violation),
         dual_residual=over_grid(lambda e: e.certificate.dual_residual),
         duality_gap=over_grid(lambda e: e.certificate.duality_gap),
+        lower_bound=over_grid(lambda e: e.certificate.lower_bound),
         solve_time_s=over_grid(lambda e: e.solution.solve_time_s),
         status=over_grid(lambda e: e.status.value),
         binding=over_grid(lambda e: e.binding),
         **{field: over_grid(multiplier(name)) for name, field in MULTIPLIER_FIELDS.items()},
-        **{f"plant_{m}": np.stack([getattr(plant, m) for plant in plants]) for m in ("A", "B", "C", "D", "Ce")},
+        **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
+        **{f"spread_{name}": stacked(name) for name in PLANT},
         meta=_meta(scene, references, entries, options),
     )
 
@@ -141,7 +151,12 @@ def _assemble(
 def _meta(
     scene: Scene, references: list[Reference], entries: list[list[Entry]], options: SolverOptions
 ) -> dict[str, Any]:
-    amplifier, coil, problem = scene.amplifier_model(), scene.coil(), entries[0][0].problem
+    amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
+    problem = entries[0][0].problem
+    # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
+    warm = any(
+        "temperature" not in entry.left_out and "limits" not in entry.left_out for row in entries for entry in row
+    )
     return {
         "schema": SCHEMA,
         "dt_s": scene.time.dt_s,
@@ -152,13 +167,18 @@ def _meta(
             "current_A": problem.limits.current_A,
             "steady_current_A": scene.limits.steady_current_A,
             "slew_A_per_s": problem.limits.slew_A_per_s,
-            "supply_V": None,
-            # Shown not to bind (left_out); null because it is no constraint of the problem.
-            "temperature_C": None,
+            "supply_V": scene.limits.supply_V,
+            "temperature_C": problem.thermal.limit_C if warm and problem.thermal is not None else None,
         },
-        "thermal": None if coil is None else asdict(coil),
-        "feedback": None,
-        "weights": {"rho": problem.rho, "tracking": problem.tracking_weights.tolist()},
+        "thermal": None if coil is None else {"coil": asdict(coil), "budget": asdict(scene.budget())},
+        "circuit": None if circuit is None else asdict(circuit),
+        "feedback": None if wall is None else asdict(wall),
+        "weights": {
+            "rho": problem.rho,
+            "tracking": problem.tracking_weights.tolist(),
+            "error_filter": scene.weights.error_filter,
+            "spread": None if scene.robust is None else scene.robust.model_dump(),
+        },
         "hand_over_samples": scene.hand_over_samples,
         "left_out": _shared_left_out(entries),
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],

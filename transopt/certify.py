@@ -1,14 +1,17 @@
 """Certificate of optimality without a solver (DESIGN 4)."""
 
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from transopt.discretise import Motion
 from transopt.problem import Certificate, Multipliers, TransientProblem
 from transopt.signals import FloatArray
+from transopt.wall import feedback_command_transpose
 
 BINDING_MULTIPLIER = 1e-9  # 1/A; an interior-point method leaves about 1e-13 on a limit that does not bind
-BINDING_SLACK = 1e-5  # of the limit current
+BINDING_SLACK = 1e-5  # of the limit
 
 
 def _moved(by_movement: FloatArray) -> FloatArray:
@@ -16,20 +19,110 @@ def _moved(by_movement: FloatArray) -> FloatArray:
     return np.asarray(by_movement - np.append(by_movement[1:], 0.0))
 
 
+@dataclass(frozen=True)
+class _Box:
+    """One limit along the horizon: |value| <= bound, or value <= bound without `lower`."""
+
+    name: str
+    unit: str
+    lower: FloatArray | None
+    upper: FloatArray
+    value: FloatArray
+    bound: FloatArray
+
+    @property
+    def excess(self) -> FloatArray:
+        """(N,) how far the value is outside, negative inside."""
+        size = self.value if self.lower is None else np.abs(self.value)
+        return np.asarray(size - self.bound)
+
+    @property
+    def complementarity(self) -> float:
+        """Sum of multiplier times slack, slacks by their size; a limit of infinity has no multiplier."""
+        stated = np.isfinite(self.bound)
+        upper, value, bound = self.upper[stated], self.value[stated], self.bound[stated]
+        total = float(upper @ np.abs(bound - value))
+        return total if self.lower is None else total + float(self.lower[stated] @ np.abs(bound + value))
+
+
+def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> list[_Box]:
+    """Every limit that the problem has, with what the command does to it."""
+    limits, m, N = problem.limits, multipliers, problem.grid.stages
+
+    def box(name: str, unit: str, pair: str, value: FloatArray, bound: float) -> _Box:
+        lower, upper = getattr(m, f"{pair}_lower"), getattr(m, f"{pair}_upper")
+        return _Box(name, unit, lower, upper, value, np.full(N, bound))
+
+    found = [box("current", "A", "current", motion.current_A, limits.current_A)]
+    if limits.command_A is not None:
+        found.append(box("command", "A", "command", command_A, limits.command_A))
+    if limits.slew_A_per_s is not None:
+        movement = np.diff(command_A, prepend=0.0)
+        found.append(box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s))
+    if problem.supply is not None:
+        before, after = problem.supply.voltages_V(motion, command_A)
+        # Nothing that is commanded can change the voltage before the first command is felt.
+        before[0] = 0.0
+        found.append(box("supply", "V", "supply_before", before, problem.supply.limit_V))
+        found.append(box("supply", "V", "supply_after", after, problem.supply.limit_V))
+    if problem.thermal is not None:
+        winding = problem.thermal.temperatures_C(motion.current_A, command_A)
+        limit = problem.thermal.model.headroom_K + problem.thermal.model.unpowered_C
+        found.append(_Box("coil", "C", None, m.temperature_upper, winding, limit))
+    return found
+
+
+def inside(problem: TransientProblem, command_A: FloatArray, *, only: str | None = None) -> bool:
+    """Whether a command keeps all limits, or only those of one name, without any tolerance."""
+    limits = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
+    return all(bool(np.all(box.excess <= 0)) for box in limits if only in (None, box.name))
+
+
 def reduced_gradient(
-    problem: TransientProblem, command_A: FloatArray, acceleration_m_s2: FloatArray, multipliers: Multipliers
+    problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers
 ) -> FloatArray:
-    """(N,) gradient by the commands of J + sum mu (constraint), hand-over multipliers not included [1/A]."""
-    r = problem.reference_m_s2
-    by_acceleration = 2 * problem.tracking_weights * (acceleration_m_s2 - r) / float(r @ r)
-    by_current = multipliers.current_upper - multipliers.current_lower
+    """(N,) gradient by the commands of J + sum mu (constraint) + sum hand_over (c - feedback) [1/A]."""
+    m, r = multipliers, problem.reference_m_s2
+    scale = 2 / (float(r @ r) * len(problem.devices))
+    by_command = m.command_upper - m.command_lower
+
+    def by_acceleration(acceleration_m_s2: FloatArray) -> FloatArray:
+        weighted = scale * problem.tracking_weights * problem.weighted_error(acceleration_m_s2)
+        return weighted if problem.error_filter is None else problem.error_filter.transpose(weighted)
+
+    by_current = m.current_upper - m.current_lower
+    by_velocity = np.zeros_like(by_current)
+    by_encoder = np.zeros_like(by_current)
+    if problem.supply is not None:
+        before, after = m.supply_before_upper - m.supply_before_lower, m.supply_after_upper - m.supply_after_lower
+        through_current, by_velocity, directly = problem.supply.transpose(before, after)
+        by_current, by_command = by_current + through_current, by_command + directly
+    if problem.thermal is not None and np.any(m.temperature_upper):
+        model = problem.thermal.model
+        h = model.heating.mean_square(motion.current_A, command_A)
+        by_h = model.adjoint(h, m.temperature_upper)
+        through_current, directly = model.heating.gradient(motion.current_A, command_A)
+        by_current, by_command = by_current + by_h * through_current, by_command + by_h * directly
+    tail = np.append(np.zeros(problem.free_stages), m.hand_over)
+    by_command = by_command + tail
+    if problem.wall is not None:
+        dt, late = problem.grid.dt_s, problem.stage.whole_delay + 1
+        by_feedback = feedback_command_transpose(-tail, problem.stage.amplifier, dt)
+        by_encoder = np.append(problem.wall.feedback_transpose(by_feedback, dt)[late:], np.zeros(late))
     movement = np.diff(command_A, prepend=0.0)
-    by_movement = 2 * problem.movement_weight * movement + multipliers.slew_upper - multipliers.slew_lower
-    by_command = multipliers.command_upper - multipliers.command_lower
-    return problem.stage.adjoint(by_acceleration, by_current) + _moved(by_movement) + by_command
+    by_movement = 2 * problem.movement_weight * movement + m.slew_upper - m.slew_lower
+    own = Motion(by_acceleration(motion.acceleration_m_s2), by_current, by_velocity, by_encoder)
+    gradient = problem.stage.adjoint(own) + _moved(by_movement) + by_command
+    for device in problem.spread:
+        acceleration, _ = device.rollout(command_A)
+        tracking = replace(Motion.zero(acceleration.size), acceleration_m_s2=by_acceleration(acceleration))
+        gradient = gradient + device.adjoint(tracking)
+    return np.asarray(gradient)
 
 
-def certify(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> Certificate:
+def certify(
+    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, lower_bound: float = -np.inf
+) -> Certificate:
     """Bound the distance of a command from the optimum.
 
     J is convex in the commands, so for any mu >= 0 the optimum is at least
@@ -37,49 +130,66 @@ def certify(problem: TransientProblem, command_A: FloatArray, multipliers: Multi
 
         gap = sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|)
 
-    with s the slacks and g the reduced gradient of the Lagrangian over the free commands. Negative slacks
+    with s the slacks and g the reduced gradient of the Lagrangian over the commands. Negative slacks
     count by their size. The hand-over multipliers are checked too: they must cancel g over the hand-over,
     or what is left of it counts with c_max (so that a lost or flipped one is noticed, although the
-    hand-over commands cannot move).
+    hand-over commands cannot move). Where the temperature binds, the Lagrangian is not convex: the gap is then
+    that of a stationary point, and `lower_bound` has to come from the convex problem of `solvers.global_bound`.
 
     Parameters
     ----------
     command_A : (N,).
+    lower_bound : of the optimum, from elsewhere; not needed while no temperature multiplier is positive.
     """
-    limits, N = problem.limits, problem.grid.stages
+    N = problem.grid.stages
     signed = [getattr(multipliers, field.name) for field in fields(multipliers) if field.name != "hand_over"]
     arrays = [command_A, *signed, multipliers.hand_over]
-    shapes = [(N,)] * 7 + [(problem.hand_over_samples,)]
+    shapes = [(N,)] * (1 + len(signed)) + [(problem.hand_over_samples,)]
     if [a.shape for a in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays):
-        return Certificate(float("nan"), float("inf"), float("inf"), float("inf"), finite=False)
+        return Certificate.nothing()
 
     if problem.reference_is_zero:
         # The stated answer is the zero waveform; J is not defined.
         peak = float(np.abs(command_A).max())
-        return Certificate(0.0, peak, 0.0, 0.0 if peak == 0.0 else float("inf"), finite=True)
+        gap = 0.0 if peak == 0.0 else float("inf")
+        return Certificate(0.0, peak, 0.0, 0.0, 0.0, gap, -gap, finite=True)
 
-    acceleration, current = problem.stage.rollout(command_A)
-    movement = np.diff(command_A, prepend=0.0)
-    objective = problem.objective(command_A, acceleration)
-    c_max = limits.command_bound_A
-
-    boxes = [(multipliers.current_lower, multipliers.current_upper, current, limits.current_A)]
-    if limits.command_A is not None:
-        boxes.append((multipliers.command_lower, multipliers.command_upper, command_A, limits.command_A))
-    if limits.slew_A_per_s is not None:
-        step = limits.slew_A_per_s * problem.grid.dt_s
-        boxes.append((multipliers.slew_lower, multipliers.slew_upper, movement, step))
-    violation = max(float((np.abs(value) - bound).max()) for _, _, value, bound in boxes)
-    tail = command_A[problem.free_stages :]
-    violation = max(violation, float(np.abs(tail).max()), 0.0)
-
+    motion = problem.stage.motion(command_A)
+    others = [device.rollout(command_A)[0] for device in problem.spread]
+    objective = problem.objective(command_A, np.stack([motion.acceleration_m_s2, *others]))
     clipped = multipliers.clipped()
-    g = reduced_gradient(problem, command_A, acceleration, clipped)
-    g[problem.free_stages :] += clipped.hand_over
-    gap = float(np.abs(g) @ (c_max + np.abs(command_A)))
-    for lower, upper, value, bound in boxes:
-        gap += float(np.maximum(lower, 0) @ np.abs(bound + value) + np.maximum(upper, 0) @ np.abs(bound - value))
-    return Certificate(objective, violation, float(np.abs(g).max()), gap, finite=True)
+    limits = boxes(problem, command_A, motion, clipped)
+
+    def violation(*units: str) -> float:
+        return max((float(box.excess.max()) for box in limits if box.unit in units), default=0.0)
+
+    tail = (command_A - problem.hand_over_command(motion))[problem.free_stages :]
+    g = reduced_gradient(problem, command_A, motion, clipped)
+    c_max = problem.limits.command_bound_A
+    gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
+    gap += float(np.abs(clipped.hand_over) @ np.abs(tail))
+    convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.temperature_upper.any()
+    return Certificate(
+        objective=objective,
+        primal_violation_A=max(violation("A", "A/tick"), float(np.abs(tail).max()), 0.0),
+        primal_violation_V=max(violation("V"), 0.0),
+        primal_violation_K=max(violation("C"), 0.0),
+        dual_residual=float(np.abs(g).max()),
+        duality_gap=gap,
+        lower_bound=max(objective - gap, lower_bound) if convex else lower_bound,
+        finite=True,
+    )
+
+
+def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
+    """From when to when a limit is active, in milliseconds after contact."""
+    times_ms = problem.grid.switching_times_s * 1e3
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
+    spans = [
+        f"{times_ms[first]:.2f}" + (f" to {times_ms[after - 1]:.2f}" if after - first > 1 else "")
+        for first, after in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return ", ".join(spans)
 
 
 def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> str:
@@ -87,29 +197,17 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
 
     A limit binds at a stage where its multiplier is positive beyond rounding and its slack is gone.
     """
-    _, current = problem.stage.rollout(command_A)
-    limits, grid = problem.limits, problem.grid
-    movement = np.diff(command_A, prepend=0.0)
-    step = np.inf if limits.slew_A_per_s is None else limits.slew_A_per_s * grid.dt_s
-    bound = np.inf if limits.command_A is None else limits.command_A
-    m = multipliers
-    rows = [
-        (f"current +{limits.current_A:g} A", m.current_upper, limits.current_A - current),
-        (f"current -{limits.current_A:g} A", m.current_lower, limits.current_A + current),
-        (f"command +{bound:g} A", m.command_upper, bound - command_A),
-        (f"command -{bound:g} A", m.command_lower, bound + command_A),
-        ("slew up", m.slew_upper, step - movement),
-        ("slew down", m.slew_lower, step + movement),
-    ]
-    times_ms = grid.switching_times_s * 1e3
-    found = []
-    for name, mu, slack in rows:
-        active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < BINDING_SLACK * limits.current_A)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
-        spans = [
-            f"{times_ms[first]:.2f}" + (f" to {times_ms[after - 1]:.2f}" if after - first > 1 else "")
-            for first, after in zip(edges[::2], edges[1::2], strict=True)
-        ]
-        if spans:
-            found.append((times_ms[edges[0]], f"{name} at {', '.join(spans)} ms"))
-    return "; ".join(text for _, text in sorted(found)) or "none"
+    limits = boxes(problem, command_A, problem.stage.motion(command_A), multipliers)
+    rows: dict[str, NDArray[np.bool_]] = {}
+    for box in limits:
+        near = BINDING_SLACK * np.where(np.isfinite(box.bound), np.abs(box.bound), 1.0)
+        sides = [("+" if box.lower is not None else "", box.upper, box.bound - box.value)]
+        if box.lower is not None:
+            sides.append(("-", box.lower, box.bound + box.value))
+        for sign, mu, slack in sides:
+            active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
+            bound = float(box.bound[np.isfinite(box.bound)].min())
+            label = f"{box.name} {sign}{bound:g} {box.unit}"
+            rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
+    found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
+    return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

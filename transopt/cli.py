@@ -130,7 +130,7 @@ def taps(
     from pydantic import ValidationError
 
     from transopt.reference import prepare, read_recordings
-    from transopt.scene import Recordings
+    from transopt.scene_sections import Recordings
     from transopt.taps import scene_lines, taps_table
 
     try:
@@ -268,7 +268,7 @@ def solve(
 @app.command()
 def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:
     """Certify and replay every entry again, from the file alone; exit 1 if one fails."""
-    from transopt.library import load_library
+    from transopt.library_file import load_library
     from transopt.report import verify_table
     from transopt.verify import verify_library
 
@@ -287,7 +287,7 @@ def show(
     figure: Annotated[Path | None, typer.Option(help="Also draw the transients into this PNG.")] = None,
 ) -> None:
     """Print a library's table; optionally draw its transients."""
-    from transopt.library import load_library
+    from transopt.library_file import load_library
     from transopt.report import library_table
 
     loaded = load_library(library)
@@ -309,7 +309,7 @@ def export(
 ) -> None:
     """Write a library as MAT, CSV, WAV (to listen to) or a C header."""
     from transopt.export import export_library
-    from transopt.library import load_library
+    from transopt.library_file import load_library
 
     export_library(load_library(library), file)
     typer.echo(f"{file} written")

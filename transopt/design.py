@@ -6,16 +6,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.baselines import clipped_optimum, seed_inversion
-from transopt.certify import binding_limits, certify
+from transopt.certify import binding_limits
 from transopt.discretise import StageModel, acting_states, discretise
+from transopt.heat import thermal_limit
+from transopt.optimum import Designed, optimum
+from transopt.price import Price, prices
 from transopt.problem import Certificate, Solution, Status, TransientProblem, verdict
 from transopt.reference import Reference
 from transopt.replay import Replay, replay
 from transopt.scene import Scene
 from transopt.signals import FloatArray, nrmse
-from transopt.solvers import SOLVERS, SolverOptions, solve, unlimited
-from transopt.thermal import CoilModel
-from transopt.verify import admit, temperature_bound_C
+from transopt.solvers import SolverOptions
+from transopt.supply import Supply
+from transopt.transcribe import Size
+from transopt.verify import admit
+from transopt.wall import HandOver
 
 
 @dataclass(frozen=True)
@@ -29,6 +34,17 @@ class Baselines:
 
 
 @dataclass(frozen=True)
+class SpreadErrors:
+    """NRMSE of a robust entry over its devices: of the nominal design (at the node, mean, worst) and of its own."""
+
+    nominal: float
+    nominal_mean: float
+    nominal_worst: float
+    robust_mean: float
+    robust_worst: float
+
+
+@dataclass(frozen=True)
 class Entry:
     """One (speed, grip) of a library, with everything that is said about it.
 
@@ -36,8 +52,12 @@ class Entry:
     ----------
     predicted_m_s2, current_A : (N,) y'' and i of the command at the switching instants.
     floor : NRMSE of the unlimited optimum. free_peak_A : its peak current.
+    transient_command_A : (N,) the command without the wall's predicted feedback; the command itself without a wall.
     status, shortfalls : admission; shortfalls is empty for an OPTIMAL entry.
+    prices : what each limit that binds costs.
     left_out : part of the problem -> why it is not in it.
+    size : of the program that was solved; None where one linear solve was enough.
+    spread : errors over the spread of devices; None for an entry designed for one device.
     """
 
     speed_m_s: float
@@ -48,6 +68,7 @@ class Entry:
     played: Replay
     predicted_m_s2: FloatArray
     current_A: FloatArray
+    transient_command_A: FloatArray
     floor: float
     free_peak_A: float
     baselines: Baselines
@@ -55,7 +76,10 @@ class Entry:
     status: Status
     shortfalls: list[str]
     binding: str
+    prices: list[Price]
     left_out: dict[str, str]
+    size: Size | None
+    spread: SpreadErrors | None
 
     @property
     def nrmse(self) -> float:
@@ -70,102 +94,45 @@ class Entry:
         return verdict(self.nrmse, self.floor, self.repeatability)
 
 
-def _inside_limits(problem: TransientProblem, command_A: FloatArray, current_A: FloatArray) -> bool:
-    limits = problem.limits
-    step = limits.slew_A_per_s
-    return bool(
-        np.abs(current_A).max() <= limits.current_A
-        and np.abs(command_A).max() <= limits.command_bound_A
-        and (step is None or np.abs(np.diff(command_A, prepend=0.0)).max() <= step * problem.grid.dt_s)
+def _left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
+    """Parts that the scene does not ask for."""
+    idle = int(np.sum(~acting_states(problem.stage.plant)))
+    parts = {
+        "feedback": (problem.wall is None, "the scene has no wall"),
+        "position": (
+            problem.wall is None,
+            "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
+        ),
+        "supply": (problem.supply is None, "the scene states no supply limit"),
+        "slew": (problem.limits.slew_A_per_s is None, "the scene states no slew limit"),
+        "amplifier": (problem.stage.amplifier is None, "ideal in the scene"),
+        "hand": (scene.grid.grips_N[0] == 0, "free device, grip 0"),
+        "weighting": (problem.error_filter is None, "the scene weighs all frequencies alike"),
+        "temperature": (problem.thermal is None, "the scene has no motor data"),
+    }
+    return {part: reason for part, (missing, reason) in parts.items() if missing}
+
+
+def scene_stage(scene: Scene, grip_N: float) -> StageModel:
+    """The device of one grip as the scene's problem needs it."""
+    return discretise(
+        scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s, position=scene.feedback is not None
     )
 
 
-def _left_out(scene: Scene, problem: TransientProblem, coil: CoilModel | None, free: str | None) -> dict[str, str]:
-    """Every part that the problem does not have, and why it may be missing."""
-    idle = int(np.sum(~acting_states(problem.stage.plant)))
-    parts = {
-        "feedback": "the scene has no wall",
-        "position": "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
-        "supply": "the scene states no supply limit",
-    }
-    if problem.limits.slew_A_per_s is None:
-        parts["slew"] = "the scene states no slew limit"
-    if problem.stage.amplifier is None:
-        parts["amplifier"] = "ideal in the scene"
-    if scene.grid.grips_N[0] == 0:
-        parts["hand"] = "free device, grip 0"
-    if coil is None:
-        parts["temperature"] = "the scene has no motor data"
-    elif temperature_bound_C(problem, coil) <= coil.limit_C:
-        parts["temperature"] = (
-            f"cannot pass {temperature_bound_C(problem, coil):.2f} C even if {problem.limits.current_A:g} A flowed "
-            f"for the whole horizon and no heat left the winding, limit {coil.limit_C:g} C"
-        )
-    if free is not None:
-        parts["limits"] = free
-    return parts
-
-
-@dataclass(frozen=True)
-class Designed:
-    """One entry before its replay.
-
-    Attributes
-    ----------
-    floor, free_peak_A : NRMSE and peak current of the unlimited optimum `unlimited_command_A` (N,).
-    free : why the unlimited optimum is the answer, None if it is not.
-    """
-
-    problem: TransientProblem
-    solution: Solution
-    unlimited_command_A: FloatArray
-    floor: float
-    free_peak_A: float
-    free: str | None
-
-
-def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
-    """The optimum of one entry: the unlimited one if it is inside all limits, else the solver's."""
-    if problem.reference_is_zero:
-        answer = solve(problem, options)
-        floor = nrmse(answer.command_A, problem.reference_m_s2)
-        return Designed(problem, answer, answer.command_A, floor, 0.0, "zero reference: zero waveform")
-    free = unlimited.solve(problem)
-    acceleration, current = problem.stage.rollout(free.command_A)
-    r = problem.reference_m_s2
-    floor = nrmse(acceleration, r)
-    peak = float(np.abs(current).max())
-    if _inside_limits(problem, free.command_A, current):
-        reason = (
-            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
-            f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
-        )
-        return Designed(problem, free, free.command_A, floor, peak, reason)
-    answer = _proven(problem, options)
-    answer = replace(answer, solve_time_s=free.solve_time_s + answer.solve_time_s)
-    return Designed(problem, answer, free.command_A, floor, peak, None)
-
-
-def _proven(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """The wanted solver's answer or, where that is not certified, the first other solver's that is.
-
-    On stiff and extreme problems the methods fail on different cases; the certificate tells.
-    """
-
-    def is_proven(answer: Solution) -> bool:
-        proof = certify(problem, answer.command_A, answer.multipliers)
-        return answer.status is Status.OPTIMAL and proof.accepted
-
-    wanted = solve(problem, options)
-    if is_proven(wanted):
-        return wanted
-    others = (solve(problem, replace(options, solver=name)) for name in SOLVERS if name != options.solver)
-    return next((answer for answer in others if is_proven(answer)), wanted)
-
-
-def entry_problem(scene: Scene, stage: StageModel, reference: Reference) -> TransientProblem:
+def entry_problem(
+    scene: Scene, stage: StageModel, reference: Reference, spread: tuple[StageModel, ...] = ()
+) -> TransientProblem:
     """What one entry has to meet: the stage model of its grip, the reference of its speed."""
-    grid = scene.time_grid()
+    grid, coil, wall, circuit = scene.time_grid(), scene.coil(), scene.wall(), scene.circuit()
+    amplifier, supply_V = stage.amplifier, scene.limits.supply_V
+    supply = None
+    if supply_V is not None and circuit is not None and amplifier is not None:
+        supply = Supply(supply_V, circuit, amplifier.rate_rad_s, reference.nominal_velocity_m_s)
+    hand_over = None
+    if wall is not None:
+        nominal = reference.nominal_position_at_ticks_m
+        hand_over = HandOver(wall, nominal, reference.speed_m_s, nominal < 0)
     return TransientProblem(
         stage=stage,
         grid=grid,
@@ -174,6 +141,11 @@ def entry_problem(scene: Scene, stage: StageModel, reference: Reference) -> Tran
         rho=scene.weights.rho,
         limits=scene.current_limits(),
         hand_over_samples=scene.hand_over_samples,
+        supply=supply,
+        wall=hand_over,
+        thermal=None if coil is None else thermal_limit(coil, amplifier, grid, scene.budget()),
+        error_filter=scene.error_filter(),
+        spread=spread,
     )
 
 
@@ -182,22 +154,32 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
 
     Solved one by one with one solver object; the optimum and the baselines of all speeds are replayed together.
     """
-    grid, limits, coil = scene.time_grid(), scene.current_limits(), scene.coil()
-    stage = discretise(scene.plant(grip_N), scene.amplifier_model(), grid.dt_s)
-    designed = [optimum(entry_problem(scene, stage, reference), options) for reference in references]
-    rivals = [
-        _rivals(stage, d, limit) for d in designed for limit in (limits.current_A, scene.limits.steady_current_A)
-    ]
-    commands = [d.solution.command_A for d in designed] + [c for pair in rivals for c in pair]
-    each = np.stack([reference.motor_m_s2 for reference in references])
-    wanted = np.concatenate([each, np.repeat(each, 4, axis=0)])
-    # A solver that broke down returns NaN, which no integrator needs to see.
-    playable = np.nan_to_num(np.stack(commands), nan=0.0, posinf=0.0, neginf=0.0)
-    replays = replay(stage, grid, playable, wanted, coil)
+    stage = scene_stage(scene, grip_N)
+    spread = tuple(scene_stage(scene, grip) for grip in scene.spread_grips_N(grip_N))
+    designed = [optimum(entry_problem(scene, stage, reference, spread), options) for reference in references]
+    replays, rivals = _played(scene, stage, designed)
     return [
-        _entry(scene, grip_N, reference, d, replays[j], replays[len(designed) + 4 * j : len(designed) + 4 * (j + 1)])
-        for j, (reference, d) in enumerate(zip(references, designed, strict=True))
+        _entry(scene, grip_N, reference, d, played, rivals[4 * j : 4 * (j + 1)], options)
+        for j, (reference, d, played) in enumerate(zip(references, designed, replays, strict=True))
     ]
+
+
+def _played(scene: Scene, stage: StageModel, designed: Sequence[Designed]) -> tuple[list[Replay], list[Replay]]:
+    """Replays of the optimum, through the wall if there is one, and of the four baselines of each entry."""
+    problems = [d.problem for d in designed]
+    grid, coil, budget = problems[0].grid, scene.coil(), scene.budget()
+    references = np.stack([problem.reference_m_s2 for problem in problems])
+    # A solver that broke down returns NaN, which no integrator needs to see.
+    commands = [np.nan_to_num(d.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
+    transients = np.stack([p.transient_command(c) for p, c in zip(problems, commands, strict=True)])
+    supplies = [p.supply for p in problems if p.supply is not None]
+    walls = [p.wall for p in problems if p.wall is not None]
+    replays = replay(
+        stage, grid, transients, references, coil, supplies=supplies or None, walls=walls or None, budget=budget
+    )
+    limits = (problems[0].limits.current_A, scene.limits.steady_current_A)
+    rivals = np.stack([c for d in designed for limit in limits for c in _rivals(stage, d, limit)])
+    return replays, replay(stage, grid, rivals, np.repeat(references, 4, axis=0), coil, budget=budget)
 
 
 def _rivals(stage: StageModel, designed: Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
@@ -208,29 +190,58 @@ def _rivals(stage: StageModel, designed: Designed, limit_A: float) -> tuple[Floa
     )
 
 
+def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: FloatArray) -> SpreadErrors | None:
+    """NRMSE over the devices of a robust entry, of its command and of the command designed for the node alone."""
+    if not problem.spread:
+        return None
+    r = problem.reference_m_s2
+    own, robust = (
+        np.array([nrmse(a, r) for a in problem.accelerations(command)]) for command in (nominal_A, command_A)
+    )
+    return SpreadErrors(
+        float(own[0]), float(own.mean()), float(own.max()), *map(float, (robust.mean(), robust.max()))
+    )
+
+
 def _entry(
-    scene: Scene, grip_N: float, reference: Reference, designed: Designed, played: Replay, rivals: Sequence[Replay]
+    scene: Scene,
+    grip_N: float,
+    reference: Reference,
+    designed: Designed,
+    played: Replay,
+    rivals: Sequence[Replay],
+    options: SolverOptions,
 ) -> Entry:
-    problem, solution, coil = designed.problem, designed.solution, scene.coil()
-    certificate = certify(problem, solution.command_A, solution.multipliers)
-    predicted, current = problem.stage.rollout(solution.command_A)
-    status, shortfalls = admit(solution.status, certificate, played, problem, coil, predicted)
+    problem, solution = designed.problem, designed.solution
+    command = solution.command_A
+    predicted, current = problem.stage.rollout(command)
+    status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
     seed, clipped, seed_steady, clipped_steady = (rival.nrmse for rival in rivals)
+    spread = None
+    if problem.spread and status is Status.OPTIMAL:
+        nominal = optimum(replace(problem, spread=()), options).solution.command_A
+        spread = _spread_errors(problem, nominal, command)
     return Entry(
         speed_m_s=reference.speed_m_s,
         grip_N=grip_N,
         problem=problem,
         solution=solution,
-        certificate=certificate,
+        certificate=designed.certificate,
         played=played,
         predicted_m_s2=predicted,
         current_A=current,
+        transient_command_A=problem.transient_command(command),
         floor=designed.floor,
         free_peak_A=designed.free_peak_A,
         baselines=Baselines(seed, clipped, seed_steady, clipped_steady),
         repeatability=reference.repeatability,
         status=status,
-        shortfalls=shortfalls,
-        binding=binding_limits(problem, solution.command_A, solution.multipliers),
-        left_out=_left_out(scene, problem, coil, designed.free),
+        shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],
+        binding=binding_limits(problem, command, solution.multipliers),
+        prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A)
+        if status is Status.OPTIMAL
+        else [],
+        left_out={**_left_out_by_scene(scene, problem), **designed.left_out},
+        size=designed.size,
+        spread=spread,
     )

@@ -1,6 +1,6 @@
 """Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,16 +37,40 @@ class TimeGrid:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """What a command does at the switching instants, or gradients by it; all (..., N).
+
+    Attributes
+    ----------
+    acceleration_m_s2 : y'' of the stylus. current_A : i.
+    velocity_m_s : dy/dt of the motor mass, which the back-EMF follows.
+    encoder_m : y of the motor mass where the encoder is read while c_k is felt, at tick t_(k + 1 + whole delay);
+        zero where the model has no position.
+    """
+
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    velocity_m_s: FloatArray
+    encoder_m: FloatArray
+
+    @classmethod
+    def zero(cls, stages: int) -> "Motion":
+        return cls(*(np.zeros(stages) for _ in range(4)))
+
+
+@dataclass(frozen=True)
 class StageModel:
     """One grip's device over one servo period, exact for a held command.
 
-    x_(k+1) = A x_k + B c_k,  y''_k = C x_k + D c_k,  i_k = Ci x_k + Di c_k  at the switching instants.
+    x_(k+1) = A x_k + B c_k,  outputs C x_k + D c_k  at the switching instants.
     x holds the plant's acting states and, unless the amplifier is ideal, the current (its last entry).
 
     Attributes
     ----------
     plant, amplifier, dt_s : what was discretised; amplifier None is ideal, i = c.
-    A : (n, n). B : (n, 1). C, Ci : (1, n). D, Di : (1, 1).
+    A : (n, n). B : (n, 1).
+    C, D : (1, n), (1, 1) of y''. Ci, Di : of the current. Cv : (1, n) of the motor mass's velocity.
+    Cp, Dp : of the encoder position at the tick within the period; None where position is left out.
     """
 
     plant: StateSpace
@@ -58,49 +82,85 @@ class StageModel:
     D: FloatArray
     Ci: FloatArray
     Di: FloatArray
+    Cv: FloatArray
+    Cp: FloatArray | None = None
+    Dp: FloatArray | None = None
 
-    def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Acceleration y'' and current at the switching instants for held commands.
+    @property
+    def whole_delay(self) -> int:
+        """Whole servo periods in the amplifier's delay."""
+        return 0 if self.amplifier is None else split_delay(self.amplifier.delay_s, self.dt_s)[0]
+
+    def _states(self, command_A: FloatArray) -> FloatArray:
+        """(N, n, M) states before each of N stages for commands (M, N)."""
+        M, N = command_A.shape
+        x = np.zeros((N, self.A.shape[0], M))
+        for k in range(N - 1):
+            x[k + 1] = self.A @ x[k] + self.B * command_A[:, k]
+        return x
+
+    def motion(self, command_A: FloatArray) -> Motion:
+        """Everything a held command does.
 
         Parameters
         ----------
         command_A : (..., N).
-
-        Returns
-        -------
-        acceleration_m_s2, current_A : (..., N) each.
         """
-        N = command_A.shape[-1]
-        c = command_A.reshape(-1, N)
-        x = np.empty((N, self.A.shape[0], c.shape[0]))
-        x[0] = 0.0
-        for k in range(N - 1):
-            x[k + 1] = self.A @ x[k] + self.B * c[:, k]
-        acceleration = np.einsum("n,knm->mk", self.C[0], x) + self.D[0, 0] * c
-        current = np.einsum("n,knm->mk", self.Ci[0], x) + self.Di[0, 0] * c
-        return acceleration.reshape(command_A.shape), current.reshape(command_A.shape)
+        c = command_A.reshape(-1, command_A.shape[-1])
+        x = self._states(c)
 
-    def adjoint(self, by_acceleration: FloatArray, by_current: FloatArray) -> FloatArray:
-        """Gradient by the commands of a function whose gradients by y'' and i are given, all (N,).
+        def output(row: FloatArray, direct: FloatArray | None) -> FloatArray:
+            values = np.einsum("n,knm->mk", row[0], x)
+            if direct is not None:
+                values = values + direct[0, 0] * c
+            return np.asarray(values.reshape(command_A.shape))
 
-        The transpose of `rollout`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + C' g_k + Ci' h_k.
+        return Motion(
+            acceleration_m_s2=output(self.C, self.D),
+            current_A=output(self.Ci, self.Di),
+            velocity_m_s=output(self.Cv, None),
+            encoder_m=np.zeros(command_A.shape) if self.Cp is None else output(self.Cp, self.Dp),
+        )
+
+    def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
+        motion = self.motion(command_A)
+        return motion.acceleration_m_s2, motion.current_A
+
+    def adjoint(self, gradient: Motion) -> FloatArray:
+        """(N,) gradient by the commands of a function whose gradients by the motion are given, (N,) each.
+
+        The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
-        N = by_acceleration.size
+        rows = [(self.C, self.D, gradient.acceleration_m_s2), (self.Ci, self.Di, gradient.current_A)]
+        rows.append((self.Cv, np.zeros((1, 1)), gradient.velocity_m_s))
+        if self.Cp is not None and self.Dp is not None:
+            rows.append((self.Cp, self.Dp, gradient.encoder_m))
+        stacked = np.stack([row[0] for row, _, _ in rows], axis=1)
+        by_output = np.stack([values for _, _, values in rows], axis=1)
+        forcing = by_output @ stacked.T
+        by_command = by_output @ np.array([direct[0, 0] for _, direct, _ in rows])
         costate = np.zeros(self.A.shape[0])
-        gradient = self.D[0, 0] * by_acceleration + self.Di[0, 0] * by_current
-        A_T, B, C, Ci = self.A.T.copy(), self.B[:, 0], self.C[0], self.Ci[0]
-        for k in range(N - 1, -1, -1):
-            gradient[k] += costate @ B
-            costate = A_T @ costate + C * by_acceleration[k] + Ci * by_current[k]
-        return np.asarray(gradient)
+        A_T, B = self.A.T.copy(), self.B[:, 0]
+        for k in range(forcing.shape[0] - 1, -1, -1):
+            by_command[k] += costate @ B
+            costate = A_T @ costate + forcing[k]
+        return np.asarray(by_command)
 
 
-def acting_states(plant: StateSpace) -> NDArray[np.bool_]:
-    """(n,) states that the acceleration depends on, by the structure of A and C.
+def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
+    """A delay as whole servo periods and what is left of it [s], less than a period."""
+    whole = int(np.floor(delay_s / dt_s + 1e-9))
+    return whole, max(delay_s - whole * dt_s, 0.0)
 
-    A free device's position only integrates its velocity: nothing depends on it, and without a wall nobody asks.
+
+def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bool_]:
+    """(n,) states that the acceleration and the motor's velocity depend on, by the structure of the matrices.
+
+    A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
     """
-    acting: NDArray[np.bool_] = plant.C[0] != 0
+    outputs = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else [])]
+    acting: NDArray[np.bool_] = np.any(np.vstack(outputs) != 0, axis=0)
     while True:
         more = acting | np.any(plant.A[acting] != 0, axis=0)
         if np.array_equal(more, acting):
@@ -108,15 +168,20 @@ def acting_states(plant: StateSpace) -> NDArray[np.bool_]:
         acting = more
 
 
-def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float) -> StageModel:
+def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, position: bool = False) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
-    The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2). States that the acceleration
-    does not depend on are left out.
+    The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2), except that the encoder is read
+    at ticks, somewhere between two switching instants. States that nothing depends on are left out.
+
+    Parameters
+    ----------
+    position : also give the encoder position, for a wall.
     """
-    acting = acting_states(plant)
+    acting = acting_states(plant, position=position)
     n = int(acting.sum())
     A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
+    velocity, encoder = (plant.Ce @ plant.A)[:, acting], plant.Ce[:, acting]
     zero = np.zeros((1, 1))
     if amplifier is None:
         flow = np.block([[A, B], [np.zeros((1, n + 1))]])
@@ -128,23 +193,33 @@ def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float) -> S
         flow[n, n:] = -w, w
         C, D = np.hstack([C, plant.D]), zero
         Ci, Di = np.eye(1, n + 1, n), zero
+        # The motor force moves no position and no velocity at once, so neither row sees the current.
+        velocity, encoder = np.hstack([velocity, zero]), np.hstack([encoder, zero])
     hold = linalg.expm(flow * dt_s)
-    return StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di)
+    model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity)
+    if not position:
+        return model
+    late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]
+    until_tick = linalg.expm(flow * (dt_s - late))
+    return replace(model, Cp=encoder @ until_tick[:-1, :-1], Dp=encoder @ until_tick[:-1, -1:])
 
 
-def state_scale(model: StageModel, current_limit_A: float, stages: int) -> FloatArray:
-    """(n,) size of each state under a square wave of the limit current, 40 servo periods long.
+def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: int) -> FloatArray:
+    """(n,) size of each state of x+ = A x + B c under a square wave of the limit current, 40 servo periods long.
 
     In these units every state of the optimal-control problem is of order one, whatever the masses and
     stiffnesses; elongations and velocities in SI differ by four orders of magnitude.
+
+    Parameters
+    ----------
+    A : (n, n). B : (n,).
     """
     period = 20
-    n = model.A.shape[0]
-    x = np.zeros(n)
-    peak = np.zeros(n)
+    x = np.zeros(B.size)
+    peak = np.zeros(B.size)
     for k in range(min(stages, 20 * period)):
         wave = current_limit_A if (k // period) % 2 == 0 else -current_limit_A
-        x = model.A @ x + model.B[:, 0] * wave
+        x = A @ x + B * wave
         peak = np.maximum(peak, np.abs(x))
     # A state that the current cannot move has no size of its own.
     return np.where(peak > 0, peak, 1.0)

@@ -5,9 +5,13 @@ from enum import Enum
 
 import numpy as np
 
-from transopt.discretise import StageModel, TimeGrid
+from transopt.discretise import Motion, StageModel, TimeGrid
 from transopt.errors import InputError
+from transopt.heat import ThermalLimit
 from transopt.signals import FloatArray
+from transopt.supply import Supply
+from transopt.wall import HandOver, feedback_command
+from transopt.weighting import ErrorFilter
 
 OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
 AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
@@ -47,9 +51,10 @@ class Limits:
 class TransientProblem:
     """Make the device accelerate like the reference, within the limits, from rest.
 
-    minimise  sum_k w_k (y''_k - r_k)^2 / sum_k r_k^2 + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2
+    minimise  sum_k w_k (F e)_k^2 / sum_k r_k^2 + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2,  e_k = y''_k - r_k,
     over the commands c_0..c_(N-1), dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A`,
-    subject to the stage model, the limits, and c_k = 0 over the last `hand_over_samples`.
+    subject to the stage model, the limits, and the hand-over: over the last `hand_over_samples` the command is
+    what the wall's feedback asks for, zero without a wall.
 
     Attributes
     ----------
@@ -58,6 +63,8 @@ class TransientProblem:
     reference_m_s2 : (N,) r at the switching instants.
     tracking_weights : (N,) w_k >= 0.
     rho : weight of the command's movement, >= 0.
+    supply, wall, thermal, error_filter : None where the problem has no such part; F is 1 without a filter.
+    spread : further devices that the one command shall serve; the first term is then the mean over all.
     """
 
     stage: StageModel
@@ -67,6 +74,11 @@ class TransientProblem:
     rho: float
     limits: Limits
     hand_over_samples: int
+    supply: Supply | None = None
+    wall: HandOver | None = None
+    thermal: ThermalLimit | None = None
+    error_filter: ErrorFilter | None = None
+    spread: tuple[StageModel, ...] = ()
 
     def __post_init__(self) -> None:
         N = self.grid.stages
@@ -83,6 +95,8 @@ class TransientProblem:
                 f"hand_over_samples = {self.hand_over_samples}: must be between 1 and the {N} stages, "
                 "so that the transient ends"
             )
+        if self.wall is not None and self.stage.Cp is None:
+            raise InputError("a wall needs the encoder position: discretise the device with its position")
 
     @property
     def reference_is_zero(self) -> bool:
@@ -100,13 +114,58 @@ class TransientProblem:
         step = SMOOTHNESS_STEP_S / self.grid.dt_s
         return self.rho * step**2 / (self.grid.stages * self.limits.current_A**2)
 
-    def objective(self, command_A: FloatArray, acceleration_m_s2: FloatArray) -> float:
-        """J of a command (N,) and the acceleration (N,) it was rolled out to; dimensionless."""
+    @property
+    def devices(self) -> tuple[StageModel, ...]:
+        """The device and those of the spread."""
+        return (self.stage, *self.spread)
+
+    def accelerations(self, command_A: FloatArray) -> FloatArray:
+        """(S, N) y'' of every device, the entry's own first."""
+        return np.stack([device.rollout(command_A)[0] for device in self.devices])
+
+    def weighted_error(self, accelerations_m_s2: FloatArray) -> FloatArray:
+        """(..., N) F e."""
+        error = accelerations_m_s2 - self.reference_m_s2
+        return error if self.error_filter is None else self.error_filter.apply(error)
+
+    def objective(self, command_A: FloatArray, accelerations_m_s2: FloatArray) -> float:
+        """J of a command (N,) and the accelerations (S, N) it was rolled out to; dimensionless."""
         r = self.reference_m_s2
-        error = acceleration_m_s2 - r
+        error = np.atleast_2d(self.weighted_error(accelerations_m_s2))
         movement = np.diff(command_A, prepend=0.0)
-        tracking = float(self.tracking_weights @ error**2) / float(r @ r)
+        tracking = float(np.mean(error**2 @ self.tracking_weights)) / float(r @ r)
         return tracking + self.movement_weight * float(movement @ movement)
+
+    def weighted_nrmse(self, acceleration_m_s2: FloatArray) -> float:
+        """|F e| / |F r|: the NRMSE as the filter hears it."""
+        r = self.reference_m_s2
+        filtered = r if self.error_filter is None else self.error_filter.apply(r)
+        return float(np.linalg.norm(self.weighted_error(acceleration_m_s2)) / np.linalg.norm(filtered))
+
+    def encoder_at_ticks(self, motion: Motion) -> FloatArray:
+        """(N,) y of the motor mass at the ticks t_k."""
+        late = self.stage.whole_delay + 1
+        return np.append(np.zeros(late), motion.encoder_m)[: self.grid.stages]
+
+    def hand_over_command(self, motion: Motion) -> FloatArray:
+        """(N,) command that the predicted feedback asks for; zero without a wall."""
+        if self.wall is None:
+            return np.zeros(self.grid.stages)
+        dt = self.grid.dt_s
+        return feedback_command(
+            self.wall.masked_feedback(self.encoder_at_ticks(motion), dt), self.stage.amplifier, dt
+        )
+
+    def transient_command(self, command_A: FloatArray) -> FloatArray:
+        """(N,) what remains of a total command when the wall's predicted feedback is taken off (seed Eq. 9)."""
+        if self.wall is None:
+            return command_A.copy()
+        dt = self.grid.dt_s
+        course = self.encoder_at_ticks(self.stage.motion(command_A))
+        transient = command_A - feedback_command(self.wall.feedback(course, dt), self.stage.amplifier, dt)
+        # Zero to rounding by the hand-over's constraint; what is handed over is nothing at all.
+        transient[self.free_stages :] = 0.0
+        return transient
 
 
 class Status(Enum):
@@ -120,15 +179,15 @@ class Status(Enum):
     REPLAY_VIOLATION = (
         "the continuous-time replay leaves a limit or misses the prediction: report this scene as a defect"
     )
-    TEMPERATURE_MAY_BIND = (
-        "the coil could pass its temperature limit and temperature is not yet part of the problem: "
-        "lower limits.current_A or thermal.start_winding_C, or shorten time.stages"
+    HAND_OVER = (
+        "the wall's feedback alone exceeds a limit when the transient has to end: lower feedback.stiffness_N_m or "
+        "the speed, or shorten time.stages so that the stylus is less deep"
     )
 
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Lagrange multipliers of J's problem, all >= 0 except `hand_over`; units 1/A.
+    """Lagrange multipliers of J's problem, all >= 0 except `hand_over`; units 1/A, 1/V and 1/K.
 
     Sign: grad J + sum (upper - lower) grad(constraint) = 0, `lower` for the limit -I, `upper` for +I.
     A pair that the problem does not have is zero.
@@ -138,7 +197,9 @@ class Multipliers:
     current_lower, current_upper : (N,) of the box on i at the switching instants.
     command_lower, command_upper : (N,) of the box on c.
     slew_lower, slew_upper : (N,) of the box on dc.
-    hand_over : (hand_over_samples,) of c_k = 0.
+    supply_before_lower, ..., supply_after_upper : (N,) of the voltage just before and after the switching instants.
+    temperature_upper : (N,) of the winding's limit at tau_(k+1).
+    hand_over : (hand_over_samples,) of c_k = feedback command.
     """
 
     current_lower: FloatArray
@@ -147,13 +208,19 @@ class Multipliers:
     command_upper: FloatArray
     slew_lower: FloatArray
     slew_upper: FloatArray
+    supply_before_lower: FloatArray
+    supply_before_upper: FloatArray
+    supply_after_lower: FloatArray
+    supply_after_upper: FloatArray
+    temperature_upper: FloatArray
     hand_over: FloatArray
 
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
         """No limit binds."""
-        zero = np.zeros(problem.grid.stages)
-        return cls(zero, zero, zero, zero, zero, zero, np.zeros(problem.hand_over_samples))
+        names = [field.name for field in fields(cls) if field.name != "hand_over"]
+        N = problem.grid.stages
+        return cls(**{name: np.zeros(N) for name in names}, hand_over=np.zeros(problem.hand_over_samples))
 
     def clipped(self) -> "Multipliers":
         """The same with every negative multiplier of a limit set to zero."""
@@ -193,32 +260,57 @@ class Certificate:
     Attributes
     ----------
     objective : J of the rolled-out command.
-    primal_violation_A : largest excess over a current or command limit [A], 0 if none.
+    primal_violation_A : largest excess over a current, command or slew limit, and at the hand-over [A], 0 if none.
+    primal_violation_V, primal_violation_K : the same of the supply and of the temperature.
     dual_residual : largest |reduced gradient of the Lagrangian| over the free commands [1/A].
-    duality_gap : rigorous bound on J - optimum.
+    duality_gap : bound on J - optimum; rigorous unless the temperature binds, then that of the linearised problem.
+    lower_bound : rigorous bound on the optimum from below.
     finite : every number that went in was finite.
     """
 
     objective: float
     primal_violation_A: float
+    primal_violation_V: float
+    primal_violation_K: float
     dual_residual: float
     duality_gap: float
+    lower_bound: float
     finite: bool
 
-    VIOLATION_TOLERANCE_A = 1e-6
+    VIOLATION_TOLERANCE = 1e-6  # A, V or K
     GAP_TOLERANCE = 1e-6
+    BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; trials 0.06 to 0.2 %
+
+    @classmethod
+    def nothing(cls) -> "Certificate":
+        """Of numbers that are not finite."""
+        inf = float("inf")
+        return cls(float("nan"), inf, inf, inf, inf, inf, -inf, finite=False)
 
     @property
     def relative_gap(self) -> float:
         return self.duality_gap / max(self.objective, OBJECTIVE_SCALE)
 
     @property
+    def relative_bound(self) -> float:
+        """How far J lies above the rigorous lower bound, relative."""
+        return (self.objective - self.lower_bound) / max(self.objective, OBJECTIVE_SCALE)
+
+    @property
+    def primal_violation(self) -> float:
+        """The largest of the violations, each in its unit."""
+        return max(self.primal_violation_A, self.primal_violation_V, self.primal_violation_K)
+
+    @property
     def accepted(self) -> bool:
         # Written so that a NaN anywhere rejects.
         return (
             self.finite
-            and self.primal_violation_A <= self.VIOLATION_TOLERANCE_A
+            and self.primal_violation_A <= self.VIOLATION_TOLERANCE
+            and self.primal_violation_V <= self.VIOLATION_TOLERANCE
+            and self.primal_violation_K <= self.VIOLATION_TOLERANCE
             and self.relative_gap <= self.GAP_TOLERANCE
+            and self.relative_bound <= self.BOUND_TOLERANCE
         )
 
 

@@ -12,7 +12,7 @@ from transopt.discretise import TimeGrid
 from transopt.errors import InputError
 from transopt.importers import load_recording
 from transopt.recording import Recording
-from transopt.scene import Recordings
+from transopt.scene_sections import Recordings
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, highpass, lowpass, nrmse
 
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset

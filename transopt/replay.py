@@ -5,16 +5,20 @@ t_k, felt a delay later), the integrator is an implicit Runge-Kutta method on a 
 exponential, and every limit is checked at every fine step.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from transopt.discretise import StageModel, TimeGrid
+from transopt.discretise import StageModel, TimeGrid, split_delay
+from transopt.heat import Budget
 from transopt.problem import TransientProblem
 from transopt.signals import FloatArray, nrmse
+from transopt.supply import Supply
 from transopt.thermal import CoilModel, effective_square_mean
+from transopt.wall import FeedbackLoop, HandOver
 
 SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
 STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode that is not resolved would die out
@@ -22,6 +26,8 @@ STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
 AFTER_S = 20e-3  # of free motion after the waveform
 CURRENT_TOLERANCE_A = 1e-6  # what counts as leaving a limit, as in the certificate
+TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
+SUPPLY_TOLERANCE = 1e-3  # of the limit: between switching instants only the back-EMF is left to its own devices
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
 
 
@@ -35,7 +41,10 @@ class Replay:
     nrmse : of that acceleration against the reference.
     peak_current_A, peak_command_A : over all t.
     after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
-    winding_C, housing_C : highest temperatures over the horizon; NaN without a coil model.
+    peak_voltage_V : largest terminal voltage over all t; NaN without a supply.
+    winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
+        state; NaN without a coil model.
+    command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
     fine_times_s, fine_acceleration_m_s2, fine_current_A : (K,) at every fine step, with the values before and
         after each switching instant.
     step_error : relative difference of y'' to a replay with half the step.
@@ -47,25 +56,35 @@ class Replay:
     peak_current_A: float
     peak_command_A: float
     after_peak_m_s2: float
+    peak_voltage_V: float
     winding_C: float
     housing_C: float
+    command_A: FloatArray
     fine_times_s: FloatArray
     fine_acceleration_m_s2: FloatArray
     fine_current_A: FloatArray
     step_error: float
 
-    def shortfalls(self, problem: TransientProblem, coil: CoilModel | None, predicted_m_s2: FloatArray) -> list[str]:
-        """What speaks against admitting this command, one sentence each; empty if clean."""
+    def shortfalls(self, problem: TransientProblem, command_A: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
+        """What speaks against admitting this command (N,), one sentence each; empty if clean."""
         found = []
         limits = problem.limits
         if not self.peak_current_A <= limits.current_A + CURRENT_TOLERANCE_A:
             found.append(f"replayed current {self.peak_current_A:.6f} A, limit {limits.current_A:g} A")
         if limits.command_A is not None and not self.peak_command_A <= limits.command_A + CURRENT_TOLERANCE_A:
             found.append(f"command {self.peak_command_A:.6f} A, limit {limits.command_A:g} A")
-        if coil is not None and not self.winding_C <= coil.limit_C:
-            found.append(f"winding {self.winding_C:.2f} C, limit {coil.limit_C:g} C")
+        supply, thermal = problem.supply, problem.thermal
+        if supply is not None and not self.peak_voltage_V <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
+            found.append(f"terminal voltage {self.peak_voltage_V:.4f} V, limit {supply.limit_V:g} V")
+        if thermal is not None and not self.winding_C <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+            found.append(f"winding {self.winding_C:.3f} C, limit {thermal.limit_C:.8g} C")
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
+        feedback_off = float(np.abs(self.command_A - command_A).max())
+        if not feedback_off <= CURRENT_TOLERANCE_A:
+            found.append(
+                f"with the wall's feedback the command differs from the predicted one by {feedback_off:.1e} A"
+            )
         peak = max(float(np.abs(self.acceleration_m_s2).max()), 1e-9)
         difference = float(np.abs(self.acceleration_m_s2 - predicted_m_s2).max()) / peak
         if not difference <= AGREEMENT:
@@ -130,8 +149,7 @@ def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind:
 def _segments(A: FloatArray, B: FloatArray, grid: TimeGrid, halvings: int) -> list[_Segment]:
     """A period [t_k, t_(k+1)) feels the command of one tick earlier until the delay's fraction has passed."""
     dt = grid.dt_s
-    whole = int(np.floor(grid.delay_s / dt + 1e-9))
-    late = max(grid.delay_s - whole * dt, 0.0)
+    whole, late = split_delay(grid.delay_s, dt)
     if late <= 1e-9 * dt:
         # Two halves all the same, so that a period always has as many kept samples.
         return [_segment(A, B, 0.0, dt / 2, whole, halvings), _segment(A, B, dt / 2, dt, whole, halvings)]
@@ -143,11 +161,40 @@ class _Trajectory:
     times_s: FloatArray  # (K,)
     acceleration_m_s2: FloatArray  # (M, K)
     current_A: FloatArray  # (M, K)
+    felt_A: FloatArray  # (M, K) command that the amplifier follows
+    velocity_m_s: FloatArray  # (M, K) of the motor mass, what the current adds
+    command_A: FloatArray  # (M, N) as issued
     at_switching: NDArray[np.intp]  # (N,) indices of the fine samples just after each switching instant
     segment_starts: NDArray[np.intp]  # (S,) indices of the first sample of each segment
 
 
-def _simulate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, halvings: int) -> _Trajectory:
+@dataclass(frozen=True)
+class _Loop:
+    """The walls of M taps, closed over the replay's own motion; `count_m` rounds the encoder, 0 does not."""
+
+    walls: Sequence[HandOver]
+    count_m: float
+
+    def nominal(self, k: int) -> FloatArray:
+        """(M,) z_nom at tick k, going on straight after the last."""
+        z = np.stack([wall.nominal_m for wall in self.walls], axis=1)
+        last = z.shape[0] - 1
+        return np.asarray(z[k] if k <= last else z[last] + (k - last) * (z[last] - z[last - 1]))
+
+    def read(self, k: int, deviation_m: FloatArray) -> FloatArray:
+        z = self.nominal(k) + deviation_m
+        return np.asarray(np.round(z / self.count_m) * self.count_m) if self.count_m else z
+
+    def start(self, stage: StageModel, dt_s: float) -> FeedbackLoop:
+        wall = self.walls[0].wall
+        approach = np.array([wall.approach_m_s for wall in self.walls])
+        first = self.read(0, np.zeros(approach.size))
+        return FeedbackLoop(wall, stage.amplifier, dt_s, first, approach)
+
+
+def _simulate(
+    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, halvings: int, loop: _Loop | None
+) -> _Trajectory:
     """Fine trajectories of M commands (M, N) from the first tick until `AFTER_S` after tau_N."""
     plant, amplifier = stage.plant, stage.amplifier
     n, (M, N) = plant.order, commands_A.shape
@@ -161,13 +208,18 @@ def _simulate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, halving
     # With a whole delay the command arrives with the tick, else with the second segment.
     arriving = segments[0] if segments[0].behind == segments[1].behind else segments[1]
     periods = N + segments[0].behind + int(np.ceil(AFTER_S / grid.dt_s))
+    # After the waveform there is silence, or what the wall's feedback goes on asking for.
+    issued = np.concatenate([commands_A, np.zeros((M, periods - N))], axis=1)
+    feedback = None if loop is None else loop.start(stage, grid.dt_s)
     x = np.zeros((A.shape[0], M))
     silence = np.zeros(M)
     states, felt, times, at_switching, starts, count = [], [], [], [], [], 0
     for k in range(periods):
+        if loop is not None and feedback is not None:
+            issued[:, k] += feedback.step(loop.read(k, plant.Ce[0] @ x[:n]))
         for segment in segments:
             index = k - segment.behind
-            u = commands_A[:, index] if 0 <= index < N else silence
+            u = issued[:, index] if index >= 0 else silence
             if segment is arriving and 0 <= index < N:
                 at_switching.append(count)
             fine = segment.P @ x + segment.Q * u
@@ -180,10 +232,35 @@ def _simulate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, halving
     trajectory, command = np.concatenate(states), np.concatenate(felt)
     current = command if amplifier is None else trajectory[:, n]
     acceleration = np.einsum("n,knm->km", plant.C[0], trajectory[:, :n]) + plant.D[0, 0] * current
-    return _Trajectory(np.concatenate(times), acceleration.T, current.T, np.asarray(at_switching), np.asarray(starts))
+    velocity = np.einsum("n,knm->km", (plant.Ce @ plant.A)[0], trajectory[:, :n])
+    return _Trajectory(
+        times_s=np.concatenate(times),
+        acceleration_m_s2=acceleration.T,
+        current_A=current.T,
+        felt_A=command.T,
+        velocity_m_s=velocity.T,
+        command_A=issued[:, :N],
+        at_switching=np.asarray(at_switching),
+        segment_starts=np.asarray(starts),
+    )
 
 
-def _temperatures(run: _Trajectory, coil: CoilModel) -> tuple[FloatArray, FloatArray]:
+def _peak_voltages(run: _Trajectory, supplies: Sequence[Supply], grid: TimeGrid) -> FloatArray:
+    """(M,) largest terminal voltage while the waveform plays."""
+    peaks = []
+    playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
+    for m, supply in enumerate(supplies):
+        nominal = np.interp(run.times_s[playing], grid.switching_times_s, supply.nominal_m_s)
+        current, felt = run.current_A[m, playing], run.felt_A[m, playing]
+        velocity = run.velocity_m_s[m, playing] + nominal
+        voltage = supply.circuit.voltage_V(current, supply.pole_rad_s * (felt - current), velocity)
+        peaks.append(float(np.abs(voltage).max()))
+    return np.array(peaks)
+
+
+def _temperatures(
+    run: _Trajectory, coil: CoilModel, budget: Budget | None, grid: TimeGrid
+) -> tuple[FloatArray, FloatArray]:
     """(M,) highest winding and housing temperature; the heat is summed over each segment."""
     steps = np.diff(run.times_s)
     # Exact for a current that is linear within a fine step; the steps between segments have no length.
@@ -192,21 +269,45 @@ def _temperatures(run: _Trajectory, coil: CoilModel) -> tuple[FloatArray, FloatA
     energy = np.add.reduceat(
         np.append(heat, np.zeros((run.current_A.shape[0], 1)), axis=1), run.segment_starts, axis=1
     )
-    winding, housing = coil.simulate(energy / lengths, lengths)
+    if budget is None or budget.tap_rate_Hz is None:
+        winding, housing = coil.simulate(energy / lengths, lengths)
+    else:
+        # What plays after the waveform is part of the pause.
+        playing = np.add.accumulate(lengths) <= (grid.stages + 1) * grid.dt_s + grid.delay_s
+        energy, lengths = energy[:, playing], lengths[playing]
+        pause = 1 / budget.tap_rate_Hz - float(lengths.sum())
+        winding, housing = coil.steady_course(energy / lengths, lengths, pause, budget.idle_A)
     return winding.max(axis=1), housing.max(axis=1)
 
 
 def replay(
-    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, references_m_s2: FloatArray, coil: CoilModel | None
+    stage: StageModel,
+    grid: TimeGrid,
+    commands_A: FloatArray,
+    references_m_s2: FloatArray,
+    coil: CoilModel | None,
+    *,
+    supplies: Sequence[Supply] | None = None,
+    walls: Sequence[HandOver] | None = None,
+    budget: Budget | None = None,
+    count_m: float = 0.0,
 ) -> list[Replay]:
     """Play M commands (M, N) through one device, from rest, and compare each with its reference (M, N).
 
     The integrator's step resolves the fastest mode and is halved until the acceleration at the switching instants
     changes by less than 1e-10 of its peak; the difference reached is reported as `step_error`.
+
+    Parameters
+    ----------
+    supplies : one per command, for the terminal voltage.
+    walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
+        replay's own encoder position, which `count_m` rounds to whole counts.
+    budget : of the coil; with a tap rate the temperatures are those of the periodic steady state.
     """
-    run = _simulate(stage, grid, commands_A, 0)
+    loop = None if walls is None else _Loop(walls, count_m)
+    run = _simulate(stage, grid, commands_A, 0, loop)
     for halvings in range(1, MOST_HALVINGS + 1):
-        finer = _simulate(stage, grid, commands_A, halvings)
+        finer = _simulate(stage, grid, commands_A, halvings, loop)
         coarse = run.acceleration_m_s2[:, run.at_switching]
         accurate = finer.acceleration_m_s2[:, finer.at_switching]
         peak = np.maximum(np.abs(accurate).max(axis=1), np.finfo(float).tiny)
@@ -216,17 +317,21 @@ def replay(
             break
     current = run.current_A[:, run.at_switching]
     M = commands_A.shape[0]
-    winding, housing = (np.full(M, np.nan),) * 2 if coil is None else _temperatures(run, coil)
+    unknown = np.full(M, np.nan)
+    winding, housing = (unknown, unknown) if coil is None else _temperatures(run, coil, budget, grid)
+    voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
     return [
         Replay(
             acceleration_m_s2=accurate[m],
             current_A=current[m],
             nrmse=nrmse(accurate[m], references_m_s2[m]),
             peak_current_A=float(np.abs(run.current_A[m]).max()),
-            peak_command_A=float(np.abs(commands_A[m]).max()),
+            peak_command_A=float(np.abs(run.command_A[m]).max()),
             after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, run.times_s > grid.end_s]).max()),
+            peak_voltage_V=float(voltage[m]),
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
+            command_A=run.command_A[m],
             fine_times_s=run.times_s,
             fine_acceleration_m_s2=run.acceleration_m_s2[m],
             fine_current_A=run.current_A[m],

@@ -9,7 +9,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from transopt.errors import InputError
-from transopt.scene import Scene, Section
+from transopt.scene import Scene
+from transopt.scene_sections import Section
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

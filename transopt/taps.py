@@ -9,7 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from transopt.reference import Tap
-from transopt.scene import Recordings
+from transopt.scene_sections import Recordings
 from transopt.signals import STANDARD_GRAVITY_M_S2
 
 CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed

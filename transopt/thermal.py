@@ -10,6 +10,7 @@ from transopt.signals import FloatArray
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
 RESISTANCE_REFERENCE_C = 25.0  # datasheets state R here
 PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
+PAUSE_STEPS = 100
 
 
 def effective_square(current_A: FloatArray) -> FloatArray:
@@ -32,7 +33,8 @@ class CoilModel:
 
     C_w dT_w/dt = R (1 + alpha (T_w - 25)) i_eff^2 - (T_w - T_h) / R_wh
     C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_ambient) / R_ha
-    with C_w = tau_w / R_wh and C_h = tau_h / R_ha.
+    with C_w = tau_w / R_wh and C_h = tau_h / R_ha. With one node the housing keeps its start temperature, which is
+    what it does over a tap; the lumped sum of both resistances would overstate short heating several times.
     """
 
     R_ohm: float
@@ -44,17 +46,33 @@ class CoilModel:
     ambient_C: float = 25.0
     start_winding_C: float = 25.0
     start_housing_C: float = 25.0
+    nodes: int = 2
 
     def __post_init__(self) -> None:
         for field in ("R_ohm", "R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s"):
             value = getattr(self, field)
             if not 0 < value < np.inf:
                 raise InputError(f"motor: {field} = {value:g}: must be > 0 and finite")
+        if self.nodes not in (1, 2):
+            raise InputError(f"thermal: nodes = {self.nodes}: must be 1 (winding) or 2 (winding and housing)")
         if self.start_winding_C > self.limit_C:
             raise InputError(
                 f"thermal: start_winding_C = {self.start_winding_C:g} C is above the winding limit "
                 f"{self.limit_C:g} C: let the motor cool or raise the limit"
             )
+
+    def flow(self) -> tuple[FloatArray, FloatArray]:
+        """Rate matrix (m, m) of the rises above `rest_C` [1/s] and what a watt in the winding adds (m,) [K/s/W]."""
+        C_w, C_h = self.tau_w_s / self.R_wh_K_W, self.tau_h_s / self.R_ha_K_W
+        g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
+        if self.nodes == 1:
+            return np.array([[-g_w / C_w]]), np.array([1 / C_w])
+        return np.array([[-g_w / C_w, g_w / C_w], [g_w / C_h, -(g_w + g_h) / C_h]]), np.array([1 / C_w, 0.0])
+
+    @property
+    def rest_C(self) -> float:
+        """Where all nodes go without current."""
+        return self.ambient_C if self.nodes == 2 else self.start_housing_C
 
     def continuous_current_A(self) -> float:
         """Current that holds the winding at its limit for ever: the datasheet's continuous current."""
@@ -75,13 +93,16 @@ class CoilModel:
         growth = np.expm1(COPPER_PER_K * heating * duration_s)
         return float(hottest + (above + 1 / COPPER_PER_K) * growth)
 
-    def simulate(self, effective_square_A2: FloatArray, steps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def simulate(
+        self, effective_square_A2: FloatArray, steps_s: FloatArray, start_C: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """Winding and housing temperature, by the implicit midpoint rule.
 
         Parameters
         ----------
         effective_square_A2 : (M, K) mean of i_eff^2 over each of K steps for M waveforms [A^2].
         steps_s : (K,) step lengths [s].
+        start_C : (M, 2) winding and housing at the start; the model's own start temperatures without it.
 
         Returns
         -------
@@ -89,10 +110,12 @@ class CoilModel:
         """
         M, K = effective_square_A2.shape
         C_w = self.tau_w_s / self.R_wh_K_W
-        C_h = self.tau_h_s / self.R_ha_K_W
+        C_h = self.tau_h_s / self.R_ha_K_W if self.nodes == 2 else np.inf
         winding = np.empty((M, K + 1))
         housing = np.empty((M, K + 1))
-        winding[:, 0], housing[:, 0] = self.start_winding_C, self.start_housing_C
+        winding[:, 0], housing[:, 0] = (
+            (self.start_winding_C, self.start_housing_C) if start_C is None else (start_C[:, 0], start_C[:, 1])
+        )
         g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
         for k in range(K):
             power = self.R_ohm * effective_square_A2[:, k]
@@ -108,3 +131,31 @@ class CoilModel:
             winding[:, k + 1] = 2 * (b1 * a22 - a12 * b2) / determinant - winding[:, k]
             housing[:, k + 1] = 2 * (a11 * b2 - a21 * b1) / determinant - housing[:, k]
         return winding, housing
+
+    def steady_course(
+        self, effective_square_A2: FloatArray, steps_s: FloatArray, pause_s: float, idle_A: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Winding and housing over a tap that has repeated itself for ever, as `simulate` gives them, (M, K + 1).
+
+        The temperatures after one period are affine in those before it; their fixed point is the start.
+
+        Parameters
+        ----------
+        pause_s : from the tap's end to the next. idle_A : current in the pause, without ripple.
+        """
+        M = effective_square_A2.shape[0]
+        pause_steps = np.full(PAUSE_STEPS, pause_s / PAUSE_STEPS)
+        idle = np.broadcast_to(effective_square(np.asarray(idle_A)), (M, PAUSE_STEPS))
+        heat = np.concatenate([effective_square_A2, idle], axis=1)
+        steps = np.concatenate([steps_s, pause_steps])
+
+        def after_period(winding_C: float, housing_C: float) -> FloatArray:
+            start: FloatArray = np.full((M, 2), (winding_C, housing_C))
+            return np.stack([course[:, -1] for course in self.simulate(heat, steps, start)], axis=1)
+
+        origin = after_period(0.0, 0.0)
+        transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
+        steady = np.asarray(np.linalg.solve(np.eye(2) - transition, origin[..., None])[..., 0], dtype=np.float64)
+        K = steps_s.size + 1
+        winding, housing = self.simulate(heat, steps, steady)
+        return winding[:, :K], housing[:, :K]

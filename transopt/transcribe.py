@@ -1,21 +1,25 @@
 """The optimal-control problem, stated once, in CasADi (DESIGN 4).
 
-Every solver reads its data from this statement. Variables are stage-wise [dc_k, z_(k+1)], k = 0..N-1, with
-z = [x / scale, c_(k) / I]: the stage model's states in physical scale and the command that was last issued, so
-that the current (unless the amplifier is ideal), the command and its movement are all single variables and
-every limit is a box. z_0 = 0 is not a variable. Nothing is condensed.
+Every solver reads its data from this statement. Variables are stage-wise [dc_k, x_(k+1), th_(k+1)], k = 0..N-1: the
+command's movement, the linear states of `linear` in physical scale, and where the temperature is in the problem the
+nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where the taps repeat. Current, command and movement
+are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.discretise import state_scale
+from transopt.heat import SMOOTHING_A
+from transopt.linear import Layout, LinearStage, hand_over_rows, layout, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
 from transopt.signals import FloatArray
+from transopt.thermal import PWM_RIPPLE_A
+
+REPEATED_WEIGHT = 1e3
 
 
 @dataclass(frozen=True)
@@ -24,33 +28,30 @@ class Shape:
 
     Attributes
     ----------
-    plant_states : of the device alone, acting ones. amplifier : False for an ideal one, which has no state.
+    supply : whether the supply rows are in. nodes : thermal states, 0 without. repeated : taps repeat for ever.
     """
 
     stages: int
-    plant_states: int
-    amplifier: bool
+    layout: Layout
     hand_over_samples: int
+    supply: bool
+    nodes: int
+    repeated: bool
 
     @property
     def variables(self) -> int:
-        """Variables of one stage: movement, plant states, current (unless ideal), command."""
-        return self.plant_states + 2 + int(self.amplifier)
+        """Variables of one stage."""
+        return 1 + self.layout.states + self.nodes
 
-    def dynamics_mask(self) -> NDArray[np.bool_]:
-        """(nz, nz) entries of the scaled stage matrix that can differ from zero; z is plant, current, command."""
-        nz = self.variables - 1
-        mask = np.zeros((nz, nz), dtype=bool)
-        mask[: self.plant_states] = True  # the plant feels itself, the current and the held command
-        np.fill_diagonal(mask, True)
-        mask[:-1, -1] = True
-        return mask
+    @property
+    def first(self) -> int:
+        """Variables in front of the first stage."""
+        return self.nodes if self.repeated else 0
 
-    def output_mask(self) -> NDArray[np.bool_]:
-        """(1, nz) entries of the acceleration's row; the command acts on it directly only if it is the current."""
-        mask = np.ones((1, self.variables - 1), dtype=bool)
-        mask[0, -1] = not self.amplifier
-        return mask
+    @property
+    def command(self) -> int:
+        """Index of the command among a stage's variables."""
+        return self.layout.states
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,12 @@ class Program:
 
     Attributes
     ----------
-    x : MX (N variables, 1) variables, stage by stage. p : MX parameters (see `parameters`).
-    f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, equality rows: dynamics, then the hand-over.
-    qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, A x = 0.
+    x : MX (variables, 1), stage by stage. p : MX parameters (see `parameters`).
+    f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, rows kind by kind.
+    rows : kind -> where it stands in g: "dynamics", "heat", "pause", "hand_over", "supply_before", "supply_after".
+    row_stages : (rows,) stage that each row belongs to. stage_order : permutation of g that sorts them by it.
+    qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub. With the temperature
+        (`nlp_only`) there is none.
     """
 
     shape: Shape
@@ -69,7 +73,16 @@ class Program:
     p: ca.MX
     f: ca.MX
     g: ca.MX
-    qp_data: ca.Function
+    rows: dict[str, slice]
+    row_stages: NDArray[np.intp]
+    stage_order: NDArray[np.intp]
+    nlp_only: bool
+    _qp_data: ca.Function | None
+
+    @property
+    def qp_data(self) -> ca.Function:
+        assert self._qp_data is not None
+        return self._qp_data
 
 
 def _sparse_symbol(name: str, mask: NDArray[np.bool_]) -> tuple[ca.MX, ca.MX]:
@@ -80,132 +93,317 @@ def _sparse_symbol(name: str, mask: NDArray[np.bool_]) -> tuple[ca.MX, ca.MX]:
     return nonzeros, ca.MX(sparsity, nonzeros)
 
 
-@lru_cache(maxsize=16)
-def state_program(shape: Shape) -> Program:
-    """State the problem for one shape; all numbers are parameters."""
-    N, nz = shape.stages, shape.variables - 1
-    variables = ca.MX.sym("stages", nz + 1, N)
-    movement, after = variables[0, :], variables[1:, :]
-    A_values, A = _sparse_symbol("A", shape.dynamics_mask())
-    C_values, C = _sparse_symbol("C", shape.output_mask())
-    B = ca.MX.sym("B", nz)
-    reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", 1, N)
-    movement_weight = ca.MX.sym("rho")
+def _nonzeros(matrix: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    return np.asarray(matrix.T[mask.T])
 
-    before = ca.horzcat(ca.MX(nz, 1), after[:, :-1])
-    dynamics = after - A @ before - B @ movement
-    error = C @ before - reference
-    if not shape.amplifier:
-        error += C[0, nz - 1] * movement  # the command issued now acts at once
-    objective = ca.dot(weights, error**2) + movement_weight * ca.dot(movement, movement)
 
-    x = ca.vec(variables)
-    f = objective / OBJECTIVE_SCALE
-    g = ca.vertcat(ca.vec(dynamics), ca.vec(after[nz - 1, N - shape.hand_over_samples :]))
-    p = ca.veccat(A_values, B, C_values, reference, weights, movement_weight)
-    hessian, gradient = ca.hessian(f, x)
-    at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
-    qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
-    return Program(shape, x, p, f, g, qp_data)
+def _feedback_mask(where: Layout) -> NDArray[np.bool_]:
+    """(1, n) states that the hand-over's command depends on."""
+    mask = np.zeros((1, where.states), dtype=bool)
+    mask[0, where.wall] = True
+    return mask
+
+
+def _supply_mask(where: Layout) -> NDArray[np.bool_]:
+    """(1, n) states that the terminal voltage depends on."""
+    mask = np.zeros((1, where.states), dtype=bool)
+    mask[0, where.plant(0)] = mask[0, where.current] = mask[0, -1] = True
+    return mask
 
 
 @dataclass(frozen=True)
-class Scaling:
-    """Units of the program's variables: states (nz - 1,), and the limit current for command and movement."""
+class _HeatSymbols:
+    """Parameters of the temperature recursion, in units of the limit current and of the headroom."""
 
-    states: FloatArray
-    current_A: float
+    M: ca.MX
+    b: ca.MX
+    gain: ca.MX
+    copper: ca.MX
+    square: ca.MX
+    size: ca.MX
+    decay: ca.MX
+    ripple: ca.MX
+    smoothing: ca.MX
+    under: ca.MX
+    F: ca.MX
+    f: ca.MX
+
+    @classmethod
+    def make(cls, shape: Shape) -> "_HeatSymbols":
+        m = shape.nodes
+        sizes = {"M": (m, m), "b": (m, 1), "gain": (1, shape.stages), "square": (3, 1), "F": (m, m), "f": (m, 1)}
+        return cls(**{field.name: ca.MX.sym(field.name, *sizes.get(field.name, (1, 1))) for field in fields(cls)})
+
+    def mean_square(self, current: ca.MX, command: ca.MX) -> ca.MX:
+        """Mean of i_eff^2 over a period; `heat.Heating.mean_square`, in units of the limit current."""
+        a, b = current, self.decay * current + (1 - self.decay) * command
+        size = self.size * ca.sqrt(a**2 + self.smoothing**2) + (1 - self.size) * ca.sqrt(b**2 + self.smoothing**2)
+        quadratic = self.square[0] * a**2 + self.square[1] * a * b + self.square[2] * b**2
+        return quadratic + 2 * self.ripple * (size - self.under * self.smoothing) + self.ripple**2
 
 
-def scaling(problem: TransientProblem) -> Scaling:
-    current = problem.limits.current_A
-    states = state_scale(problem.stage, current, problem.grid.stages)
-    if problem.stage.amplifier is not None:
-        states[-1] = current
-    return Scaling(states, current)
+@lru_cache(maxsize=16)
+def state_program(shape: Shape) -> Program:
+    """State the problem for one shape; all numbers are parameters."""
+    N, n, m, h, where = shape.stages, shape.layout.states, shape.nodes, shape.hand_over_samples, shape.layout
+    variables = ca.MX.sym("stages", shape.variables, N)
+    first = ca.MX.sym("start", shape.first)
+    movement, after, rise = variables[0, :], variables[1 : n + 1, :], variables[n + 1 :, :]
+    A_values, A = _sparse_symbol("A", where.dynamics_mask())
+    C_values, C = _sparse_symbol("C", where.output_mask())
+    B, E = ca.MX.sym("B", n), ca.MX.sym("E", where.devices)
+    reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", 1, N)
+    movement_weight = ca.MX.sym("rho")
+    symbols = [A_values, B, C_values, E, reference, weights, movement_weight]
+
+    before = ca.horzcat(ca.MX(n, 1), after[:, :-1])
+    error = C @ before - ca.repmat(reference, where.devices, 1)
+    if not where.amplifier:
+        error += E @ movement
+    tracking = sum(ca.dot(weights, error[s, :] ** 2) for s in range(where.devices)) / where.devices
+    objective = tracking + movement_weight * ca.dot(movement, movement)
+
+    # Each kind's rows with the stage they belong to in a stage-wise order.
+    kinds: list[tuple[str, ca.MX, NDArray[np.intp]]] = []
+    every = np.arange(N)
+    kinds.append(("dynamics", ca.vec(after - A @ before - B @ movement), np.repeat(every, n)))
+    if m:
+        heat = _HeatSymbols.make(shape)
+        symbols += [getattr(heat, field.name) for field in fields(_HeatSymbols)]
+        warm = ca.horzcat(first if shape.repeated else ca.MX(m, 1), rise[:, :-1])
+        current = before[where.current, :] if where.amplifier else ca.MX(1, N)
+        power = (heat.gain + heat.copper * warm[0, :]) * heat.mean_square(current, before[-1, :] + movement)
+        # A step's own rise is tiny beside the headroom of taps that repeat: the row is weighed to be met as exactly.
+        weight = REPEATED_WEIGHT if shape.repeated else 1.0
+        kinds.append(("heat", ca.vec(weight * (rise - heat.M @ warm - heat.b @ power)), np.repeat(every, m)))
+        if shape.repeated:
+            kinds.append(("pause", weight * (first - heat.F @ rise[:, -1] - heat.f), np.full(m, N)))
+    if where.feedback_delay is None:
+        kinds.append(("hand_over", ca.vec(after[-1, N - h :]), every[N - h :] + 1))
+    else:
+        mask = np.repeat(_feedback_mask(where), h, axis=0).T
+        T_values, T = _sparse_symbol("T", mask)
+        symbols.append(T_values)
+        asked = before[-1, N - h :] + movement[N - h :] - ca.sum1(T * before[:, N - h :])
+        kinds.append(("hand_over", ca.vec(asked), every[N - h :]))
+    if shape.supply:
+        S_values, S = _sparse_symbol("S", _supply_mask(where))
+        direct = ca.MX.sym("S_direct")
+        symbols += [S_values, direct]
+        kinds.append(("supply_before", ca.vec(S @ after[:, :-1]), every[1:]))
+        kinds.append(("supply_after", ca.vec(S @ before + direct * movement), every))
+
+    ends = np.cumsum([0, *(rows.numel() for _, rows, _ in kinds)])
+    # Stable: within a stage the dynamics stay first, then come the limits.
+    row_stages = np.concatenate([stages for _, _, stages in kinds])
+    order = np.argsort(row_stages, kind="stable")
+    x = ca.veccat(first, variables)
+    f = objective / OBJECTIVE_SCALE
+    g = ca.vertcat(*(rows for _, rows, _ in kinds))
+    p = ca.veccat(*symbols)
+    qp_data = None
+    if not m:
+        hessian, gradient = ca.hessian(f, x)
+        at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
+        qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
+    rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, (name, _, _) in enumerate(kinds)}
+    return Program(shape, x, p, f, g, rows_of, row_stages, order, qp_data is None, qp_data)
 
 
 def program_shape(problem: TransientProblem) -> Shape:
-    stage = problem.stage
+    thermal = problem.thermal
     return Shape(
         stages=problem.grid.stages,
-        plant_states=stage.A.shape[0] - int(stage.amplifier is not None),
-        amplifier=stage.amplifier is not None,
+        layout=layout(problem),
         hand_over_samples=problem.hand_over_samples,
+        supply=problem.supply is not None,
+        nodes=0 if thermal is None else thermal.model.nodes,
+        repeated=thermal is not None and thermal.model.closure is not None,
     )
 
 
-def stage_matrices(problem: TransientProblem, scale: Scaling) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The scaled stage model on z = [states, command]: A (nz, nz), B (nz,), C (1, nz) of y'' / |r|."""
-    stage, units = problem.stage, scale.states
-    size = float(np.linalg.norm(problem.reference_m_s2))
-    held = stage.B * scale.current_A / units[:, None]
-    A = np.block([[stage.A * units / units[:, None], held], [np.zeros((1, units.size)), np.ones((1, 1))]])
-    C = np.hstack([stage.C * units, stage.D * scale.current_A]) / size
-    return A, A[:, -1], C
+@dataclass(frozen=True)
+class Statement:
+    """One problem's numbers for the program of its shape.
+
+    Attributes
+    ----------
+    p : parameters. lower_x, upper_x, lower_g, upper_g : bounds.
+    kelvin : unit of the rises; 0 without temperature.
+    """
+
+    problem: TransientProblem
+    shape: Shape
+    stage: LinearStage
+    kelvin: float
+    p: FloatArray
+    lower_x: FloatArray
+    upper_x: FloatArray
+    lower_g: FloatArray
+    upper_g: FloatArray
 
 
-def parameters(problem: TransientProblem, scale: Scaling) -> FloatArray:
-    """The program's parameter vector for one problem, scaled; the reference enters as r / |r|."""
-    shape = program_shape(problem)
-    A, B, C = stage_matrices(problem, scale)
-    return np.concatenate(
-        [
-            A.T[shape.dynamics_mask().T],
-            B,
-            C[shape.output_mask()],
-            problem.reference_m_s2 / np.linalg.norm(problem.reference_m_s2),
-            problem.tracking_weights,
-            [problem.movement_weight * scale.current_A**2],
-        ]
-    )
+def _kelvin(problem: TransientProblem) -> float:
+    """Unit of the rises: the largest headroom."""
+    if problem.thermal is None:
+        return 0.0
+    headroom = problem.thermal.model.headroom_K
+    return max(float(headroom[np.isfinite(headroom)].max()), 1e-9)
 
 
-def box(problem: TransientProblem, scale: Scaling) -> FloatArray:
-    """(N (nz + 1),) upper bounds of the program's variables; the lower bounds are their negatives."""
-    N, nz = problem.grid.stages, problem.stage.A.shape[0] + 1
-    limits = problem.limits
-    bounds = np.full((N, nz + 1), np.inf)
+def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float) -> FloatArray:
+    """In the order of the program's symbols; the reference enters as r / |r|."""
+    where, r = shape.layout, problem.reference_m_s2
+    filtered = r if problem.error_filter is None else problem.error_filter.apply(r)
+    values = [
+        _nonzeros(stage.A, where.dynamics_mask()),
+        stage.A[:, -1],
+        _nonzeros(stage.C, where.output_mask()),
+        stage.E,
+        filtered / np.linalg.norm(r),
+        problem.tracking_weights,
+        [problem.movement_weight * stage.current_A**2],
+    ]
+    if problem.thermal is not None:
+        model, unit = problem.thermal.model, stage.current_A
+        F, f = (np.zeros_like(model.M), np.zeros_like(model.b)) if model.closure is None else model.closure
+        heat: dict[str, FloatArray | list[float]] = {
+            "M": model.M.T.ravel(),
+            "b": model.b * unit**2 / kelvin,
+            "gain": model.gain,
+            "copper": [model.copper * kelvin],
+            "square": model.heating.square,
+            "size": [model.heating.size],
+            "decay": [model.heating.decay],
+            "ripple": [PWM_RIPPLE_A / unit],
+            "smoothing": [SMOOTHING_A / unit],
+            "under": [0.0 if model.heating.over else 1.0],
+            "F": F.T.ravel(),
+            "f": f / kelvin,
+        }
+        values += [heat[field.name] for field in fields(_HeatSymbols)]
+    if where.feedback_delay is not None:
+        rows, _ = hand_over_rows(problem, stage)
+        values.append(rows[:, where.wall].ravel())
+    if problem.supply is not None:
+        volts = problem.supply.limit_V
+        values.append(_nonzeros(stage.supply[None] / volts, _supply_mask(where)))
+        values.append([problem.supply.by_command * stage.current_A / volts])
+    return np.concatenate([np.asarray(value, dtype=float).ravel() for value in values])
+
+
+def _variable_bounds(
+    problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float
+) -> tuple[FloatArray, FloatArray]:
+    N, limits, where = shape.stages, problem.limits, shape.layout
+    upper = np.full((N, shape.variables), np.inf)
     if limits.slew_A_per_s is not None:
-        bounds[:, 0] = limits.slew_A_per_s * problem.grid.dt_s / scale.current_A
+        upper[:, 0] = limits.slew_A_per_s * problem.grid.dt_s / stage.current_A
     if limits.command_A is None:
-        bounds[:, nz] = 1.0
+        upper[:, shape.command] = 1.0
     else:
-        bounds[:, nz] = limits.command_A / scale.current_A
-        # The current at tau_N follows a zero command, so it is inside whenever the one before is.
-        bounds[:-1, nz - 1] = 1.0
-    return bounds.ravel()
+        upper[:, shape.command] = limits.command_A / stage.current_A
+        # The current at tau_N follows the hand-over, so the horizon's limits end at the instant before.
+        upper[:-1, 1 + where.current] = 1.0
+    lower = -upper
+    if problem.thermal is not None:
+        upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
+    front = np.full(shape.first, np.inf)
+    return np.append(-front, lower.ravel()), np.append(front, upper.ravel())
 
 
-def command(problem: TransientProblem, scale: Scaling, x: FloatArray) -> FloatArray:
-    """(N,) the commands of a program point [A], moved by rounding only: into the box, zero over the hand-over."""
-    nz = problem.stage.A.shape[0] + 1
-    c = x.reshape(-1, nz + 1)[:, nz] * scale.current_A
+def _row_bounds(problem: TransientProblem, shape: Shape, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
+    program = state_program(shape)
+    lower, upper = np.zeros(program.g.numel()), np.zeros(program.g.numel())
+    _, constant = hand_over_rows(problem, stage)
+    lower[program.rows["hand_over"]] = upper[program.rows["hand_over"]] = constant
+    if problem.supply is not None:
+        nominal = problem.supply.nominal_V / problem.supply.limit_V
+        for kind, volts in (("supply_before", nominal[1:]), ("supply_after", nominal)):
+            lower[program.rows[kind]], upper[program.rows[kind]] = -1 - volts, 1 - volts
+    return lower, upper
+
+
+def state(problem: TransientProblem) -> Statement:
+    """Numbers of one problem for the program of its shape."""
+    shape, stage, kelvin = program_shape(problem), linear_stage(problem), _kelvin(problem)
+    lower_x, upper_x = _variable_bounds(problem, shape, stage, kelvin)
+    lower_g, upper_g = _row_bounds(problem, shape, stage)
+    p = _parameters(problem, shape, stage, kelvin)
+    return Statement(problem, shape, stage, kelvin, p, lower_x, upper_x, lower_g, upper_g)
+
+
+def _by_stage(statement: Statement, x: FloatArray) -> FloatArray:
+    """(N, variables) of a program point."""
+    return x[statement.shape.first :].reshape(statement.shape.stages, statement.shape.variables)
+
+
+def command(statement: Statement, x: FloatArray) -> FloatArray:
+    """(N,) the commands of a program point [A], moved by rounding only: into the box; zero over a plain hand-over."""
+    problem = statement.problem
+    c = _by_stage(statement, x)[:, statement.shape.command] * statement.stage.current_A
     c = np.clip(c, -problem.limits.command_bound_A, problem.limits.command_bound_A)
-    c[problem.free_stages :] = 0.0
+    if problem.wall is None:
+        c[problem.free_stages :] = 0.0
     return np.asarray(c)
 
 
-def multipliers(problem: TransientProblem, scale: Scaling, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
+def multipliers(statement: Statement, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
     """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
-    N, nz = problem.grid.stages, problem.stage.A.shape[0] + 1
-    unit = OBJECTIVE_SCALE / scale.current_A
-    box_multipliers = lam_x.reshape(N, nz + 1) * unit
+    problem, shape = statement.problem, statement.shape
+    N, rows = shape.stages, state_program(shape).rows
+    unit = OBJECTIVE_SCALE / statement.stage.current_A
+    boxes = _by_stage(statement, lam_x)
     zero = np.zeros(N)
-    on_command = box_multipliers[:, nz]
+    on_command = boxes[:, shape.command] * unit
     if problem.limits.command_A is None:
         on_current, on_command = on_command, zero
     else:
         # The variable of stage k is the current at tau_(k+1); the current at tau_0 is zero and has no limit.
-        on_current = np.concatenate([[0.0], box_multipliers[:-1, nz - 1]])
-    on_movement = box_multipliers[:, 0] if problem.limits.slew_A_per_s is not None else zero
-    both = Multipliers(
+        on_current = np.append(0.0, boxes[:-1, 1 + shape.layout.current]) * unit
+    on_movement = boxes[:, 0] * unit if problem.limits.slew_A_per_s is not None else zero
+    before, after = zero, zero
+    if problem.supply is not None:
+        per_volt = OBJECTIVE_SCALE / problem.supply.limit_V
+        before = np.append(0.0, lam_g[rows["supply_before"]]) * per_volt
+        after = lam_g[rows["supply_after"]] * per_volt
+    on_winding = zero if shape.nodes == 0 else boxes[:, shape.command + 1] * OBJECTIVE_SCALE / statement.kelvin
+    return Multipliers(
         current_lower=-on_current,
         current_upper=on_current,
         command_lower=-on_command,
         command_upper=on_command,
         slew_lower=-on_movement,
         slew_upper=on_movement,
-        hand_over=lam_g[N * nz :] * unit,
-    )
-    return both.clipped()
+        supply_before_lower=-before,
+        supply_before_upper=before,
+        supply_after_lower=-after,
+        supply_after_upper=after,
+        temperature_upper=on_winding,
+        hand_over=lam_g[rows["hand_over"]] * unit,
+    ).clipped()
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a solved program was: states per stage, rows and nonzeros of the constraints' Jacobian."""
+
+    states: int
+    variables: int
+    rows: int
+    nonzeros: int
+
+
+@lru_cache(maxsize=16)
+def _size(shape: Shape) -> Size:
+    program = state_program(shape)
+    if not program.nlp_only:
+        nonzeros = program.qp_data.sparsity_out("A").nnz()
+    else:
+        nonzeros = ca.Function("rows", [program.x, program.p], [program.g]).jac_sparsity(0, 0).nnz()
+    return Size(shape.variables - 1, program.x.numel(), program.g.numel(), nonzeros)
+
+
+def size(problem: TransientProblem) -> Size:
+    """Size of the program that states this problem."""
+    return _size(program_shape(problem))

@@ -1,15 +1,24 @@
 """Solvers behind one function: `solve(problem, options) -> Solution`. One file per solver."""
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
+from transopt.certify import certify
 from transopt.errors import InputError
-from transopt.problem import Multipliers, Solution, Status, TransientProblem
-from transopt.solvers import casadi_ipopt, casadi_piqp
+from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
+from transopt.signals import FloatArray
+from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp
 from transopt.solvers.options import SolverOptions
 
-__all__ = ["SOLVERS", "SolverOptions", "check_name", "solve"]
+__all__ = ["SOLVERS", "SolverOptions", "check_name", "global_bound", "prove", "solve", "solve_certified"]
 
-SOLVERS = {"casadi-piqp": casadi_piqp.solve, "casadi-ipopt": casadi_ipopt.solve}
+SOLVERS = {
+    "casadi-piqp": casadi_piqp.solve,
+    "casadi-fatrop": casadi_fatrop.solve,
+    "casadi-ipopt": casadi_ipopt.solve,
+}
 
 
 def check_name(solver: str) -> None:
@@ -23,10 +32,19 @@ def check_name(solver: str) -> None:
         raise InputError(f"--solver {solver}: unknown; choose one of {', '.join(SOLVERS)}")
 
 
+def capable(problem: TransientProblem) -> list[str]:
+    """Names of the solvers that can take this problem, the first choice first."""
+    quadratic = ["casadi-piqp"] if problem.thermal is None else []
+    stagewise = ["casadi-fatrop"] if casadi_fatrop.can_solve(problem) else []
+    # For a QP the two general methods are both reserves, and IPOPT's statuses say more.
+    return [*quadratic, "casadi-ipopt", *stagewise] if quadratic else [*stagewise, "casadi-ipopt"]
+
+
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
     """Solve one entry's problem; the answer's worth is judged by `certify` and `replay`, not here.
 
-    A zero reference has the zero waveform as its answer and is not handed to a solver.
+    A zero reference has the zero waveform as its answer and is not handed to a solver. A solver that cannot take
+    the problem (PIQP with the temperature in it) gives way to the first choice among those that can.
 
     Raises
     ------
@@ -39,4 +57,52 @@ def solve(problem: TransientProblem, options: SolverOptions | None = None) -> So
         return Solution(
             Status.OPTIMAL, command, Multipliers.zero(problem), "none", "zero reference: zero waveform", 0, 0.0
         )
-    return SOLVERS[options.solver](problem, options)
+    able = capable(problem)
+    return SOLVERS[options.solver if options.solver in able else able[0]](problem, options)
+
+
+def prove(
+    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, options: SolverOptions
+) -> Certificate:
+    """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
+    certificate = certify(problem, command_A, multipliers)
+    if np.isfinite(certificate.lower_bound) or not certificate.finite:
+        return certificate
+    return replace(certificate, lower_bound=global_bound(problem, options))
+
+
+def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
+    """Rigorous lower bound on J where the warming copper makes the problem nonconvex (DESIGN 4).
+
+    The convex relaxation is solved and its own certificate subtracted; minus infinity if that fails.
+    """
+    assert problem.thermal is not None
+    relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+    return max(
+        (certify(relaxed, answer.command_A, answer.multipliers).lower_bound for answer in _answers(relaxed, options)),
+        default=-np.inf,
+    )
+
+
+def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solution]:
+    """Answers until one is proven: the wanted solver's first, then those of the other capable ones.
+
+    On stiff and extreme problems the methods fail on different cases; the certificate tells.
+    """
+    able = capable(problem)
+    first = options.solver if options.solver in able else able[0]
+    for name in [first, *(other for other in able if other != first)]:
+        answer = solve(problem, replace(options, solver=name))
+        yield answer
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        stationary = replace(proof, lower_bound=proof.objective)
+        if answer.status is Status.OPTIMAL and stationary.accepted:
+            return
+
+
+def solve_certified(problem: TransientProblem, options: SolverOptions) -> Solution:
+    """The first answer that is certified or, if none is, the wanted solver's."""
+    answers = list(_answers(problem, options))
+    proof = certify(problem, answers[-1].command_A, answers[-1].multipliers)
+    proven = answers[-1].status is Status.OPTIMAL and replace(proof, lower_bound=proof.objective).accepted
+    return answers[-1] if proven else answers[0]

@@ -21,7 +21,7 @@ STATUS = {
 @lru_cache(maxsize=16)
 def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Function:
     """One solver object for every problem of one shape."""
-    program = transcribe.state_program(shape)
+    data = transcribe.state_program(shape).qp_data
     settings = {
         "eps_abs": options.tolerance,
         "eps_rel": 0.0,
@@ -34,26 +34,33 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
     return ca.conic(
         "piqp",
         "piqp",
-        {"h": program.qp_data.sparsity_out("H"), "a": program.qp_data.sparsity_out("A")},
+        {"h": data.sparsity_out("H"), "a": data.sparsity_out("A")},
         {"piqp": settings, "error_on_fail": False},
     )
 
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """Solve the QP; equality rows hold dynamics and hand-over, everything else is a box."""
+    """Solve the QP; equality rows hold dynamics and hand-over, everything else is a box or a supply row."""
     shape = transcribe.program_shape(problem)
     qp, program = solver_object(shape, options), transcribe.state_program(shape)
     start = time.perf_counter()
-    scale = transcribe.scaling(problem)
-    data = program.qp_data(p=transcribe.parameters(problem, scale))
-    upper = transcribe.box(problem, scale)
-    result = qp(h=data["H"], g=data["q"], a=data["A"], lba=0, uba=0, lbx=-upper, ubx=upper)
+    statement = transcribe.state(problem)
+    data = program.qp_data(p=statement.p)
+    result = qp(
+        h=data["H"],
+        g=data["q"],
+        a=data["A"],
+        lba=statement.lower_g,
+        uba=statement.upper_g,
+        lbx=statement.lower_x,
+        ubx=statement.upper_x,
+    )
     message = str(qp.stats()["return_status"])
     return Solution(
         status=STATUS.get(message, Status.NUMERICAL_FAILURE),
-        command_A=transcribe.command(problem, scale, np.asarray(result["x"]).ravel()),
+        command_A=transcribe.command(statement, np.asarray(result["x"]).ravel()),
         multipliers=transcribe.multipliers(
-            problem, scale, np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_a"]).ravel()
+            statement, np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_a"]).ravel()
         ),
         solver="casadi-piqp",
         message=message,

@@ -36,14 +36,15 @@ def solve(problem: TransientProblem) -> Solution:
 
     `command_A` is not clipped: it is what the limits would have to allow.
     """
+    problem = replace(problem, supply=None, thermal=None)
     shape = transcribe.program_shape(problem)
     program = transcribe.state_program(shape)
     start = time.perf_counter()
-    scale = transcribe.scaling(problem)
-    data = program.qp_data(p=transcribe.parameters(problem, scale))
+    statement = transcribe.state(problem)
+    data = program.qp_data(p=statement.p)
     H, A = (_scipy(data[name], _pattern(shape, name)) for name in ("H", "A"))
     kkt = sparse.block_array([[H, A.T], [A, None]], format="csc")
-    right = np.concatenate([-np.asarray(data["q"]).ravel(), np.zeros(A.shape[0])])
+    right = np.concatenate([-np.asarray(data["q"]).ravel(), statement.lower_g])
     try:
         factors = splu(kkt)
         point = factors.solve(right)
@@ -53,9 +54,10 @@ def solve(problem: TransientProblem) -> Solution:
     except RuntimeError as singular:
         point, status, message = np.full(right.size, np.nan), Status.NUMERICAL_FAILURE, str(singular)
     n = shape.stages * shape.variables
-    command = point[:n].reshape(-1, shape.variables)[:, -1] * scale.current_A
-    command[problem.free_stages :] = 0.0
-    free = transcribe.multipliers(problem, scale, np.zeros(n), point[n:])
+    command = point[:n].reshape(-1, shape.variables)[:, shape.command] * statement.stage.current_A
+    if problem.wall is None:
+        command[problem.free_stages :] = 0.0
+    free = transcribe.multipliers(statement, np.zeros(n), point[n:])
     return Solution(
         status=status,
         command_A=command,
