@@ -1,0 +1,84 @@
+"""Why no command meets all limits: which limit, by how much, when, and what would do (DESIGN 4)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from transopt.certify import boxes
+from transopt.problem import Multipliers, Status, TransientProblem
+from transopt.signals import FloatArray
+from transopt.solvers import SolverOptions, solve_certified
+
+WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
+PRECISION = 0.005  # relative, of the least limit that would do
+
+
+def _widened(problem: TransientProblem) -> dict[str, Callable[[float], TransientProblem]]:
+    """For each limit the problem with that limit `factor` times as wide."""
+    limits = problem.limits
+    found: dict[str, Callable[[float], TransientProblem]] = {}
+    if problem.thermal is not None:
+        thermal = problem.thermal
+
+        def warmer(factor: float) -> TransientProblem:
+            rise = (factor - 1) * max(float(thermal.model.headroom_K.max()), 1.0)
+            model = replace(thermal.model, headroom_K=thermal.model.headroom_K + rise)
+            return replace(problem, thermal=replace(thermal, model=model))
+
+        found["coil"] = warmer
+    if problem.supply is not None:
+        supply = problem.supply
+        found["supply"] = lambda factor: replace(problem, supply=replace(supply, limit_V=factor * supply.limit_V))
+    if limits.slew_A_per_s is not None:
+        slew = limits.slew_A_per_s
+        found["slew"] = lambda factor: replace(problem, limits=replace(limits, slew_A_per_s=factor * slew))
+    if limits.command_A is not None:
+        command = limits.command_A
+        found["command"] = lambda factor: replace(problem, limits=replace(limits, command_A=factor * command))
+    found["current"] = lambda factor: replace(problem, limits=replace(limits, current_A=factor * limits.current_A))
+    return found
+
+
+def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
+    answer = solve_certified(problem, options)
+    return answer.command_A if answer.status is Status.OPTIMAL else None
+
+
+def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str]:
+    """One sentence for each limit whose widening alone would help; empty if none would.
+
+    The least sufficient limit is found by bisection; the command that just meets it tells by how much and when the
+    stated limit is missed.
+    """
+    found = []
+    for name, widen in _widened(problem).items():
+        command = _feasible(widen(WIDEST), options)
+        if command is None:
+            continue
+        low, high = 1.0, WIDEST
+        while high / low > 1 + PRECISION:
+            middle = float(np.sqrt(low * high))
+            tried = _feasible(widen(middle), options)
+            if tried is None:
+                low = middle
+            else:
+                high, command = middle, tried
+        found.append(_sentence(problem, widen(high), name, command))
+    return found
+
+
+def _sentence(problem: TransientProblem, wide: TransientProblem, name: str, command_A: FloatArray) -> str:
+    motion = problem.stage.motion(command_A)
+    of = [box for box in boxes(problem, command_A, motion, Multipliers.zero(problem)) if box.name == name]
+    wider = [box for box in boxes(wide, command_A, motion, Multipliers.zero(problem)) if box.name == name]
+    worst = max(of, key=lambda box: float(box.excess.max()))
+    k = int(np.argmax(worst.excess))
+    time_ms = problem.grid.switching_times_s[k] * 1e3
+    unit = "K" if worst.unit == "C" else worst.unit
+    enough = float(wider[0].bound[np.isfinite(wider[0].bound)].max())
+    stated = float(worst.bound[np.isfinite(worst.bound)].min())
+    return (
+        f"{name} {worst.excess[k]:.3g} {unit} over its {stated:g} {worst.unit} at {time_ms:.1f} ms at the least; "
+        f"{enough:.4g} {worst.unit} would do"
+    )

@@ -1,0 +1,269 @@
+"""The winding's temperature over one transient, as the optimal-control problem states it (DESIGN 3.3)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from transopt.amplifier import Amplifier
+from transopt.discretise import TimeGrid
+from transopt.signals import FloatArray
+from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
+
+SMOOTHING_A = 1e-2  # |i| as sqrt(i^2 + s^2), or Newton stumbles over the kink; heats 1e-5 K more over a tap
+ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
+
+
+@dataclass(frozen=True)
+class Heating:
+    """Mean of i_eff^2 over one servo period as a function of the current i_k and the command c_k.
+
+    The current goes exponentially, hence monotonically, to i_(k+1) = decay i_k + (1 - decay) c_k, so its mean square
+    is a convex quadratic in the two; |i| is at most its mean along the way, taken as if the sign did not change.
+
+    Attributes
+    ----------
+    decay : exp(-w dt), 0 for an ideal amplifier (i = c_k throughout).
+    square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2. size : weight of |i_k|; that of |i_(k+1)| is the rest.
+    over : True overestimates |i| by at most `SMOOTHING_A`, False underestimates it.
+    """
+
+    decay: float
+    square: FloatArray
+    size: float
+    over: bool = True
+
+    def after(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """i_(k+1)."""
+        return np.asarray(self.decay * current_A + (1 - self.decay) * command_A)
+
+    def mean_square(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """(...) mean of i_eff^2 = (|i| + 0.02 A)^2 over the period [A^2]."""
+        a, b = current_A, self.after(current_A, command_A)
+        smaller = 0.0 if self.over else SMOOTHING_A
+        size = self.size * np.hypot(a, SMOOTHING_A) + (1 - self.size) * np.hypot(b, SMOOTHING_A) - smaller
+        quadratic = self.square[0] * a * a + self.square[1] * a * b + self.square[2] * b * b
+        return np.asarray(quadratic + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
+
+    def gradient(self, current_A: FloatArray, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of `mean_square` by the current and by the command, (...) each [A]."""
+        a, b = current_A, self.after(current_A, command_A)
+        slope_a, slope_b = (x / np.hypot(x, SMOOTHING_A) for x in (a, b))
+        by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * PWM_RIPPLE_A * self.size * slope_a
+        by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * PWM_RIPPLE_A * (1 - self.size) * slope_b
+        return by_a + self.decay * by_b, (1 - self.decay) * by_b
+
+
+def heating(amplifier: Amplifier | None, dt_s: float) -> Heating:
+    """Heating of one servo period through this amplifier."""
+    if amplifier is None:
+        return Heating(0.0, np.array([0.0, 0.0, 1.0]), 0.0)
+    x = amplifier.rate_rad_s * dt_s
+    e = float(np.exp(-x))
+    # i(t) = (1 - s) i_k + s i_(k+1) with s = (1 - exp(-w t)) / (1 - e); means of s and s^2 over the period.
+    s1 = (1 + np.expm1(-x) / x) / (1 - e)
+    s2 = (1 + 2 * np.expm1(-x) / x - np.expm1(-2 * x) / (2 * x)) / (1 - e) ** 2
+    return Heating(e, np.array([1 - 2 * s1 + s2, 2 * (s1 - s2), s2]), float(1 - s1))
+
+
+@dataclass(frozen=True)
+class HeatModel:
+    """Rise above the unpowered course: th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k, h_k the mean i_eff^2.
+
+    `th_w,(k+1) <= headroom_k` is the temperature limit at tau_(k+1). Without closure th_0 = 0; with it the course
+    repeats itself: th_0 = F th_N + f, the tap followed by the pause.
+
+    Attributes
+    ----------
+    M : (m, m) winding first, then housing. b : (m,) [K/W].
+    gain : (N,) resistance at the unpowered temperature [ohm]. copper : its increase per kelvin of rise [ohm/K].
+    headroom_K : (N,), infinite where nothing is asked.
+    closure : (F (m, m), f (m,)) or None.
+    unpowered_C : (N,) winding temperature at tau_(k+1) without current.
+    """
+
+    heating: Heating
+    M: FloatArray
+    b: FloatArray
+    gain: FloatArray
+    copper: float
+    headroom_K: FloatArray
+    closure: tuple[FloatArray, FloatArray] | None
+    unpowered_C: FloatArray
+
+    @property
+    def nodes(self) -> int:
+        return int(self.b.size)
+
+    def _maps(self, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Each step as th+ = P th + s: (N, m, m), (N, m)."""
+        P = np.tile(self.M, (h.size, 1, 1))
+        P[:, :, 0] += self.b * (self.copper * h)[:, None]
+        return P, self.b * (self.gain * h)[:, None]
+
+    def start(self, h: FloatArray) -> FloatArray:
+        """(m,) rise at the first switching instant."""
+        if self.closure is None:
+            return np.zeros(self.nodes)
+        P, s = self._maps(h)
+        transition, offset = np.eye(self.nodes), np.zeros(self.nodes)
+        for step, addition in zip(P, s, strict=True):
+            transition, offset = step @ transition, step @ offset + addition
+        F, f = self.closure
+        return np.asarray(np.linalg.solve(np.eye(self.nodes) - F @ transition, F @ offset + f))
+
+    def rise(self, h: FloatArray) -> FloatArray:
+        """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]."""
+        P, s = self._maps(h)
+        course = np.empty((h.size + 1, self.nodes))
+        course[0] = self.start(h)
+        for k in range(h.size):
+            course[k + 1] = P[k] @ course[k] + s[k]
+        return course
+
+    def adjoint(self, h: FloatArray, by_winding: FloatArray) -> FloatArray:
+        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,)."""
+        course = self.rise(h)
+        P, _ = self._maps(h)
+        N, m = h.size, self.nodes
+
+        def backwards(at_end: FloatArray, forcing: FloatArray) -> FloatArray:
+            nu = np.empty((N + 1, m))
+            nu[N] = at_end
+            for k in range(N - 1, -1, -1):
+                nu[k + 1, 0] += forcing[k]
+                nu[k] = P[k].T @ nu[k + 1]
+            return nu
+
+        end = np.zeros(m)
+        if self.closure is not None:
+            F, _ = self.closure
+            # What th_0 weighs comes back to th_N through the pause: nu_N = F' nu_0, a fixed point.
+            free = backwards(end, by_winding)[0]
+            transition = np.stack([backwards(unit, np.zeros(N))[0] for unit in np.eye(m)], axis=1)
+            end = np.linalg.solve(np.eye(m) - F.T @ transition, F.T @ free)
+        nu = backwards(end, by_winding)
+        return np.asarray((nu[1:] @ self.b) * (self.gain + self.copper * course[:-1, 0]))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What the winding may do beside keeping below its limit over the horizon.
+
+    Attributes
+    ----------
+    headroom_K : rise above the start temperature allowed to one tap; None for no such budget.
+    tap_rate_Hz : taps per second for ever, each the same; None for a single tap.
+    idle_A : current in the pause between taps (feedback of a wall), without ripple.
+    """
+
+    headroom_K: float | None = None
+    tap_rate_Hz: float | None = None
+    idle_A: float = 0.0
+
+
+@dataclass(frozen=True)
+class ThermalLimit:
+    """The temperature limit of one entry: the coil, what is asked of it, and the model of both."""
+
+    coil: CoilModel
+    budget: Budget
+    model: HeatModel
+    dt_s: float
+
+    @property
+    def limit_C(self) -> float:
+        return winding_limit_C(self.coil, self.budget)
+
+    @property
+    def period_s(self) -> float | None:
+        """Time from tap to tap; None for a single tap."""
+        return None if self.budget.tap_rate_Hz is None else 1 / self.budget.tap_rate_Hz
+
+    def temperatures_C(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """(N,) winding temperature at tau_1 to tau_N."""
+        h = self.model.heating.mean_square(current_A, command_A)
+        return np.asarray(self.model.rise(h)[1:, 0] + self.model.unpowered_C)
+
+    def relaxed(self, peak_A: float) -> "ThermalLimit":
+        """A convex limit that every admissible command meets (DESIGN 4): it bounds J from below.
+
+        Over one horizon the copper is taken at the unpowered temperature, below which it never is. Over repeated
+        taps it is at the limit whenever the limit binds: by the energy balance of the period,
+        mean(T) - T_ambient = R_th mean(P (1 + alpha (T - 25))), a course that stays below the limit has
+        mean(P) R_th (1 + alpha (limit - 25 - ripple)) <= limit - T_ambient, with P = R i_eff^2.
+
+        Parameters
+        ----------
+        peak_A : limit current, which bounds the ripple of the winding's temperature.
+        """
+        model, coil = self.model, self.coil
+        under = replace(model.heating, over=False)
+        if self.period_s is None:
+            return replace(self, model=replace(model, heating=under, copper=0.0))
+        N, limit = model.gain.size, self.limit_C
+        share = N * self.dt_s / self.period_s
+
+        def resistance(temperature_C: float) -> float:
+            return coil.R_ohm * (1 + COPPER_PER_K * (temperature_C - RESISTANCE_REFERENCE_C))
+
+        energy = resistance(limit) * (
+            (peak_A + PWM_RIPPLE_A) ** 2 * N * self.dt_s
+            + (self.budget.idle_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
+        )
+        ripple = energy * coil.R_wh_K_W / coil.tau_w_s
+        allowed = (limit - coil.ambient_C) / ((coil.R_wh_K_W + coil.R_ha_K_W) * resistance(limit - ripple))
+        pause = (1 - share) * (self.budget.idle_A + PWM_RIPPLE_A) ** 2
+        headroom = np.full(N, np.inf)
+        headroom[-1] = allowed * (1 + ROUNDING) - pause
+        mean = HeatModel(
+            heating=under,
+            M=np.eye(1),
+            b=np.array([share / N]),
+            gain=np.ones(N),
+            copper=0.0,
+            headroom_K=headroom,
+            closure=None,
+            unpowered_C=np.zeros(N),
+        )
+        return replace(self, model=mean)
+
+
+def winding_limit_C(coil: CoilModel, budget: Budget) -> float:
+    """The lower of the winding's limit and of the start temperature plus the headroom."""
+    return coil.limit_C if budget.headroom_K is None else min(coil.limit_C, coil.start_winding_C + budget.headroom_K)
+
+
+def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> ThermalLimit:
+    """The temperature limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
+    flow, inflow = coil.flow()
+    m, dt, N = inflow.size, grid.dt_s, grid.stages
+    held = np.zeros((m + 1, m + 1))
+    held[:m, :m], held[:m, m] = flow, inflow
+    hold = linalg.expm(held * dt)
+    M, b = hold[:m, :m], hold[:m, m]
+    unpowered = np.full(N + 1, coil.rest_C)
+    closure = None
+    if budget.tap_rate_Hz is None:
+        above = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
+        for k in range(N + 1):
+            unpowered[k] += above[0]
+            above = M @ above
+    else:
+        power = coil.R_ohm * (budget.idle_A + PWM_RIPPLE_A) ** 2
+        pause = held.copy()
+        pause[:m, 0] += inflow * power * COPPER_PER_K
+        pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
+        paused = linalg.expm(pause * (1 / budget.tap_rate_Hz - N * dt))
+        closure = (paused[:m, :m], paused[:m, m])
+    model = HeatModel(
+        heating=heating(amplifier, dt),
+        M=M,
+        b=b,
+        gain=coil.R_ohm * (1 + COPPER_PER_K * (unpowered[:-1] - RESISTANCE_REFERENCE_C)),
+        copper=coil.R_ohm * COPPER_PER_K,
+        headroom_K=winding_limit_C(coil, budget) - unpowered[1:],
+        closure=closure,
+        unpowered_C=unpowered[1:],
+    )
+    return ThermalLimit(coil, budget, model, dt)

@@ -1,0 +1,146 @@
+"""The optimum of one entry: the smallest problem that has it, solved (DESIGN 4)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import integrate
+
+from transopt import transcribe
+from transopt.certify import inside
+from transopt.explain import infeasibility
+from transopt.parts import leave_out, pressing
+from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
+from transopt.signals import FloatArray, nrmse
+from transopt.solvers import SolverOptions, prove, solve, solve_certified, unlimited
+
+MOST_MASKS = 5  # solves until the wall pushes exactly where it was assumed to
+
+
+@dataclass(frozen=True)
+class Designed:
+    """One entry before its replay.
+
+    Attributes
+    ----------
+    problem : with every limit of the scene, and the wall pushing where the answer makes it push.
+    certificate : of the answer for that whole problem.
+    unlimited_command_A : (N,) the optimum without limits. floor : its NRMSE. free_peak_A : its peak current.
+    left_out : part -> why the problem that was solved does not have it.
+    size : of the program that was solved; None where one linear solve was enough.
+    remarks : why an entry has no answer.
+    """
+
+    problem: TransientProblem
+    solution: Solution
+    certificate: Certificate
+    unlimited_command_A: FloatArray
+    floor: float
+    free_peak_A: float
+    left_out: dict[str, str]
+    size: transcribe.Size | None
+    remarks: list[str]
+
+
+def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """Solve one entry, leaving out what it does not need.
+
+    With a wall the ticks at which it pushes are first taken from the reference's motion, then from the answer's,
+    until both agree.
+    """
+    if problem.reference_is_zero:
+        answer = solve(problem, options)
+        proof = prove(problem, answer.command_A, answer.multipliers, options)
+        left_out = {"limits": "zero reference: zero waveform"}
+        floor = nrmse(answer.command_A, problem.reference_m_s2)
+        return Designed(problem, answer, proof, answer.command_A, floor, 0.0, left_out, None, [])
+    if problem.wall is None:
+        return _solved(problem, options)
+    problem = pressing(problem, _reference_course(problem))
+    refused = _hand_over_excess(problem)
+    if refused:
+        nothing = np.zeros(problem.grid.stages)
+        answer = Solution(Status.HAND_OVER, nothing, Multipliers.zero(problem), "none", refused, 0, 0.0)
+        proof = prove(problem, answer.command_A, answer.multipliers, options)
+        return Designed(problem, answer, proof, nothing, float("nan"), 0.0, {}, None, [refused])
+    spent = 0.0
+    for _ in range(MOST_MASKS):
+        designed = _solved(problem, options)
+        spent += designed.solution.solve_time_s
+        course = problem.encoder_at_ticks(problem.stage.motion(designed.solution.command_A))
+        again = pressing(problem, course)
+        if _same_mask(problem, again):
+            break
+        problem = again
+    return replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+
+
+def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:
+    """Over the hand-over and the tick before it, which the prefilter remembers."""
+    assert problem.wall is not None
+    assert other.wall is not None
+    first = max(problem.free_stages - 1, 0)
+    return bool(np.array_equal(problem.wall.pressing[first:], other.wall.pressing[first:]))
+
+
+def _reference_course(problem: TransientProblem) -> FloatArray:
+    """(N,) deviation of the stylus from its nominal motion at the ticks, if it followed the reference."""
+    grid = problem.grid
+    velocity = integrate.cumulative_trapezoid(problem.reference_m_s2, dx=grid.dt_s, initial=0)
+    course = integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    return np.asarray(np.interp(grid.issue_times_s, grid.switching_times_s, course))
+
+
+def _hand_over_excess(problem: TransientProblem) -> str:
+    """Why the wall alone is too much when the transient has to end; empty if it is not."""
+    wall, limit = problem.wall, problem.limits.current_A
+    assert wall is not None
+    z = wall.encoder(_reference_course(problem))[problem.free_stages :]
+    deepest = float(-z.min())
+    current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
+    if current <= limit:
+        return ""
+    allowed = limit * wall.wall.force_per_current_N_A / deepest
+    return (
+        f"hand-over: K_p z / k_f = {current:.2f} A at {deepest * 1e3:.2f} mm below the surface, limit {limit:g} A; "
+        f"{np.floor(allowed):g} N/m would do"
+    )
+
+
+def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """The optimum with the wall's ticks fixed."""
+    reduced = leave_out(problem)
+    small, left_out = reduced.problem, dict(reduced.left_out)
+    free = unlimited.solve(small)
+    acceleration, current = problem.stage.rollout(free.command_A)
+    floor = nrmse(acceleration, problem.reference_m_s2)
+    peak = float(np.abs(current).max())
+
+    def designed(answer: Solution, size: transcribe.Size | None, remarks: list[str]) -> Designed:
+        proof = prove(problem, answer.command_A, answer.multipliers, options)
+        return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
+
+    if inside(problem, free.command_A):
+        left_out["limits"] = (
+            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
+            f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
+        )
+        return designed(free, None, [])
+    spent = free.solve_time_s
+    if small.thermal is not None:
+        cold = solve_certified(replace(small, thermal=None), options)
+        spent += cold.solve_time_s
+        if cold.status is Status.OPTIMAL and inside(problem, cold.command_A, only="coil"):
+            hottest = float(small.thermal.temperatures_C(*_currents(small, cold.command_A)).max())
+            left_out["temperature"] = (
+                f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
+            )
+            answer = replace(cold, solve_time_s=spent)
+            return designed(answer, transcribe.size(replace(small, thermal=None)), [])
+    answer = solve_certified(small, options)
+    answer = replace(answer, solve_time_s=spent + answer.solve_time_s)
+    remarks = infeasibility(small, options) if answer.status is Status.INFEASIBLE else []
+    return designed(answer, transcribe.size(small), remarks)
+
+
+def _currents(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return problem.stage.rollout(command_A)[1], command_A

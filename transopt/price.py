@@ -1,0 +1,102 @@
+"""What binds, in the user's words: the price of each limit and the least limit that would not bind (DESIGN 4)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.certify import boxes
+from transopt.problem import Multipliers, TransientProblem
+from transopt.signals import FloatArray, nrmse
+
+WORTH_SAYING = 1e-9  # of J per unit of the limit
+STEP_SHARE = 0.25  # of the limit, at most, by which it is raised in the sentence
+
+
+@dataclass(frozen=True)
+class Price:
+    """One limit that binds.
+
+    Attributes
+    ----------
+    limit, unit : name and unit. bound : where it stands; for the coil the temperature.
+    slope : dNRMSE per unit of the limit, negative; from the multipliers.
+    step : by how much it is raised in the sentence. nrmse, then : now and, to first order, after that step.
+    enough : least bound at which it would not bind: what the unlimited optimum takes.
+    """
+
+    limit: str
+    unit: str
+    bound: float
+    slope: float
+    step: float
+    nrmse: float
+    then: float
+    enough: float
+
+    @property
+    def sentence(self) -> str:
+        return (
+            f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {_step_unit(self.unit)} more: "
+            f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
+            f"would not bind from {_rounded_up(self.enough, self.bound):.8g} {self.unit} on"
+        )
+
+
+def _step_unit(unit: str) -> str:
+    return "K" if unit == "C" else unit
+
+
+def _rounded_up(value: float, bound: float) -> float:
+    """Up to a hundredth of a percent of the bound, so that what is printed is enough."""
+    grain = 10.0 ** np.floor(np.log10(abs(bound)) - 3)
+    return float(np.ceil(value / grain) * grain)
+
+
+def _round_step(size: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above `size`."""
+    power = 10.0 ** np.floor(np.log10(size))
+    return float(max(m for m in (1, 2, 5) if m * power <= size * (1 + 1e-12)) * power)
+
+
+def prices(
+    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, unlimited_A: FloatArray
+) -> list[Price]:
+    """Price of every limit that binds; empty if none does or if the error is not the plain one of one device.
+
+    J is the squared NRMSE but for the movement term, so dNRMSE = dJ / (2 NRMSE) and dJ = -sum of the multipliers per
+    unit of the limit; the current limit also stands in the movement term. Where the NRMSE goes linearly with the
+    limit, as it does for a peak that is cut off, the step's figure is nearly exact; it never falls below the floor.
+    """
+    if problem.error_filter is not None or problem.spread or problem.reference_is_zero:
+        return []
+    stage, r = problem.stage, problem.reference_m_s2
+    motion, free = stage.motion(command_A), stage.motion(unlimited_A)
+    error, floor = nrmse(motion.acceleration_m_s2, r), nrmse(free.acceleration_m_s2, r)
+    movement = np.diff(command_A, prepend=0.0)
+    wanted: dict[str, float] = {}
+    for box in boxes(problem, unlimited_A, free, multipliers):
+        wanted[box.name] = max(wanted.get(box.name, 0.0), float(np.abs(box.value[np.isfinite(box.bound)]).max()))
+    gains: dict[str, float] = {}
+    units, bounds, room = {}, {}, {}
+    for box in boxes(problem, command_A, motion, multipliers):
+        gain = float(box.upper.sum()) + (0.0 if box.lower is None else float(box.lower.sum()))
+        gains[box.name] = gains.get(box.name, 0.0) + gain
+        units[box.name], bounds[box.name] = box.unit, float(box.bound[np.isfinite(box.bound)].min())
+        room[box.name] = bounds[box.name]
+        if box.name == "coil":
+            headroom = box.bound - (problem.thermal.model.unpowered_C if problem.thermal is not None else 0.0)
+            room[box.name] = float(headroom[np.isfinite(headroom)].max())
+    gains["current"] += (
+        2 * problem.movement_weight * float(movement @ movement) / problem.limits.current_A
+        if gains["current"] > WORTH_SAYING
+        else 0.0
+    )
+    found = []
+    for name, gain in gains.items():
+        if gain <= WORTH_SAYING:
+            continue
+        step = _round_step(STEP_SHARE * room[name])
+        slope = -gain / (2 * error)
+        then = max(error + slope * step, floor)
+        found.append(Price(name, units[name], bounds[name], slope, step, error, then, wanted[name]))
+    return sorted(found, key=lambda price: price.then)

@@ -1,0 +1,254 @@
+"""Tables of a scene file: keys, types, bounds (DESIGN 3, 5, 8)."""
+
+import itertools
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from transopt import models
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Speed = Annotated[float, Field(ge=1e-4, le=100)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A table of a scene file: unknown keys are refused, values never change after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _increasing(values: list[float]) -> list[float]:
+    if any(b <= a for a, b in itertools.pairwise(values)):
+        raise ValueError("must be strictly increasing, without duplicates")
+    return values
+
+
+class Grid(Section):
+    """Nodes of the library."""
+
+    speeds_m_s: Annotated[list[Speed], Field(min_length=1)]
+    grips_N: Annotated[list[NonNegative], Field(min_length=1)]
+    grip_min_N: Positive = 0.5
+
+    _speeds_ordered = field_validator("speeds_m_s")(_increasing)
+    _grips_ordered = field_validator("grips_N")(_increasing)
+
+    @model_validator(mode="after")
+    def _held_or_free(self) -> Self:
+        if self.grips_N[0] == 0 and len(self.grips_N) > 1:
+            raise ValueError("grips_N: the free device (grip 0) is its own scene, never blended with held ones")
+        if 0 < self.grips_N[0] < self.grip_min_N:
+            raise ValueError(
+                f"grips_N: {self.grips_N[0]:g} N is below grip_min_N = {self.grip_min_N:g} N, "
+                "where no transient is played"
+            )
+        return self
+
+
+class Time(Section):
+    """Servo period, horizon, and how long before contact the waveform starts."""
+
+    dt_s: Positive = 1e-4
+    stages: Annotated[int, Field(ge=2)] = 600
+    lead_s: Annotated[float, Field(ge=0, le=0.02)] = 3e-4
+
+
+class SimulatedTaps(Section):
+    """A real object that the undriven device strikes (DESIGN 5): the built-in recordings.
+
+    Contact force on the stylus: k delta^n (1 + c d delta/dt) >= 0, delta the indentation.
+    """
+
+    grip_N: Positive
+    object_mass_kg: Positive
+    object_stiffness_N_m: NonNegative
+    object_damping_N_s_m: NonNegative
+    contact_stiffness_N_m: Positive
+    contact_exponent: Positive
+    contact_damping_s_m: NonNegative
+    repeats: Annotated[int, Field(ge=1)] = 3
+    speed_spread: Annotated[float, Field(ge=0, lt=0.15)] = 0.05
+    noise_g_rtHz: NonNegative = 320e-6
+    range_g: Positive = 18.0
+    rate_Hz: Annotated[float, Field(ge=1e3, le=1e6)] = 10e3
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+class Recordings(Section):
+    """Where the taps come from and how they become references."""
+
+    files: list[str] = []
+    folder: str = "."
+    columns: list[str] = []
+    full_scale_m_s2: Positive | None = None
+    speed_m_s: Speed | None = None
+    speed_by_file_m_s: dict[str, Speed] = {}
+    grip_N: NonNegative | None = None
+    source: str = ""
+    polarity: Literal["auto", "positive", "negative"] = "auto"
+    offset_m_s2: Finite | Literal["baseline"] = "baseline"
+    onset_s: Finite | Literal["auto"] = "auto"
+    lowpass_Hz: Annotated[float, Field(ge=50, le=1e6)] = 1000.0
+    highpass_Hz: Annotated[float, Field(ge=0.1, le=1e5)] = 8.0
+    speed_tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.15
+    time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
+    amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
+    simulated: SimulatedTaps | None = None
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if bool(self.files) == (self.simulated is not None):
+            raise ValueError("give either files or a simulated table, not both and not neither")
+        if self.highpass_Hz >= self.lowpass_Hz:
+            raise ValueError(f"highpass_Hz = {self.highpass_Hz:g}: must be below lowpass_Hz = {self.lowpass_Hz:g}")
+        return self
+
+
+class LinearParameter(Section):
+    constant: Finite
+    per_newton: Finite = 0.0
+
+
+Parameter = LinearParameter | Finite
+
+
+def _linear(value: LinearParameter | float) -> models.LinearInGrip:
+    if isinstance(value, LinearParameter):
+        return models.LinearInGrip(value.constant, value.per_newton)
+    return models.LinearInGrip(value, 0.0)
+
+
+class HandSection(Section):
+    """Skin and arm as functions of grip: a number, or {constant, per_newton}."""
+
+    mass_kg: Parameter
+    skin_stiffness_N_m: Parameter
+    skin_damping_N_s_m: Parameter
+    arm_stiffness_N_m: Parameter
+    arm_damping_N_s_m: Parameter
+
+    def hand(self) -> models.Hand:
+        return models.Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})
+
+
+class SecondOrder(Section):
+    kind: Literal["second_order"]
+
+
+class FourthOrder(Section):
+    kind: Literal["fourth_order"]
+    stylus_mass_kg: Positive
+    hand: HandSection
+
+
+class Drive(Section):
+    kind: Literal["drive"]
+    stylus_mass_kg: Positive
+    hand: HandSection
+
+
+class Motor(Section):
+    """One row of a datasheet; its values belong together."""
+
+    name: str
+    datasheet: str
+    R_ohm: Positive
+    L_H: NonNegative
+    kt_Nm_A: Positive
+    rotor_kg_m2: NonNegative
+    i_continuous_A: Positive
+    i_peak_A: Positive
+    R_wh_K_W: Positive
+    R_ha_K_W: Positive
+    tau_w_s: Positive
+    tau_h_s: Positive
+    winding_max_C: Finite
+
+
+class Transmission(Section):
+    """From motor shaft to stylus tip: `ratio_1_m` is shaft radian per metre of tip travel."""
+
+    ratio_1_m: Positive
+    link_mass_kg: NonNegative
+    stiffness_N_m: Positive
+    damping_N_s_m: NonNegative
+
+
+class Tip(Section):
+    """The drive stated at the tip, for voice coils: no motor data, so no coil temperature."""
+
+    force_per_current_N_A: Positive
+    moving_mass_kg: Positive
+    stiffness_N_m: Positive | None = None
+    damping_N_s_m: NonNegative | None = None
+
+
+class AmplifierSection(Section):
+    pole_Hz: Positive
+    delay_s: NonNegative
+    command_limit_A: Positive = 6.0
+
+
+class LimitsSection(Section):
+    """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place."""
+
+    steady_current_A: Positive
+    beta: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    current_A: Positive | None = None
+    slew_A_per_s: Positive | None = None
+    supply_V: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_statement(self) -> Self:
+        if self.beta is not None and self.current_A is not None:
+            raise ValueError("give beta or current_A, not both")
+        return self
+
+    @property
+    def transient_current_A(self) -> float:
+        if self.current_A is not None:
+            return self.current_A
+        return (3.2 if self.beta is None else self.beta) * self.steady_current_A
+
+
+class Thermal(Section):
+    """Temperatures at the start, and what the winding may do: keep its limit, a headroom per tap, taps for ever."""
+
+    ambient_C: Finite = 25.0
+    start_winding_C: Finite = 25.0
+    start_housing_C: Finite = 25.0
+    nodes: Literal[1, 2] = 2
+    headroom_K: Positive | None = None
+    tap_rate_Hz: Positive | None = None
+    idle_A: NonNegative = 0.0
+
+    @model_validator(mode="after")
+    def _one_budget(self) -> Self:
+        if self.tap_rate_Hz is not None and (self.headroom_K is not None or self.nodes == 1):
+            raise ValueError(
+                "tap_rate_Hz is about the steady state of winding and housing: it needs nodes = 2 and no headroom_K"
+            )
+        return self
+
+
+class Feedback(Section):
+    """Virtual wall under the transient (seed Eq. 9): spring and damper below the surface, from the encoder."""
+
+    stiffness_N_m: Positive
+    damping_N_s_m: NonNegative = 0.0
+    latency_ticks: Annotated[int, Field(ge=0, le=100)] = 1
+    derivative_filter_Hz: Positive = 500.0
+
+
+class Weights(Section):
+    rho: NonNegative = 1e-3
+    error_filter: Literal["none", "pacinian"] = "none"
+
+
+class Robust(Section):
+    """One command for a spread of grips around each node: the mean of the squared errors is minimised."""
+
+    grip_spread: Annotated[float, Field(gt=0, lt=1)]
+    samples: Annotated[int, Field(ge=2, le=15)] = 5
