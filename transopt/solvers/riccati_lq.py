@@ -72,7 +72,7 @@ class Gains:
 
 
 @dataclass(frozen=True)
-class _Recursions:
+class Recursions:
     """Functions over all blocks; a block's matrices stand side by side, its stages are stacked."""
 
     factor: ca.Function
@@ -118,7 +118,7 @@ def _chain(step: ca.Function, constants: int, blocks: int, *, backwards: bool) -
 
 
 @lru_cache(maxsize=16)
-def _recursions(n: int, ny: int, blocks: int) -> _Recursions:
+def recursions(n: int, ny: int, blocks: int) -> Recursions:
     """The three recursions for n states and ny outputs; transposes are handed over instead of computed each time."""
     q = BLOCK * ny
     P, z, costate = ca.MX.sym("P", n, n), ca.MX.sym("z", n), ca.MX.sym("costate", n)
@@ -145,7 +145,7 @@ def _recursions(n: int, ny: int, blocks: int) -> _Recursions:
     movement = ca.mac(K, z, offset)
     stacked = ca.vertcat(z, movement)
     rollout = ca.Function("rollout", [z, A, C, K, offset], [A @ stacked, movement, C @ stacked])
-    return _Recursions(
+    return Recursions(
         factor=_chain(factor, 4, blocks, backwards=True),
         adjoint=_chain(adjoint, 2, blocks, backwards=True),
         rollout=_chain(rollout, 2, blocks, backwards=False),
@@ -176,7 +176,7 @@ class Pass:
         n, ny = problem.A.shape[0], problem.C.shape[0]
         self._blocks = -(-problem.free_stages // BLOCK)
         self._filling = self._blocks * BLOCK - problem.free_stages
-        self._functions = _recursions(n, ny, self._blocks) if self._blocks else None
+        self._functions = recursions(n, ny, self._blocks) if self._blocks else None
         self._no_feedback = np.zeros((self._blocks, n, BLOCK))
 
         # (z, dc of the block) -> state after it and outputs in it.

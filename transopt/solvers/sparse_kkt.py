@@ -15,7 +15,7 @@ REFINEMENTS = 2
 
 
 @lru_cache(maxsize=16)
-def _pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Row indices and column starts of a matrix of the program; reading them off takes longer than the solve."""
     sparsity = transcribe.state_program(shape).qp_data.sparsity_out(name)
     return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
@@ -26,7 +26,7 @@ def movement(problem: TransientProblem) -> FloatArray:
     shape = transcribe.program_shape(problem)
     data = transcribe.state_program(shape).qp_data(p=transcribe.parameters(problem, transcribe.scaling(problem)))
     H, A = (
-        sparse.csc_array((np.asarray(data[name].nonzeros()), *_pattern(shape, name)), shape=data[name].shape)
+        sparse.csc_array((np.asarray(data[name].nonzeros()), *pattern(shape, name)), shape=data[name].shape)
         for name in ("H", "A")
     )
     kkt = sparse.block_array([[H, A.T], [A, None]], format="csc")
