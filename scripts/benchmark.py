@@ -30,13 +30,13 @@ from transopt.build import build_library
 from transopt.certify import certify
 from transopt.discretise import discretise
 from transopt.files import whole_file
-from transopt.problem import Multipliers, TransientProblem
+from transopt.problem import Multipliers, Solution, TransientProblem
 from transopt.reference import build_references
 from transopt.report import without_nan
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, casadi_ipopt, casadi_piqp, solve, unlimited
+from transopt.solvers import SolverOptions, casadi_ipopt, casadi_piqp, riccati_lq, solve, sparse_kkt, unlimited
 
 
 @dataclass(frozen=True)
@@ -135,15 +135,18 @@ def project_solver(problem: TransientProblem, solver: str) -> Peer:
     )
 
 
-def unlimited_solver(problem: TransientProblem) -> Peer:
-    transcribe.state_program.cache_clear()
-    first, second = (elapsed_ms(lambda: unlimited.solve(problem)) for _ in range(2))
-    solution = unlimited.solve(problem)
+def unlimited_solver(
+    name: str, options: str, method: Callable[[TransientProblem], Solution], problem: TransientProblem
+) -> Peer:
+    for cached in (transcribe.state_program, riccati_lq.recursions, sparse_kkt.pattern):
+        cached.cache_clear()
+    first, second = (elapsed_ms(lambda: method(problem)) for _ in range(2))
+    solution = method(problem)
     proof = certify(problem, solution.command_A, solution.multipliers)
     return Peer(
-        name="unlimited",
-        options="one KKT factorisation",
-        run=lambda: unlimited.solve(problem),
+        name=name,
+        options=f"{options}: {solution.message}",
+        run=lambda: method(problem),
         setup_ms=max(first - second, 0.0),
         gap=proof.relative_gap,
         violation=proof.primal_violation_A,
@@ -289,7 +292,8 @@ def measure(runs: int) -> tuple[list[Row], float]:
         Case("saturated", 600, project_solver(saturated, "casadi-ipopt")),
         Case("saturated", 600, opti_ipopt(saturated, proof.objective - proof.duality_gap)),
         Case("horizon", 6000, project_solver(long, "casadi-piqp")),
-        Case("unsaturated", 600, unlimited_solver(free)),
+        Case("unsaturated", 600, unlimited_solver("riccati-pass", "judged by its gradient", unlimited.solve, free)),
+        Case("unsaturated", 600, unlimited_solver("sparse-kkt", "pattern reused", unlimited.solve_sparse_kkt, free)),
         Case("unsaturated", 600, project_solver(free, "casadi-piqp")),
     )
 
@@ -328,6 +332,8 @@ def main() -> None:
     by = {(r.case, r.method): r.median_ms for r in rows}
     fast = by["saturated", "casadi-piqp"]
     print(f"\nopti-ipopt / casadi-piqp, saturated: {by['saturated', 'opti-ipopt'] / fast:.1f}")
+    pass_ms = by["unsaturated", "riccati-pass"]
+    print(f"sparse-kkt / riccati-pass, unsaturated: {by['unsaturated', 'sparse-kkt'] / pass_ms:.1f}")
     print(f"casadi-ipopt / casadi-piqp, saturated: {by['saturated', 'casadi-ipopt'] / fast:.1f}")
     print(f"6000 stages / 600 stages, casadi-piqp: {by['horizon', 'casadi-piqp'] / fast:.1f}")
     if arguments.json is not None:

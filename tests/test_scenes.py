@@ -14,8 +14,8 @@ from tests.test_build import assert_entries_are_proven, assert_independent_check
 from transopt.build import Build, build_library
 from transopt.reference import read_recordings
 from transopt.scene import Scene
-from transopt.scene_sections import Motor
 from transopt.scene_file import load_scene
+from transopt.scene_sections import Motor
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 # Its recordings are not part of the package; test_build.py solves it where they are at hand.

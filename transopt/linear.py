@@ -194,8 +194,8 @@ def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, Floa
     return C, C[:, -1].copy()
 
 
-def linear_stage(problem: TransientProblem) -> LinearStage:
-    """Stage matrices of a problem in physical scale."""
+def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
+    """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI."""
     where, current = layout(problem), problem.limits.current_A
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
@@ -204,9 +204,12 @@ def linear_stage(problem: TransientProblem) -> LinearStage:
         C, E = C * Df[0, 0], E * Df[0, 0]
         for device in range(where.devices):
             C[device, where.filter(device)] = Cf[0]
-    units = np.append(state_scale(A[:-1, :-1], A[:-1, -1], current, problem.grid.stages), current)
+    units = np.ones(where.states)
+    if physical_scale:
+        units[:-1] = state_scale(A[:-1, :-1], A[:-1, -1], current, problem.grid.stages)
     if where.amplifier:
         units[where.current] = current
+    units[-1] = current
     supply, feedback = np.zeros(where.states), np.zeros((2, where.states))
     if problem.supply is not None:
         size = where.plants[0]

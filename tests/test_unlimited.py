@@ -1,0 +1,272 @@
+"""The unlimited optimum: the Riccati pass against dense least squares, against solvers, on extreme devices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import ProblemMaker
+from transopt.certify import certify
+from transopt.discretise import discretise
+from transopt.models import Link, chain
+from transopt.problem import Limits, Status, TransientProblem
+from transopt.signals import FloatArray
+from transopt.solvers import SolverOptions, riccati_lq, solve, sparse_kkt, unlimited
+from transopt.solvers.riccati_lq import BLOCK, Gains, Pass, Tracking
+
+
+def random_tracking(stages: int, ny: int, rule_stages: int) -> Tracking:
+    random = np.random.default_rng(stages + 10 * ny)
+    n = 4
+    A = random.standard_normal((n, n))
+    return Tracking(
+        A=A / np.abs(np.linalg.eigvals(A)).max(),
+        B=random.standard_normal(n),
+        C=random.standard_normal((ny, n)),
+        D=random.standard_normal(ny),
+        reference=random.standard_normal((stages, ny)),
+        weights=random.uniform(0, 2, (stages, ny)),
+        movement_weights=random.uniform(0.1, 2, stages),
+        rule_gains=0.5 * random.standard_normal((rule_stages, n)),
+        rule_offsets=random.standard_normal(rule_stages),
+    )
+
+
+def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Movement (N,) and error (N, ny), stage by stage as the statement reads."""
+    z = np.zeros(data.B.size)
+    movement, error = np.empty(data.movement_weights.size), np.empty_like(data.reference)
+    for k in range(movement.size):
+        j = k - data.free_stages
+        movement[k] = free[k] if j < 0 else data.rule_gains[j] @ z + data.rule_offsets[j]
+        error[k] = data.C @ z + data.D * movement[k] - data.reference[k]
+        z = data.A @ z + data.B * movement[k]
+    return movement, error
+
+
+def residuals(data: Tracking, free: FloatArray) -> FloatArray:
+    """The objective is the sum of their squares; affine in the free movement."""
+    movement, error = rolled_out(data, free)
+    return np.concatenate([(np.sqrt(data.weights) * error).ravel(), np.sqrt(data.movement_weights) * movement])
+
+
+SIZES = [(stages, ny, rule) for ny in (1, 2, 3) for stages, rule in ((2, 1), (5, 0), (9, 3), (24, 4), (25, 25))]
+
+
+@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
+def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_stages: int) -> None:
+    """Several outputs, feed-through, weights that change, an affine rule at the end."""
+    data = random_tracking(stages, ny, rule_stages)
+    free = data.free_stages
+    at_zero = residuals(data, np.zeros(free))
+    jacobian = np.array([residuals(data, step) - at_zero for step in np.eye(free)]).reshape(free, at_zero.size).T
+    best = np.linalg.lstsq(jacobian, -at_zero)[0]
+
+    run = Pass(data)
+    found = run.improved(run.at_rest(), run.factored())
+    movement, error = rolled_out(data, best)
+    np.testing.assert_allclose(found.movement, movement, atol=1e-11)
+    np.testing.assert_allclose(found.error, error, atol=1e-11)
+    assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
+
+
+@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
+def test_gradient_by_differences(stages: int, ny: int, rule_stages: int) -> None:
+    data = random_tracking(stages, ny, rule_stages)
+    free = np.random.default_rng(5).standard_normal(data.free_stages)
+    run = Pass(data)
+    point = run.at(free)
+    movement, error = rolled_out(data, free)
+    np.testing.assert_allclose(point.movement, movement, atol=1e-11)
+    np.testing.assert_allclose(point.error, error, atol=1e-11)
+    for k, step in enumerate(np.eye(data.free_stages)):
+        # The objective is quadratic: central differences are exact for any step.
+        up, down = (np.sum(residuals(data, free + sign * step) ** 2) for sign in (1, -1))
+        assert run.gradient(point)[k] == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
+
+
+def test_gradient_under_the_rule_is_what_one_more_offset_costs() -> None:
+    data = random_tracking(24, 2, 4)
+    free = np.random.default_rng(6).standard_normal(data.free_stages)
+    run = Pass(data)
+    for j, found in enumerate(run.gradient_under_rule(run.at(free))):
+        step = np.eye(4)[j]
+        up, down = (
+            np.sum(residuals(replace(data, rule_offsets=data.rule_offsets + sign * step), free) ** 2)
+            for sign in (1, -1)
+        )
+        assert found == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
+
+
+def test_units_change_nothing() -> None:
+    """States in other units: the same movement to rounding."""
+    data = random_tracking(24, 1, 4)
+    unit = np.array([1e-6, 1.0, 1e6, 1e3])
+    other = replace(
+        data,
+        A=data.A * unit / unit[:, None],
+        B=data.B / unit,
+        C=data.C * unit,
+        rule_gains=data.rule_gains * unit,
+    )
+    first, second = ((run := Pass(each)).improved(run.at_rest(), run.factored()) for each in (data, other))
+    np.testing.assert_allclose(first.movement, second.movement, atol=1e-12)
+
+
+@pytest.mark.parametrize("ideal", [False, True])
+def test_agrees_with_solvers_whose_limits_are_far_away(make_problem: ProblemMaker, ideal: bool) -> None:
+    problem = make_problem(0.3, 3.0, ideal=ideal, stages=60, current_A=40.0, **({} if ideal else {"command_A": 60.0}))
+    free = unlimited.solve(problem)
+    for solver in ("casadi-piqp", "casadi-ipopt"):
+        np.testing.assert_allclose(free.command_A, solve(problem, SolverOptions(solver)).command_A, atol=1e-6)
+    np.testing.assert_allclose(free.command_A, unlimited.solve_sparse_kkt(problem).command_A, atol=1e-9)
+
+
+def test_every_entry_of_the_default_scene_is_proven_by_the_pass(make_problem: ProblemMaker) -> None:
+    for speed in (0.1, 0.2, 0.3, 0.4):
+        for grip in (1.0, 3.0, 5.0):
+            # Limits wide enough for every optimum, so that the certificate judges nothing else.
+            problem = make_problem(speed, grip, current_A=8.0, command_A=20.0)
+            answer = unlimited.solve(problem)
+            proof = certify(problem, answer.command_A, answer.multipliers)
+            assert answer.status is Status.OPTIMAL
+            assert answer.message == "Riccati pass"
+            assert proof.accepted
+            assert proof.dual_residual < 1e-14
+            assert proof.relative_gap < 1e-8
+
+
+def device(
+    problem: TransientProblem,
+    masses_kg: tuple[float, ...] = (0.014, 0.026, 0.01),
+    transmission_Hz: float = 390.0,
+    damping_N_s_m: float = 0.0,
+    held: bool = True,
+) -> TransientProblem:
+    """Another device in the same problem; its transmission alone rings at the stated frequency."""
+    motor, stylus = masses_kg[:2]
+    stiffness = motor * stylus / (motor + stylus) * (2 * np.pi * transmission_Hz) ** 2
+    links = [Link(stiffness, damping_N_s_m)]
+    if held:
+        links += [Link(13000.0, damping_N_s_m), Link(710.0, damping_N_s_m)]
+    plant = chain(masses_kg[: 3 if held else 2], links, force_per_current_N_A=1.25, stylus=1)
+    return replace(problem, stage=discretise(plant, problem.stage.amplifier, problem.grid.dt_s))
+
+
+def limited(problem: TransientProblem, current_A: float) -> TransientProblem:
+    return replace(problem, limits=Limits(current_A, None if problem.limits.command_A is None else 1.5 * current_A))
+
+
+def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
+    """The middle of the tap alone."""
+    return replace(
+        problem,
+        grid=replace(problem.grid, stages=stages),
+        reference_m_s2=problem.reference_m_s2[5 : 5 + stages],
+        tracking_weights=np.ones(stages),
+        hand_over_samples=min(10, stages - 1),
+    )
+
+
+EXTREMES = {
+    "rho 1e-12": lambda p: replace(p, rho=1e-12),
+    "rho 0": lambda p: replace(p, rho=0.0),
+    "rho 1e6": lambda p: replace(p, rho=1e6),
+    "limit 1e-6 A": lambda p: limited(p, 1e-6),
+    "limit 100 A": lambda p: limited(p, 100.0),
+    "1 g everywhere": lambda p: device(p, (1e-3, 1e-3, 1e-3)),
+    "100 kg everywhere": lambda p: device(p, (100.0, 100.0, 100.0)),
+    "1 mg moves 100 kg": lambda p: device(p, (1e-6, 100.0, 0.01)),
+    "transmission of 20 kHz, undamped": lambda p: device(p, transmission_Hz=2e4),
+    "transmission of 20 kHz, undamped, rho 0": lambda p: replace(device(p, transmission_Hz=2e4), rho=0.0),
+    "transmission at the Nyquist frequency": lambda p: device(p, transmission_Hz=5000.0, damping_N_s_m=1.0),
+    "free stylus": lambda p: device(p, damping_N_s_m=8.0, held=False),
+    "free stylus, rho 0": lambda p: replace(device(p, damping_N_s_m=8.0, held=False), rho=0.0),
+    "nothing weighted from stage 100 to 300": lambda p: replace(
+        p, tracking_weights=np.repeat([1.0, 0.0, 1.0], (100, 200, 300))
+    ),
+    "2 stages": lambda p: shortened(p, 2),
+    "12 stages": lambda p: shortened(p, 12),
+    "13 stages": lambda p: shortened(p, 13),
+    "30 stages": lambda p: shortened(p, 30),
+    "nothing but hand-over": lambda p: replace(p, hand_over_samples=600),
+}
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+@pytest.mark.parametrize("ideal", [False, True])
+def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) -> None:
+    problem = EXTREMES[name](make_problem(0.4, 5.0, ideal=ideal))
+    answer = unlimited.solve(problem)
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    assert answer.status is Status.OPTIMAL
+    assert answer.message.startswith("Riccati pass")
+    assert proof.dual_residual < 1e-12
+    assert proof.relative_gap <= proof.GAP_TOLERANCE
+    assert not answer.command_A[problem.free_stages :].any()
+
+
+def test_a_long_horizon(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0, stages=6000)
+    answer = unlimited.solve(problem)
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    assert proof.dual_residual < 1e-12
+    assert proof.relative_gap <= proof.GAP_TOLERANCE
+
+
+class TestWhenThePassFallsShort:
+    """Gains that are wrong, as rounding could leave them: the gradient notices."""
+
+    @staticmethod
+    def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
+        exact = riccati_lq.Pass.factored
+
+        def spoilt(run: Pass) -> Gains:
+            gains = exact(run)
+            return Gains(gains.feedback, factor * gains.inverse_factor)
+
+        monkeypatch.setattr(riccati_lq.Pass, "factored", spoilt)
+
+    def test_a_small_error_is_refined_away(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = make_problem(0.2, 3.0)
+        wanted = unlimited.solve(problem).command_A
+        self.spoil(monkeypatch, 1 + 1e-5)
+        answer = unlimited.solve(problem)
+        assert answer.message == "Riccati pass, refined"
+        assert certify(problem, answer.command_A, answer.multipliers).dual_residual < 1e-14
+        np.testing.assert_allclose(answer.command_A, wanted, atol=1e-10)
+
+    @pytest.mark.parametrize("factor", [2.0, float("nan")])
+    def test_a_large_one_is_left_to_the_sparse_system(
+        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch, factor: float
+    ) -> None:
+        problem = make_problem(0.2, 3.0)
+        self.spoil(monkeypatch, factor)
+        answer = unlimited.solve(problem)
+        assert answer.message == "sparse KKT system"
+        assert answer.status is Status.OPTIMAL
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        assert proof.accepted
+        assert proof.dual_residual < 1e-14
+
+    def test_neither_method_has_an_answer_where_there_is_none(self, make_problem: ProblemMaker) -> None:
+        """Without weights any command is optimal, and none is returned as the optimum."""
+        problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
+        answer = unlimited.solve(problem)
+        assert answer.status is Status.NUMERICAL_FAILURE
+        assert not certify(problem, answer.command_A, answer.multipliers).accepted
+
+
+def test_sparse_system_is_singular_without_weights(make_problem: ProblemMaker) -> None:
+    problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
+    assert np.isnan(sparse_kkt.movement(problem)).all()
+
+
+def test_blocks_are_filled_up(make_problem: ProblemMaker) -> None:
+    """Every remainder of the free stages by the block's length."""
+    for stages in range(30, 30 + BLOCK):
+        problem = make_problem(0.4, 3.0, stages=stages)
+        answer, other = unlimited.solve(problem), unlimited.solve_sparse_kkt(problem)
+        assert answer.message == "Riccati pass"
+        np.testing.assert_allclose(answer.command_A, other.command_A, atol=1e-10)
+        np.testing.assert_allclose(answer.multipliers.hand_over, other.multipliers.hand_over, atol=1e-12)

@@ -1,0 +1,43 @@
+"""The problem without its limits as one sparse KKT system: slower than the Riccati pass, but pivoting."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from transopt import transcribe
+from transopt.problem import TransientProblem
+from transopt.signals import FloatArray
+
+REFINEMENTS = 2
+
+
+@lru_cache(maxsize=16)
+def pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Row indices and column starts of a matrix of the program; reading them off takes longer than the solve."""
+    sparsity = transcribe.state_program(shape).qp_data.sparsity_out(name)
+    return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
+
+
+def movement(problem: TransientProblem) -> FloatArray:
+    """(N,) optimal movement of the command in units of the limit current; NaN if the system is singular."""
+    statement = transcribe.state(replace(problem, supply=None, thermal=None))
+    shape = statement.shape
+    data = transcribe.state_program(shape).qp_data(p=statement.p)
+    H, A = (
+        sparse.csc_array((np.asarray(data[name].nonzeros()), *pattern(shape, name)), shape=data[name].shape)
+        for name in ("H", "A")
+    )
+    kkt = sparse.block_array([[H, A.T], [A, None]], format="csc")
+    right = np.concatenate([-np.asarray(data["q"]).ravel(), statement.lower_g])
+    try:
+        factors = splu(kkt)
+    except RuntimeError:
+        return np.full(shape.stages, np.nan)
+    point = factors.solve(right)
+    for _ in range(REFINEMENTS):
+        point += factors.solve(right - kkt @ point)
+    return np.asarray(point[: shape.stages * shape.variables].reshape(-1, shape.variables)[:, 0])
