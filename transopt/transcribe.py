@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.heat import SMOOTHING_A
 from transopt.linear import Layout, LinearStage, hand_over_rows, layout, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
 from transopt.signals import FloatArray
@@ -124,7 +123,6 @@ class _HeatSymbols:
     decay: ca.MX
     ripple: ca.MX
     smoothing: ca.MX
-    under: ca.MX
     F: ca.MX
     f: ca.MX
 
@@ -137,9 +135,10 @@ class _HeatSymbols:
     def mean_square(self, current: ca.MX, command: ca.MX) -> ca.MX:
         """Mean of i_eff^2 over a period; `heat.Heating.mean_square`, in units of the limit current."""
         a, b = current, self.decay * current + (1 - self.decay) * command
-        size = self.size * ca.sqrt(a**2 + self.smoothing**2) + (1 - self.size) * ca.sqrt(b**2 + self.smoothing**2)
+        norm_a, norm_b = ca.sqrt(a**2 + self.smoothing**2), ca.sqrt(b**2 + self.smoothing**2)
+        size = self.size * a**2 / norm_a + (1 - self.size) * b**2 / norm_b
         quadratic = self.square[0] * a**2 + self.square[1] * a * b + self.square[2] * b**2
-        return quadratic + 2 * self.ripple * (size - self.under * self.smoothing) + self.ripple**2
+        return quadratic + 2 * self.ripple * size + self.ripple**2
 
 
 @lru_cache(maxsize=16)
@@ -276,8 +275,7 @@ def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kel
             "size": [model.heating.size],
             "decay": [model.heating.decay],
             "ripple": [PWM_RIPPLE_A / unit],
-            "smoothing": [SMOOTHING_A / unit],
-            "under": [0.0 if model.heating.over else 1.0],
+            "smoothing": [model.heating.smoothing_A / unit],
             "F": F.T.ravel(),
             "f": f / kelvin,
         }
