@@ -262,6 +262,7 @@ class Reference:
     repeatability, repeatability_unaligned : mean NRMSE of the repeats against their mean; NaN for one tap.
     taps : the recordings used. factors : (n,) by which each was scaled to the grid speed.
     times_s, repeats_m_s2 : (K,), (n, K) the aligned repeats, for figures.
+    between_m_s : the two recorded speeds it was derived from by `between`; None if it was recorded itself.
     """
 
     speed_m_s: float
@@ -276,6 +277,7 @@ class Reference:
     factors: FloatArray
     times_s: FloatArray
     repeats_m_s2: FloatArray
+    between_m_s: tuple[float, float] | None = None
 
     @property
     def scalings(self) -> FloatArray:
@@ -423,3 +425,55 @@ def build_references(
         build_reference(node, [tap for tap, _ in group], np.array([f for _, f in group]), grid, settings)
         for node, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True)
     ]
+
+
+def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
+    """The reference at any speed within the recorded ones; at a recorded speed the recorded one itself.
+
+    Between neighbours v1 < v < v2 the shape r / v is interpolated linearly in speed, with w = (v - v1) / (v2 - v1):
+
+        r = v ((1 - w) r_1 / v1 + w r_2 / v2)
+
+    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). r_raw and
+    z_nom with its velocity follow the same rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
+    The taps of both neighbours are listed, scaled to v; the repeatability is the larger of the two, NaN if one is.
+
+    Parameters
+    ----------
+    references : of the recorded speeds, increasing.
+
+    Raises
+    ------
+    InputError : a speed outside the recorded ones.
+    """
+    speeds = [reference.speed_m_s for reference in references]
+    if not speeds[0] <= speed_m_s <= speeds[-1]:
+        raise InputError(
+            f"speed {speed_m_s:g} m/s: references are known from {speeds[0]:g} to {speeds[-1]:g} m/s only: "
+            "record taps at that speed"
+        )
+    if speed_m_s in speeds:
+        return references[speeds.index(speed_m_s)]
+    j = int(np.searchsorted(speeds, speed_m_s))
+    slow, fast = references[j - 1], references[j]
+    w = (speed_m_s - slow.speed_m_s) / (fast.speed_m_s - slow.speed_m_s)
+    to_slow, to_fast = speed_m_s / slow.speed_m_s, speed_m_s / fast.speed_m_s
+
+    def shape(of_slow: FloatArray, of_fast: FloatArray) -> FloatArray:
+        return np.asarray((1 - w) * to_slow * of_slow + w * to_fast * of_fast)
+
+    return Reference(
+        speed_m_s=speed_m_s,
+        raw_m_s2=shape(slow.raw_m_s2, fast.raw_m_s2),
+        motor_m_s2=shape(slow.motor_m_s2, fast.motor_m_s2),
+        nominal_position_m=shape(slow.nominal_position_m, fast.nominal_position_m),
+        nominal_velocity_m_s=shape(slow.nominal_velocity_m_s, fast.nominal_velocity_m_s),
+        nominal_position_at_ticks_m=shape(slow.nominal_position_at_ticks_m, fast.nominal_position_at_ticks_m),
+        repeatability=float(np.maximum(slow.repeatability, fast.repeatability)),
+        repeatability_unaligned=float(np.maximum(slow.repeatability_unaligned, fast.repeatability_unaligned)),
+        taps=slow.taps + fast.taps,
+        factors=np.append(to_slow * slow.factors, to_fast * fast.factors),
+        times_s=slow.times_s,
+        repeats_m_s2=np.append(to_slow * slow.repeats_m_s2, to_fast * fast.repeats_m_s2, axis=0),
+        between_m_s=(slow.speed_m_s, fast.speed_m_s),
+    )
