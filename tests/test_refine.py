@@ -16,7 +16,7 @@ from transopt.grid_figure import grid_figure
 from transopt.library import Library, load_library
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
-from transopt.refine import Refinement, refine_grid
+from transopt.refine import CLOSER_LOOK, MARGIN, Refinement, refine_grid
 from transopt.report import build_json, build_markdown, refinement_summary
 from transopt.scene import Scene
 from transopt.signals import Signal, highpass
@@ -103,7 +103,7 @@ class TestTolerance:
         assert all(not check.shortfalls for check in verify_library(refined.library))
 
     def test_resonance_that_moves_with_grip(self, scene: Scene) -> None:
-        soft = with_grid(soft_hand(scene), [0.3, 0.4], [1.0, 3.0])
+        soft = with_grid(soft_hand(scene), [0.35, 0.4], [1.0, 3.0])
         taps = recordings(soft)
         found = refine_grid(soft, taps, 0.02)
         assert not found.shortfall
@@ -128,6 +128,14 @@ class TestTolerance:
         at = np.array([(p.speed_m_s, p.grip_N) for p in points])
         expected = [(p.excess_before, p.excess_after) for p in points]
         np.testing.assert_allclose(expected, excess(scene, references, at, library, refined.library), atol=1e-9)
+
+    def test_margins_cover_a_kink_anywhere_in_an_interval(self) -> None:
+        at, kinks = np.linspace(0, 1, 5), np.linspace(0.001, 0.999, 997)
+        # Interpolating max(0, x - k) from its values at 0 and 1; the error is largest at k.
+        error = (1 - kinks) * at[:, None] - np.maximum(0, at[:, None] - kinks)
+        worst = kinks * (1 - kinks)
+        assert np.all(error[2] >= CLOSER_LOOK / MARGIN * worst)
+        assert np.all(error.max(axis=0) >= MARGIN * worst)
 
     def test_nothing_to_blend_at_a_node(self, refinement: Refinement) -> None:
         nodes = [p for p in refinement.points if p not in refinement.off(refinement.grid)]

@@ -27,10 +27,10 @@ from transopt.solvers import SolverOptions
 DEFAULT_CAP = 400  # entries
 # Where a limit begins to bind, the optimum has a kink, and the worst point of an interval lies there. Interpolation
 # across a kink at share k of an interval errs by k (1 - k) of its change of slope: at least half of that shows at the
-# midpoint, and at least 0.8 of it at the quarter points. So a point may use up 0.8 of the tolerance, and a cell whose
-# midpoints use up 0.4 of it is looked at in quarters.
-MARGIN = 0.8
-CLOSER_LOOK = 0.4
+# midpoint, and at least 0.75 of it at the quarter points. So a point may use up 0.75 of the tolerance, and a cell
+# whose midpoints use up half of that is looked at in quarters.
+MARGIN = 0.75
+CLOSER_LOOK = MARGIN / 2
 REPLAYED_TOGETHER = 20  # points; bounds the memory of their fine trajectories
 
 Point = tuple[float, float]  # speed [m/s], grip [N]
