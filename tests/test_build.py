@@ -15,9 +15,9 @@ from transopt.build import Build, build_library
 from transopt.certify import certify
 from transopt.discretise import discretise
 from transopt.library import Library
+from transopt.preparation import read_recordings
 from transopt.problem import Status, verdict
 from transopt.recording import Recording
-from transopt.reference import read_recordings
 from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene

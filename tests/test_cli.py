@@ -245,6 +245,8 @@ class TestSolve:
             (["wood_on_foam", "--solver", "osqp"], ["--solver osqp", "casadi-piqp, casadi-ipopt"]),
             (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
             (["wood_on_foam", "--jobs", "0"], ["--jobs 0", "at least 1"]),
+            (["wood_on_foam", "--grid-tolerance", "0"], ["--grid-tolerance 0", "between 0 and 1"]),
+            (["wood_on_foam", "--grid-tolerance", "0.02", "--grid-cap", "11"], ["--grid-cap 11", "12 entries"]),
         ],
     )
     def test_bad_arguments(self, run, arguments: list[str], words: list[str]) -> None:

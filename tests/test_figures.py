@@ -21,9 +21,9 @@ from transopt.errors import InputError
 from transopt.figures import bode_figure, library_figure, method_figure, save_figure, taps_figure
 from transopt.library import SHAPES, TEXTS, Library
 from transopt.models import Link, chain
+from transopt.preparation import Tap
 from transopt.problem import Limits, Status
 from transopt.recording import Recording
-from transopt.reference import Tap
 from transopt.replay import Replay
 from transopt.signals import STANDARD_GRAVITY_M_S2, Signal
 

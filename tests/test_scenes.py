@@ -12,7 +12,7 @@ import problems
 from problems.simulate import recordings, strike
 from tests.test_build import assert_entries_are_proven, assert_independent_check_is_clean
 from transopt.build import Build, build_library
-from transopt.reference import read_recordings
+from transopt.preparation import read_recordings
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.scene_sections import Motor

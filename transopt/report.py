@@ -13,6 +13,7 @@ from transopt.design import Entry
 from transopt.library import Library
 from transopt.problem import OBJECTIVE_SCALE, Status, verdict
 from transopt.reference import Reference
+from transopt.refine import Refinement
 from transopt.signals import STANDARD_GRAVITY_M_S2
 from transopt.verify import EntryCheck
 
@@ -106,7 +107,54 @@ def summary(build: Build) -> str:
     )
 
 
+def refinement_summary(refinement: Refinement) -> str:
+    """One line: what the blend between the nodes loses against the optimum, before and after; or what is missing."""
+    if refinement.entries == 1:
+        return "grid: one speed and one grip, nothing lies between the nodes"
+    if refinement.shortfall:
+        return refinement.shortfall
+    before = max(refinement.points, key=lambda p: p.excess_before)
+    after = max(refinement.points, key=lambda p: p.excess_after)
+    return (
+        f"between the nodes: {100 * after.excess_after:.2f} % above the optimum at the worst of "
+        f"{len(refinement.points)} points, tolerance {100 * refinement.tolerance:g} % (grid of the scene: "
+        f"{100 * before.excess_before:.2f} %); {refinement.recorded_entries} -> {refinement.entries} entries in "
+        f"{refinement.rounds} round{'' if refinement.rounds == 1 else 's'}, {refinement.elapsed_s:.1f} s"
+    )
+
+
+def _between_lines(refinement: Refinement) -> list[str]:
+    lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
+    if refinement.entries == 1:
+        return lines
+    lines += [
+        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, grid, excess, blended in (
+        ("of the scene", refinement.recorded, "excess_before", "before"),
+        ("refined", refinement.grid, "excess_after", "after"),
+    ):
+        points = refinement.off(grid)
+        worst = max(points, key=lambda p: float(getattr(p, excess)))
+        speeds, grips = len(grid.speeds_m_s), len(grid.grips_N)
+        lines.append(
+            f"| {name} | {speeds} | {grips} | {speeds * grips} | {100 * getattr(worst, excess):.2f} | "
+            f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g} | {_percent(getattr(worst, blended))} / "
+            f"{_percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} |"
+        )
+    return [
+        *lines,
+        "",
+        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
+        f"there; at {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where "
+        "it errs most. `grid_error.png` shows it.",
+    ]
+
+
 def _recorded_lines(references: Sequence[Reference]) -> list[str]:
+    derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
+    references = [r for r in references if r.between_m_s is None]
     lines = [
         "| speed m/s | taps | scaled by | repeats %, aligned / not | user's share % | peak g | speed from |",
         "|---|---|---|---|---|---|---|",
@@ -122,6 +170,9 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
     notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
     shown = sorted(notes)
     more = [f"- and {len(shown) - 10} more"] if shown[10:] else []
+    if derived:
+        rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"
+        more.append(f"- not recorded but derived from the two neighbours: {', '.join(derived)} m/s, by {rule}")
     return [*lines, "", *(f"- {note}" for note in shown[:10]), *more]
 
 
@@ -181,6 +232,8 @@ def build_markdown(build: Build) -> str:
         "",
         "after: peak acceleration in the 20 ms after the waveform, which no term of the problem holds down.",
     ]
+    if build.refinement is not None:
+        lines += ["", *_between_lines(build.refinement)]
     lines += ["", "## Left out", "", *_left_out_lines(entries)]
     lines += ["", "## Recordings", "", *_recorded_lines(build.references), ""]
     return "\n".join(lines)
@@ -227,9 +280,11 @@ def build_json(build: Build) -> str:
         "solver": build.solver,
         "elapsed_s": build.elapsed_s,
         "entries": rows,
+        "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
         "references": [
             {
                 "speed_m_s": r.speed_m_s,
+                "between_m_s": r.between_m_s,
                 "taps": [tap.recording.name for tap in r.taps],
                 "scaling": r.scalings.tolist(),
                 "repeatability": r.repeatability,
@@ -240,6 +295,17 @@ def build_json(build: Build) -> str:
         ],
     }
     return json.dumps(without_nan(content), indent=1)
+
+
+def _refinement_rows(refinement: Refinement) -> dict[str, Any]:
+    return {
+        "tolerance": refinement.tolerance,
+        "shortfall": refinement.shortfall,
+        "rounds": refinement.rounds,
+        "elapsed_s": refinement.elapsed_s,
+        "scene_grid": refinement.recorded.model_dump(),
+        "points": [asdict(point) for point in refinement.points],
+    }
 
 
 def without_nan(value: Any) -> Any:
