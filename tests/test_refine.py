@@ -17,10 +17,11 @@ from transopt.library import Library, load_library
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
 from transopt.refine import CLOSER_LOOK, MARGIN, Refinement, refine_grid
-from transopt.report import build_json, build_markdown, refinement_summary
+from transopt.report import build_json, build_markdown
 from transopt.scene import Scene
 from transopt.signals import Signal, highpass
 from transopt.solvers import SolverOptions
+from transopt.tables import refinement_summary
 from transopt.verify import verify_library
 
 

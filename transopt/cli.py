@@ -225,7 +225,7 @@ def solve(
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes; the grips are shared among them.")] = 1,
-    solver: Annotated[str, typer.Option(help="casadi-piqp or casadi-ipopt.")] = "casadi-piqp",
+    solver: Annotated[str, typer.Option(help="casadi-piqp, casadi-fatrop or casadi-ipopt.")] = "casadi-piqp",
     solver_tolerance: Annotated[float, typer.Option(help="On residuals and gap, scaled; 1e-10 is usual.")] = 1e-10,
     grid_tolerance: Annotated[
         float | None,
@@ -238,8 +238,8 @@ def solve(
 
     from transopt.build import build_library
     from transopt.refine import check_tolerance, refine_grid
-    from transopt.report import LEGEND, build_table, refinement_summary, refusal, summary
     from transopt.solvers import SolverOptions, check_name
+    from transopt.tables import LEGEND, build_table, refinement_summary, refusal, summary
 
     check_name(solver)
     options = SolverOptions(solver, solver_tolerance)
@@ -306,7 +306,7 @@ def solve(
 def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:
     """Certify and replay every entry again, from the file alone; exit 1 if one fails."""
     from transopt.library_file import load_library
-    from transopt.report import verify_table
+    from transopt.tables import verify_table
     from transopt.verify import verify_library
 
     checks = verify_library(load_library(library))
@@ -325,7 +325,7 @@ def show(
 ) -> None:
     """Print a library's table; optionally draw its transients."""
     from transopt.library_file import load_library
-    from transopt.report import library_table
+    from transopt.tables import library_table
 
     loaded = load_library(library)
     if figure is not None and figure.suffix.lower() != ".png":
