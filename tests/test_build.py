@@ -28,7 +28,7 @@ from transopt.verify import admit, verify_library
 CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
 
 
-def assert_entries_aresolve_certified(build: Build) -> None:
+def assert_entries_are_proven(build: Build) -> None:
     for entry in build.all_entries():
         assert entry.status is Status.OPTIMAL, entry.shortfalls
         assert entry.certificate.primal_violation_A <= 1e-6
@@ -48,7 +48,7 @@ def assert_independent_check_is_clean(library: Library, path: Path) -> None:
 
 
 def test_every_entry_is_certified_and_replayed_clean(build: Build) -> None:
-    assert_entries_aresolve_certified(build)
+    assert_entries_are_proven(build)
     assert not build.refused
 
 
@@ -110,7 +110,7 @@ def test_measured_impacts_are_solved_andsolve_certified(tmp_path: Path) -> None:
     settings = scene.recordings.model_copy(update={"folder": str(IMPACTS)})
     scene = scene.model_copy(update={"recordings": settings})
     build = build_library(scene, read_recordings(settings))
-    assert_entries_aresolve_certified(build)
+    assert_entries_are_proven(build)
     assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
     assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
     # EVIDENCE: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
@@ -179,12 +179,12 @@ def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: s
     model = TypeAdapter(SecondOrder | FourthOrder).validate_python(table)
     build = build_library(scene.model_copy(update={"model": model}), taps)
     assert build.library is not None
-    assert_entries_aresolve_certified(build)
+    assert_entries_are_proven(build)
 
 
 def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
     build = build_library(scene.model_copy(update={"amplifier": "ideal"}), taps)
-    assert_entries_aresolve_certified(build)
+    assert_entries_are_proven(build)
     assert build.library is not None
     assert build.library.meta["amplifier"] is None
     assert all(not check.shortfalls for check in verify_library(build.library))
@@ -194,7 +194,7 @@ def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording]
 def test_slew_limit_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
     limits = scene.limits.model_copy(update={"slew_A_per_s": 5000.0})
     build = build_library(scene.model_copy(update={"limits": limits}), taps)
-    assert_entries_aresolve_certified(build)
+    assert_entries_are_proven(build)
     assert build.library is not None
     assert "slew" in "".join(entry.binding for entry in build.all_entries())
     assert all(not check.shortfalls for check in verify_library(build.library))
