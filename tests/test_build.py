@@ -36,7 +36,7 @@ def assert_entries_are_proven(build: Build) -> None:
         assert entry.certificate.relative_gap <= 1e-6
         assert entry.played.peak_current_A <= build.scene.limits.transient_current_A + 1e-6
         assert entry.played.step_error <= 1e-10
-        assert entry.played.winding_C <= 100
+        assert entry.played.winding_C <= 100 + 1e-5
 
 
 def assert_independent_check_is_clean(library: Library, path: Path) -> None:
@@ -174,7 +174,8 @@ def test_temperature_that_could_bind_is_kept_and_proven(
             for each in (cold, entry)
         ]
         assert highest[1] <= 100 + 1e-6
-        assert highest[1] == pytest.approx(entry.played.winding_C, abs=1e-3)
+        # The model starts to look one stage after the start, which may be the hottest instant.
+        assert max(highest[1], start_C) == pytest.approx(entry.played.winding_C, abs=1e-5)
         # It binds exactly where the optimum of a cold motor would leave it.
         assert ("coil 100 C" in entry.binding) == (highest[0] > 100)
         too_warm += highest[0] > 100
