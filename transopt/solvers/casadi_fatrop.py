@@ -27,9 +27,9 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
     N, order = shape.stages, program.stage_order
     # Stage k has the state after stage k - 1 and the movement dc_k; its limits are the rows that are no dynamics.
     limits = np.bincount(program.row_stages[program.stage_order], minlength=N + 1)
-    limits[:N] -= shape.variables - 1
+    limits[:N] -= shape.variables - shape.controls
     equality = np.ones(program.g.numel(), dtype=bool)
-    for kind in ("supply_before", "supply_after"):
+    for kind in ("size_above", "size_below", "supply_before", "supply_after"):
         equality[program.rows.get(kind, slice(0, 0))] = False
     return ca.nlpsol(
         "fatrop",
@@ -39,8 +39,8 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
             "print_time": False,
             "structure_detection": "manual",
             "N": N,
-            "nx": [0, *[shape.variables - 1] * N],
-            "nu": [*[1] * N, 0],
+            "nx": [0, *[shape.variables - shape.controls] * N],
+            "nu": [*[shape.controls] * N, 0],
             "ng": limits.tolist(),
             "equality": equality[order].tolist(),
             "fatrop": {"print_level": 0, "tolerance": options.tolerance, "max_iter": options.max_iterations},
