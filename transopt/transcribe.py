@@ -2,7 +2,7 @@
 
 Every solver reads its data from this statement. Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1:
 the command's movement, the linear states of `linear` in physical scale, and where the temperature is in the problem
-the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where the taps
+the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps
 repeat. Current, command and movement are single variables, so that their limits are boxes. Nothing is condensed.
 """
 

@@ -1,4 +1,4 @@
-"""FATROP through CasADi: an interior-point method that eliminates stage by stage; the first choice for the NLP."""
+"""FATROP through CasADi: an interior-point method that eliminates stage by stage."""
 
 import time
 from functools import lru_cache
