@@ -8,16 +8,9 @@ import pytest
 from problems.simulate import recordings, strike
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
+from transopt.preparation import find_onset, prepare, read_recordings
 from transopt.recording import Recording
-from transopt.reference import (
-    Reference,
-    assign,
-    build_reference,
-    build_references,
-    find_onset,
-    prepare,
-    read_recordings,
-)
+from transopt.reference import Reference, assign, build_reference, build_references
 from transopt.scene import Scene
 from transopt.scene_sections import Recordings
 from transopt.signals import STANDARD_GRAVITY_M_S2, Signal, highpass, lowpass, nrmse

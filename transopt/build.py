@@ -17,14 +17,18 @@ from transopt.files import ctrl_c_waits
 from transopt.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library
 from transopt.problem import Status
 from transopt.recording import Recording
-from transopt.reference import Reference, build_references
+from transopt.reference import Reference, between, build_references
+from transopt.refine import Refinement
 from transopt.scene import Scene
 from transopt.solvers import SolverOptions
 
 
 @dataclass(frozen=True)
 class Build:
-    """A designed library: entries speed by speed, `library` only if every entry is admitted."""
+    """A designed library: entries speed by speed, `library` only if every entry is admitted.
+
+    `scene` has the grid that was solved: with a `refinement`, the refined one.
+    """
 
     scene: Scene
     references: list[Reference]
@@ -32,6 +36,7 @@ class Build:
     library: Library | None
     solver: str
     elapsed_s: float
+    refinement: Refinement | None = None
 
     def all_entries(self) -> Iterator[Entry]:
         for row in self.entries:
@@ -49,6 +54,7 @@ def build_library(
     options: SolverOptions | None = None,
     jobs: int = 1,
     progress: Callable[[int], None] = lambda done: None,
+    refinement: Refinement | None = None,
 ) -> Build:
     """Design, certify and replay every entry of a scene.
 
@@ -57,6 +63,8 @@ def build_library(
     recordings : of the scene (`reference.read_recordings`, or `problems.simulate.recordings`).
     jobs : processes; the grips are shared among them.
     progress : called with the number of entries that have just been finished.
+    refinement : of this scene (`refine.refine_grid`); its grid is solved in place of the scene's own, with references
+        at added speeds derived from the recorded ones (`reference.between`).
 
     Raises
     ------
@@ -66,8 +74,11 @@ def build_library(
         raise InputError(f"--jobs {jobs}: must be at least 1")
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
+    recorded = build_references(recordings, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    if refinement is not None:
+        scene = scene.model_copy(update={"grid": refinement.grid})
     speeds, grips = scene.grid.speeds_m_s, scene.grid.grips_N
-    references = build_references(recordings, speeds, scene.time_grid(), scene.recordings)
+    references = [between(recorded, speed) for speed in speeds]
     columns: list[list[Entry]] = [[] for _ in grips]
     if jobs == 1 or len(grips) == 1:
         for j, grip in enumerate(grips):
@@ -92,14 +103,19 @@ def build_library(
         scene=scene,
         references=references,
         entries=entries,
-        library=_assemble(scene, references, entries, options) if admitted else None,
+        library=_assemble(scene, references, entries, options, refinement) if admitted else None,
         solver=options.solver,
         elapsed_s=time.perf_counter() - start,
+        refinement=refinement,
     )
 
 
 def _assemble(
-    scene: Scene, references: list[Reference], entries: list[list[Entry]], options: SolverOptions
+    scene: Scene,
+    references: list[Reference],
+    entries: list[list[Entry]],
+    options: SolverOptions,
+    refinement: Refinement | None,
 ) -> Library:
     def over_grid(value: Callable[[Entry], Any]) -> Any:
         return np.array([[value(entry) for entry in row] for row in entries])
@@ -144,7 +160,7 @@ def _assemble(
         **{field: over_grid(multiplier(name)) for name, field in MULTIPLIER_FIELDS.items()},
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
-        meta=_meta(scene, references, entries, options),
+        meta={**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)},
     )
 
 
@@ -184,11 +200,27 @@ def _meta(
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
         "scene": scene.model_dump(mode="json"),
         "solver": asdict(options),
-        "sources": [source for r in references for source in _sources(scene, r)],
+        "sources": [source for r in references if r.between_m_s is None for source in _sources(scene, r)],
         "versions": {
             **{name: metadata.version(name) for name in ("transopt", "casadi", "numpy", "scipy")},
             "python": platform.python_version(),
         },
+    }
+
+
+def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
+    """How good the blend between the nodes is, and which nodes were recorded; null for a grid taken as it stood."""
+    if refinement is None:
+        return None
+    recorded, grid = refinement.recorded, refinement.grid
+    return {
+        "tolerance": refinement.tolerance,
+        "worst_excess_before": max((p.excess_before for p in refinement.off(recorded)), default=0.0),
+        "worst_excess_after": max((p.excess_after for p in refinement.off(grid)), default=0.0),
+        "points": len(refinement.points),
+        "shortfall": refinement.shortfall,
+        "recorded_speeds_m_s": recorded.speeds_m_s,
+        "scene_grips_N": recorded.grips_N,
     }
 
 

@@ -61,8 +61,6 @@ def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, mult
         found.append(box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s))
     if problem.supply is not None:
         before, after = problem.supply.voltages_V(motion, command_A)
-        # Nothing that is commanded can change the voltage before the first command is felt.
-        before[0] = 0.0
         found.append(box("supply", "V", "supply_before", before, problem.supply.limit_V))
         found.append(box("supply", "V", "supply_after", after, problem.supply.limit_V))
     if problem.thermal is not None:

@@ -61,7 +61,7 @@ def _recordings(scene: "Scene") -> "list[Recording]":
         from problems.simulate import recordings
 
         return recordings(scene)
-    from transopt.reference import read_recordings
+    from transopt.preparation import read_recordings
 
     return read_recordings(scene.recordings)
 
@@ -129,7 +129,7 @@ def taps(
     """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping."""
     from pydantic import ValidationError
 
-    from transopt.reference import prepare, read_recordings
+    from transopt.preparation import prepare, read_recordings
     from transopt.scene_sections import Recordings
     from transopt.taps import scene_lines, taps_table
 
@@ -203,6 +203,11 @@ def _writers(build: "Build") -> dict[str, Callable[[Path], None]]:
         return {"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}
     from transopt.figures import bode_figure, library_figure, method_figure, save_figure
 
+    drawn: dict[str, Callable[[Path], None]] = {}
+    if (refinement := build.refinement) is not None and refinement.entries > 1:
+        from transopt.grid_figure import grid_figure
+
+        drawn["grid_error.png"] = lambda path: save_figure(grid_figure(refinement), path)
     return {
         "library.npz": library.save,
         "report.md": text(build_markdown(build)),
@@ -210,6 +215,7 @@ def _writers(build: "Build") -> dict[str, Callable[[Path], None]]:
         "transients.png": lambda path: save_figure(library_figure(library), path),
         "methods.png": lambda path: save_figure(method_figure(build), path),
         "bode.png": lambda path: save_figure(bode_figure(library), path),
+        **drawn,
     }
 
 
@@ -219,19 +225,27 @@ def solve(
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes; the grips are shared among them.")] = 1,
-    solver: Annotated[str, typer.Option(help="casadi-piqp or casadi-ipopt.")] = "casadi-piqp",
+    solver: Annotated[str, typer.Option(help="casadi-piqp, casadi-fatrop or casadi-ipopt.")] = "casadi-piqp",
     solver_tolerance: Annotated[float, typer.Option(help="On residuals and gap, scaled; 1e-10 is usual.")] = 1e-10,
+    grid_tolerance: Annotated[
+        float | None,
+        typer.Option(help="Add nodes until a blend between them is this close to the optimum; 0.02: 2 %."),
+    ] = None,
+    grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.build import build_library
-    from transopt.report import LEGEND, build_table, refusal, summary
+    from transopt.refine import check_tolerance, refine_grid
     from transopt.solvers import SolverOptions, check_name
+    from transopt.tables import LEGEND, build_table, refinement_summary, refusal, summary
 
     check_name(solver)
     options = SolverOptions(solver, solver_tolerance)
     loaded = _load(scene, recordings)
+    if grid_tolerance is not None:
+        check_tolerance(loaded, grid_tolerance, grid_cap)
     folder = Path("out") / loaded.name if out is None else out
     _make_folder(folder)
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -240,13 +254,32 @@ def solve(
         with Progress(*bar, console=Console(stderr=True), transient=True, disable=not terminal) as progress:
             task = progress.add_task("recordings", total=None)
             taps_of_scene = _recordings(loaded)
-            count = len(loaded.grid.speeds_m_s) * len(loaded.grid.grips_N)
-            progress.update(task, description="entries", total=count)
+            refinement = None
+            if grid_tolerance is not None:
+                refinement = refine_grid(
+                    loaded,
+                    taps_of_scene,
+                    grid_tolerance,
+                    cap=grid_cap,
+                    options=options,
+                    progress=lambda text, done, total: progress.update(
+                        task, description=text, completed=done, total=total
+                    ),
+                )
+            grid = loaded.grid if refinement is None else refinement.grid
+            count = len(grid.speeds_m_s) * len(grid.grips_N)
+            progress.update(task, description="entries", completed=0, total=count)
             build = build_library(
-                loaded, taps_of_scene, options=options, jobs=jobs, progress=lambda done: progress.advance(task, done)
+                loaded,
+                taps_of_scene,
+                options=options,
+                jobs=jobs,
+                progress=lambda done: progress.advance(task, done),
+                refinement=refinement,
             )
         writers = _writers(build)
-        _publish(folder, writers, stale=["refused.md", "refused.json"] if build.library is not None else [])
+        leftovers = ["refused.md", "refused.json", "grid_error.png"] if build.library is not None else []
+        _publish(folder, writers, stale=[name for name in leftovers if name not in writers])
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
@@ -260,8 +293,12 @@ def solve(
     for entry in build.refused:
         message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}"
         console.print(message, style="red", highlight=False, soft_wrap=True)
+    missed = refinement is not None and bool(refinement.shortfall)
+    if refinement is not None:
+        text = refinement_summary(refinement)
+        console.print(text, style="red" if missed else None, highlight=False, soft_wrap=True)
     console.print(f"{folder}: {', '.join(writers)}", highlight=False, soft_wrap=True)
-    if build.refused:
+    if build.refused or missed:
         raise typer.Exit(1)
 
 
@@ -269,7 +306,7 @@ def solve(
 def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:
     """Certify and replay every entry again, from the file alone; exit 1 if one fails."""
     from transopt.library_file import load_library
-    from transopt.report import verify_table
+    from transopt.tables import verify_table
     from transopt.verify import verify_library
 
     checks = verify_library(load_library(library))
@@ -288,7 +325,7 @@ def show(
 ) -> None:
     """Print a library's table; optionally draw its transients."""
     from transopt.library_file import load_library
-    from transopt.report import library_table
+    from transopt.tables import library_table
 
     loaded = load_library(library)
     if figure is not None and figure.suffix.lower() != ".png":

@@ -35,12 +35,15 @@ class Baselines:
 
 @dataclass(frozen=True)
 class SpreadErrors:
-    """NRMSE of a robust entry over its devices: of the nominal design (at the node, mean, worst) and of its own."""
+    """NRMSE of a robust entry over its devices: of the design for the node alone, and of its own.
+
+    rms : root of the mean square over the devices, which is what a robust design minimises.
+    """
 
     nominal: float
-    nominal_mean: float
+    nominal_rms: float
     nominal_worst: float
-    robust_mean: float
+    robust_rms: float
     robust_worst: float
 
 
@@ -84,6 +87,11 @@ class Entry:
     @property
     def nrmse(self) -> float:
         return self.played.nrmse
+
+    @property
+    def weighted_nrmse(self) -> float:
+        """NRMSE as the scene's error filter hears it; the plain one without a filter."""
+        return self.nrmse if self.problem.reference_is_zero else self.problem.weighted_nrmse(self.predicted_m_s2)
 
     @property
     def verdict(self) -> str:
@@ -195,12 +203,12 @@ def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: 
     if not problem.spread:
         return None
     r = problem.reference_m_s2
-    own, robust = (
-        np.array([nrmse(a, r) for a in problem.accelerations(command)]) for command in (nominal_A, command_A)
-    )
-    return SpreadErrors(
-        float(own[0]), float(own.mean()), float(own.max()), *map(float, (robust.mean(), robust.max()))
-    )
+    own, robust = (np.array([nrmse(a, r) for a in problem.accelerations(c)]) for c in (nominal_A, command_A))
+
+    def rms(errors: FloatArray) -> float:
+        return float(np.sqrt(np.mean(errors**2)))
+
+    return SpreadErrors(float(own[0]), rms(own), float(own.max()), rms(robust), float(robust.max()))
 
 
 def _entry(

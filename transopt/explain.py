@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from transopt.certify import boxes
-from transopt.problem import Multipliers, Status, TransientProblem
+from transopt.problem import Certificate, Multipliers, TransientProblem
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, solve_certified
+from transopt.solvers import SolverOptions, is_stationary, solve_certified
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
+MOST_ITERATIONS = 100
 PRECISION = 0.005  # relative, of the least limit that would do
 
 
@@ -40,9 +41,35 @@ def _widened(problem: TransientProblem) -> dict[str, Callable[[float], Transient
     return found
 
 
+def unavoidable(problem: TransientProblem) -> list[str]:
+    """Limits that are missed whatever is commanded: known without a solve.
+
+    No current heats less than the ripple alone; and before the first command is felt the motor already moves.
+    """
+    found, tau_ms = [], problem.grid.switching_times_s * 1e3
+    if problem.thermal is not None:
+        model, limit = problem.thermal.model, problem.thermal.limit_C
+        ripple = model.heating.mean_square(np.zeros(problem.grid.stages), np.zeros(problem.grid.stages))
+        excess = model.rise(ripple)[1:, 0] - model.headroom_K
+        k = int(np.argmax(excess))
+        if excess[k] > Certificate.VIOLATION_TOLERANCE:
+            found.append(
+                f"coil {excess[k]:.2g} K over its {limit:.8g} C at {tau_ms[k]:.1f} ms even without current; lower "
+                "thermal.start_winding_C or thermal.start_housing_C, or let it cool between taps"
+            )
+    if problem.supply is not None:
+        start = abs(float(problem.supply.nominal_V[0]))
+        if start > problem.supply.limit_V + Certificate.VIOLATION_TOLERANCE:
+            found.append(
+                f"supply {start - problem.supply.limit_V:.3g} V over its {problem.supply.limit_V:g} V at "
+                f"{tau_ms[0]:.1f} ms: the back-EMF of the incoming stylus alone; {start:.4g} V at least"
+            )
+    return found
+
+
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
-    answer = solve_certified(problem, options)
-    return answer.command_A if answer.status is Status.OPTIMAL else None
+    answer = solve_certified(problem, replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS)))
+    return answer.command_A if is_stationary(problem, answer) else None
 
 
 def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str]:
@@ -80,5 +107,5 @@ def _sentence(problem: TransientProblem, wide: TransientProblem, name: str, comm
     stated = float(worst.bound[np.isfinite(worst.bound)].min())
     return (
         f"{name} {worst.excess[k]:.3g} {unit} over its {stated:g} {worst.unit} at {time_ms:.1f} ms at the least; "
-        f"{enough:.4g} {worst.unit} would do"
+        f"{enough:.6g} {worst.unit} would do"
     )

@@ -27,7 +27,7 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.build import Build
     from transopt.design import Entry
-    from transopt.reference import Tap
+    from transopt.preparation import Tap
 
 DPI = 150
 LABEL_PT, SMALL_PT = 9.0, 8.0

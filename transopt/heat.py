@@ -7,6 +7,7 @@ from scipy import linalg
 
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
+from transopt.errors import InputError
 from transopt.signals import FloatArray
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
@@ -269,7 +270,9 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
     unpowered = np.full(N + 1, coil.rest_C)
     closure = None
     if budget.tap_rate_Hz is None:
-        above = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
+        # The coil starts when the first command is issued, an amplifier's delay before the first is felt.
+        start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
+        above = linalg.expm(flow * grid.delay_s) @ start
         for k in range(N + 1):
             unpowered[k] += above[0]
             above = M @ above
@@ -278,7 +281,12 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         pause = held.copy()
         pause[:m, 0] += inflow * power * COPPER_PER_K
         pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
-        paused = linalg.expm(pause * (1 / budget.tap_rate_Hz - N * dt))
+        pause_s = 1 / budget.tap_rate_Hz - N * dt
+        if not pause_s > 0:
+            raise InputError(
+                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {N * dt * 1e3:g} ms: lower it"
+            )
+        paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
     model = HeatModel(
         heating=heating(amplifier, dt),

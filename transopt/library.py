@@ -21,7 +21,7 @@ from transopt.signals import FloatArray
 from transopt.supply import Circuit, Supply
 from transopt.thermal import CoilModel
 from transopt.wall import HandOver, Wall
-from transopt.weighting import pacinian
+from transopt.weighting import error_filter
 
 SCHEMA = 1
 HASH_FIELD = "content_sha256"
@@ -260,7 +260,7 @@ class Library:
             supply=supply,
             wall=hand_over,
             thermal=None if coil is None else thermal_limit(coil, amplifier, grid, self.budget()),
-            error_filter=pacinian(grid.dt_s) if meta["weights"]["error_filter"] == "pacinian" else None,
+            error_filter=error_filter(meta["weights"]["error_filter"], grid.dt_s),
             spread=self.spread(ig),
         )
         if wall is None:

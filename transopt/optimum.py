@@ -7,11 +7,11 @@ from scipy import integrate
 
 from transopt import transcribe
 from transopt.certify import inside
-from transopt.explain import infeasibility
+from transopt.explain import infeasibility, unavoidable
 from transopt.parts import leave_out, pressing
 from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
-from transopt.solvers import SolverOptions, prove, solve, solve_certified, unlimited
+from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
 
 MOST_MASKS = 5  # solves until the wall pushes exactly where it was assumed to
 
@@ -125,6 +125,9 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
         )
         return designed(free, None, [])
+    hopeless = unavoidable(small)
+    if hopeless:
+        return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
     spent = free.solve_time_s
     if small.thermal is not None:
         cold = solve_certified(replace(small, thermal=None), options)
@@ -138,7 +141,11 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
             return designed(answer, transcribe.size(replace(small, thermal=None)), [])
     answer = solve_certified(small, options)
     answer = replace(answer, solve_time_s=spent + answer.solve_time_s)
-    remarks = infeasibility(small, options) if answer.status is Status.INFEASIBLE else []
+    remarks = []
+    if not is_stationary(small, answer) and not inside(small, np.zeros(small.grid.stages)):
+        # Doing nothing is no way out either: perhaps there is none, whatever the solver called it.
+        remarks = infeasibility(small, options)
+        answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
     return designed(answer, transcribe.size(small), remarks)
 
 

@@ -173,7 +173,7 @@ class Status(Enum):
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "the solver stopped at its iteration limit: loosen the tolerance or choose another --solver"
-    INFEASIBLE = "no command meets all limits: raise the limit named beside this or shorten the hand-over"
+    INFEASIBLE = "no command meets all limits: change what is named before this"
     NUMERICAL_FAILURE = "the solver broke down numerically: choose another --solver or rescale the scene"
     NOT_CERTIFIED = "the answer is not proven optimal: tighten --solver-tolerance or choose another --solver"
     REPLAY_VIOLATION = (

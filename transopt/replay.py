@@ -269,12 +269,12 @@ def _temperatures(
     energy = np.add.reduceat(
         np.append(heat, np.zeros((run.current_A.shape[0], 1)), axis=1), run.segment_starts, axis=1
     )
+    # Up to tau_N; what plays after the waveform is no part of it.
+    playing = run.times_s[run.segment_starts] < grid.end_s - 1e-9 * grid.dt_s
+    energy, lengths = energy[:, playing], lengths[playing]
     if budget is None or budget.tap_rate_Hz is None:
         winding, housing = coil.simulate(energy / lengths, lengths)
     else:
-        # What plays after the waveform is part of the pause.
-        playing = np.add.accumulate(lengths) <= (grid.stages + 1) * grid.dt_s + grid.delay_s
-        energy, lengths = energy[:, playing], lengths[playing]
         pause = 1 / budget.tap_rate_Hz - float(lengths.sum())
         winding, housing = coil.steady_course(energy / lengths, lengths, pause, budget.idle_A)
     return winding.max(axis=1), housing.max(axis=1)

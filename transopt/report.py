@@ -1,4 +1,4 @@
-"""What a build says about itself: table, Markdown, JSON."""
+"""The files that a build leaves: report.md and report.json."""
 
 import json
 from collections.abc import Sequence
@@ -6,107 +6,54 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from transopt.build import Build
 from transopt.design import Entry
-from transopt.library import Library
-from transopt.problem import OBJECTIVE_SCALE, Status, verdict
 from transopt.reference import Reference
+from transopt.refine import Refinement
 from transopt.signals import STANDARD_GRAVITY_M_S2
-from transopt.verify import EntryCheck
+from transopt.tables import LEGEND, columns_of, entry_cells, percent, refinement_summary, summary
 
-
-def _percent(value: float) -> str:
-    """Percent with two decimals below ten, one above; a dash for what is not known."""
-    if np.isnan(value):
-        return "-"
-    return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
-
-
-WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
-ESSENTIAL = (0, 1, 2, 3, 7, 9, 10)  # columns of the entry table that a narrow terminal keeps
-LEGEND = (
-    "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap. floor: the same problem without its "
-    "limits. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its current clipped (both "
-    "keep current and command limits only). repeats: NRMSE of the recordings to their mean. 20 %: a just noticeable "
-    "difference of amplitude."
+CERTIFICATE_LEGEND = (
+    "gap: to the optimum by the multipliers, rigorous unless the coil binds; over bound: J above the convex lower "
+    "bound, rigorous always. violation: the largest, in A, V or K. winding: the hottest of the replay{}. after: peak "
+    "acceleration in the 20 ms after the waveform, which no term of the problem holds down. states, rows, nonzeros: "
+    "per stage, and of the constraints, of the program that was solved; dashes where one linear solve was enough."
 )
 
 
-def _entry_cells(entry: Entry) -> list[str]:
-    b = entry.baselines
-    if entry.status is not Status.OPTIMAL:
-        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, refusal(entry), entry.verdict]
-    return [
-        f"{entry.speed_m_s:g}",
-        f"{entry.grip_N:g}",
-        _percent(entry.nrmse),
-        _percent(entry.floor),
-        f"{_percent(b.seed)} / {_percent(b.seed_steady)}",
-        f"{_percent(b.clipped)} / {_percent(b.clipped_steady)}",
-        _percent(entry.repeatability),
-        f"{entry.played.peak_current_A:.3f}",
-        f"{entry.solution.solve_time_s * 1e3:.0f}",
-        entry.binding,
-        entry.verdict,
+def _between_lines(refinement: Refinement) -> list[str]:
+    lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
+    if refinement.entries == 1:
+        return lines
+    lines += [
+        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-
-
-def refusal(entry: Entry) -> str:
-    """Why an entry is refused, and the remedy, once each."""
-    return ": ".join(dict.fromkeys(["; ".join(entry.shortfalls), entry.status.value]))
-
-
-def _columns(build: Build) -> list[str]:
-    limit, steady = build.scene.limits.transient_current_A, build.scene.limits.steady_current_A
+    for name, grid, excess, blended in (
+        ("of the scene", refinement.recorded, "excess_before", "before"),
+        ("refined", refinement.grid, "excess_after", "after"),
+    ):
+        points = refinement.off(grid)
+        worst = max(points, key=lambda p: float(getattr(p, excess)))
+        speeds, grips = len(grid.speeds_m_s), len(grid.grips_N)
+        lines.append(
+            f"| {name} | {speeds} | {grips} | {speeds * grips} | {100 * getattr(worst, excess):.2f} | "
+            f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g} | {percent(getattr(worst, blended))} / "
+            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} |"
+        )
     return [
-        "speed m/s",
-        "grip N",
-        "NRMSE %",
-        "floor %",
-        f"seed % at {limit:g} / {steady:g} A",
-        f"clipped % at {limit:g} / {steady:g} A",
-        "repeats %",
-        "peak A",
-        "ms",
-        "what binds",
-        "verdict",
+        *lines,
+        "",
+        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
+        f"there; at {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where "
+        "it errs most. `grid_error.png` shows it.",
     ]
-
-
-def build_table(build: Build, width: int) -> Table:
-    """The table that `transopt solve` prints into `width` columns."""
-    shown = range(11) if width >= WIDE_TERMINAL else ESSENTIAL
-    table = Table(title=f"{build.scene.name}: {build.scene.description}", show_lines=False)
-    for j in shown:
-        # Only what binds may be long; a verdict stays in one piece.
-        table.add_column(_columns(build)[j], justify="right" if j < 9 else "left", no_wrap=j == 10)
-    for row in build.entries:
-        for entry in row:
-            cells = _entry_cells(entry)
-            table.add_row(*(cells[j] for j in shown), style="red" if entry.status is not Status.OPTIMAL else None)
-        table.add_section()
-    return table
-
-
-def summary(build: Build) -> str:
-    """One line: error, certificate, time per entry, time in all."""
-    entries = list(build.all_entries())
-    times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
-    if build.refused:
-        return f"{len(build.refused)} of {len(entries)} entries refused; no library written, an earlier one is kept"
-    worst = max(entries, key=lambda entry: entry.nrmse)
-    return (
-        f"{len(entries)} entries certified and replayed: NRMSE {100 * min(e.nrmse for e in entries):.2f} to "
-        f"{100 * worst.nrmse:.2f} % (worst at {worst.speed_m_s:g} m/s, {worst.grip_N:g} N), "
-        f"gap <= {max(e.certificate.relative_gap for e in entries):.0e}, "
-        f"violation <= {max(e.certificate.primal_violation_A for e in entries):.0e} A; "
-        f"{np.median(times_ms):.0f} ms per entry (median), {build.elapsed_s:.2f} s in all"
-    )
 
 
 def _recorded_lines(references: Sequence[Reference]) -> list[str]:
+    derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
+    references = [r for r in references if r.between_m_s is None]
     lines = [
         "| speed m/s | taps | scaled by | repeats %, aligned / not | user's share % | peak g | speed from |",
         "|---|---|---|---|---|---|---|",
@@ -115,13 +62,16 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
         factors = f"{r.scalings.min():.3g}" + (f" to {r.scalings.max():.3g}" if r.scalings.size > 1 else "")
         sources = ", ".join(sorted({tap.speed_source for tap in r.taps}))
         lines.append(
-            f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {_percent(r.repeatability)} / "
-            f"{_percent(r.repeatability_unaligned)} | {_percent(r.user_share)} | "
+            f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {percent(r.repeatability)} / "
+            f"{percent(r.repeatability_unaligned)} | {percent(r.user_share)} | "
             f"{r.raw_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
         )
     notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
     shown = sorted(notes)
     more = [f"- and {len(shown) - 10} more"] if shown[10:] else []
+    if derived:
+        rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"
+        more.append(f"- not recorded but derived from the two neighbours: {', '.join(derived)} m/s, by {rule}")
     return [*lines, "", *(f"- {note}" for note in shown[:10]), *more]
 
 
@@ -153,34 +103,102 @@ def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
     ]
 
 
+def _size_cells(entry: Entry) -> str:
+    if entry.size is None:
+        return "- | - | -"
+    return f"{entry.size.states} | {entry.size.rows} | {entry.size.nonzeros}"
+
+
+def _price_lines(entries: Sequence[Entry]) -> list[str]:
+    priced = [(entry, price) for entry in entries for price in entry.prices]
+    if not priced:
+        return []
+    lines = [
+        "",
+        "## What binds, and what more would buy",
+        "",
+        "| speed m/s | grip N | limit and its price |",
+        "|---|---|---|",
+    ]
+    lines += [f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.sentence} |" for entry, price in priced]
+    return [
+        *lines,
+        "",
+        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, down to the floor at "
+        "most. The last figure of a line is what the unlimited optimum takes.",
+    ]
+
+
+def _weighted_lines(entries: Sequence[Entry]) -> list[str]:
+    if all(entry.problem.error_filter is None for entry in entries):
+        return []
+    lines = ["", "## Weighted error", "", "| speed m/s | grip N | NRMSE % | weighted % |", "|---|---|---|---|"]
+    lines += [
+        f"| {e.speed_m_s:g} | {e.grip_N:g} | {percent(e.nrmse)} | {percent(e.weighted_nrmse)} |" for e in entries
+    ]
+    return [*lines, "", "weighted: |F e| / |F r|, F the Pacinian band-pass (275 Hz, Q 0.5, floor -20 dB)."]
+
+
+def _spread_lines(entries: Sequence[Entry]) -> list[str]:
+    spreads = [(entry, entry.spread) for entry in entries if entry.spread is not None]
+    if not spreads:
+        return []
+    lines = [
+        "",
+        "## Robust against the spread",
+        "",
+        "| speed m/s | grip N | made for the node: there / rms / worst % | for the spread: there / rms / worst % |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {e.speed_m_s:g} | {e.grip_N:g} | {percent(s.nominal)} / {percent(s.nominal_rms)} / "
+        f"{percent(s.nominal_worst)} | {percent(e.nrmse)} / {percent(s.robust_rms)} / {percent(s.robust_worst)} |"
+        for e, s in spreads
+    ]
+    gains = [1 - s.robust_rms / s.nominal_rms for _, s in spreads]
+    return [
+        *lines,
+        "",
+        f"rms: root of the mean squared NRMSE over the spread, which is what the design minimises; it falls by "
+        f"{100 * min(gains):.1f} to {100 * max(gains):.1f} % of itself. What remains is the difference between the "
+        "devices: one command gives each its own acceleration, and only their mean can be moved onto the reference.",
+    ]
+
+
 def build_markdown(build: Build) -> str:
     """report.md."""
     entries = list(build.all_entries())
-    columns = _columns(build)
+    columns = columns_of(build)
     lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    lines += ["| " + " | ".join(_entry_cells(entry)) + " |" for entry in entries]
+    lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
     lines += [
         "",
         LEGEND,
         "",
         "## Certificates",
         "",
-        "| speed m/s | grip N | J | gap / max(J, 1e-3) | violation A | to r_raw % | winding C | after g | solver |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| speed m/s | grip N | J | gap / max(J, 1e-3) | over bound | violation | to r_raw % | winding C | after g | "
+        "states | rows | nonzeros | solver |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
     for e in entries:
         c = e.certificate
         lines.append(
-            f"| {e.speed_m_s:g} | {e.grip_N:g} | {c.objective:.6e} | {c.relative_gap:.1e} | "
-            f"{c.primal_violation_A:.1e} | {_percent(e.nrmse * shares[e.speed_m_s])} | {e.played.winding_C:.3f} | "
-            f"{e.played.after_peak_m_s2 / STANDARD_GRAVITY_M_S2:.2f} | {e.solution.solver} |"
+            f"| {e.speed_m_s:g} | {e.grip_N:g} | {c.objective:.6e} | {c.relative_gap:.1e} | {c.relative_bound:.1e} | "
+            f"{c.primal_violation:.1e} | {percent(e.nrmse * shares[e.speed_m_s])} | {e.played.winding_C:.3f} | "
+            f"{e.played.after_peak_m_s2 / STANDARD_GRAVITY_M_S2:.2f} | {_size_cells(e)} | {e.solution.solver} |"
         )
     lines += [
         "",
-        "after: peak acceleration in the 20 ms after the waveform, which no term of the problem holds down.",
+        CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
+        *_price_lines(entries),
+        *_weighted_lines(entries),
+        *_spread_lines(entries),
     ]
+    if build.refinement is not None:
+        lines += ["", *_between_lines(build.refinement)]
     lines += ["", "## Left out", "", *_left_out_lines(entries)]
     lines += ["", "## Recordings", "", *_recorded_lines(build.references), ""]
     return "\n".join(lines)
@@ -211,8 +229,17 @@ def build_json(build: Build) -> str:
             "after_peak_m_s2": e.played.after_peak_m_s2,
             "winding_C": e.played.winding_C,
             "housing_C": e.played.housing_C,
+            "peak_voltage_V": e.played.peak_voltage_V,
             "binding": e.binding,
-            "certificate": {**asdict(e.certificate), "relative_gap": e.certificate.relative_gap},
+            "prices": [asdict(price) for price in e.prices],
+            "size": None if e.size is None else asdict(e.size),
+            "weighted_nrmse": e.weighted_nrmse,
+            "spread": None if e.spread is None else asdict(e.spread),
+            "certificate": {
+                **asdict(e.certificate),
+                "relative_gap": e.certificate.relative_gap,
+                "relative_bound": e.certificate.relative_bound,
+            },
             "replay_step_error": e.played.step_error,
             "solver": e.solution.solver,
             "solver_message": e.solution.message,
@@ -227,9 +254,11 @@ def build_json(build: Build) -> str:
         "solver": build.solver,
         "elapsed_s": build.elapsed_s,
         "entries": rows,
+        "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
         "references": [
             {
                 "speed_m_s": r.speed_m_s,
+                "between_m_s": r.between_m_s,
                 "taps": [tap.recording.name for tap in r.taps],
                 "scaling": r.scalings.tolist(),
                 "repeatability": r.repeatability,
@@ -242,6 +271,17 @@ def build_json(build: Build) -> str:
     return json.dumps(without_nan(content), indent=1)
 
 
+def _refinement_rows(refinement: Refinement) -> dict[str, Any]:
+    return {
+        "tolerance": refinement.tolerance,
+        "shortfall": refinement.shortfall,
+        "rounds": refinement.rounds,
+        "elapsed_s": refinement.elapsed_s,
+        "scene_grid": refinement.recorded.model_dump(),
+        "points": [asdict(point) for point in refinement.points],
+    }
+
+
 def without_nan(value: Any) -> Any:
     """The same with null for every number that JSON cannot hold."""
     if isinstance(value, dict):
@@ -251,55 +291,3 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
-
-
-def library_table(library: Library, name: str) -> Table:
-    """The table that `transopt show` prints, from the file alone."""
-    limits = library.meta["limits"]
-    at = f"at {limits['current_A']:g} / {limits['steady_current_A']:g} A"
-    columns = ["speed m/s", "grip N", "NRMSE %", "floor %", f"seed % {at}", f"clipped % {at}", "peak A", "winding C"]
-    table = Table(title=name)
-    for column in (*columns, "gap", "ms"):
-        table.add_column(column, justify="right", overflow="fold")
-    for column in ("what binds", "verdict"):
-        table.add_column(column, overflow="fold")
-    for iv, speed in enumerate(library.speeds_m_s):
-        spread = library.meta["repeatability"][iv]
-        for ig, grip in enumerate(library.grips_N):
-            gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], OBJECTIVE_SCALE)
-            nrmse, floor = library.nrmse[iv, ig], library.floor[iv, ig]
-            table.add_row(
-                f"{speed:g}",
-                f"{grip:g}",
-                _percent(nrmse),
-                _percent(floor),
-                " / ".join(_percent(error) for error in library.nrmse_seed[iv, ig]),
-                " / ".join(_percent(error) for error in library.nrmse_clipped[iv, ig]),
-                f"{library.peak_current_A[iv, ig]:.3f}",
-                f"{library.peak_temperature_C[iv, ig]:.2f}",
-                f"{gap:.0e}",
-                f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
-                str(library.binding[iv, ig]),
-                verdict(nrmse, floor, float("nan") if spread is None else spread),
-            )
-        table.add_section()
-    return table
-
-
-def verify_table(checks: Sequence[EntryCheck], name: str) -> Table:
-    """The table that `transopt verify` prints."""
-    table = Table(title=name)
-    for column in ("speed m/s", "grip N", "NRMSE %", "peak A", "violation A", "gap", "result"):
-        table.add_column(column, justify="left" if column == "result" else "right", overflow="fold")
-    for check in checks:
-        table.add_row(
-            f"{check.speed_m_s:g}",
-            f"{check.grip_N:g}",
-            _percent(check.played.nrmse),
-            f"{check.played.peak_current_A:.4f}",
-            f"{check.certificate.primal_violation_A:.0e}",
-            f"{check.certificate.relative_gap:.0e}",
-            "; ".join(check.shortfalls) or "certified, replayed clean",
-            style="red" if check.shortfalls else None,
-        )
-    return table

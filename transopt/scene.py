@@ -31,7 +31,7 @@ from transopt.scene_sections import (
 from transopt.supply import Circuit
 from transopt.thermal import CoilModel
 from transopt.wall import Wall
-from transopt.weighting import ErrorFilter, pacinian
+from transopt.weighting import ErrorFilter, error_filter
 
 
 class Scene(Section):
@@ -204,7 +204,7 @@ class Scene(Section):
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
     def error_filter(self) -> ErrorFilter | None:
-        return pacinian(self.time.dt_s) if self.weights.error_filter == "pacinian" else None
+        return error_filter(self.weights.error_filter, self.time.dt_s)
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
         """Grips around a node that its command shall serve besides, the node itself not among them."""

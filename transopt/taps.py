@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from transopt.reference import Tap
+from transopt.preparation import Tap
 from transopt.scene_sections import Recordings
 from transopt.signals import STANDARD_GRAVITY_M_S2
 

@@ -12,7 +12,16 @@ from transopt.signals import FloatArray
 from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp
 from transopt.solvers.options import SolverOptions
 
-__all__ = ["SOLVERS", "SolverOptions", "check_name", "global_bound", "prove", "solve", "solve_certified"]
+__all__ = [
+    "SOLVERS",
+    "SolverOptions",
+    "check_name",
+    "global_bound",
+    "is_stationary",
+    "prove",
+    "solve",
+    "solve_certified",
+]
 
 SOLVERS = {
     "casadi-piqp": casadi_piqp.solve,
@@ -94,15 +103,17 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
         yield answer
-        proof = certify(problem, answer.command_A, answer.multipliers)
-        stationary = replace(proof, lower_bound=proof.objective)
-        if answer.status is Status.OPTIMAL and stationary.accepted:
+        if is_stationary(problem, answer):
             return
+
+
+def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
+    """Whether an answer is certified, but for the global bound where the temperature binds."""
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    return answer.status is Status.OPTIMAL and replace(proof, lower_bound=proof.objective).accepted
 
 
 def solve_certified(problem: TransientProblem, options: SolverOptions) -> Solution:
     """The first answer that is certified or, if none is, the wanted solver's."""
     answers = list(_answers(problem, options))
-    proof = certify(problem, answers[-1].command_A, answers[-1].multipliers)
-    proven = answers[-1].status is Status.OPTIMAL and replace(proof, lower_bound=proof.objective).accepted
-    return answers[-1] if proven else answers[0]
+    return answers[-1] if is_stationary(problem, answers[-1]) else answers[0]

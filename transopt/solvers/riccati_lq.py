@@ -168,6 +168,12 @@ def _run(function: ca.Function, *arguments: FloatArray) -> list[FloatArray]:
     return results
 
 
+def prepare(states: int, outputs: int, free_stages: int) -> None:
+    """Build what all problems of one shape share, so that a solve need not."""
+    if free_stages:
+        recursions(states, outputs, -(-free_stages // BLOCK))
+
+
 class Pass:
     """One problem in blocks. The first block is filled up with stages before the start, in which nothing moves."""
 

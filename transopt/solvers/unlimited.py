@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.linear import hand_over_rows, linear_stage
+from transopt.linear import hand_over_rows, layout, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import sparse_kkt
-from transopt.solvers.riccati_lq import Pass, Point, Tracking
+from transopt.solvers.riccati_lq import Pass, Point, Tracking, prepare
 
 GAP = 1e-8  # of max(J, 1e-3): a hundredth of what a certificate may have, a hundred times what rounding leaves
 REFINEMENTS = 2
@@ -106,6 +106,7 @@ def solve(problem: TransientProblem) -> Solution:
     `command_A` is not clipped: it is what the limits would have to allow. Where rounding leaves the Riccati pass a
     gap above `GAP`, the sparse KKT system is solved too, and the better answer is returned.
     """
+    prepare(layout(problem).states, len(problem.devices), problem.free_stages)
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the gap
         run = Pass(tracking(problem))

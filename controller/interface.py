@@ -1,0 +1,100 @@
+"""What passes between the servo and the device under it, tick by tick; the same for a simulator and for hardware."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+
+class State(Enum):
+    """Of the servo (DESIGN 7); FAULT latches until an explicit reset."""
+
+    IDLE = "idle"
+    ARMED = "armed"
+    PLAYING = "playing"
+    FAULT = "fault"
+
+
+class Fault(Enum):
+    """Why the servo went to FAULT; the value is the message and the remedy."""
+
+    OVER_TEMPERATURE = "the coil is too hot: let it cool, then reset"
+    BAD_SENSOR = "a sensor gave no number or an absurd one: check its wiring, then reset"
+    ENCODER_JUMP = "the encoder moved faster than a hand can: check its cable, then reset"
+    ENCODER_STUCK = "current flows but the encoder does not move: check coupling and encoder, then reset"
+    GRIP_OPEN = "the grip sensor reads as if it were not connected: check its cable, then reset"
+    GRIP_SHORT = "the grip sensor reads as if it were shorted: check its cable, then reset"
+    GRIP_LOST = "the stylus was let go while a transient played: hold it, then reset"
+    OVER_CURRENT = "the measured current is above the limit: check the amplifier, then reset"
+    NO_CURRENT = "a command was given but no current flows: check amplifier and motor cable, then reset"
+    EMERGENCY_STOP = "emergency stop: release it, then reset"
+
+
+class Notice(Enum):
+    """What is counted and reported but stops nothing."""
+
+    CONTACT = "contact: a transient starts"
+    FINISHED = "the transient has ended"
+    COMMAND_SATURATED = "transient and feedback together were cut at a limit"
+    CONTACT_CHATTER = "a contact came too soon after the last and was not played"
+    OUT_OF_GRID = "speed or grip lay outside the library's grid and was moved to its edge"
+    TOO_HOT_TO_PLAY = "the transient was withheld: the coil is close to its limit"
+    SCALED_FOR_HEAT = "the transient was scaled down to keep the coil's margin"
+    NO_GRIP = "no transient: the stylus is not held"
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """What the sensors say at one tick.
+
+    Attributes
+    ----------
+    tick : servo tick, from 0.
+    encoder_counts : motor encoder; counts grow with z, out of the object.
+    grip_N : from the grip sensor, after its calibration; NaN if it gives nothing.
+    current_A : measured by the amplifier.
+    acceleration_m_s2 : of the stylus; for telemetry, the servo does not act on it.
+    emergency_stop : pressed.
+    """
+
+    tick: int
+    encoder_counts: int
+    grip_N: float
+    current_A: float
+    acceleration_m_s2: float
+    emergency_stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened at a tick; `speed_m_s` and `grip_N` where a contact is meant."""
+
+    tick: int
+    what: Notice | Fault
+    speed_m_s: float = float("nan")
+    grip_N: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What the servo answers to one tick's readings.
+
+    Attributes
+    ----------
+    command_A : total command, inside every limit. transient_A, feedback_A : its parts before the clamp.
+    winding_C : estimated winding temperature.
+    """
+
+    command_A: float
+    state: State
+    transient_A: float
+    feedback_A: float
+    winding_C: float
+    events: tuple[Event, ...] = ()
+
+
+class Plant(Protocol):
+    """A device under the servo: read the sensors, then let one servo period pass under a held command."""
+
+    def readings(self) -> Readings: ...
+
+    def advance(self, command_A: float) -> None: ...
