@@ -151,7 +151,7 @@ class TestForcedIn:
         assert designed.size is None
         assert designed.certificate.accepted
         assert inside(whole, designed.solution.command_A)
-        for forced, solver in ((replace(whole, thermal=None), "casadi-piqp"), (whole, "casadi-fatrop")):
+        for forced, solver in ((replace(whole, thermal=None), "casadi-piqp"), (whole, "casadi-ipopt")):
             objective = certified_objective(whole, forced, solver)
             assert abs(objective - designed.certificate.objective) <= 1e-6 * max(objective, 1e-3)
 

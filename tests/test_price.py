@@ -85,7 +85,11 @@ def solved(problem: TransientProblem) -> tuple[Designed, float, list[Price]]:
     assert designed.certificate.accepted
     command = designed.solution.command_A
     error = nrmse(problem.stage.rollout(command)[0], problem.reference_m_s2)
-    return designed, error, prices(problem, command, designed.solution.multipliers, designed.unlimited_command_A)
+    return (
+        designed,
+        error,
+        prices(problem, command, designed.solution.multipliers, designed.unlimited_command_A, SolverOptions()),
+    )
 
 
 @cache

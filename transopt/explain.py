@@ -15,8 +15,8 @@ MOST_ITERATIONS = 100
 PRECISION = 0.005  # relative, of the least limit that would do
 
 
-def _widened(problem: TransientProblem) -> dict[str, Callable[[float], TransientProblem]]:
-    """For each limit the problem with that limit `factor` times as wide."""
+def widened(problem: TransientProblem) -> dict[str, Callable[[float], TransientProblem]]:
+    """For each limit the problem with that limit `factor` times as wide; a coil gets kelvins in that proportion."""
     limits = problem.limits
     found: dict[str, Callable[[float], TransientProblem]] = {}
     if problem.thermal is not None:
@@ -79,7 +79,7 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     stated limit is missed.
     """
     found = []
-    for name, widen in _widened(problem).items():
+    for name, widen in widened(problem).items():
         command = _feasible(widen(WIDEST), options)
         if command is None:
             continue

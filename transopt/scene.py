@@ -97,6 +97,11 @@ class Scene(Section):
         budgets = (self.thermal.headroom_K, self.thermal.tap_rate_Hz)
         if budgets != (None, None) and self.motor is None:
             raise ValueError("thermal.headroom_K and thermal.tap_rate_Hz need [motor]: a tip states no coil")
+        if self.motor is not None and self.thermal.start_winding_C > self.motor.winding_max_C:
+            raise ValueError(
+                f"thermal.start_winding_C = {self.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
+                f"{self.motor.winding_max_C:g} C: let it cool"
+            )
         window = self.time_grid().stages * self.time.dt_s
         if self.thermal.tap_rate_Hz is not None and self.thermal.tap_rate_Hz * (window + self.time.dt_s) >= 1:
             raise ValueError(

@@ -19,6 +19,7 @@ from transopt.signals import FloatArray
 from transopt.thermal import PWM_RIPPLE_A
 
 REPEATED_WEIGHT = 1e3
+SIZE_BOUND = 2.0  # of the limit current
 
 
 @dataclass(frozen=True)
@@ -317,6 +318,8 @@ def _variable_bounds(
         upper[:-1, shape.controls + where.current] = 1.0
     lower = -upper
     if problem.thermal is not None:
+        # No mean current is larger than the limit; without a bound a size that heats nothing that matters would drift.
+        lower[:, 1], upper[:, 1] = -SIZE_BOUND, SIZE_BOUND
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
     front = np.full(shape.first, np.inf)
     return np.append(-front, lower.ravel()), np.append(front, upper.ravel())
@@ -419,7 +422,7 @@ def _size(shape: Shape) -> Size:
         nonzeros = program.qp_data.sparsity_out("A").nnz()
     else:
         nonzeros = ca.Function("rows", [program.x, program.p], [program.g]).jac_sparsity(0, 0).nnz()
-    return Size(shape.variables - 1, program.x.numel(), program.g.numel(), nonzeros)
+    return Size(shape.variables - shape.controls, program.x.numel(), program.g.numel(), nonzeros)
 
 
 def size(problem: TransientProblem) -> Size:
