@@ -86,6 +86,22 @@ class TestHeating:
         differences = (model.mean_square(i, c + step) - model.mean_square(i, c - step)) / (2 * step)
         np.testing.assert_allclose(by_command, differences, atol=1e-8)
 
+    @pytest.mark.parametrize("slope", [-1.0, 0.3, 1.0])
+    def test_at_the_kink_every_slope_is_a_tangent_from_below(self, slope: float) -> None:
+        """What the certificate takes it for: a subgradient of a convex function."""
+        model = heating(AMPLIFIER, DT_S)
+        i = 0.7
+        # The command at which the mean current is zero.
+        weight = model.share + (1 - model.share) * model.decay
+        c = -i * weight / ((1 - model.share) * (1 - model.decay))
+        assert float(model.mean_current(np.array(i), np.array(c))) == pytest.approx(0, abs=1e-15)
+        by_current, by_command = model.gradient(np.array(i), np.array(c), np.array(slope))
+        random = np.random.default_rng(12)
+        for size in (1.0, 1e-2, 1e-4):
+            di, dc = random.uniform(-size, size, (2, 1000))
+            tangent = float(model.mean_square(np.array(i), np.array(c))) + by_current * di + by_command * dc
+            assert np.all(model.mean_square(i + di, c + dc) >= tangent - 1e-14)
+
     @pytest.mark.parametrize("pole_Hz", [100.0, 1050.0, 20e3, None])
     def test_convex_in_current_and_command(self, pole_Hz: float | None) -> None:
         """What the lower bound on J rests on, the kink included."""
@@ -111,7 +127,8 @@ def ode(coil: CoilModel, command_A: np.ndarray, *, housing_held: bool = False) -
     C_w, C_h = coil.tau_w_s / coil.R_wh_K_W, coil.tau_h_s / coil.R_ha_K_W
     course = [np.array([coil.start_winding_C, coil.start_housing_C])]
     current = 0.0
-    for c in command_A:
+    # From the first tick on; the first command is felt a delay later.
+    for c, duration in [(0.0, AMPLIFIER.delay_s), *((c, DT_S) for c in command_A)]:
 
         def rate(t: float, T: np.ndarray, i: float = current, c: float = c) -> list[float]:
             heat = coil.R_ohm * (1 + 0.0039 * (T[0] - 25)) * (abs(c + (i - c) * np.exp(-w * t)) + 0.02) ** 2
@@ -119,9 +136,9 @@ def ode(coil: CoilModel, command_A: np.ndarray, *, housing_held: bool = False) -
             away = (T[1] - coil.ambient_C) / coil.R_ha_K_W
             return [(heat - through) / C_w, 0.0 if housing_held else (through - away) / C_h]
 
-        course.append(solve_ivp(rate, (0, DT_S), course[-1], method="DOP853", rtol=1e-12, atol=1e-10).y[:, -1])
-        current = c + (current - c) * np.exp(-w * DT_S)
-    return np.array(course)
+        course.append(solve_ivp(rate, (0, duration), course[-1], method="DOP853", rtol=1e-12, atol=1e-10).y[:, -1])
+        current = c + (current - c) * np.exp(-w * duration)
+    return np.array(course[1:])
 
 
 def tap_like(stages: int, sign_changes: bool, seed: int = 5) -> np.ndarray:

@@ -229,9 +229,9 @@ class TestInfeasible:
         (entry,) = design_grip(low, 5.0, [references[-1]], SolverOptions())
         assert entry.status is not Status.OPTIMAL
         (reason,) = entry.shortfalls
-        assert reason.startswith("supply ")
-        assert " V over its 0.3 V at " in reason
-        assert " ms" in reason
+        assert reason.startswith(
+            "supply 0.2 V over its 0.3 V at -0.2 ms: the back-EMF of the incoming stylus alone; "
+        )
         enough = float(reason.split("; ")[1].split(" V")[0])
         assert reason.endswith("at least")
         (again,) = design_grip(varied(scene, {"supply_V": enough}), 5.0, [references[-1]], SolverOptions())
@@ -255,8 +255,8 @@ class TestInfeasible:
             assert is_stationary(moved, solve(moved, SHORT)) is status
 
     def test_a_slew_that_cannot_follow_the_wall_is_refused_by_name(self, entry: Maker) -> None:
-        """The hand-over asks for the wall's command, which moves faster than 5 A/s."""
+        """The hand-over asks for the wall's command, which moves faster than 50 A/s."""
         wall = {"stiffness_N_m": 500.0, "damping_N_s_m": 5.0}
-        designed = optimum(cut(entry(0.4, 3.0, feedback=wall, slew_A_per_s=5.0), 100), SolverOptions())
+        designed = optimum(cut(entry(0.4, 3.0, feedback=wall, slew_A_per_s=50.0), 100), SolverOptions())
         assert designed.solution.status is Status.INFEASIBLE
         assert any(text.startswith("slew ") for text in designed.remarks), designed.remarks
