@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.certify import boxes
-from transopt.explain import widened
+from transopt.explain import rounded_up, widened
 from transopt.parts import leave_out
 from transopt.problem import Multipliers, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
@@ -42,18 +42,12 @@ class Price:
         return (
             f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {_step_unit(self.unit)} more: "
             f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
-            f"would not bind from {_rounded_up(self.enough, self.bound):.8g} {self.unit} on"
+            f"would not bind from {rounded_up(self.enough):.8g} {self.unit} on"
         )
 
 
 def _step_unit(unit: str) -> str:
     return "K" if unit == "C" else unit
-
-
-def _rounded_up(value: float, bound: float) -> float:
-    """Up to a hundredth of a percent of the bound, so that what is printed is enough."""
-    grain = 10.0 ** np.floor(np.log10(abs(bound)) - 3)
-    return float(np.ceil(value / grain) * grain)
 
 
 def _round_step(size: float) -> float:

@@ -318,7 +318,7 @@ def _variable_bounds(
         upper[:-1, shape.controls + where.current] = 1.0
     lower = -upper
     if problem.thermal is not None:
-        # No mean current is larger than the limit; without a bound a size that heats nothing that matters would drift.
+        # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
         lower[:, 1], upper[:, 1] = -SIZE_BOUND, SIZE_BOUND
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
     front = np.full(shape.first, np.inf)
