@@ -4,6 +4,7 @@ import math
 
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
+CEILING_C = 1000.0  # nothing is hotter; an estimate that ran off to infinity could not be cooled down again
 UPDATE_S = 0.01  # DESIGN 7: at 10 kHz the rise per tick of a slow node is lost in single precision
 
 
@@ -58,8 +59,11 @@ class Guard:
         b2 = self.housing_C + self._inflow_C
         determinant = a11 * self._a22 - self._a12 * self._a21
         winding = 2 * (b1 * self._a22 - self._a12 * b2) / determinant - self.winding_C
-        self.housing_C = 2 * (a11 * b2 - self._a21 * b1) / determinant - self.housing_C
-        self.winding_C = winding
+        housing = 2 * (a11 * b2 - self._a21 * b1) / determinant - self.housing_C
+        # Copper that doubles its resistance within one update is beyond the midpoint rule, and beyond any coil.
+        sound = a11 > 0.5
+        self.winding_C = winding if sound and winding <= CEILING_C else CEILING_C
+        self.housing_C = housing if sound and housing <= CEILING_C else CEILING_C
 
     @property
     def too_hot(self) -> bool:
