@@ -74,7 +74,8 @@ class Watch:
             self.still_ticks, self.still_A_s = 0, 0.0
         else:
             self.still_ticks = self.still_ticks + 1 if size >= s.stuck_A else 0
-            self.still_A_s += transient_A * s.dt_s
+            # A slow tail of the transient may well be held still by the hand; its strokes cannot.
+            self.still_A_s += transient_A * s.dt_s if abs(transient_A) >= s.stuck_A else 0.0
 
 
 def _hot(w: Watch) -> bool:
