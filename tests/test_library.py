@@ -47,8 +47,12 @@ def test_round_trip(library: Library, saved: Path) -> None:
 def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Library) -> None:
     with np.load(saved, allow_pickle=False) as file:
         names = set(file.files)
-        absent = {name for name in SHAPES if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "spread"))}
-        assert len(absent) == 12
+        absent = {
+            name
+            for name in SHAPES
+            if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "current_sign", "spread"))
+        }
+        assert len(absent) == 13
         assert names >= (set(SHAPES) - absent) | {"meta"}
         assert not absent & names, "no slew, supply or temperature limit is in force and there is one device"
         meta = json.loads(str(file["meta"]))
