@@ -91,10 +91,11 @@ class Played:
 
     Attributes
     ----------
-    times_s : (K,) of the truth at every integration step. acceleration_m_s2 : (K,) of the stylus without the user's
-        own share, so that it compares with y'' of DESIGN 2: the intention of a mild, a yielding and a stopping user is
-        taken to go straight on, what they do otherwise is error. motor_m, current_A, winding_C : (K,).
-    tick_times_s : (T,) and command_A, feedback_A, estimated_winding_C : (T,) of the servo.
+    times_s : (K,) of the truth at every integration step; so are motor_m, current_A, winding_C.
+    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with y'' of DESIGN 2. A
+        mild, a yielding and a stopping user are all taken to go straight on: what they do otherwise is error.
+    tick_times_s : (T,) of the servo; so are command_A, feedback_A, estimated_winding_C, states.
+    behind_s : how far a paced run fell behind its clock.
     """
 
     tap: Tap
@@ -111,6 +112,7 @@ class Played:
     estimated_winding_C: FloatArray
     states: tuple[State, ...]
     events: tuple[Event, ...]
+    behind_s: float
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ def play_tap(
 
     servo.arm()
     ticks = approach + int(np.ceil((grid.end_s + AFTER_S) / dt)) + 1
-    run(simulator, servo, ticks, dt, observe=note, clock=clock)
+    behind = run(simulator, servo, ticks, dt, observe=note, clock=clock)
 
     trace = simulator.trace()
     contact = _contact_s(trace, expected, grid.lead_s)
@@ -229,12 +231,13 @@ def play_tap(
         motor_m=trace.motor_m,
         current_A=trace.current_A,
         winding_C=trace.winding_C,
-        tick_times_s=np.arange(ticks) * dt - contact,
+        tick_times_s=np.asarray(np.arange(ticks) * dt - contact, dtype=float),
         command_A=np.array([output.command_A for output in outputs]),
         feedback_A=np.array([output.feedback_A for output in outputs]),
         estimated_winding_C=np.array([output.winding_C for output in outputs]),
         states=tuple(output.state for output in outputs),
         events=events,
+        behind_s=behind,
     )
 
 

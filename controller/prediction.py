@@ -1,6 +1,6 @@
 """What a library says that a tap will do, at its nodes and between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,15 +42,19 @@ def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
 
     r = v ((1 - w) r_1 / v_1 + w r_2 / v_2): the shape r / v is linear in speed.
     """
-    shares = np.array([np.interp(speed_m_s, nodes_m_s, unit) for unit in np.eye(nodes_m_s.size)])
-    return np.asarray(speed_m_s * shares / nodes_m_s)
+    return np.asarray(speed_m_s * _shares(nodes_m_s, speed_m_s) / nodes_m_s)
+
+
+def _shares(nodes: FloatArray, value: float) -> FloatArray:
+    """(n,) weights of linear interpolation."""
+    return np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
 
 
 def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:
     """Prediction for any speed and grip.
 
     At a node it is the library's own; elsewhere the blended command is replayed through the model of that grip,
-    built from the scene that the library carries. `gain` multiplies the transient, not a wall's feedback.
+    built from the scene that the library carries. `gain` multiplies the transient and a wall's feedback.
 
     Raises
     ------
@@ -69,13 +73,14 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         wall, walls, command = library.wall(), None, gain * wave.command_A
         if wall is not None:
             nominal = by_speed @ library.nominal_position_at_ticks_m
-            walls, command = [HandOver(wall, nominal, v, nominal < 0)], gain * wave.transient_command_A
+            softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
+            walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command_A
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
         [played] = replay(stage, grid, command[None], reference[None], None, walls=walls)
         acceleration, current = played.acceleration_m_s2, played.current_A
-    shares = [np.array([np.interp(x, n, u) for u in np.eye(n.size)]) for n, x in _axes(library, v, F)]
+    by_v, by_F = _shares(library.speeds_m_s, v), _shares(library.grips_N, F)
     repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
-    used = shares[0] > 0
+    used = by_v > 0
     return Prediction(
         speed_m_s=v,
         grip_N=F,
@@ -85,10 +90,6 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         reference_m_s2=reference,
         own_m_s2=by_speed @ (library.reference_raw_m_s2 - library.reference_m_s2),
         current_A=current,
-        floor=float(shares[0] @ library.floor @ shares[1]),
-        repeatability=float(repeats[used] @ shares[0][used]),
+        floor=float(by_v @ library.floor @ by_F),
+        repeatability=float(repeats[used] @ by_v[used]),
     )
-
-
-def _axes(library: Library, speed_m_s: float, grip_N: float) -> tuple[tuple[FloatArray, float], ...]:
-    return (library.speeds_m_s, speed_m_s), (library.grips_N, grip_N)

@@ -67,7 +67,7 @@ def _line(record: Record) -> str:
 
 def _columns(records: Iterable[Record]) -> dict[str, NDArray[Any]]:
     by_column = list(zip(*records, strict=True)) or [()] * len(COLUMNS)
-    kinds: dict[str, type] = {name: np.int64 for name in WHOLE_NUMBERS} | {name: np.str_ for name in TEXTS}
+    kinds: dict[str, type] = {**dict.fromkeys(WHOLE_NUMBERS, np.int64), **dict.fromkeys(TEXTS, np.str_)}
     return {
         name: np.array(values, dtype=kinds.get(name, np.float64))
         for name, values in zip(COLUMNS, by_column, strict=True)
