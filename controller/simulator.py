@@ -151,9 +151,10 @@ class Simulator:
         self._tick, self._time_s = 0, 0.0
         self.peak_current_A = 0.0
         self._rows: list[tuple[float, ...]] | None = [] if trace else None
-        self._grip_N, self._intention_m = user.grip_N(0.0), user.intention_m(0.0)
+        self._grip_N, self._ahead_m = user.grip_N(0.0), 0.0
         self._flow = self._flow_at(self._grip_N)
         self._x = self._start()
+        self._intention_m = user.intention_m(0.0) + self._ahead_m
         if self._rows is not None:
             self._keep(0.0)
 
@@ -236,18 +237,22 @@ class Simulator:
         return flow(self.device, self._target, self._bandwidth_Hz, grip_N, self._step_s)
 
     def _start(self) -> FloatArray:
-        """All masses moving with the intention, friction balanced by the springs, nothing else."""
+        """All masses moving with the intention, friction balanced by the springs, nothing else.
+
+        The hand aims ahead by what friction stretches the springs, so that the motor mass is where it means to be.
+        """
         n = self._at.n
         x = np.zeros(self._at.states + INPUTS)
-        g = self._user.intention_m(0.0)
-        speed = (self._user.intention_m(self._step_s[0]) - g) / self._step_s[0]
-        x[: 2 * n] = np.repeat([g, speed], n)
-        x[self._at.states + INTENTION_SPEED] = speed
+        wanted = self._user.intention_m(0.0)
+        speed = (self._user.intention_m(self._step_s[0]) - wanted) / self._step_s[0]
         ground = self.device.ground
-        held = self._friction_N(speed) - ground.stiffness_N_m * g - ground.damping_N_s_m * speed
+        held = self._friction_N(speed) - ground.stiffness_N_m * wanted - ground.damping_N_s_m * speed
         _, stiffness, _ = self.device.at(self._grip_N)
         elongations = np.array([held / k if k > 0 else 0.0 for k in stiffness])
-        x[:n] += np.cumsum(elongations[::-1])[::-1]
+        self._ahead_m = -float(elongations.sum())
+        x[:n] = wanted + self._ahead_m + np.cumsum(elongations[::-1])[::-1]
+        x[n : 2 * n] = speed
+        x[self._at.states + INTENTION_SPEED] = speed
         return x
 
     def _take_grip(self, grip_N: float) -> None:
@@ -292,7 +297,7 @@ class Simulator:
 
     def _advance_step(self, segment: int, felt_A: float, end_s: float, step_s: float) -> None:
         x, S, user = self._x, self._at.states, self._user
-        before, self._intention_m = self._intention_m, user.intention_m(end_s)
+        before, self._intention_m = self._intention_m, user.intention_m(end_s) + self._ahead_m
         x[S + COMMAND] = felt_A
         x[S + INTENTION] = before
         x[S + INTENTION_SPEED] = (self._intention_m - before) / step_s

@@ -116,7 +116,7 @@ class RecordedUser:
         self, speed_m_s: float, held_N: float, contact_s: float, times_s: FloatArray, carried_m_s2: FloatArray
     ) -> None:
         self._speed_m_s, self._held_N, self._contact_s = speed_m_s, held_N, contact_s
-        times = np.arange(0.0, times_s[-1], self.STEP_S)
+        times = np.arange(0.0, times_s[-1] + 2 * self.STEP_S, self.STEP_S)
         carried = np.interp(times, times_s, carried_m_s2)
         # Integrated here, so that position and acceleration agree on this grid exactly.
         velocity = -speed_m_s + np.append(0.0, np.cumsum((carried[1:] + carried[:-1]) / 2 * self.STEP_S))
