@@ -30,13 +30,23 @@ from transopt.build import build_library
 from transopt.certify import certify
 from transopt.discretise import discretise
 from transopt.files import whole_file
+from transopt.heat import Budget, thermal_limit
 from transopt.problem import Multipliers, Solution, TransientProblem
 from transopt.reference import build_references
 from transopt.report import without_nan
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, casadi_ipopt, casadi_piqp, riccati_lq, solve, sparse_kkt, unlimited
+from transopt.solvers import (
+    SolverOptions,
+    casadi_fatrop,
+    casadi_ipopt,
+    casadi_piqp,
+    riccati_lq,
+    solve,
+    sparse_kkt,
+    unlimited,
+)
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,7 @@ def row(
     violation: float = float("nan"),
 ) -> Row:
     q25, median, q75 = np.percentile(times_ms, [25, 50, 75])
-    version = metadata.version("casadi") if "ipopt" in method or "piqp" in method else metadata.version("transopt")
+    version = metadata.version("casadi") if method.startswith(("casadi", "opti")) else metadata.version("transopt")
     return Row(case, method, version, options, 1, stages, setup_ms, median, q25, q75, times_ms.size, gap, violation)
 
 
@@ -121,7 +131,8 @@ def project_solver(problem: TransientProblem, solver: str) -> Peer:
     """A solver of the project, its object reused; set-up is what a first call with nothing cached takes longer."""
     options = SolverOptions(solver)
     transcribe.state_program.cache_clear()
-    {"casadi-piqp": casadi_piqp, "casadi-ipopt": casadi_ipopt}[solver].solver_object.cache_clear()
+    for module in (casadi_piqp, casadi_fatrop, casadi_ipopt):
+        module.solver_object.cache_clear()
     first, second = (elapsed_ms(lambda: solve(problem, options)) for _ in range(2))
     solution = solve(problem, options)
     proof = certify(problem, solution.command_A, solution.multipliers)
@@ -131,7 +142,7 @@ def project_solver(problem: TransientProblem, solver: str) -> Peer:
         run=lambda: solve(problem, options),
         setup_ms=max(first - second, 0.0),
         gap=proof.relative_gap,
-        violation=proof.primal_violation_A,
+        violation=proof.primal_violation,
     )
 
 
@@ -149,7 +160,7 @@ def unlimited_solver(
         run=lambda: method(problem),
         setup_ms=max(first - second, 0.0),
         gap=proof.relative_gap,
-        violation=proof.primal_violation_A,
+        violation=proof.primal_violation,
     )
 
 
@@ -205,7 +216,7 @@ def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
         run=again,
         setup_ms=max(setup_and_first - elapsed_ms(again), 0.0),
         gap=(proof.objective - lower_bound) / max(proof.objective, 1e-3),
-        violation=proof.primal_violation_A,
+        violation=proof.primal_violation,
     )
 
 
@@ -286,11 +297,18 @@ def measure(runs: int) -> tuple[list[Row], float]:
     # Ten saturated taps in a row: ten times the work, nothing of it idle.
     long = replace(entry(scene, 0.4, 5.0, 6000), reference_m_s2=np.tile(saturated.reference_m_s2, 10))
     free = entry(scene, 0.2, 3.0, 600)
+    coil = scene.coil()
+    assert coil is not None
+    budget = Budget(headroom_K=0.05)
+    hot = replace(saturated, thermal=thermal_limit(coil, scene.amplifier_model(), saturated.grid, budget))
     rows += compare(
         runs,
         Case("saturated", 600, project_solver(saturated, "casadi-piqp")),
         Case("saturated", 600, project_solver(saturated, "casadi-ipopt")),
         Case("saturated", 600, opti_ipopt(saturated, proof.objective - proof.duality_gap)),
+        Case("saturated", 600, project_solver(saturated, "casadi-fatrop")),
+        Case("thermal", 600, project_solver(hot, "casadi-fatrop")),
+        Case("thermal", 600, project_solver(hot, "casadi-ipopt")),
         Case("horizon", 6000, project_solver(long, "casadi-piqp")),
         Case("unsaturated", 600, unlimited_solver("riccati-pass", "judged by its gradient", unlimited.solve, free)),
         Case("unsaturated", 600, unlimited_solver("sparse-kkt", "pattern reused", unlimited.solve_sparse_kkt, free)),
@@ -334,6 +352,9 @@ def main() -> None:
     print(f"\nopti-ipopt / casadi-piqp, saturated: {by['saturated', 'opti-ipopt'] / fast:.1f}")
     pass_ms = by["unsaturated", "riccati-pass"]
     print(f"sparse-kkt / riccati-pass, unsaturated: {by['unsaturated', 'sparse-kkt'] / pass_ms:.1f}")
+    print(
+        f"casadi-ipopt / casadi-fatrop, thermal: {by['thermal', 'casadi-ipopt'] / by['thermal', 'casadi-fatrop']:.1f}"
+    )
     print(f"casadi-ipopt / casadi-piqp, saturated: {by['saturated', 'casadi-ipopt'] / fast:.1f}")
     print(f"6000 stages / 600 stages, casadi-piqp: {by['horizon', 'casadi-piqp'] / fast:.1f}")
     if arguments.json is not None:

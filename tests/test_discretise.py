@@ -1,6 +1,6 @@
 """Exact hold: the defining property, the adjoint, and an independent integrator."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from tests.conftest import ProblemMaker
 from transopt.amplifier import Amplifier
 from transopt.build import build_library
-from transopt.discretise import TimeGrid, discretise
+from transopt.discretise import Motion, TimeGrid, discretise
 from transopt.models import Link, chain
 from transopt.problem import TransientProblem
 from transopt.recording import Recording
@@ -90,12 +90,24 @@ def test_halving_the_period_changes_nothing(make_problem: ProblemMaker) -> None:
 
 @pytest.mark.parametrize("ideal", [False, True])
 def test_adjoint_is_the_transpose_of_the_rollout(make_problem: ProblemMaker, ideal: bool) -> None:
-    stage = make_problem(ideal=ideal).stage
+    known = make_problem(ideal=ideal).stage
     random = np.random.default_rng(5)
-    command, by_acceleration, by_current = random.standard_normal((3, 60))
-    acceleration, current = stage.rollout(command)
-    forward = by_acceleration @ acceleration + by_current @ current
-    assert stage.adjoint(by_acceleration, by_current) @ command == pytest.approx(forward, rel=1e-11)
+    command, *weights = random.standard_normal((5, 60))
+    for position in (False, True):
+        stage = discretise(known.plant, known.amplifier, known.dt_s, position=position)
+        motion = stage.motion(command)
+        assert np.any(motion.encoder_m != 0) == position
+        outputs = [getattr(motion, field.name) for field in fields(Motion)]
+        # One by one, and all at once: in SI an acceleration would drown a position.
+        for wanted in (*np.eye(4), np.ones(4)):
+            scales = [
+                factor / max(np.abs(output).max(), 1e-30) for factor, output in zip(wanted, outputs, strict=True)
+            ]
+            gradient = Motion(*(scale * weight for scale, weight in zip(scales, weights, strict=True)))
+            forward = sum(
+                getattr(gradient, f.name) @ output for f, output in zip(fields(Motion), outputs, strict=True)
+            )
+            assert stage.adjoint(gradient) @ command == pytest.approx(forward, rel=1e-11, abs=1e-13)
 
 
 def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:

@@ -31,7 +31,7 @@ EPSILON = 2.0**-24  # relative rounding of one single-precision operation
 COMPILERS = {"gcc": ["-std=c99", "-x", "c"], "g++": ["-std=c++11", "-x", "c++"]}
 META = """{"schema": 1, "dt_s": 1e-4, "lead_s": 3e-4, "grip_min_N": 0.5, "hand_over_samples": 10,
     "limits": {"current_A": 4.0, "steady_current_A": 1.25, "slew_A_per_s": null, "supply_V": null,
-    "temperature_C": null}, "thermal": null,
+    "temperature_C": null}, "thermal": null, "circuit": null,
     "feedback": null, "left_out": {"feedback": "the scene has no wall"}, "sources": [],
     "versions": {"transopt": "0.1.0", "python": "3.11"}}"""
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
@@ -68,13 +68,13 @@ def make_library(
         "reference_raw_m_s2": reference * 1.1,
         **{f"plant_{m}": np.stack([getattr(plant, m) for plant in plants]) for m in ("A", "B", "C", "D", "Ce")},
     }
-    sizes = {"v": nv, "g": ng, "N": samples, "h": HAND_OVER, "2": 2}
+    sizes = {"v": nv, "g": ng, "N": samples, "h": HAND_OVER, "n": 2, "s": 0, "1": 1, "2": 2}
     free = {field: letters for field, letters in SHAPES.items() if field not in {*derived, *TEXTS}}
     others = {field: rng.uniform(size=[sizes[letter] for letter in letters]) for field, letters in free.items()}
     binding = np.where(np.eye(nv, ng) == 1, "", "current +4 A")
     meta = json.loads(META) | {
         "amplifier": amplifier,
-        "weights": {"rho": 1e-3, "tracking": [1.0] * samples},
+        "weights": {"rho": 1e-3, "tracking": [1.0] * samples, "error_filter": "none", "spread": None},
         "repeatability": [None] * nv,
         "scene": {"name": name, "description": "made for tests"},
     }

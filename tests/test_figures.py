@@ -34,7 +34,7 @@ FORCE_N_A, MASS_KG = 1.25, 0.04
 
 def make_library(nv: int = 2, ng: int = 2, stages: int = 300, decay_s: float = 2e-3) -> Library:
     """A library of decaying oscillations that grow with speed; nothing in it is solved."""
-    sizes = {"v": nv, "g": ng, "N": stages, "h": 10, "n": 2, "1": 1, "2": 2}
+    sizes = {"v": nv, "g": ng, "N": stages, "h": 10, "n": 2, "s": 0, "1": 1, "2": 2}
     arrays: dict[str, Any] = {
         name: np.full([sizes[letter] for letter in shape], "" if name in TEXTS else 0.0)
         for name, shape in SHAPES.items()
@@ -65,15 +65,32 @@ def make_library(nv: int = 2, ng: int = 2, stages: int = 300, decay_s: float = 2
 def make_entry(speed_m_s: float = 0.1, grip_N: float = 3.0, nrmse: float = 0.1, **changes: Any) -> Entry:
     nothing = cast(Any, None)
     empty = np.zeros(0)
+    played = Replay(
+        acceleration_m_s2=empty,
+        current_A=empty,
+        nrmse=nrmse,
+        peak_current_A=0.0,
+        peak_command_A=0.0,
+        after_peak_m_s2=0.0,
+        peak_voltage_V=float("nan"),
+        winding_C=0.0,
+        housing_C=0.0,
+        command_A=empty,
+        fine_times_s=empty,
+        fine_acceleration_m_s2=empty,
+        fine_current_A=empty,
+        step_error=0.0,
+    )
     entry = Entry(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
         problem=nothing,
         solution=nothing,
         certificate=nothing,
-        played=Replay(empty, empty, nrmse, 0.0, 0.0, 0.0, 0.0, 0.0, empty, empty, empty, 0.0),
+        played=played,
         predicted_m_s2=empty,
         current_A=empty,
+        transient_command_A=empty,
         floor=0.004,
         free_peak_A=0.0,
         baselines=Baselines(seed=0.15, clipped=0.12, seed_steady=0.7, clipped_steady=0.6),
@@ -81,7 +98,10 @@ def make_entry(speed_m_s: float = 0.1, grip_N: float = 3.0, nrmse: float = 0.1, 
         status=Status.OPTIMAL,
         shortfalls=[],
         binding="none",
+        prices=[],
         left_out={},
+        size=None,
+        spread=None,
     )
     return replace(entry, **changes)
 

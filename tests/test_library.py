@@ -12,6 +12,8 @@ from transopt.errors import InputError
 from transopt.library import HASH_FIELD, SHAPES, Library, content_hash
 from transopt.library_file import load_library
 
+COIL = {"R_ohm": 2.18, "R_wh_K_W": 3.0, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 600.0, "limit_C": 100.0}
+
 
 @pytest.fixture
 def saved(library: Library, tmp_path: Path) -> Path:
@@ -28,7 +30,6 @@ def rewrite(path: Path, *, drop: str | None = None, **changed: object) -> None:
 
 
 def rehash(path: Path) -> None:
-
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if name != HASH_FIELD}
     np.savez(path, **arrays, **{HASH_FIELD: np.array(content_hash(arrays))})
@@ -46,8 +47,10 @@ def test_round_trip(library: Library, saved: Path) -> None:
 def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Library) -> None:
     with np.load(saved, allow_pickle=False) as file:
         names = set(file.files)
-        assert names >= (set(SHAPES) - {"mu_slew_lower", "mu_slew_upper"}) | {"meta"}
-        assert not {"mu_slew_lower", "mu_slew_upper"} & names, "no slew limit is in force"
+        absent = {name for name in SHAPES if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "spread"))}
+        assert len(absent) == 12
+        assert names >= (set(SHAPES) - absent) | {"meta"}
+        assert not absent & names, "no slew, supply or temperature limit is in force and there is one device"
         meta = json.loads(str(file["meta"]))
         assert file["command_A"].shape == (4, 3, 600)
     assert meta["schema"] == 1
@@ -170,8 +173,13 @@ class TestRefusals:
             {"amplifier": {"pole_Hz": "x", "delay_s": 0, "command_limit_A": 6}},
             {"amplifier": {"pole_Hz": 1000.0, "delay_s": -1.0, "command_limit_A": 6}},
             {"weights": {"rho": 1e-3, "tracking": [1.0]}},
+            {"weights": {"rho": 1e-3, "tracking": [1.0], "error_filter": "none", "spread": None}},
             {"feedback": {"stiffness_N_m": 200.0}},
-            {"thermal": {"R_ohm": -1.0, "limit_C": 100.0}},
+            {"thermal": {"R_ohm": 1.0, "limit_C": 100.0}},
+            {"thermal": {"coil": {"limit_C": 100.0}, "budget": {}}},
+            {"thermal": {"coil": {**COIL, "R_ohm": -1.0}, "budget": {}}},
+            {"thermal": {"coil": COIL, "budget": {"taps": 1.0}}},
+            {"circuit": {"R_ohm": 2.18}},
         ],
     )
     def test_meta_that_describes_no_problem(self, saved: Path, library: Library, change: dict) -> None:

@@ -13,7 +13,8 @@ from transopt.build import Build, build_library
 from transopt.cli import main
 from transopt.errors import InputError
 from transopt.grid_figure import grid_figure
-from transopt.library import Library, load_library
+from transopt.library import Library
+from transopt.library_file import load_library
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
 from transopt.refine import CLOSER_LOOK, MARGIN, Refinement, refine_grid

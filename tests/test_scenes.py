@@ -3,7 +3,7 @@
 import tomllib
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def modes_Hz(scene: Scene, grip_N: float) -> FloatArray:
     return np.unique(np.abs(poles[poles.imag > 0])) / (2 * np.pi)
 
 
-def by_node(build: Build, field: str) -> dict[tuple[float, float], float]:
+def by_node(build: Build, field: str) -> dict[tuple[float, float], Any]:
     return {(entry.speed_m_s, entry.grip_N): getattr(entry, field) for entry in build.all_entries()}
 
 
@@ -145,6 +145,55 @@ class TestWhatEachSceneShows:
         assert not any(is_bound(build).values())
         for light, firm in build.entries:
             assert firm.played.peak_current_A > 1.8 * light.played.peak_current_A
+
+    def test_hot_coil_is_bound_by_its_temperature(self) -> None:
+        build = built("hot_coil")
+        hot = [entry for entry in build.all_entries() if "coil" in entry.binding]
+        assert len(hot) == 4
+        for entry in hot:
+            assert entry.played.winding_C == pytest.approx(90.03, abs=1e-3)
+            assert entry.certificate.relative_bound <= 2e-3
+            assert entry.size is not None
+            assert entry.size.states == 10
+            assert next(price for price in entry.prices if price.limit == "coil").slope < 0
+        for entry in build.all_entries():
+            if entry not in hot:
+                assert {"temperature", "limits"} & set(entry.left_out)
+
+    def test_rapid_tapping_is_bound_by_the_steady_state(self) -> None:
+        build = built("rapid_tapping")
+        bound = {node for node, entry in by_node(build, "binding").items() if "coil" in str(entry)}
+        assert bound == {(0.4, 5.0)}
+        steady = by_node(build, "played")
+        assert steady[0.4, 5.0].winding_C == pytest.approx(100, abs=0.02)
+        assert steady[0.4, 5.0].winding_C > steady[0.4, 5.0].housing_C > 60
+        # One tap from a cold start heats it by a tenth of a kelvin.
+        assert built("wood_on_foam").entries[3][2].played.winding_C < 25.2
+
+    def test_small_coil_keeps_its_absolute_limit(self) -> None:
+        build = built("small_coil")
+        assert [str(binding).split(" ")[0] for binding in by_node(build, "binding").values()].count("coil") == 1
+        assert max(entry.played.winding_C for entry in build.all_entries()) == pytest.approx(85, abs=1e-3)
+
+    def test_low_supply_is_bound_by_its_rail(self) -> None:
+        build = built("low_supply")
+        for entry in build.entries[1]:
+            assert "supply +9 V" in entry.binding
+            assert entry.played.peak_voltage_V == pytest.approx(9, abs=9e-3)
+        for entry in build.entries[0]:
+            assert entry.binding == "none"
+
+    def test_walled_hands_over_to_its_wall(self) -> None:
+        build = built("walled")
+        library = build.library
+        assert library is not None
+        h = build.scene.hand_over_samples
+        assert not library.transient_command_A[..., -h:].any()
+        # What is left at the end is the spring: 0.1 to 0.6 A, more for faster taps, which go deeper.
+        left = library.command_A[..., -1]
+        assert np.all(left > 0.05)
+        assert np.all(np.diff(left, axis=0) > 0)
+        assert np.abs(library.transient_command_A - library.command_A).max() > 0.3
 
     def test_single_grip_is_one_column_of_the_default_scene(self) -> None:
         library, default = built("single_grip").library, built("wood_on_foam").library

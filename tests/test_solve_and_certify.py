@@ -93,33 +93,36 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
     """Objective, dynamics and reduced gradient from CasADi's own functions, to 1e-12."""
     problem = make_problem(**variant)
     solution = solve(problem)
-    shape, scale = transcribe.program_shape(problem), transcribe.scaling(problem)
+    statement = transcribe.state(problem)
+    shape, stage, p = statement.shape, statement.stage, statement.p
     program = transcribe.state_program(shape)
-    p = transcribe.parameters(problem, scale)
     nz = shape.variables - 1
     z = np.zeros((shape.stages + 1, nz))
-    movement = np.diff(solution.command_A, prepend=0.0) / scale.current_A
-    matrix, gain, _ = transcribe.stage_matrices(problem, scale)
+    movement = np.diff(solution.command_A, prepend=0.0) / stage.current_A
     for k in range(shape.stages):
-        z[k + 1] = matrix @ z[k] + gain * movement[k]
+        z[k + 1] = stage.A @ z[k] + stage.A[:, -1] * movement[k]
     x = np.column_stack([movement, z[1:]]).ravel()
 
     values = ca.Function("values", [program.x, program.p], [program.f, program.g, ca.gradient(program.f, program.x)])
     f, g, by_x = (np.asarray(value).ravel() for value in values(x, p))
-    acceleration, _ = problem.stage.rollout(solution.command_A)
-    objective = problem.objective(solution.command_A, acceleration)
+    motion = problem.stage.motion(solution.command_A)
+    objective = problem.objective(solution.command_A, motion.acceleration_m_s2)
     assert f[0] * OBJECTIVE_SCALE == pytest.approx(objective, rel=1e-12, abs=1e-12)
-    assert np.abs(g[: shape.stages * nz]).max() < 1e-12
+    dynamics = program.rows["dynamics"]
+    assert dynamics.stop - dynamics.start == shape.stages * nz
+    assert np.abs(g[dynamics]).max() < 1e-12
+    assert np.abs(g[program.rows["hand_over"]]).max() < 1e-12
+    np.testing.assert_allclose(transcribe.command(statement, x), solution.command_A, rtol=0, atol=1e-12)
 
-    jacobian = program.qp_data(p=p)["A"].sparse().toarray()[: shape.stages * nz] if shape.stages <= 60 else None
+    jacobian = program.qp_data(p=p)["A"].sparse().toarray()[dynamics] if shape.stages <= 60 else None
     if jacobian is not None:
         # Reduced gradient by the null space of the dynamics: x = X c, with dc_k = c_k - c_(k-1).
         states = np.delete(np.arange(x.size), np.arange(0, x.size, nz + 1))
         moves = np.arange(0, x.size, nz + 1)
         sensitivity = -np.linalg.solve(jacobian[:, states], jacobian[:, moves])
         by_movement = by_x[moves] + sensitivity.T @ by_x[states]
-        by_command = (by_movement - np.append(by_movement[1:], 0.0)) * OBJECTIVE_SCALE / scale.current_A
-        plain = reduced_gradient(problem, solution.command_A, acceleration, Multipliers.zero(problem))
+        by_command = (by_movement - np.append(by_movement[1:], 0.0)) * OBJECTIVE_SCALE / stage.current_A
+        plain = reduced_gradient(problem, solution.command_A, motion, Multipliers.zero(problem))
         np.testing.assert_allclose(plain, by_command, atol=1e-12)
 
 
@@ -127,8 +130,7 @@ def test_gradient_of_the_objective_by_differences(make_problem: ProblemMaker) ->
     problem = make_problem(0.4, 3.0, stages=40)
     random = np.random.default_rng(2)
     command = random.uniform(-1, 1, 40)
-    acceleration, _ = problem.stage.rollout(command)
-    gradient = reduced_gradient(problem, command, acceleration, Multipliers.zero(problem))
+    gradient = reduced_gradient(problem, command, problem.stage.motion(command), Multipliers.zero(problem))
     for k in (0, 7, 29, 39):
         step = np.eye(40)[k]  # J is quadratic: central differences are exact for any step
         up, down = (problem.objective(c, problem.stage.rollout(c)[0]) for c in (command + step, command - step))
@@ -236,7 +238,9 @@ def test_binding_names_limit_sign_and_time(saturated: tuple[TransientProblem, So
 
 
 def test_options_and_limits_are_checked() -> None:
-    with pytest.raises(InputError, match="--solver osqp: unknown; choose one of casadi-piqp, casadi-ipopt"):
+    with pytest.raises(
+        InputError, match="--solver osqp: unknown; choose one of casadi-piqp, casadi-fatrop, casadi-ipopt"
+    ):
         solve.__globals__["check_name"]("osqp")
     with pytest.raises(InputError, match=r"--solver-tolerance 2: must be between 0 and 1"):
         SolverOptions(tolerance=2.0)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from transopt.discretise import Motion
 from transopt.problem import Certificate, Multipliers, TransientProblem
 from transopt.signals import FloatArray
+from transopt.thermal import PWM_RIPPLE_A
 from transopt.wall import feedback_command_transpose
 
 BINDING_MULTIPLIER = 1e-9  # 1/A; an interior-point method leaves about 1e-13 on a limit that does not bind
@@ -99,7 +100,7 @@ def reduced_gradient(
         model = problem.thermal.model
         h = model.heating.mean_square(motion.current_A, command_A)
         by_h = model.adjoint(h, m.temperature_upper)
-        through_current, directly = model.heating.gradient(motion.current_A, command_A)
+        through_current, directly = model.heating.gradient(motion.current_A, command_A, m.current_sign)
         by_current, by_command = by_current + by_h * through_current, by_command + by_h * directly
     tail = np.append(np.zeros(problem.free_stages), m.hand_over)
     by_command = by_command + tail
@@ -116,6 +117,17 @@ def reduced_gradient(
         tracking = replace(Motion.zero(acceleration.size), acceleration_m_s2=by_acceleration(acceleration))
         gradient = gradient + device.adjoint(tracking)
     return np.asarray(gradient)
+
+
+def _kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
+    """What the tangent at |mean i| with the stated slope lies below it; zero where the slope is its sign."""
+    if problem.thermal is None or not np.any(multipliers.temperature_upper):
+        return 0.0
+    model = problem.thermal.model
+    h = model.heating.mean_square(motion.current_A, command_A)
+    mean = model.heating.mean_current(motion.current_A, command_A)
+    short = np.abs(mean) - multipliers.current_sign * mean
+    return float(np.abs(model.adjoint(h, multipliers.temperature_upper)) @ (2 * PWM_RIPPLE_A * short))
 
 
 def certify(
@@ -165,7 +177,7 @@ def certify(
     g = reduced_gradient(problem, command_A, motion, clipped)
     c_max = problem.limits.command_bound_A
     gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
-    gap += float(np.abs(clipped.hand_over) @ np.abs(tail))
+    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(problem, command_A, motion, clipped)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.temperature_upper.any()
     return Certificate(
         objective=objective,

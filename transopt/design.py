@@ -246,7 +246,7 @@ def _entry(
         status=status,
         shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],
         binding=binding_limits(problem, command, solution.multipliers),
-        prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A)
+        prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A, options)
         if status is Status.OPTIMAL
         else [],
         left_out={**_left_out_by_scene(scene, problem), **designed.left_out},

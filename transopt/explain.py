@@ -15,8 +15,14 @@ MOST_ITERATIONS = 100
 PRECISION = 0.005  # relative, of the least limit that would do
 
 
-def _widened(problem: TransientProblem) -> dict[str, Callable[[float], TransientProblem]]:
-    """For each limit the problem with that limit `factor` times as wide."""
+def rounded_up(value: float) -> float:
+    """To four digits, so that what is printed is enough; temperatures keep their millikelvins."""
+    grain = 10.0 ** (np.floor(np.log10(abs(value))) - 3) if value else 1.0
+    return float(np.ceil(value / min(grain, 1e-3)) * min(grain, 1e-3))
+
+
+def widened(problem: TransientProblem) -> dict[str, Callable[[float], TransientProblem]]:
+    """For each limit the problem with that limit `factor` times as wide; a coil gets kelvins in that proportion."""
     limits = problem.limits
     found: dict[str, Callable[[float], TransientProblem]] = {}
     if problem.thermal is not None:
@@ -62,7 +68,7 @@ def unavoidable(problem: TransientProblem) -> list[str]:
         if start > problem.supply.limit_V + Certificate.VIOLATION_TOLERANCE:
             found.append(
                 f"supply {start - problem.supply.limit_V:.3g} V over its {problem.supply.limit_V:g} V at "
-                f"{tau_ms[0]:.1f} ms: the back-EMF of the incoming stylus alone; {start:.4g} V at least"
+                f"{tau_ms[0]:.1f} ms: the back-EMF of the incoming stylus alone; {rounded_up(start):.6g} V at least"
             )
     return found
 
@@ -79,7 +85,7 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     stated limit is missed.
     """
     found = []
-    for name, widen in _widened(problem).items():
+    for name, widen in widened(problem).items():
         command = _feasible(widen(WIDEST), options)
         if command is None:
             continue
@@ -107,5 +113,5 @@ def _sentence(problem: TransientProblem, wide: TransientProblem, name: str, comm
     stated = float(worst.bound[np.isfinite(worst.bound)].min())
     return (
         f"{name} {worst.excess[k]:.3g} {unit} over its {stated:g} {worst.unit} at {time_ms:.1f} ms at the least; "
-        f"{enough:.6g} {worst.unit} would do"
+        f"{rounded_up(enough):.8g} {worst.unit} would do"
     )

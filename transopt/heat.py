@@ -7,22 +7,11 @@ from scipy import linalg
 
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
+from transopt.errors import InputError
 from transopt.signals import FloatArray
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
-SMOOTHING_A = 5e-3  # s of |i| = i^2 / sqrt(i^2 + s^2): Newton stumbles over a kink; heats 1e-5 K less over a tap
-BEND = 0.0358  # -s times the most negative curvature of that function, at |i| = 2 s
 ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
-
-
-def _size(current_A: FloatArray, smoothing_A: float) -> FloatArray:
-    """|i| without its kink, from below: short of |i| by at most 0.3 s, by s^2 / (2 |i|) for large currents."""
-    return np.asarray(current_A**2 / np.hypot(current_A, smoothing_A))
-
-
-def _size_slope(current_A: FloatArray, smoothing_A: float) -> FloatArray:
-    norm = np.hypot(current_A, smoothing_A)
-    return np.asarray(current_A * (current_A**2 + 2 * smoothing_A**2) / norm**3)
 
 
 @dataclass(frozen=True)
@@ -30,52 +19,47 @@ class Heating:
     """Mean of i_eff^2 over one servo period as a function of the current i_k and the command c_k.
 
     The current goes exponentially, hence monotonically, to i_(k+1) = decay i_k + (1 - decay) c_k, so its mean square
-    is a convex quadratic in the two; the mean of |i| is taken as if the sign did not change on the way.
+    is a convex quadratic in the two, and the mean of |i| is |mean of i| unless the sign changes on the way:
+    mean i_eff^2 = quadratic + 2 * 0.02 A |mean i| + (0.02 A)^2, convex throughout.
 
     Attributes
     ----------
     decay : exp(-w dt), 0 for an ideal amplifier (i = c_k throughout).
-    square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2. size : weight of |i_k|; that of |i_(k+1)| is the rest.
-    smoothing_A : of |i|.
+    square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2. share : weight of i_k in the mean current.
     """
 
     decay: float
     square: FloatArray
-    size: float
-    smoothing_A: float = SMOOTHING_A
+    share: float
 
     def after(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
         """i_(k+1)."""
         return np.asarray(self.decay * current_A + (1 - self.decay) * command_A)
 
+    def mean_current(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """(...) mean of i over the period [A]."""
+        return np.asarray(self.share * current_A + (1 - self.share) * self.after(current_A, command_A))
+
     def mean_square(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
         """(...) mean of i_eff^2 = (|i| + 0.02 A)^2 over the period [A^2]."""
-        a, b, s = current_A, self.after(current_A, command_A), self.smoothing_A
-        size = self.size * _size(a, s) + (1 - self.size) * _size(b, s)
+        a, b = current_A, self.after(current_A, command_A)
         quadratic = self.square[0] * a * a + self.square[1] * a * b + self.square[2] * b * b
+        size = np.abs(self.mean_current(current_A, command_A))
         return np.asarray(quadratic + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
 
-    def gradient(self, current_A: FloatArray, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of `mean_square` by the current and by the command, (...) each [A]."""
-        a, b, s = current_A, self.after(current_A, command_A), self.smoothing_A
-        by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * PWM_RIPPLE_A * self.size * _size_slope(a, s)
-        by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * PWM_RIPPLE_A * (1 - self.size) * _size_slope(b, s)
+    def gradient(
+        self, current_A: FloatArray, command_A: FloatArray, sign: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of `mean_square` by the current and by the command, (...) each [A].
+
+        Parameters
+        ----------
+        sign : (...) slope of |mean i|: its sign, and any number from -1 to 1 where it is zero.
+        """
+        a, b = current_A, self.after(current_A, command_A)
+        by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * PWM_RIPPLE_A * self.share * sign
+        by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * PWM_RIPPLE_A * (1 - self.share) * sign
         return by_a + self.decay * by_b, (1 - self.decay) * by_b
-
-    @property
-    def is_convex(self) -> bool:
-        """Whether the square outweighs the bend of the smoothed size, for every current."""
-        bend = 2 * PWM_RIPPLE_A * BEND / self.smoothing_A
-        first, cross, last = self.square
-        a, b = 2 * first - bend * self.size, 2 * last - bend * (1 - self.size)
-        return bool(a + b > 0 and a * b >= cross**2)
-
-    def convex(self) -> "Heating":
-        """The same or, with more smoothing and therefore from below, a convex one."""
-        found = self
-        while not found.is_convex:
-            found = replace(found, smoothing_A=2 * found.smoothing_A)
-        return found
 
 
 def heating(amplifier: Amplifier | None, dt_s: float) -> Heating:
@@ -222,9 +206,8 @@ class ThermalLimit:
         peak_A : limit current, which bounds the ripple of the winding's temperature.
         """
         model, coil = self.model, self.coil
-        under = model.heating.convex()
         if self.period_s is None:
-            return replace(self, model=replace(model, heating=under, copper=0.0))
+            return replace(self, model=replace(model, copper=0.0))
         N, limit = model.gain.size, self.limit_C
         share = N * self.dt_s / self.period_s
 
@@ -241,7 +224,7 @@ class ThermalLimit:
         headroom = np.full(N, np.inf)
         headroom[-1] = allowed * (1 + ROUNDING) - pause
         mean = HeatModel(
-            heating=under,
+            heating=model.heating,
             M=np.eye(1),
             b=np.array([share / N]),
             gain=np.ones(N),
@@ -269,7 +252,9 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
     unpowered = np.full(N + 1, coil.rest_C)
     closure = None
     if budget.tap_rate_Hz is None:
-        above = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
+        # The coil starts when the first command is issued, an amplifier's delay before the first is felt.
+        start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
+        above = linalg.expm(flow * grid.delay_s) @ start
         for k in range(N + 1):
             unpowered[k] += above[0]
             above = M @ above
@@ -278,7 +263,12 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         pause = held.copy()
         pause[:m, 0] += inflow * power * COPPER_PER_K
         pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
-        paused = linalg.expm(pause * (1 / budget.tap_rate_Hz - N * dt))
+        pause_s = 1 / budget.tap_rate_Hz - N * dt
+        if not pause_s > 0:
+            raise InputError(
+                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {N * dt * 1e3:g} ms: lower it"
+            )
+        paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
     model = HeatModel(
         heating=heating(amplifier, dt),

@@ -21,7 +21,7 @@ from transopt.signals import FloatArray
 from transopt.supply import Circuit, Supply
 from transopt.thermal import CoilModel
 from transopt.wall import HandOver, Wall
-from transopt.weighting import pacinian
+from transopt.weighting import error_filter
 
 SCHEMA = 1
 HASH_FIELD = "content_sha256"
@@ -37,6 +37,7 @@ MULTIPLIER_FIELDS = {
     "supply_after_lower": "mu_supply_after_lower",
     "supply_after_upper": "mu_supply_after_upper",
     "temperature_upper": "mu_temperature_upper",
+    "current_sign": "current_sign",
     "hand_over": "mu_end",
 }
 # Shape of each array in the sizes v (speeds), g (grips), N (stages), h (hand-over), n (plant states), s (further
@@ -78,6 +79,7 @@ SHAPES = {
     "mu_supply_after_lower": "vgN",
     "mu_supply_after_upper": "vgN",
     "mu_temperature_upper": "vgN",
+    "current_sign": "vgN",
     "mu_end": "vgh",
     "plant_A": "gnn",
     "plant_B": "gn1",
@@ -97,7 +99,7 @@ MAY_BE_NAN = ("peak_temperature_C",)  # unknown where the drive is stated at the
 OPTIONAL = {
     "slew_A_per_s": ("mu_slew_lower", "mu_slew_upper"),
     "supply_V": tuple(f"mu_supply_{side}" for side in ("before_lower", "before_upper", "after_lower", "after_upper")),
-    "temperature_C": ("mu_temperature_upper",),
+    "temperature_C": ("mu_temperature_upper", "current_sign"),
     "spread": tuple(f"spread_{matrix}" for matrix in PLANT),
 }
 META_KEYS = {
@@ -192,6 +194,7 @@ class Library:
     mu_supply_after_lower: FloatArray
     mu_supply_after_upper: FloatArray
     mu_temperature_upper: FloatArray
+    current_sign: FloatArray
     mu_end: FloatArray
     plant_A: FloatArray
     plant_B: FloatArray
@@ -260,7 +263,7 @@ class Library:
             supply=supply,
             wall=hand_over,
             thermal=None if coil is None else thermal_limit(coil, amplifier, grid, self.budget()),
-            error_filter=pacinian(grid.dt_s) if meta["weights"]["error_filter"] == "pacinian" else None,
+            error_filter=error_filter(meta["weights"]["error_filter"], grid.dt_s),
             spread=self.spread(ig),
         )
         if wall is None:

@@ -124,10 +124,8 @@ def _check_problem(path: Path, library: Library) -> None:
         raise InputError(f"{path}: speeds_m_s must be > 0 and grips_N >= 0; {advice}")
     try:
         grid = library.time_grid()
-        sound = 0 < grid.dt_s < np.inf and 0 <= grid.lead_s < np.inf and 0 <= grid.delay_s < np.inf
-        library.coil()
+        if not (0 < grid.dt_s < np.inf and 0 <= grid.lead_s < np.inf and 0 <= grid.delay_s < np.inf):
+            raise InputError("dt_s must be > 0, lead_s and delay_s >= 0, all finite")
         library.problem(0, 0)
     except (InputError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path}: meta does not describe a problem ({error}); {advice}") from None
-    if not sound:
-        raise InputError(f"{path}: meta: dt_s must be > 0, lead_s and delay_s >= 0, all finite; {advice}")

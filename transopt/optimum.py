@@ -142,7 +142,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     answer = solve_certified(small, options)
     answer = replace(answer, solve_time_s=spent + answer.solve_time_s)
     remarks = []
-    if not is_stationary(small, answer) and not inside(small, np.zeros(small.grid.stages)):
+    idle = small.wall is None and inside(small, np.zeros(small.grid.stages))
+    if not is_stationary(small, answer) and not idle:
         # Doing nothing is no way out either: perhaps there is none, whatever the solver called it.
         remarks = infeasibility(small, options)
         answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer

@@ -1,14 +1,18 @@
 """What binds, in the user's words: the price of each limit and the least limit that would not bind (DESIGN 4)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from transopt.certify import boxes
-from transopt.problem import Multipliers, TransientProblem
+from transopt.explain import rounded_up, widened
+from transopt.parts import leave_out
+from transopt.problem import Multipliers, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
+from transopt.solvers import SolverOptions, solve_certified
 
 WORTH_SAYING = 1e-9  # of J per unit of the limit
+AMPLE = 1.5  # times what the unlimited optimum takes: out of the way
 STEP_SHARE = 0.25  # of the limit, at most, by which it is raised in the sentence
 
 
@@ -21,7 +25,7 @@ class Price:
     limit, unit : name and unit. bound : where it stands; for the coil the temperature.
     slope : dNRMSE per unit of the limit, negative; from the multipliers.
     step : by how much it is raised in the sentence. nrmse, then : now and, to first order, after that step.
-    enough : least bound at which it would not bind: what the unlimited optimum takes.
+    enough : least bound at which it would not bind, the other limits as they are.
     """
 
     limit: str
@@ -38,18 +42,12 @@ class Price:
         return (
             f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {_step_unit(self.unit)} more: "
             f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
-            f"would not bind from {_rounded_up(self.enough, self.bound):.8g} {self.unit} on"
+            f"would not bind from {rounded_up(self.enough):.8g} {self.unit} on"
         )
 
 
 def _step_unit(unit: str) -> str:
     return "K" if unit == "C" else unit
-
-
-def _rounded_up(value: float, bound: float) -> float:
-    """Up to a hundredth of a percent of the bound, so that what is printed is enough."""
-    grain = 10.0 ** np.floor(np.log10(abs(bound)) - 3)
-    return float(np.ceil(value / grain) * grain)
 
 
 def _round_step(size: float) -> float:
@@ -58,14 +56,42 @@ def _round_step(size: float) -> float:
     return float(max(m for m in (1, 2, 5) if m * power <= size * (1 + 1e-12)) * power)
 
 
+def _peak(problem: TransientProblem, name: str, command_A: FloatArray) -> float:
+    """Largest value that a command reaches of what one limit bounds."""
+    found = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
+    return max(float(np.abs(box.value[np.isfinite(box.bound)]).max()) for box in found if box.name == name)
+
+
+def _bound(problem: TransientProblem, name: str) -> float:
+    rest = np.zeros(problem.grid.stages)
+    found = boxes(problem, rest, problem.stage.motion(rest), Multipliers.zero(problem))
+    return next(float(box.bound.min()) for box in found if box.name == name)
+
+
+def _enough(problem: TransientProblem, name: str, unlimited_A: FloatArray, options: SolverOptions) -> float:
+    """Least bound at which one limit would not bind, the others as they are."""
+    unlimited = _peak(problem, name, unlimited_A)
+    if name == "coil":
+        wide = replace(problem, thermal=None)
+    else:
+        wide = widened(problem)[name](AMPLE * max(unlimited / _bound(problem, name), 1.0))
+    answer = solve_certified(leave_out(wide).problem, options)
+    return _peak(problem, name, answer.command_A) if answer.status is Status.OPTIMAL else unlimited
+
+
 def prices(
-    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, unlimited_A: FloatArray
+    problem: TransientProblem,
+    command_A: FloatArray,
+    multipliers: Multipliers,
+    unlimited_A: FloatArray,
+    options: SolverOptions,
 ) -> list[Price]:
     """Price of every limit that binds; empty if none does or if the error is not the plain one of one device.
 
     J is the squared NRMSE but for the movement term, so dNRMSE = dJ / (2 NRMSE) and dJ = -sum of the multipliers per
     unit of the limit; the current limit also stands in the movement term. Where the NRMSE goes linearly with the
     limit, as it does for a peak that is cut off, the step's figure is nearly exact; it never falls below the floor.
+    What is enough takes one more solve for each limit that binds: with that limit out of the way, the others kept.
     """
     if problem.error_filter is not None or problem.spread or problem.reference_is_zero:
         return []
@@ -73,9 +99,6 @@ def prices(
     motion, free = stage.motion(command_A), stage.motion(unlimited_A)
     error, floor = nrmse(motion.acceleration_m_s2, r), nrmse(free.acceleration_m_s2, r)
     movement = np.diff(command_A, prepend=0.0)
-    wanted: dict[str, float] = {}
-    for box in boxes(problem, unlimited_A, free, multipliers):
-        wanted[box.name] = max(wanted.get(box.name, 0.0), float(np.abs(box.value[np.isfinite(box.bound)]).max()))
     gains: dict[str, float] = {}
     units, bounds, room = {}, {}, {}
     for box in boxes(problem, command_A, motion, multipliers):
@@ -98,5 +121,6 @@ def prices(
         step = _round_step(STEP_SHARE * room[name])
         slope = -gain / (2 * error)
         then = max(error + slope * step, floor)
-        found.append(Price(name, units[name], bounds[name], slope, step, error, then, wanted[name]))
+        enough = _enough(problem, name, unlimited_A, options)
+        found.append(Price(name, units[name], bounds[name], slope, step, error, then, enough))
     return sorted(found, key=lambda price: price.then)

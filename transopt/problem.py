@@ -199,6 +199,8 @@ class Multipliers:
     slew_lower, slew_upper : (N,) of the box on dc.
     supply_before_lower, ..., supply_after_upper : (N,) of the voltage just before and after the switching instants.
     temperature_upper : (N,) of the winding's limit at tau_(k+1).
+    current_sign : (N,) slope of |mean i| over period k, -1 to 1, by which the ripple heats; no multiplier itself,
+        but a ratio of two: where the mean current is zero, the optimum decides which it is.
     hand_over : (hand_over_samples,) of c_k = feedback command.
     """
 
@@ -213,6 +215,7 @@ class Multipliers:
     supply_after_lower: FloatArray
     supply_after_upper: FloatArray
     temperature_upper: FloatArray
+    current_sign: FloatArray
     hand_over: FloatArray
 
     @classmethod
@@ -224,8 +227,9 @@ class Multipliers:
 
     def clipped(self) -> "Multipliers":
         """The same with every negative multiplier of a limit set to zero."""
-        limits = {f.name: np.maximum(getattr(self, f.name), 0.0) for f in fields(self) if f.name != "hand_over"}
-        return replace(self, **limits)
+        free = {"hand_over", "current_sign"}
+        limits = {f.name: np.maximum(getattr(self, f.name), 0.0) for f in fields(self) if f.name not in free}
+        return replace(self, **limits, current_sign=np.clip(self.current_sign, -1.0, 1.0))
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
         *lines,
         "",
         "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, down to the floor at "
-        "most. The last figure of a line is what the unlimited optimum takes.",
+        "most. The last figure of a line is what the optimum takes with that limit out of the way, the others kept.",
     ]
 
 

@@ -31,7 +31,7 @@ from transopt.scene_sections import (
 from transopt.supply import Circuit
 from transopt.thermal import CoilModel
 from transopt.wall import Wall
-from transopt.weighting import ErrorFilter, pacinian
+from transopt.weighting import ErrorFilter, error_filter
 
 
 class Scene(Section):
@@ -97,6 +97,11 @@ class Scene(Section):
         budgets = (self.thermal.headroom_K, self.thermal.tap_rate_Hz)
         if budgets != (None, None) and self.motor is None:
             raise ValueError("thermal.headroom_K and thermal.tap_rate_Hz need [motor]: a tip states no coil")
+        if self.motor is not None and self.thermal.start_winding_C > self.motor.winding_max_C:
+            raise ValueError(
+                f"thermal.start_winding_C = {self.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
+                f"{self.motor.winding_max_C:g} C: let it cool"
+            )
         window = self.time_grid().stages * self.time.dt_s
         if self.thermal.tap_rate_Hz is not None and self.thermal.tap_rate_Hz * (window + self.time.dt_s) >= 1:
             raise ValueError(
@@ -204,7 +209,7 @@ class Scene(Section):
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
     def error_filter(self) -> ErrorFilter | None:
-        return pacinian(self.time.dt_s) if self.weights.error_filter == "pacinian" else None
+        return error_filter(self.weights.error_filter, self.time.dt_s)
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
         """Grips around a node that its command shall serve besides, the node itself not among them."""

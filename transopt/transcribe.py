@@ -1,9 +1,9 @@
 """The optimal-control problem, stated once, in CasADi (DESIGN 4).
 
-Every solver reads its data from this statement. Variables are stage-wise [dc_k, x_(k+1), th_(k+1)], k = 0..N-1: the
-command's movement, the linear states of `linear` in physical scale, and where the temperature is in the problem the
-nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where the taps repeat. Current, command and movement
-are single variables, so that their limits are boxes. Nothing is condensed.
+Every solver reads its data from this statement. Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1:
+the command's movement, the linear states of `linear` in physical scale, and where the temperature is in the problem
+the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable; th_0 is one, in front, where taps
+repeat. Current, command and movement are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
 from dataclasses import dataclass, fields
@@ -19,6 +19,7 @@ from transopt.signals import FloatArray
 from transopt.thermal import PWM_RIPPLE_A
 
 REPEATED_WEIGHT = 1e3
+SIZE_BOUND = 2.0  # of the limit current
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,14 @@ class Shape:
     repeated: bool
 
     @property
+    def controls(self) -> int:
+        """Movement, and with the temperature the size of the mean current."""
+        return 1 + int(self.nodes > 0)
+
+    @property
     def variables(self) -> int:
         """Variables of one stage."""
-        return 1 + self.layout.states + self.nodes
+        return self.controls + self.layout.states + self.nodes
 
     @property
     def first(self) -> int:
@@ -50,7 +56,7 @@ class Shape:
     @property
     def command(self) -> int:
         """Index of the command among a stage's variables."""
-        return self.layout.states
+        return self.controls + self.layout.states - 1
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,8 @@ class Program:
     ----------
     x : MX (variables, 1), stage by stage. p : MX parameters (see `parameters`).
     f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, rows kind by kind.
-    rows : kind -> where it stands in g: "dynamics", "heat", "pause", "hand_over", "supply_before", "supply_after".
+    rows : kind -> where it stands in g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over",
+        "supply_before", "supply_after".
     row_stages : (rows,) stage that each row belongs to. stage_order : permutation of g that sorts them by it.
     qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub. With the temperature
         (`nlp_only`) there is none.
@@ -119,10 +126,9 @@ class _HeatSymbols:
     gain: ca.MX
     copper: ca.MX
     square: ca.MX
-    size: ca.MX
+    share: ca.MX
     decay: ca.MX
     ripple: ca.MX
-    smoothing: ca.MX
     F: ca.MX
     f: ca.MX
 
@@ -132,11 +138,13 @@ class _HeatSymbols:
         sizes = {"M": (m, m), "b": (m, 1), "gain": (1, shape.stages), "square": (3, 1), "F": (m, m), "f": (m, 1)}
         return cls(**{field.name: ca.MX.sym(field.name, *sizes.get(field.name, (1, 1))) for field in fields(cls)})
 
-    def mean_square(self, current: ca.MX, command: ca.MX) -> ca.MX:
-        """Mean of i_eff^2 over a period; `heat.Heating.mean_square`, in units of the limit current."""
+    def mean_current(self, current: ca.MX, command: ca.MX) -> ca.MX:
+        """`heat.Heating.mean_current`, in units of the limit current."""
+        return self.share * current + (1 - self.share) * (self.decay * current + (1 - self.decay) * command)
+
+    def mean_square(self, current: ca.MX, command: ca.MX, size: ca.MX) -> ca.MX:
+        """Mean of i_eff^2 over a period; `heat.Heating.mean_square` with |mean i| a variable of its own."""
         a, b = current, self.decay * current + (1 - self.decay) * command
-        norm_a, norm_b = ca.sqrt(a**2 + self.smoothing**2), ca.sqrt(b**2 + self.smoothing**2)
-        size = self.size * a**2 / norm_a + (1 - self.size) * b**2 / norm_b
         quadratic = self.square[0] * a**2 + self.square[1] * a * b + self.square[2] * b**2
         return quadratic + 2 * self.ripple * size + self.ripple**2
 
@@ -147,7 +155,8 @@ def state_program(shape: Shape) -> Program:
     N, n, m, h, where = shape.stages, shape.layout.states, shape.nodes, shape.hand_over_samples, shape.layout
     variables = ca.MX.sym("stages", shape.variables, N)
     first = ca.MX.sym("start", shape.first)
-    movement, after, rise = variables[0, :], variables[1 : n + 1, :], variables[n + 1 :, :]
+    movement, after = variables[0, :], variables[shape.controls : shape.controls + n, :]
+    rise = variables[shape.controls + n :, :]
     A_values, A = _sparse_symbol("A", where.dynamics_mask())
     C_values, C = _sparse_symbol("C", where.output_mask())
     B, E = ca.MX.sym("B", n), ca.MX.sym("E", where.devices)
@@ -171,10 +180,15 @@ def state_program(shape: Shape) -> Program:
         symbols += [getattr(heat, field.name) for field in fields(_HeatSymbols)]
         warm = ca.horzcat(first if shape.repeated else ca.MX(m, 1), rise[:, :-1])
         current = before[where.current, :] if where.amplifier else ca.MX(1, N)
-        power = (heat.gain + heat.copper * warm[0, :]) * heat.mean_square(current, before[-1, :] + movement)
+        size, issued = variables[1, :], before[-1, :] + movement
+        power = (heat.gain + heat.copper * warm[0, :]) * heat.mean_square(current, issued, size)
         # A step's own rise is tiny beside the headroom of taps that repeat: the row is weighed to be met as exactly.
         weight = REPEATED_WEIGHT if shape.repeated else 1.0
         kinds.append(("heat", ca.vec(weight * (rise - heat.M @ warm - heat.b @ power)), np.repeat(every, m)))
+        # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
+        mean = heat.mean_current(current, issued)
+        kinds.append(("size_above", ca.vec(size - mean), every))
+        kinds.append(("size_below", ca.vec(size + mean), every))
         if shape.repeated:
             kinds.append(("pause", weight * (first - heat.F @ rise[:, -1] - heat.f), np.full(m, N)))
     if where.feedback_delay is None:
@@ -272,10 +286,9 @@ def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kel
             "gain": model.gain,
             "copper": [model.copper * kelvin],
             "square": model.heating.square,
-            "size": [model.heating.size],
+            "share": [model.heating.share],
             "decay": [model.heating.decay],
             "ripple": [PWM_RIPPLE_A / unit],
-            "smoothing": [model.heating.smoothing_A / unit],
             "F": F.T.ravel(),
             "f": f / kelvin,
         }
@@ -302,9 +315,11 @@ def _variable_bounds(
     else:
         upper[:, shape.command] = limits.command_A / stage.current_A
         # The current at tau_N follows the hand-over, so the horizon's limits end at the instant before.
-        upper[:-1, 1 + where.current] = 1.0
+        upper[:-1, shape.controls + where.current] = 1.0
     lower = -upper
     if problem.thermal is not None:
+        # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
+        lower[:, 1], upper[:, 1] = -SIZE_BOUND, SIZE_BOUND
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
     front = np.full(shape.first, np.inf)
     return np.append(-front, lower.ravel()), np.append(front, upper.ravel())
@@ -314,6 +329,8 @@ def _row_bounds(problem: TransientProblem, shape: Shape, stage: LinearStage) -> 
     program = state_program(shape)
     lower, upper = np.zeros(program.g.numel()), np.zeros(program.g.numel())
     _, constant = hand_over_rows(problem, stage)
+    for kind in ("size_above", "size_below"):
+        upper[program.rows.get(kind, slice(0, 0))] = np.inf
     lower[program.rows["hand_over"]] = upper[program.rows["hand_over"]] = constant
     if problem.supply is not None:
         nominal = problem.supply.nominal_V / problem.supply.limit_V
@@ -358,13 +375,18 @@ def multipliers(statement: Statement, lam_x: FloatArray, lam_g: FloatArray) -> M
         on_current, on_command = on_command, zero
     else:
         # The variable of stage k is the current at tau_(k+1); the current at tau_0 is zero and has no limit.
-        on_current = np.append(0.0, boxes[:-1, 1 + shape.layout.current]) * unit
+        on_current = np.append(0.0, boxes[:-1, shape.controls + shape.layout.current]) * unit
     on_movement = boxes[:, 0] * unit if problem.limits.slew_A_per_s is not None else zero
     before, after = zero, zero
     if problem.supply is not None:
         per_volt = OBJECTIVE_SCALE / problem.supply.limit_V
         before = np.append(0.0, lam_g[rows["supply_before"]]) * per_volt
         after = lam_g[rows["supply_after"]] * per_volt
+    sign = zero
+    if shape.nodes:
+        above, below = (np.maximum(-lam_g[rows[kind]], 0.0) for kind in ("size_above", "size_below"))
+        # The two share what the size is worth; where it is worth nothing any sign will do.
+        sign = (above - below) / np.maximum(above + below, np.finfo(float).tiny)
     on_winding = zero if shape.nodes == 0 else boxes[:, shape.command + 1] * OBJECTIVE_SCALE / statement.kelvin
     return Multipliers(
         current_lower=-on_current,
@@ -378,6 +400,7 @@ def multipliers(statement: Statement, lam_x: FloatArray, lam_g: FloatArray) -> M
         supply_after_lower=-after,
         supply_after_upper=after,
         temperature_upper=on_winding,
+        current_sign=sign,
         hand_over=lam_g[rows["hand_over"]] * unit,
     ).clipped()
 
@@ -399,7 +422,7 @@ def _size(shape: Shape) -> Size:
         nonzeros = program.qp_data.sparsity_out("A").nnz()
     else:
         nonzeros = ca.Function("rows", [program.x, program.p], [program.g]).jac_sparsity(0, 0).nnz()
-    return Size(shape.variables - 1, program.x.numel(), program.g.numel(), nonzeros)
+    return Size(shape.variables - shape.controls, program.x.numel(), program.g.numel(), nonzeros)
 
 
 def size(problem: TransientProblem) -> Size:

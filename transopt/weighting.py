@@ -34,6 +34,18 @@ class ErrorFilter:
         return A, B, C, D
 
 
+def error_filter(name: str, dt_s: float) -> ErrorFilter | None:
+    """The filter of a scene or a library by its name.
+
+    Raises
+    ------
+    InputError : unknown name.
+    """
+    if name not in ("none", "pacinian"):
+        raise InputError(f"weights.error_filter = {name!r}: unknown; choose none or pacinian")
+    return pacinian(dt_s) if name == "pacinian" else None
+
+
 def pacinian(dt_s: float) -> ErrorFilter:
     """Band-pass at 275 Hz, Q 0.5, unit peak, over a floor of -20 dB.
 

@@ -1,4 +1,4 @@
-"""FATROP through CasADi: an interior-point method that eliminates stage by stage; the first choice for the NLP."""
+"""FATROP through CasADi: an interior-point method that eliminates stage by stage."""
 
 import time
 from functools import lru_cache
@@ -12,6 +12,7 @@ from transopt.signals import FloatArray
 from transopt.solvers.options import SolverOptions
 
 RELAXED = 1e-8  # by which the method widens every bound, times max(1, |bound|); CasADi does not let it be turned off
+LEAST_NLP_TOLERANCE = 1e-8  # with the temperature, it asks for more digits than it has and does not end
 SOLVED = "0"  # the plugin's return status is a number; it does not tell what else went wrong
 
 
@@ -27,9 +28,10 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
     N, order = shape.stages, program.stage_order
     # Stage k has the state after stage k - 1 and the movement dc_k; its limits are the rows that are no dynamics.
     limits = np.bincount(program.row_stages[program.stage_order], minlength=N + 1)
-    limits[:N] -= shape.variables - 1
+    limits[:N] -= shape.variables - shape.controls
+    tolerance = max(options.tolerance, LEAST_NLP_TOLERANCE) if shape.nodes else options.tolerance
     equality = np.ones(program.g.numel(), dtype=bool)
-    for kind in ("supply_before", "supply_after"):
+    for kind in ("size_above", "size_below", "supply_before", "supply_after"):
         equality[program.rows.get(kind, slice(0, 0))] = False
     return ca.nlpsol(
         "fatrop",
@@ -39,11 +41,11 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
             "print_time": False,
             "structure_detection": "manual",
             "N": N,
-            "nx": [0, *[shape.variables - 1] * N],
-            "nu": [*[1] * N, 0],
+            "nx": [0, *[shape.variables - shape.controls] * N],
+            "nu": [*[shape.controls] * N, 0],
             "ng": limits.tolist(),
             "equality": equality[order].tolist(),
-            "fatrop": {"print_level": 0, "tolerance": options.tolerance, "max_iter": options.max_iterations},
+            "fatrop": {"print_level": 0, "tolerance": tolerance, "max_iter": options.max_iterations},
         },
     )
 

@@ -1,4 +1,4 @@
-"""IPOPT through CasADi: the independent second method for the QP, the reference for the NLP; the same statement."""
+"""IPOPT through CasADi: the independent second method for the QP, the first choice for the NLP."""
 
 import time
 from functools import lru_cache
