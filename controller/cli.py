@@ -1,0 +1,143 @@
+"""The runtime's command line (DESIGN 10): play a library's taps.
+
+Exit codes: 0 done, 1 a result fell short (a fault, or nothing was played), 2 bad input. Heavy imports stand inside
+the commands, so that help and errors come at once.
+"""
+
+import sys
+import tempfile
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from transopt.errors import InputError
+
+if TYPE_CHECKING:
+    from transopt.library import Library
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Play a library of transients.",
+)
+
+WIDTH = 140  # of tables without a terminal, so that logs and pipes keep whole lines
+
+
+@app.callback()
+def play() -> None:
+    """Play a library of transients."""
+
+
+def _checked(option: str, value: float, low: float, high: float, unit: str) -> float:
+    if not low <= value <= high:
+        raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
+    return value
+
+
+def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -> tuple[float, float]:
+    """What was asked for, or the grid's middle node."""
+    speeds, grips = library.speeds_m_s, library.grips_N
+    speed = float(speeds[speeds.size // 2]) if speed_m_s is None else speed_m_s
+    return speed, float(grips[grips.size // 2]) if grip_N is None else grip_N
+
+
+def _make_folder(folder: Path) -> None:
+    """Make sure that a folder can be written before any work is done for it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+
+
+@app.command()
+def tap(
+    library: Annotated[Path, typer.Argument(help="library.npz")],
+    simulate: Annotated[bool, typer.Option("--simulate", help="On the simulator, in virtual time.")] = False,
+    speed: Annotated[float | None, typer.Option(help="Incoming speed in m/s; default the grid's middle.")] = None,
+    grip: Annotated[float | None, typer.Option(help="Grip in N; default the grid's middle.")] = None,
+    gain: Annotated[float, typer.Option(help="Scale of what is played, 0 to 1.")] = 1.0,
+    method: Annotated[str, typer.Option(help="How taps are rendered.")] = "bilinear",
+    seed: Annotated[int, typer.Option(help="Of phase, noise and mismatch.")] = 0,
+    mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
+    crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
+    user: Annotated[str, typer.Option(help="mild, yielding, stopping or recorded.")] = "mild",
+    real_time: Annotated[bool, typer.Option("--real-time", help="Paced by the clock, to watch telemetry.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
+) -> None:
+    """Play one tap and say how well: latency, error, peak, spectrum, rate-hardness, temperature."""
+    from controller.bank import Method, bank
+    from controller.experiment import Tap, play_tap
+    from controller.loop import WallClock
+    from controller.servo import Servo
+    from controller.settings import Settings
+    from controller.simulator import Imperfections
+    from controller.tables import tap_table
+    from controller.telemetry import Telemetry
+    from controller.user import Habit
+    from transopt.library_file import load_library
+
+    if not simulate:
+        raise InputError("tap: no device named: give --simulate")
+    methods, habits = [choice.value for choice in Method], [choice.value for choice in Habit]
+    if method not in methods:
+        raise InputError(f"--method {method}: must be one of {', '.join(methods)}")
+    if user not in habits:
+        raise InputError(f"--user {user}: must be one of {', '.join(habits)}")
+    _checked("gain", gain, 0.0, 1.0, "")
+    _checked("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
+    _checked("crossover", crossover, 0.0, 1.0, " A")
+    _checked("seed", seed, 0, 2**63 - 1, "")
+    loaded = load_library(library)
+    speed_m_s, grip_N = _middle(loaded, speed, grip)
+    _checked("speed", speed_m_s, 0.01, 5.0, " m/s, what a hand does")
+    _checked("grip", grip_N, 0.0, 60.0, " N, what a hand does")
+    if out is not None:
+        _make_folder(out)
+    servo = Servo(Settings.of(loaded), bank(loaded, Method(method)))
+    servo.set_gain(gain)
+    wanted = Tap(
+        speed_m_s,
+        grip_N,
+        gain=gain,
+        habit=Habit(user),
+        seed=seed,
+        imperfections=Imperfections(mismatch=mismatch, crossover_A=crossover),
+    )
+    with nullcontext() if out is None else Telemetry(out, loaded.meta["dt_s"]) as telemetry:
+        played = play_tap(
+            loaded,
+            servo,
+            wanted,
+            observe=None if telemetry is None else telemetry.record,
+            clock=WallClock() if real_time else None,
+        )
+    console = Console(markup=False, width=None if sys.stdout.isatty() else WIDTH)
+    title = f"{library}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
+    console.print(tap_table(played, loaded, title))
+    if real_time:
+        console.print(f"fell behind the clock by {played.behind_s * 1e3:.1f} ms at most", highlight=False)
+    if out is not None:
+        from controller.figures import tap_figure
+        from controller.telemetry import CSV_NAME, NPZ_NAME
+        from transopt.figures import save_figure
+
+        save_figure(tap_figure(played), out / "tap.png")
+        console.print(f"{out}: tap.png, {CSV_NAME}, {NPZ_NAME}", highlight=False, soft_wrap=True)
+    if played.metrics.faults or not played.metrics.played:
+        raise typer.Exit(1)
+
+
+def main() -> None:
+    """Entry point: errors a user can cause end in one line, never in a traceback."""
+    try:
+        app()
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
