@@ -126,7 +126,7 @@ def tap(
     if out is not None:
         from controller.figures import tap_figure
         from controller.telemetry import CSV_NAME, NPZ_NAME
-        from transopt.figures import save_figure
+        from transopt.plotting import save_figure
 
         save_figure(tap_figure(played), out / "tap.png")
         console.print(f"{out}: tap.png, {CSV_NAME}, {NPZ_NAME}", highlight=False, soft_wrap=True)

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from controller.experiment import Played
-from transopt.figures import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.signals import STANDARD_GRAVITY_M_S2
 
 BEFORE_MS = 5.0

@@ -21,9 +21,9 @@ from transopt.build import build_library
 from transopt.design import entry_problem, optimum
 from transopt.discretise import discretise
 from transopt.errors import InputError
-from transopt.figures import save_figure
 from transopt.grid_figure import grid_figure
 from transopt.library import Library
+from transopt.plotting import save_figure
 from transopt.reference import Reference, between, build_references
 from transopt.refine import DEFAULT_CAP, refine_grid
 from transopt.replay import replay

@@ -18,8 +18,8 @@ from controller.prediction import predict, speed_weights
 from controller.simulator import Imperfections, Simulator
 from controller.truth import Ground, device_of
 from controller.user import Habit, TapUser, Tremor
-from transopt.figures import save_figure
 from transopt.library import Library
+from transopt.plotting import save_figure
 from transopt.reference import Reference, between
 from transopt.scene import Scene
 from transopt.signals import FloatArray, nrmse

@@ -18,9 +18,10 @@ from matplotlib.patches import Rectangle
 from transopt.build import Build
 from transopt.design import Baselines, Entry
 from transopt.errors import InputError
-from transopt.figures import bode_figure, library_figure, method_figure, save_figure, taps_figure
+from transopt.figures import bode_figure, library_figure, method_figure, taps_figure
 from transopt.library import SHAPES, TEXTS, Library
 from transopt.models import Link, chain
+from transopt.plotting import save_figure
 from transopt.preparation import Tap
 from transopt.problem import Limits, Status
 from transopt.recording import Recording

@@ -153,7 +153,8 @@ def taps(
     console = _console()
     console.print(taps_table(prepared))
     if out is not None:
-        from transopt.figures import save_figure, taps_figure
+        from transopt.figures import taps_figure
+        from transopt.plotting import save_figure
 
         _make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
@@ -201,7 +202,8 @@ def _writers(build: "Build") -> dict[str, Callable[[Path], None]]:
     library = build.library
     if library is None:
         return {"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}
-    from transopt.figures import bode_figure, library_figure, method_figure, save_figure
+    from transopt.figures import bode_figure, library_figure, method_figure
+    from transopt.plotting import save_figure
 
     drawn: dict[str, Callable[[Path], None]] = {}
     if (refinement := build.refinement) is not None and refinement.entries > 1:
@@ -333,7 +335,8 @@ def show(
     console = _console()
     console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
     if figure is not None:
-        from transopt.figures import library_figure, save_figure
+        from transopt.figures import library_figure
+        from transopt.plotting import save_figure
 
         save_figure(library_figure(loaded), figure)
         console.print(f"figure: {figure}", highlight=False)

@@ -6,7 +6,6 @@ is too light for white paper; markers and line styles carry the same information
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,9 +17,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from transopt.certify import BINDING_MULTIPLIER, BINDING_SLACK
-from transopt.files import whole_file
 from transopt.library import Library
 from transopt.models import StateSpace
+from transopt.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.problem import AMPLITUDE_THRESHOLD, Status
 from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
@@ -29,14 +28,10 @@ if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a libra
     from transopt.design import Entry
     from transopt.preparation import Tap
 
-DPI = 150
-LABEL_PT, SMALL_PT = 9.0, 8.0
 MARKERS = "os^Dv<>P"
 LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (8, 2)))
 VIRIDIS_RANGE = (0.12, 0.8)  # darker hides the reference drawn over it, lighter fades on white paper
-OPTIMUM, SEED, CLIPPED = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's blue, vermilion and green
 BINDING = "0.86"
-DARK = "0.15"
 
 QUIET = 0.1  # of the reference's peak: the time axis is compressed once all references stay below it
 PROMINENT = 0.7  # share of the time axis before that
@@ -381,14 +376,3 @@ def taps_figure(taps: Sequence["Tap"]) -> Figure:
 
 
 # ---------------------------------------------------------------------------------------------------- file
-
-
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a PNG whole or not at all.
-
-    Raises
-    ------
-    InputError : the file cannot be written.
-    """
-    with whole_file(path) as file:
-        figure.savefig(file, format="png", dpi=DPI)

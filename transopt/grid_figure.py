@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from transopt.figures import LABEL_PT, SMALL_PT
+from transopt.plotting import LABEL_PT, SMALL_PT
 from transopt.refine import Refinement
 from transopt.scene_sections import Grid
 from transopt.signals import FloatArray

@@ -1,0 +1,23 @@
+"""What all figures share: sizes, colours, and writing them whole."""
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from transopt.files import whole_file
+
+DPI = 150
+LABEL_PT, SMALL_PT = 9.0, 8.0
+OPTIMUM, SEED, CLIPPED = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's blue, vermilion and green
+DARK = "0.15"
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a PNG whole or not at all.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    with whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=DPI)
