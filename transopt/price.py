@@ -12,7 +12,8 @@ from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, solve_certified
 
 WORTH_SAYING = 1e-9  # of J per unit of the limit
-AMPLE = 1.5  # times what the unlimited optimum takes: out of the way
+AMPLE = (1.5, 6.0, 30.0)  # times what the unlimited optimum takes: out of the way
+CLEAR = 0.999  # of a bound: what stays below is not held by it
 STEP_SHARE = 0.25  # of the limit, at most, by which it is raised in the sentence
 
 
@@ -39,10 +40,11 @@ class Price:
 
     @property
     def sentence(self) -> str:
+        enough = f"from {rounded_up(self.enough):.8g} {self.unit} on" if np.isfinite(self.enough) else "nowhere near"
         return (
             f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {_step_unit(self.unit)} more: "
             f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
-            f"would not bind from {rounded_up(self.enough):.8g} {self.unit} on"
+            f"would not bind {enough}"
         )
 
 
@@ -69,14 +71,18 @@ def _bound(problem: TransientProblem, name: str) -> float:
 
 
 def _enough(problem: TransientProblem, name: str, unlimited_A: FloatArray, options: SolverOptions) -> float:
-    """Least bound at which one limit would not bind, the others as they are."""
-    unlimited = _peak(problem, name, unlimited_A)
+    """Least bound at which one limit would not bind, the others as they are; infinite if none was found."""
     if name == "coil":
-        wide = replace(problem, thermal=None)
+        wide = [replace(problem, thermal=None)]
     else:
-        wide = widened(problem)[name](AMPLE * max(unlimited / _bound(problem, name), 1.0))
-    answer = solve_certified(leave_out(wide).problem, options)
-    return _peak(problem, name, answer.command_A) if answer.status is Status.OPTIMAL else unlimited
+        needed = max(_peak(problem, name, unlimited_A) / _bound(problem, name), 1.0)
+        wide = [widened(problem)[name](ample * needed) for ample in AMPLE]
+    for wider in wide:
+        answer = solve_certified(leave_out(wider).problem, options)
+        peak = _peak(problem, name, answer.command_A)
+        if answer.status is Status.OPTIMAL and (name == "coil" or peak < CLEAR * _bound(wider, name)):
+            return peak
+    return float("inf")
 
 
 def prices(
