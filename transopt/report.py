@@ -124,8 +124,9 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
     return [
         *lines,
         "",
-        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, which flatters it, down "
-        "to the floor at most. The last figure of a line is what the optimum takes with that limit out of the way, the others kept.",
+        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, down to the floor at "
+        "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the way, "
+        "the others kept.",
     ]
 
 
