@@ -124,7 +124,7 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
     return [
         *lines,
         "",
-        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, down to the floor at "
+        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, to the floor at "
         "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the way, "
         "the others kept.",
     ]
