@@ -125,8 +125,8 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
         *lines,
         "",
         "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, to the floor at "
-        "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the way, "
-        "the others kept.",
+        "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the "
+        "way, the others kept.",
     ]
 
 
