@@ -20,6 +20,7 @@ from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.solvers import SolverOptions, is_stationary, solve
+from transopt.statement import state
 from transopt.wall import HandOver, Wall
 
 DT_S = 1e-4
@@ -51,7 +52,7 @@ def check_same(whole: TransientProblem, small: TransientProblem, solver: str = "
 
 
 def bounds_stated(problem: TransientProblem) -> int:
-    statement = transcribe.state(problem)
+    statement = state(problem)
     return int(np.isfinite(statement.lower_x).sum() + np.isfinite(statement.upper_x).sum())
 
 

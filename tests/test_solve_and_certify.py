@@ -12,6 +12,7 @@ from transopt.certify import binding_limits, certify, reduced_gradient
 from transopt.errors import InputError
 from transopt.problem import OBJECTIVE_SCALE, Limits, Multipliers, Solution, Status, TransientProblem
 from transopt.solvers import SolverOptions, solve, unlimited
+from transopt.statement import state
 
 VARIANTS = [
     {"speed_m_s": 0.2, "grip_N": 1.0},
@@ -93,7 +94,7 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
     """Objective, dynamics and reduced gradient from CasADi's own functions, to 1e-12."""
     problem = make_problem(**variant)
     solution = solve(problem)
-    statement = transcribe.state(problem)
+    statement = state(problem)
     shape, stage, p = statement.shape, statement.stage, statement.p
     program = transcribe.state_program(shape)
     nz = shape.variables - 1
@@ -112,7 +113,7 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
     assert dynamics.stop - dynamics.start == shape.stages * nz
     assert np.abs(g[dynamics]).max() < 1e-12
     assert np.abs(g[program.rows["hand_over"]]).max() < 1e-12
-    np.testing.assert_allclose(transcribe.command(statement, x), solution.command_A, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(statement.command(x), solution.command_A, rtol=0, atol=1e-12)
 
     jacobian = program.qp_data(p=p)["A"].sparse().toarray()[dynamics] if shape.stages <= 60 else None
     if jacobian is not None:

@@ -10,7 +10,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import problems
-from transopt import transcribe
 from transopt.amplifier import Amplifier
 from transopt.certify import certify, inside
 from transopt.design import entry_problem, scene_stage
@@ -23,6 +22,7 @@ from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.solvers import SolverOptions, casadi_ipopt, global_bound, solve
+from transopt.statement import state
 from transopt.thermal import CoilModel
 
 AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit_A=6.0)
@@ -156,7 +156,7 @@ class TestOptimum:
         problem, answer = tight[0.05]
         bound = global_bound(problem, SolverOptions())
         best = certify(problem, answer.command_A, answer.multipliers).objective
-        statement = transcribe.state(problem)
+        statement = state(problem)
         nlp = casadi_ipopt.solver_object(statement.shape, SolverOptions())
         random = np.random.default_rng(11)
         for size in (0.3, 1.0):
@@ -169,7 +169,7 @@ class TestOptimum:
                 ubx=statement.upper_x,
             )
             assert nlp.stats()["return_status"] == "Solve_Succeeded"
-            command = transcribe.command(statement, np.asarray(result["x"]).ravel())
+            command = statement.command(np.asarray(result["x"]).ravel())
             objective = problem.objective(command, problem.accelerations(command))
             assert objective > bound
             assert objective == pytest.approx(best, rel=1e-6)

@@ -13,13 +13,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.linear import Layout, LinearStage, hand_over_rows, layout, linear_stage
-from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
+from transopt.linear import Layout, layout
+from transopt.problem import OBJECTIVE_SCALE, TransientProblem
 from transopt.signals import FloatArray
-from transopt.thermal import PWM_RIPPLE_A
 
 REPEATED_WEIGHT = 1e3
-SIZE_BOUND = 2.0  # of the limit current
 
 
 @dataclass(frozen=True)
@@ -99,18 +97,19 @@ def _sparse_symbol(name: str, mask: NDArray[np.bool_]) -> tuple[ca.MX, ca.MX]:
     return nonzeros, ca.MX(sparsity, nonzeros)
 
 
-def _nonzeros(matrix: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+def nonzeros(matrix: FloatArray, mask: NDArray[np.bool_]) -> FloatArray:
+    """Entries under a mask, column by column, as the program's symbols take them."""
     return np.asarray(matrix.T[mask.T])
 
 
-def _feedback_mask(where: Layout) -> NDArray[np.bool_]:
+def feedback_mask(where: Layout) -> NDArray[np.bool_]:
     """(1, n) states that the hand-over's command depends on."""
     mask = np.zeros((1, where.states), dtype=bool)
     mask[0, where.wall] = True
     return mask
 
 
-def _supply_mask(where: Layout) -> NDArray[np.bool_]:
+def supply_mask(where: Layout) -> NDArray[np.bool_]:
     """(1, n) states that the terminal voltage depends on."""
     mask = np.zeros((1, where.states), dtype=bool)
     mask[0, where.plant(0)] = mask[0, where.current] = mask[0, -1] = True
@@ -118,7 +117,7 @@ def _supply_mask(where: Layout) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class _HeatSymbols:
+class HeatSymbols:
     """Parameters of the temperature recursion, in units of the limit current and of the headroom."""
 
     M: ca.MX
@@ -133,7 +132,7 @@ class _HeatSymbols:
     f: ca.MX
 
     @classmethod
-    def make(cls, shape: Shape) -> "_HeatSymbols":
+    def make(cls, shape: Shape) -> "HeatSymbols":
         m = shape.nodes
         sizes = {"M": (m, m), "b": (m, 1), "gain": (1, shape.stages), "square": (3, 1), "F": (m, m), "f": (m, 1)}
         return cls(**{field.name: ca.MX.sym(field.name, *sizes.get(field.name, (1, 1))) for field in fields(cls)})
@@ -176,8 +175,8 @@ def state_program(shape: Shape) -> Program:
     every = np.arange(N)
     kinds.append(("dynamics", ca.vec(after - A @ before - B @ movement), np.repeat(every, n)))
     if m:
-        heat = _HeatSymbols.make(shape)
-        symbols += [getattr(heat, field.name) for field in fields(_HeatSymbols)]
+        heat = HeatSymbols.make(shape)
+        symbols += [getattr(heat, field.name) for field in fields(HeatSymbols)]
         warm = ca.horzcat(first if shape.repeated else ca.MX(m, 1), rise[:, :-1])
         current = before[where.current, :] if where.amplifier else ca.MX(1, N)
         size, issued = variables[1, :], before[-1, :] + movement
@@ -194,13 +193,13 @@ def state_program(shape: Shape) -> Program:
     if where.feedback_delay is None:
         kinds.append(("hand_over", ca.vec(after[-1, N - h :]), every[N - h :] + 1))
     else:
-        mask = np.repeat(_feedback_mask(where), h, axis=0).T
+        mask = np.repeat(feedback_mask(where), h, axis=0).T
         T_values, T = _sparse_symbol("T", mask)
         symbols.append(T_values)
         asked = before[-1, N - h :] + movement[N - h :] - ca.sum1(T * before[:, N - h :])
         kinds.append(("hand_over", ca.vec(asked), every[N - h :]))
     if shape.supply:
-        S_values, S = _sparse_symbol("S", _supply_mask(where))
+        S_values, S = _sparse_symbol("S", supply_mask(where))
         direct = ca.MX.sym("S_direct")
         symbols += [S_values, direct]
         kinds.append(("supply_before", ca.vec(S @ after[:, :-1]), every[1:]))
@@ -233,176 +232,6 @@ def program_shape(problem: TransientProblem) -> Shape:
         nodes=0 if thermal is None else thermal.model.nodes,
         repeated=thermal is not None and thermal.model.closure is not None,
     )
-
-
-@dataclass(frozen=True)
-class Statement:
-    """One problem's numbers for the program of its shape.
-
-    Attributes
-    ----------
-    p : parameters. lower_x, upper_x, lower_g, upper_g : bounds.
-    kelvin : unit of the rises; 0 without temperature.
-    """
-
-    problem: TransientProblem
-    shape: Shape
-    stage: LinearStage
-    kelvin: float
-    p: FloatArray
-    lower_x: FloatArray
-    upper_x: FloatArray
-    lower_g: FloatArray
-    upper_g: FloatArray
-
-
-def _kelvin(problem: TransientProblem) -> float:
-    """Unit of the rises: the largest headroom."""
-    if problem.thermal is None:
-        return 0.0
-    headroom = problem.thermal.model.headroom_K
-    return max(float(headroom[np.isfinite(headroom)].max()), 1e-9)
-
-
-def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float) -> FloatArray:
-    """In the order of the program's symbols; the reference enters as r / |r|."""
-    where, r = shape.layout, problem.reference_m_s2
-    filtered = r if problem.error_filter is None else problem.error_filter.apply(r)
-    values = [
-        _nonzeros(stage.A, where.dynamics_mask()),
-        stage.A[:, -1],
-        _nonzeros(stage.C, where.output_mask()),
-        stage.E,
-        filtered / np.linalg.norm(r),
-        problem.tracking_weights,
-        [problem.movement_weight * stage.current_A**2],
-    ]
-    if problem.thermal is not None:
-        model, unit = problem.thermal.model, stage.current_A
-        F, f = (np.zeros_like(model.M), np.zeros_like(model.b)) if model.closure is None else model.closure
-        heat: dict[str, FloatArray | list[float]] = {
-            "M": model.M.T.ravel(),
-            "b": model.b * unit**2 / kelvin,
-            "gain": model.gain,
-            "copper": [model.copper * kelvin],
-            "square": model.heating.square,
-            "share": [model.heating.share],
-            "decay": [model.heating.decay],
-            "ripple": [PWM_RIPPLE_A / unit],
-            "F": F.T.ravel(),
-            "f": f / kelvin,
-        }
-        values += [heat[field.name] for field in fields(_HeatSymbols)]
-    if where.feedback_delay is not None:
-        rows, _ = hand_over_rows(problem, stage)
-        values.append(rows[:, where.wall].ravel())
-    if problem.supply is not None:
-        volts = problem.supply.limit_V
-        values.append(_nonzeros(stage.supply[None] / volts, _supply_mask(where)))
-        values.append([problem.supply.by_command * stage.current_A / volts])
-    return np.concatenate([np.asarray(value, dtype=float).ravel() for value in values])
-
-
-def _variable_bounds(
-    problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float
-) -> tuple[FloatArray, FloatArray]:
-    N, limits, where = shape.stages, problem.limits, shape.layout
-    upper = np.full((N, shape.variables), np.inf)
-    if limits.slew_A_per_s is not None:
-        upper[:, 0] = limits.slew_A_per_s * problem.grid.dt_s / stage.current_A
-    if limits.command_A is None:
-        upper[:, shape.command] = 1.0
-    else:
-        upper[:, shape.command] = limits.command_A / stage.current_A
-        # The current at tau_N follows the hand-over, so the horizon's limits end at the instant before.
-        upper[:-1, shape.controls + where.current] = 1.0
-    lower = -upper
-    if problem.thermal is not None:
-        # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
-        lower[:, 1], upper[:, 1] = -SIZE_BOUND, SIZE_BOUND
-        upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
-    front = np.full(shape.first, np.inf)
-    return np.append(-front, lower.ravel()), np.append(front, upper.ravel())
-
-
-def _row_bounds(problem: TransientProblem, shape: Shape, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    program = state_program(shape)
-    lower, upper = np.zeros(program.g.numel()), np.zeros(program.g.numel())
-    _, constant = hand_over_rows(problem, stage)
-    for kind in ("size_above", "size_below"):
-        upper[program.rows.get(kind, slice(0, 0))] = np.inf
-    lower[program.rows["hand_over"]] = upper[program.rows["hand_over"]] = constant
-    if problem.supply is not None:
-        nominal = problem.supply.nominal_V / problem.supply.limit_V
-        for kind, volts in (("supply_before", nominal[1:]), ("supply_after", nominal)):
-            lower[program.rows[kind]], upper[program.rows[kind]] = -1 - volts, 1 - volts
-    return lower, upper
-
-
-def state(problem: TransientProblem) -> Statement:
-    """Numbers of one problem for the program of its shape."""
-    shape, stage, kelvin = program_shape(problem), linear_stage(problem), _kelvin(problem)
-    lower_x, upper_x = _variable_bounds(problem, shape, stage, kelvin)
-    lower_g, upper_g = _row_bounds(problem, shape, stage)
-    p = _parameters(problem, shape, stage, kelvin)
-    return Statement(problem, shape, stage, kelvin, p, lower_x, upper_x, lower_g, upper_g)
-
-
-def _by_stage(statement: Statement, x: FloatArray) -> FloatArray:
-    """(N, variables) of a program point."""
-    return x[statement.shape.first :].reshape(statement.shape.stages, statement.shape.variables)
-
-
-def command(statement: Statement, x: FloatArray) -> FloatArray:
-    """(N,) the commands of a program point [A], moved by rounding only: into the box; zero over a plain hand-over."""
-    problem = statement.problem
-    c = _by_stage(statement, x)[:, statement.shape.command] * statement.stage.current_A
-    c = np.clip(c, -problem.limits.command_bound_A, problem.limits.command_bound_A)
-    if problem.wall is None:
-        c[problem.free_stages :] = 0.0
-    return np.asarray(c)
-
-
-def multipliers(statement: Statement, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
-    """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
-    problem, shape = statement.problem, statement.shape
-    N, rows = shape.stages, state_program(shape).rows
-    unit = OBJECTIVE_SCALE / statement.stage.current_A
-    boxes = _by_stage(statement, lam_x)
-    zero = np.zeros(N)
-    on_command = boxes[:, shape.command] * unit
-    if problem.limits.command_A is None:
-        on_current, on_command = on_command, zero
-    else:
-        # The variable of stage k is the current at tau_(k+1); the current at tau_0 is zero and has no limit.
-        on_current = np.append(0.0, boxes[:-1, shape.controls + shape.layout.current]) * unit
-    on_movement = boxes[:, 0] * unit if problem.limits.slew_A_per_s is not None else zero
-    before, after = zero, zero
-    if problem.supply is not None:
-        per_volt = OBJECTIVE_SCALE / problem.supply.limit_V
-        before = np.append(0.0, lam_g[rows["supply_before"]]) * per_volt
-        after = lam_g[rows["supply_after"]] * per_volt
-    sign = zero
-    if shape.nodes:
-        above, below = (np.maximum(-lam_g[rows[kind]], 0.0) for kind in ("size_above", "size_below"))
-        # The two share what the size is worth; where it is worth nothing any sign will do.
-        sign = (above - below) / np.maximum(above + below, np.finfo(float).tiny)
-    on_winding = zero if shape.nodes == 0 else boxes[:, shape.command + 1] * OBJECTIVE_SCALE / statement.kelvin
-    return Multipliers(
-        current_lower=-on_current,
-        current_upper=on_current,
-        command_lower=-on_command,
-        command_upper=on_command,
-        slew_lower=-on_movement,
-        slew_upper=on_movement,
-        supply_before_lower=-before,
-        supply_before_upper=before,
-        supply_after_lower=-after,
-        supply_after_upper=after,
-        temperature_upper=on_winding,
-        current_sign=sign,
-        hand_over=lam_g[rows["hand_over"]] * unit,
-    ).clipped()
 
 
 @dataclass(frozen=True)

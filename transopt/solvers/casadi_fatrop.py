@@ -10,6 +10,7 @@ from transopt import transcribe
 from transopt.problem import Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers.options import SolverOptions
+from transopt.statement import state
 
 RELAXED = 1e-8  # by which the method widens every bound, times max(1, |bound|); CasADi does not let it be turned off
 LEAST_NLP_TOLERANCE = 1e-8  # with the temperature, it asks for more digits than it has and does not end
@@ -65,7 +66,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     shape = transcribe.program_shape(problem)
     nlp, order = solver_object(shape, options), transcribe.state_program(shape).stage_order
     start = time.perf_counter()
-    statement = transcribe.state(problem)
+    statement = state(problem)
     lower_x, upper_x = _narrowed(statement.lower_x, statement.upper_x)
     lower_g, upper_g = _narrowed(statement.lower_g[order], statement.upper_g[order])
     result = nlp(x0=0, p=statement.p, lbg=lower_g, ubg=upper_g, lbx=lower_x, ubx=upper_x)
@@ -76,8 +77,8 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     failed = Status.ITERATION_LIMIT if iterations >= options.max_iterations else Status.NUMERICAL_FAILURE
     return Solution(
         status=Status.OPTIMAL if message == SOLVED else failed,
-        command_A=transcribe.command(statement, np.asarray(result["x"]).ravel()),
-        multipliers=transcribe.multipliers(statement, np.asarray(result["lam_x"]).ravel(), on_rows),
+        command_A=statement.command(np.asarray(result["x"]).ravel()),
+        multipliers=statement.multipliers(np.asarray(result["lam_x"]).ravel(), on_rows),
         solver="casadi-fatrop",
         message=f"return status {message}",
         iterations=iterations,

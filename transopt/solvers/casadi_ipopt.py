@@ -9,6 +9,7 @@ import numpy as np
 from transopt import transcribe
 from transopt.problem import Solution, Status, TransientProblem
 from transopt.solvers.options import SolverOptions
+from transopt.statement import state
 
 STATUS = {
     "Solve_Succeeded": Status.OPTIMAL,
@@ -56,7 +57,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     shape = transcribe.program_shape(problem)
     nlp = solver_object(shape, options)
     start = time.perf_counter()
-    statement = transcribe.state(problem)
+    statement = state(problem)
     result = nlp(
         x0=0,
         p=statement.p,
@@ -68,10 +69,8 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     message = str(nlp.stats()["return_status"])
     return Solution(
         status=STATUS.get(message, Status.NUMERICAL_FAILURE),
-        command_A=transcribe.command(statement, np.asarray(result["x"]).ravel()),
-        multipliers=transcribe.multipliers(
-            statement, np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()
-        ),
+        command_A=statement.command(np.asarray(result["x"]).ravel()),
+        multipliers=statement.multipliers(np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_g"]).ravel()),
         solver="casadi-ipopt",
         message=message,
         iterations=int(nlp.stats()["iter_count"]),

@@ -9,6 +9,7 @@ import numpy as np
 from transopt import transcribe
 from transopt.problem import Solution, Status, TransientProblem
 from transopt.solvers.options import SolverOptions
+from transopt.statement import state
 
 # Raw strings of the plugin; anything else is a breakdown.
 STATUS = {
@@ -44,7 +45,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     shape = transcribe.program_shape(problem)
     qp, program = solver_object(shape, options), transcribe.state_program(shape)
     start = time.perf_counter()
-    statement = transcribe.state(problem)
+    statement = state(problem)
     data = program.qp_data(p=statement.p)
     result = qp(
         h=data["H"],
@@ -58,10 +59,8 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     message = str(qp.stats()["return_status"])
     return Solution(
         status=STATUS.get(message, Status.NUMERICAL_FAILURE),
-        command_A=transcribe.command(statement, np.asarray(result["x"]).ravel()),
-        multipliers=transcribe.multipliers(
-            statement, np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_a"]).ravel()
-        ),
+        command_A=statement.command(np.asarray(result["x"]).ravel()),
+        multipliers=statement.multipliers(np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_a"]).ravel()),
         solver="casadi-piqp",
         message=message,
         iterations=int(qp.stats()["iter_count"]),

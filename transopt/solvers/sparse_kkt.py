@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 from transopt import transcribe
 from transopt.problem import TransientProblem
 from transopt.signals import FloatArray
+from transopt.statement import state
 
 REFINEMENTS = 2
 
@@ -24,7 +25,7 @@ def pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDAr
 
 def movement(problem: TransientProblem) -> FloatArray:
     """(N,) optimal movement of the command in units of the limit current; NaN if the system is singular."""
-    statement = transcribe.state(replace(problem, supply=None, thermal=None))
+    statement = state(replace(problem, supply=None, thermal=None))
     shape = statement.shape
     data = transcribe.state_program(shape).qp_data(p=statement.p)
     H, A = (
