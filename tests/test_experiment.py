@@ -1,5 +1,6 @@
 """The experiment: figures of merit on known signals, nominal taps played open loop, users, pace, command line."""
 
+import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from controller.bank import bank
 from controller.cli import main
 from controller.experiment import Played, Tap, approach_ticks, play_tap
 from controller.figures import tap_figure
@@ -15,9 +17,11 @@ from controller.interface import Event, Fault, Notice, Output, Readings, State
 from controller.loop import run
 from controller.metrics import align, band_levels_dB, rate_hardness_N_m, spectral_error_dB
 from controller.prediction import predict, speed_weights
+from controller.servo import Servo
+from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
 from controller.truth import Ground, device_of
-from controller.user import Habit, TapUser, Tremor
+from controller.user import Habit, RepeatedTaps, TapUser, Tremor
 from transopt.library import Library
 from transopt.plotting import save_figure
 from transopt.reference import Reference, between
@@ -306,11 +310,50 @@ def test_figure_shows_a_tap_with_and_without_motor_data(library: Library, tmp_pa
         assert (tmp_path / name).stat().st_size > 20_000
 
 
+class TestClosedLoop:
+    """The servo of this project on the simulator, which find out for themselves what the player was told."""
+
+    @pytest.mark.parametrize("speed", [0.1, 0.3, 0.4])
+    @pytest.mark.parametrize("grip", [1.0, 5.0])
+    def test_nominal_tap_is_on_time_and_as_predicted(self, library: Library, speed: float, grip: float) -> None:
+        servo = Servo(Settings.of(library), bank(library))
+        m = play_tap(library, servo, Tap(speed, grip, imperfections=Imperfections())).metrics
+        assert abs(m.latency_s) < 20e-6
+        assert m.nrmse < 0.03
+        assert not m.faults
+
+    def test_between_the_nodes(self, library: Library) -> None:
+        servo = Servo(Settings.of(library), bank(library))
+        m = play_tap(library, servo, Tap(0.26, 2.2, imperfections=Imperfections())).metrics
+        assert abs(m.latency_s) < 20e-6
+        assert m.nrmse < 0.03
+
+    def test_gain_scales_the_prediction_alike(self, library: Library) -> None:
+        servo = Servo(Settings.of(library), bank(library))
+        servo.set_gain(0.5)
+        assert play_tap(library, servo, Tap(0.3, 3.0, gain=0.5)).metrics.nrmse < 0.03
+
+    def test_random_taps_stay_within_every_limit(self, library: Library, scene: Scene) -> None:
+        """Speeds and grips far outside the grid too, with tremor and a hand that lets go."""
+        servo = Servo(Settings.of(library), bank(library))
+        user = RepeatedTaps(3, tremor=Tremor())
+        simulator = Simulator(device_of(scene), user, DT, imperfections=Imperfections(), seed=3)
+        outputs: list[Output] = []
+        servo.arm()
+        run(simulator, servo, 50_000, DT, observe=lambda readings, output: outputs.append(output))
+        events = [event.what for output in outputs for event in output.events]
+        assert events.count(Notice.CONTACT) + events.count(Notice.NO_GRIP) >= 8
+        assert not [what for what in events if isinstance(what, Fault)]
+        assert simulator.peak_current_A <= library.meta["limits"]["current_A"] + 1e-6
+        assert max(abs(output.command_A) for output in outputs) <= 6.0
+        assert np.isfinite(simulator.winding_C)
+        assert simulator.winding_C < 100.0
+
+
 class TestCommandLine:
     @pytest.fixture
     def call(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
         """Run `transopt-play ARGS` in an empty folder: exit code, output, errors."""
-        pytest.importorskip("controller.servo")
         monkeypatch.chdir(tmp_path)
 
         def run_it(*arguments: object) -> tuple[int, str, str]:
@@ -337,14 +380,6 @@ class TestCommandLine:
         for word in ("latency", "NRMSE", "peak", "spectral error", "rate-hardness", "winding", "clamps", "verdict"):
             assert word in out
         assert {path.name for path in Path("run").iterdir()} == {"tap.png", "telemetry.csv", "telemetry.npz"}
-
-    def test_nominal_tap_is_on_time_and_as_predicted(self, library: Library) -> None:
-        servo = pytest.importorskip("controller.servo")
-        bank = pytest.importorskip("controller.bank").bank
-        settings = pytest.importorskip("controller.settings").Settings.of(library)
-        m = play_tap(library, servo.Servo(settings, bank(library)), Tap(0.3, 3.0)).metrics
-        assert abs(m.latency_s) < 20e-6
-        assert m.nrmse < 0.03
 
     def test_nothing_played_is_a_result_that_fell_short(self, call, file: Path) -> None:
         code, out, _ = call("tap", file, "--simulate", "--grip", 0.1)
@@ -388,3 +423,16 @@ def test_alignment_is_the_least_error_over_all_shifts(library: Library) -> None:
         for shift in np.arange(-1e-3, 1e-3, 5e-6)
     ]
     assert played.metrics.nrmse <= min(errors) + 1e-4
+
+
+def test_a_simulated_tap_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
+    library.save(tmp_path / "library.npz")
+    program = (
+        "import sys; from pathlib import Path; import controller.cli\n"
+        "assert not {'numpy', 'scipy', 'casadi', 'matplotlib'} & set(sys.modules), 'help must come at once'\n"
+        "sys.argv = ['transopt-play', 'tap', sys.argv[1], '--simulate']\n"
+        "try:\n    controller.cli.main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
+        "assert not {'casadi', 'matplotlib', 'serial'} & set(sys.modules)"
+    )
+    path = str(tmp_path / "library.npz")
+    subprocess.run([sys.executable, "-c", program, path], check=True, cwd=Path(__file__).parents[1], timeout=60)

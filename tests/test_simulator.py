@@ -1,7 +1,6 @@
 """The true device against the design's independent replay, its energy, delay, heat, sensors and users."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -405,11 +404,3 @@ def test_trace_is_kept_only_on_demand(scene: Scene) -> None:
     simulator = Simulator(device_of(scene), Still(), DT, imperfections=NONE)
     with pytest.raises(ValueError, match="trace=True"):
         simulator.trace()
-
-
-def test_nothing_in_the_simulator_imports_the_solver() -> None:
-    """The runtime path stays free of casadi and of the design's discretisation."""
-    for name in ("simulator", "truth", "user", "sensors"):
-        text = (Path(__file__).parents[1] / "controller" / f"{name}.py").read_text()
-        assert "casadi" not in text
-        assert "discretise" not in text
