@@ -219,7 +219,7 @@ class TestBounds:
             commands,
             np.tile(problem.reference_m_s2, (len(commands), 1)),
             problem.thermal.coil,
-            budget=problem.thermal.budget,
+            budgets=[problem.thermal.budget] * len(commands),
         )
         hottest = max(run.winding_C for run in played)
         assert hottest <= bound

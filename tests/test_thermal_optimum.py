@@ -11,12 +11,15 @@ from scipy.integrate import solve_ivp
 
 import problems
 from transopt.amplifier import Amplifier
+from transopt.build import build_library
 from transopt.certify import certify, inside
 from transopt.design import entry_problem, scene_stage
 from transopt.errors import InputError
 from transopt.heat import thermal_limit
+from transopt.library_file import load_library
 from transopt.optimum import optimum
 from transopt.problem import Solution, Status, TransientProblem
+from transopt.recording import Recording
 from transopt.reference import Reference
 from transopt.replay import replay
 from transopt.scene import Scene
@@ -24,6 +27,7 @@ from transopt.scene_file import load_scene
 from transopt.solvers import SolverOptions, casadi_ipopt, global_bound, solve
 from transopt.statement import state
 from transopt.thermal import CoilModel
+from transopt.verify import verify_library
 
 AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit_A=6.0)
 DT_S = 1e-4
@@ -267,7 +271,7 @@ class TestRepetition:
             answer.command_A[None],
             problem.reference_m_s2[None],
             coil,
-            budget=thermal.budget,
+            budgets=[thermal.budget],
         )
         taps = round(5 * coil.tau_h_s * RATE_Hz)
         start = np.linalg.matrix_power(maps[-1], taps) @ [coil.ambient_C, coil.ambient_C, 1.0]
@@ -295,6 +299,42 @@ class TestRepetition:
         kept = [share for share in shares if inside(problem, share * cold)]
         assert 0 < len(kept) < shares.size
         assert min(problem.objective(s * cold, problem.accelerations(s * cold)) for s in kept) > bound
+
+
+class TestRepetitionOnAWall:
+    """What flows between taps is what the wall asks for when the window ends, unless the scene says otherwise."""
+
+    def test_the_pause_heats(self, scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
+        data = scene.model_dump()
+        data["grid"].update(speeds_m_s=[0.2], grips_N=[3.0])
+        data["feedback"] = {"stiffness_N_m": 200.0}
+        data["thermal"]["tap_rate_Hz"] = 6.0
+        own = [tap for tap in taps if "_0.2_m_s_" in tap.name]
+        hottest = []
+        for idle in (None, 0.0):
+            data["thermal"]["idle_A"] = idle
+            build = build_library(Scene.model_validate(data), own)
+            assert build.library is not None
+            build.library.save(tmp_path / "library.npz")
+            (check,) = verify_library(load_library(tmp_path / "library.npz"))
+            assert not check.shortfalls
+            (entry,) = build.all_entries()
+            hottest.append(entry.played.winding_C)
+            thermal = entry.problem.thermal
+            assert thermal is not None
+            if idle is None:
+                at_the_end = entry.solution.command_A[-1]
+                # Known before the solve, from the reference's course: not to the last digit.
+                assert thermal.budget.pause_A == pytest.approx(at_the_end, rel=0.3)
+                # 64 % of the time: R i^2 over both resistances.
+                coil, share = thermal.coil, 1 - 6.0 * 0.06
+                extra = (
+                    coil.R_ohm
+                    * ((thermal.budget.pause_A + 0.02) ** 2 - 0.02**2)
+                    * share
+                    * (coil.R_wh_K_W + coil.R_ha_K_W)
+                )
+        assert hottest[0] - hottest[1] == pytest.approx(extra, rel=0.1)
 
 
 @pytest.fixture(scope="module")

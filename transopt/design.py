@@ -8,8 +8,8 @@ import numpy as np
 from transopt.baselines import clipped_optimum, seed_inversion
 from transopt.certify import binding_limits
 from transopt.discretise import StageModel, acting_states, discretise
-from transopt.heat import thermal_limit
 from transopt.optimum import Designed, optimum
+from transopt.parts import thermal_of
 from transopt.price import Price, prices
 from transopt.problem import Certificate, Solution, Status, TransientProblem, verdict
 from transopt.reference import Reference
@@ -151,7 +151,7 @@ def entry_problem(
         hand_over_samples=scene.hand_over_samples,
         supply=supply,
         wall=hand_over,
-        thermal=None if coil is None else thermal_limit(coil, amplifier, grid, scene.budget()),
+        thermal=thermal_of(coil, amplifier, grid, scene.budget(), hand_over, reference.motor_m_s2),
         error_filter=scene.error_filter(),
         spread=spread,
     )
@@ -175,7 +175,8 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
 def _played(scene: Scene, stage: StageModel, designed: Sequence[Designed]) -> tuple[list[Replay], list[Replay]]:
     """Replays of the optimum, through the wall if there is one, and of the four baselines of each entry."""
     problems = [d.problem for d in designed]
-    grid, coil, budget = problems[0].grid, scene.coil(), scene.budget()
+    grid, coil = problems[0].grid, scene.coil()
+    budgets = [p.thermal.budget for p in problems if p.thermal is not None]
     references = np.stack([problem.reference_m_s2 for problem in problems])
     # A solver that broke down returns NaN, which no integrator needs to see.
     commands = [np.nan_to_num(d.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
@@ -183,11 +184,19 @@ def _played(scene: Scene, stage: StageModel, designed: Sequence[Designed]) -> tu
     supplies = [p.supply for p in problems if p.supply is not None]
     walls = [p.wall for p in problems if p.wall is not None]
     replays = replay(
-        stage, grid, transients, references, coil, supplies=supplies or None, walls=walls or None, budget=budget
+        stage,
+        grid,
+        transients,
+        references,
+        coil,
+        supplies=supplies or None,
+        walls=walls or None,
+        budgets=budgets or None,
     )
     limits = (problems[0].limits.current_A, scene.limits.steady_current_A)
     rivals = np.stack([c for d in designed for limit in limits for c in _rivals(stage, d, limit)])
-    return replays, replay(stage, grid, rivals, np.repeat(references, 4, axis=0), coil, budget=budget)
+    each = [budget for budget in budgets for _ in range(4)]
+    return replays, replay(stage, grid, rivals, np.repeat(references, 4, axis=0), coil, budgets=each or None)
 
 
 def _rivals(stage: StageModel, designed: Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:

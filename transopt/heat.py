@@ -162,12 +162,18 @@ class Budget:
     ----------
     headroom_K : rise above the start temperature allowed to one tap; None for no such budget.
     tap_rate_Hz : taps per second for ever, each the same; None for a single tap.
-    idle_A : current in the pause between taps (feedback of a wall), without ripple.
+    idle_A : current in the pause between taps, without ripple; None: none, or with a wall what its feedback asks for
+        at the end of the window (`parts.thermal_of`).
     """
 
     headroom_K: float | None = None
     tap_rate_Hz: float | None = None
-    idle_A: float = 0.0
+    idle_A: float | None = None
+
+    @property
+    def pause_A(self) -> float:
+        """Current in the pause, once it is known."""
+        return 0.0 if self.idle_A is None else self.idle_A
 
 
 @dataclass(frozen=True)
@@ -216,11 +222,11 @@ class ThermalLimit:
 
         energy = resistance(limit) * (
             (peak_A + PWM_RIPPLE_A) ** 2 * N * self.dt_s
-            + (self.budget.idle_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
+            + (self.budget.pause_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
         )
         ripple = energy * coil.R_wh_K_W / coil.tau_w_s
         allowed = (limit - coil.ambient_C) / ((coil.R_wh_K_W + coil.R_ha_K_W) * resistance(limit - ripple))
-        pause = (1 - share) * (self.budget.idle_A + PWM_RIPPLE_A) ** 2
+        pause = (1 - share) * (self.budget.pause_A + PWM_RIPPLE_A) ** 2
         headroom = np.full(N, np.inf)
         headroom[-1] = allowed * (1 + ROUNDING) - pause
         mean = HeatModel(
@@ -259,7 +265,7 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
             unpowered[k] += above[0]
             above = M @ above
     else:
-        power = coil.R_ohm * (budget.idle_A + PWM_RIPPLE_A) ** 2
+        power = coil.R_ohm * (budget.pause_A + PWM_RIPPLE_A) ** 2
         pause = held.copy()
         pause[:m, 0] += inflow * power * COPPER_PER_K
         pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))

@@ -13,9 +13,9 @@ from transopt.amplifier import Amplifier
 from transopt.discretise import StageModel, TimeGrid, discretise
 from transopt.errors import InputError
 from transopt.files import whole_file
-from transopt.heat import Budget, thermal_limit
+from transopt.heat import Budget
 from transopt.models import StateSpace
-from transopt.parts import pressing
+from transopt.parts import pressing, thermal_of
 from transopt.problem import Limits, Multipliers, TransientProblem
 from transopt.signals import FloatArray
 from transopt.supply import Circuit, Supply
@@ -262,7 +262,7 @@ class Library:
             hand_over_samples=meta["hand_over_samples"],
             supply=supply,
             wall=hand_over,
-            thermal=None if coil is None else thermal_limit(coil, amplifier, grid, self.budget()),
+            thermal=thermal_of(coil, amplifier, grid, self.budget(), hand_over, self.reference_m_s2[iv]),
             error_filter=error_filter(meta["weights"]["error_filter"], grid.dt_s),
             spread=self.spread(ig),
         )

@@ -3,12 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import integrate
 
 from transopt import transcribe
 from transopt.certify import inside
 from transopt.explain import infeasibility, unavoidable
-from transopt.parts import leave_out, pressing
+from transopt.parts import leave_out, pressing, reference_course
 from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
@@ -55,7 +54,7 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
         return Designed(problem, answer, proof, answer.command_A, floor, 0.0, left_out, None, [])
     if problem.wall is None:
         return _solved(problem, options)
-    problem = pressing(problem, _reference_course(problem))
+    problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
     refused = _hand_over_excess(problem)
     if refused:
         nothing = np.zeros(problem.grid.stages)
@@ -82,19 +81,11 @@ def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:
     return bool(np.array_equal(problem.wall.pressing[first:], other.wall.pressing[first:]))
 
 
-def _reference_course(problem: TransientProblem) -> FloatArray:
-    """(N,) deviation of the stylus from its nominal motion at the ticks, if it followed the reference."""
-    grid = problem.grid
-    velocity = integrate.cumulative_trapezoid(problem.reference_m_s2, dx=grid.dt_s, initial=0)
-    course = integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
-    return np.asarray(np.interp(grid.issue_times_s, grid.switching_times_s, course))
-
-
 def _hand_over_excess(problem: TransientProblem) -> str:
     """Why the wall alone is too much when the transient has to end; empty if it is not."""
     wall, limit = problem.wall, problem.limits.current_A
     assert wall is not None
-    z = wall.encoder(_reference_course(problem))[problem.free_stages :]
+    z = wall.encoder(reference_course(problem.grid, problem.reference_m_s2))[problem.free_stages :]
     deepest = float(-z.min())
     current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
     if current <= limit:

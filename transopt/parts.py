@@ -3,11 +3,43 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import integrate
 
-from transopt.discretise import StageModel, discretise
+from transopt.amplifier import Amplifier
+from transopt.discretise import StageModel, TimeGrid, discretise
+from transopt.heat import Budget, ThermalLimit, thermal_limit
 from transopt.problem import TransientProblem
 from transopt.signals import FloatArray
-from transopt.thermal import effective_square
+from transopt.thermal import CoilModel, effective_square
+from transopt.wall import HandOver
+
+
+def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
+    """(N,) deviation of the stylus from its nominal motion at the ticks, if it followed the reference (N,)."""
+    velocity = integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
+    course = integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    return np.asarray(np.interp(grid.issue_times_s, grid.switching_times_s, course))
+
+
+def thermal_of(
+    coil: CoilModel | None,
+    amplifier: Amplifier | None,
+    grid: TimeGrid,
+    budget: Budget,
+    wall: HandOver | None,
+    reference_m_s2: FloatArray,
+) -> ThermalLimit | None:
+    """The temperature limit of one entry; None without a coil.
+
+    Between taps that repeat flows what the budget states or else what the wall asks for when the window ends: the
+    hand leans on the wall until it comes in again, which heats more than lifting off.
+    """
+    if coil is None:
+        return None
+    if budget.idle_A is None and wall is not None:
+        leaning = float(wall.feedback(reference_course(grid, reference_m_s2), grid.dt_s)[-1])
+        budget = replace(budget, idle_A=leaning)
+    return thermal_limit(coil, amplifier, grid, budget)
 
 
 @dataclass(frozen=True)
@@ -30,7 +62,7 @@ def temperature_bound_C(problem: TransientProblem) -> float:
     heat = np.full((1, grid.stages + 1), float(effective_square(np.asarray(limit))))
     pause = thermal.period_s - duration
     winding, _ = thermal.coil.steady_course(
-        heat, np.full(grid.stages + 1, duration / (grid.stages + 1)), pause, thermal.budget.idle_A
+        heat, np.full(grid.stages + 1, duration / (grid.stages + 1)), pause, np.array([thermal.budget.pause_A])
     )
     # Past thermal runaway the fixed point is no temperature that is ever reached.
     return float(winding.max()) if winding.min() >= thermal.coil.ambient_C else float("inf")

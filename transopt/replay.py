@@ -266,7 +266,7 @@ def _peak_voltages(run: _Trajectory, supplies: Sequence[Supply], grid: TimeGrid)
 
 
 def _temperatures(
-    run: _Trajectory, coil: CoilModel, budget: Budget | None, grid: TimeGrid
+    run: _Trajectory, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
 ) -> tuple[FloatArray, FloatArray]:
     """(M,) highest winding and housing temperature; the heat is summed over each segment."""
     steps = np.diff(run.times_s)
@@ -279,11 +279,13 @@ def _temperatures(
     # Up to tau_N; what plays after the waveform is no part of it.
     playing = run.times_s[run.segment_starts] < grid.end_s - 1e-9 * grid.dt_s
     energy, lengths = energy[:, playing], lengths[playing]
-    if budget is None or budget.tap_rate_Hz is None:
+    rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
+    if budgets is None or rate_Hz is None:
         winding, housing = coil.simulate(energy / lengths, lengths)
     else:
-        pause = 1 / budget.tap_rate_Hz - float(lengths.sum())
-        winding, housing = coil.steady_course(energy / lengths, lengths, pause, budget.idle_A)
+        pause = 1 / rate_Hz - float(lengths.sum())
+        idle = np.array([budget.pause_A for budget in budgets])
+        winding, housing = coil.steady_course(energy / lengths, lengths, pause, idle)
     return winding.max(axis=1), housing.max(axis=1)
 
 
@@ -296,7 +298,7 @@ def replay(
     *,
     supplies: Sequence[Supply] | None = None,
     walls: Sequence[HandOver] | None = None,
-    budget: Budget | None = None,
+    budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
 ) -> list[Replay]:
     """Play M commands (M, N) through one device, from rest, and compare each with its reference (M, N).
@@ -309,7 +311,7 @@ def replay(
     supplies : one per command, for the terminal voltage.
     walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
         replay's own encoder position, which `count_m` rounds to whole counts.
-    budget : of the coil; with a tap rate the temperatures are those of the periodic steady state.
+    budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
     """
     loop = None if walls is None else _Loop(walls, count_m)
     run = _simulate(stage, grid, commands_A, 0, loop)
@@ -325,7 +327,7 @@ def replay(
     current = run.current_A[:, run.at_switching]
     M = commands_A.shape[0]
     unknown = np.full(M, np.nan)
-    winding, housing = (unknown, unknown) if coil is None else _temperatures(run, coil, budget, grid)
+    winding, housing = (unknown, unknown) if coil is None else _temperatures(run, coil, budgets, grid)
     voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
     return [
         Replay(

@@ -222,7 +222,7 @@ class Thermal(Section):
     nodes: Literal[1, 2] = 2
     headroom_K: Positive | None = None
     tap_rate_Hz: Positive | None = None
-    idle_A: NonNegative = 0.0
+    idle_A: NonNegative | None = None
 
     @model_validator(mode="after")
     def _one_budget(self) -> Self:

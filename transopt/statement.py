@@ -38,7 +38,7 @@ class Statement:
         return x[self.shape.first :].reshape(self.shape.stages, self.shape.variables)
 
     def command(self, x: FloatArray) -> FloatArray:
-        """(N,) commands of a program point [A], moved by rounding only: into the box, to zero at a plain hand-over."""
+        """(N,) commands of a program point [A], moved by rounding only: into the box, zero at a plain hand-over."""
         problem = self.problem
         c = self._by_stage(x)[:, self.shape.command] * self.stage.current_A
         c = np.clip(c, -problem.limits.command_bound_A, problem.limits.command_bound_A)

@@ -133,7 +133,7 @@ class CoilModel:
         return winding, housing
 
     def steady_course(
-        self, effective_square_A2: FloatArray, steps_s: FloatArray, pause_s: float, idle_A: float
+        self, effective_square_A2: FloatArray, steps_s: FloatArray, pause_s: float, idle_A: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Winding and housing over a tap that has repeated itself for ever, as `simulate` gives them, (M, K + 1).
 
@@ -141,11 +141,11 @@ class CoilModel:
 
         Parameters
         ----------
-        pause_s : from the tap's end to the next. idle_A : current in the pause, without ripple.
+        pause_s : from the tap's end to the next. idle_A : (M,) currents in the pause, without ripple.
         """
         M = effective_square_A2.shape[0]
         pause_steps = np.full(PAUSE_STEPS, pause_s / PAUSE_STEPS)
-        idle = np.broadcast_to(effective_square(np.asarray(idle_A)), (M, PAUSE_STEPS))
+        idle = np.broadcast_to(effective_square(idle_A)[:, None], (M, PAUSE_STEPS))
         heat = np.concatenate([effective_square_A2, idle], axis=1)
         steps = np.concatenate([steps_s, pause_steps])
 

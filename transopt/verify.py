@@ -134,7 +134,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
             library.coil(),
             supplies=supplies or None,
             walls=walls or None,
-            budget=library.budget(),
+            budgets=[p.thermal.budget for p in problems if p.thermal is not None] or None,
         )
         for iv, (problem, played) in enumerate(zip(problems, replays, strict=True)):
             command = library.command_A[iv, ig]
