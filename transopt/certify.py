@@ -30,6 +30,7 @@ class _Box:
     upper: FloatArray
     value: FloatArray
     bound: FloatArray
+    stated: float  # the limit in the user's words
 
     @property
     def excess(self) -> FloatArray:
@@ -52,7 +53,7 @@ def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, mult
 
     def box(name: str, unit: str, pair: str, value: FloatArray, bound: float) -> _Box:
         lower, upper = getattr(m, f"{pair}_lower"), getattr(m, f"{pair}_upper")
-        return _Box(name, unit, lower, upper, value, np.full(N, bound))
+        return _Box(name, unit, lower, upper, value, np.full(N, bound), bound)
 
     found = [box("current", "A", "current", motion.current_A, limits.current_A)]
     if limits.command_A is not None:
@@ -67,7 +68,7 @@ def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, mult
     if problem.thermal is not None:
         winding = problem.thermal.temperatures_C(motion.current_A, command_A)
         limit = problem.thermal.model.headroom_K + problem.thermal.model.unpowered_C
-        found.append(_Box("coil", "C", None, m.temperature_upper, winding, limit))
+        found.append(_Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C))
     return found
 
 
@@ -170,6 +171,10 @@ def certify(
     clipped = multipliers.clipped()
     limits = boxes(problem, command_A, motion, clipped)
 
+    if not all(np.all(np.isfinite(box.value)) for box in limits):
+        # Thermal runaway: there is no steady state to speak of.
+        return replace(Certificate.nothing(), objective=objective)
+
     def violation(*units: str) -> float:
         return max((float(box.excess.max()) for box in limits if box.unit in units), default=0.0)
 
@@ -216,8 +221,7 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
             sides.append(("-", box.lower, box.bound + box.value))
         for sign, mu, slack in sides:
             active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
-            bound = float(box.bound[np.isfinite(box.bound)].min())
-            label = f"{box.name} {sign}{bound:g} {box.unit}"
+            label = f"{box.name} {sign}{box.stated:.8g} {box.unit}"
             rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
     found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

@@ -47,6 +47,20 @@ def widened(problem: TransientProblem) -> dict[str, Callable[[float], TransientP
     return found
 
 
+def _cooler(problem: TransientProblem) -> str:
+    """What makes an idle coil cooler, in keys of the scene."""
+    assert problem.thermal is not None
+    coil, budget = problem.thermal.coil, problem.thermal.budget
+    if budget.tap_rate_Hz is not None:
+        return f"lower thermal.idle_A ({budget.pause_A:.3g} A) or thermal.ambient_C ({coil.ambient_C:g} C)"
+    if budget.headroom_K is not None:
+        return f"raise thermal.headroom_K ({budget.headroom_K:g} K) or cool the housing ({coil.start_housing_C:g} C)"
+    return (
+        f"lower thermal.start_winding_C ({coil.start_winding_C:g} C), start_housing_C ({coil.start_housing_C:g} C) or "
+        f"ambient_C ({coil.ambient_C:g} C)"
+    )
+
+
 def unavoidable(problem: TransientProblem) -> list[str]:
     """Limits that are missed whatever is commanded: known without a solve.
 
@@ -58,10 +72,12 @@ def unavoidable(problem: TransientProblem) -> list[str]:
         ripple = model.heating.mean_square(np.zeros(problem.grid.stages), np.zeros(problem.grid.stages))
         excess = model.rise(ripple)[1:, 0] - model.headroom_K
         k = int(np.argmax(excess))
-        if excess[k] > Certificate.VIOLATION_TOLERANCE:
+        if not np.isfinite(excess[k]):
+            found.append(f"coil: no steady state even without a transient, thermal runaway; {_cooler(problem)}")
+        elif excess[k] > Certificate.VIOLATION_TOLERANCE:
             found.append(
-                f"coil {excess[k]:.2g} K over its {limit:.8g} C at {tau_ms[k]:.1f} ms even without current; lower "
-                "thermal.start_winding_C or thermal.start_housing_C, or let it cool between taps"
+                f"coil {excess[k]:.2g} K over its {limit:.8g} C at {tau_ms[k]:.1f} ms even without a transient; "
+                f"{_cooler(problem)}"
             )
     if problem.supply is not None:
         start = abs(float(problem.supply.nominal_V[0]))
@@ -110,8 +126,7 @@ def _sentence(problem: TransientProblem, wide: TransientProblem, name: str, comm
     time_ms = problem.grid.switching_times_s[k] * 1e3
     unit = "K" if worst.unit == "C" else worst.unit
     enough = float(wider[0].bound[np.isfinite(wider[0].bound)].max())
-    stated = float(worst.bound[np.isfinite(worst.bound)].min())
     return (
-        f"{name} {worst.excess[k]:.3g} {unit} over its {stated:g} {worst.unit} at {time_ms:.1f} ms at the least; "
-        f"{rounded_up(enough):.8g} {worst.unit} would do"
+        f"{name} {worst.excess[k]:.3g} {unit} over its {worst.stated:.8g} {worst.unit} at {time_ms:.1f} ms at the "
+        f"least; {rounded_up(enough):.8g} {worst.unit} would do"
     )

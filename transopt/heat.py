@@ -11,6 +11,7 @@ from transopt.errors import InputError
 from transopt.signals import FloatArray
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
+STEADY_MARGIN = 1e-4  # of the rise: for ever adds up what a change of sign within a period heats
 ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
 
 
@@ -118,13 +119,19 @@ class HeatModel:
         for step, addition in zip(P, s, strict=True):
             transition, offset = step @ transition, step @ offset + addition
         F, f = self.closure
-        return np.asarray(np.linalg.solve(np.eye(self.nodes) - F @ transition, F @ offset + f))
+        period = F @ transition
+        if not np.abs(np.linalg.eigvals(period)).max() < 1:
+            # Thermal runaway: every tap leaves it hotter. The fixed point lies below absolute zero and is never seen.
+            return np.full(self.nodes, np.inf)
+        return np.asarray(np.linalg.solve(np.eye(self.nodes) - period, F @ offset + f))
 
     def rise(self, h: FloatArray) -> FloatArray:
-        """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]."""
+        """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]; infinite without a steady state."""
         P, s = self._maps(h)
-        course = np.empty((h.size + 1, self.nodes))
+        course = np.full((h.size + 1, self.nodes), np.inf)
         course[0] = self.start(h)
+        if not np.all(np.isfinite(course[0])):
+            return course
         for k in range(h.size):
             course[k + 1] = P[k] @ course[k] + s[k]
         return course
@@ -224,6 +231,8 @@ class ThermalLimit:
             (peak_A + PWM_RIPPLE_A) ** 2 * N * self.dt_s
             + (self.budget.pause_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
         )
+        # What one period brings in also leaves in one period, from a winding that is nowhere above its limit.
+        energy = min(energy, self.period_s * (limit - coil.ambient_C) / (coil.R_wh_K_W + coil.R_ha_K_W))
         ripple = energy * coil.R_wh_K_W / coil.tau_w_s
         allowed = (limit - coil.ambient_C) / ((coil.R_wh_K_W + coil.R_ha_K_W) * resistance(limit - ripple))
         pause = (1 - share) * (self.budget.pause_A + PWM_RIPPLE_A) ** 2
@@ -256,7 +265,7 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
     hold = linalg.expm(held * dt)
     M, b = hold[:m, :m], hold[:m, m]
     unpowered = np.full(N + 1, coil.rest_C)
-    closure = None
+    closure, margin_K = None, 0.0
     if budget.tap_rate_Hz is None:
         # The coil starts when the first command is issued, an amplifier's delay before the first is felt.
         start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
@@ -276,13 +285,14 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
             )
         paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
+        margin_K = STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
     model = HeatModel(
         heating=heating(amplifier, dt),
         M=M,
         b=b,
         gain=coil.R_ohm * (1 + COPPER_PER_K * (unpowered[:-1] - RESISTANCE_REFERENCE_C)),
         copper=coil.R_ohm * COPPER_PER_K,
-        headroom_K=winding_limit_C(coil, budget) - unpowered[1:],
+        headroom_K=winding_limit_C(coil, budget) - margin_K - unpowered[1:],
         closure=closure,
         unpowered_C=unpowered[1:],
     )

@@ -126,6 +126,13 @@ def _check_problem(path: Path, library: Library) -> None:
         grid = library.time_grid()
         if not (0 < grid.dt_s < np.inf and 0 <= grid.lead_s < np.inf and 0 <= grid.delay_s < np.inf):
             raise InputError("dt_s must be > 0, lead_s and delay_s >= 0, all finite")
-        library.problem(0, 0)
+        limits = library.meta["limits"]
+        for key in ("current_A", "steady_current_A", "slew_A_per_s", "supply_V"):
+            if limits[key] is not None and not 0 < float(limits[key]) < np.inf:
+                raise InputError(f"limits.{key} = {limits[key]}: must be > 0 and finite")
+        thermal = library.problem(0, 0).thermal
+        stated = limits["temperature_C"]
+        if stated is not None and (thermal is None or stated != thermal.limit_C):
+            raise InputError(f"limits.temperature_C = {stated}: the coil and its budget say otherwise")
     except (InputError, TypeError, ValueError, ArithmeticError) as error:
         raise InputError(f"{path}: meta does not describe a problem ({error}); {advice}") from None

@@ -8,7 +8,7 @@ from transopt import transcribe
 from transopt.certify import inside
 from transopt.explain import infeasibility, unavoidable
 from transopt.parts import leave_out, pressing, reference_course
-from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
+from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
 
@@ -55,12 +55,6 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     if problem.wall is None:
         return _solved(problem, options)
     problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
-    refused = _hand_over_excess(problem)
-    if refused:
-        nothing = np.zeros(problem.grid.stages)
-        answer = Solution(Status.HAND_OVER, nothing, Multipliers.zero(problem), "none", refused, 0, 0.0)
-        proof = prove(problem, answer.command_A, answer.multipliers, options)
-        return Designed(problem, answer, proof, nothing, float("nan"), 0.0, {}, None, [refused])
     spent = 0.0
     for _ in range(MOST_MASKS):
         designed = _solved(problem, options)
@@ -82,9 +76,10 @@ def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:
 
 
 def _hand_over_excess(problem: TransientProblem) -> str:
-    """Why the wall alone is too much when the transient has to end; empty if it is not."""
+    """Whether the wall alone asks for too much when the transient has to end, on the reference's course; or empty."""
     wall, limit = problem.wall, problem.limits.current_A
-    assert wall is not None
+    if wall is None:
+        return ""
     z = wall.encoder(reference_course(problem.grid, problem.reference_m_s2))[problem.free_stages :]
     deepest = float(-z.min())
     current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
@@ -92,8 +87,8 @@ def _hand_over_excess(problem: TransientProblem) -> str:
         return ""
     allowed = limit * wall.wall.force_per_current_N_A / deepest
     return (
-        f"hand-over: K_p z / k_f = {current:.2f} A at {deepest * 1e3:.2f} mm below the surface, limit {limit:g} A; "
-        f"{np.floor(allowed):g} N/m would do"
+        f"hand-over: K_p z / k_f = {current:.2f} A at {deepest * 1e3:.2f} mm below the surface, where the reference "
+        f"goes, limit {limit:g} A; {np.floor(allowed):g} N/m would do"
     )
 
 
@@ -134,6 +129,9 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     answer = replace(answer, solve_time_s=spent + answer.solve_time_s)
     remarks = []
     idle = small.wall is None and inside(small, np.zeros(small.grid.stages))
+    too_deep = "" if is_stationary(small, answer) else _hand_over_excess(small)
+    if too_deep:
+        return designed(replace(answer, status=Status.HAND_OVER), transcribe.size(small), [too_deep])
     if not is_stationary(small, answer) and not idle:
         # Doing nothing is no way out either: perhaps there is none, whatever the solver called it.
         remarks = infeasibility(small, options)

@@ -64,8 +64,7 @@ def temperature_bound_C(problem: TransientProblem) -> float:
     winding, _ = thermal.coil.steady_course(
         heat, np.full(grid.stages + 1, duration / (grid.stages + 1)), pause, np.array([thermal.budget.pause_A])
     )
-    # Past thermal runaway the fixed point is no temperature that is ever reached.
-    return float(winding.max()) if winding.min() >= thermal.coil.ambient_C else float("inf")
+    return float(winding.max())
 
 
 def voltage_bound_V(problem: TransientProblem) -> float:

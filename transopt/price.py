@@ -13,6 +13,7 @@ from transopt.solvers import SolverOptions, solve_certified
 
 WORTH_SAYING = 1e-9  # of J per unit of the limit
 AMPLE = (1.5, 6.0, 30.0)  # times what the unlimited optimum takes: out of the way
+LEAST_STEP = 1e-6  # of the limit
 CLEAR = 0.999  # of a bound: what stays below is not held by it
 STEP_SHARE = 0.25  # of the limit, at most, by which it is raised in the sentence
 
@@ -40,11 +41,13 @@ class Price:
 
     @property
     def sentence(self) -> str:
-        enough = f"from {rounded_up(self.enough):.8g} {self.unit} on" if np.isfinite(self.enough) else "nowhere near"
+        enough = "binds however wide it is"
+        if np.isfinite(self.enough):
+            enough = f"would not bind from {rounded_up(self.enough):.8g} {self.unit} on"
         return (
             f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {_step_unit(self.unit)} more: "
             f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
-            f"would not bind {enough}"
+            f"{enough}"
         )
 
 
@@ -64,14 +67,22 @@ def _peak(problem: TransientProblem, name: str, command_A: FloatArray) -> float:
     return max(float(np.abs(box.value[np.isfinite(box.bound)]).max()) for box in found if box.name == name)
 
 
+@dataclass(frozen=True)
+class _Without:
+    """What an optimum without one limit takes of it, and its NRMSE: no wider limit can do better."""
+
+    enough: float
+    nrmse: float
+
+
 def _bound(problem: TransientProblem, name: str) -> float:
     rest = np.zeros(problem.grid.stages)
     found = boxes(problem, rest, problem.stage.motion(rest), Multipliers.zero(problem))
     return next(float(box.bound.min()) for box in found if box.name == name)
 
 
-def _enough(problem: TransientProblem, name: str, unlimited_A: FloatArray, options: SolverOptions) -> float:
-    """Least bound at which one limit would not bind, the others as they are; infinite if none was found."""
+def _without(problem: TransientProblem, name: str, unlimited_A: FloatArray, options: SolverOptions) -> _Without:
+    """The optimum with one limit out of the way and the others as they are."""
     if name == "coil":
         wide = [replace(problem, thermal=None)]
     else:
@@ -81,8 +92,9 @@ def _enough(problem: TransientProblem, name: str, unlimited_A: FloatArray, optio
         answer = solve_certified(leave_out(wider).problem, options)
         peak = _peak(problem, name, answer.command_A)
         if answer.status is Status.OPTIMAL and (name == "coil" or peak < CLEAR * _bound(wider, name)):
-            return peak
-    return float("inf")
+            acceleration, _ = problem.stage.rollout(answer.command_A)
+            return _Without(peak, nrmse(acceleration, problem.reference_m_s2))
+    return _Without(float("inf"), 0.0)
 
 
 def prices(
@@ -110,7 +122,7 @@ def prices(
     for box in boxes(problem, command_A, motion, multipliers):
         gain = float(box.upper.sum()) + (0.0 if box.lower is None else float(box.lower.sum()))
         gains[box.name] = gains.get(box.name, 0.0) + gain
-        units[box.name], bounds[box.name] = box.unit, float(box.bound[np.isfinite(box.bound)].min())
+        units[box.name], bounds[box.name] = box.unit, box.stated
         room[box.name] = bounds[box.name]
         if box.name == "coil":
             headroom = box.bound - (problem.thermal.model.unpowered_C if problem.thermal is not None else 0.0)
@@ -124,9 +136,11 @@ def prices(
     for name, gain in gains.items():
         if gain <= WORTH_SAYING:
             continue
-        step = _round_step(STEP_SHARE * room[name])
+        without = _without(problem, name, unlimited_A, options)
+        # No step beyond what is enough: from there on nothing is bought.
+        lacking = max(without.enough - bounds[name], LEAST_STEP * bounds[name])
+        step = _round_step(min(STEP_SHARE * room[name], lacking))
         slope = -gain / (2 * error)
-        then = max(error + slope * step, floor)
-        enough = _enough(problem, name, unlimited_A, options)
-        found.append(Price(name, units[name], bounds[name], slope, step, error, then, enough))
+        then = max(error + slope * step, without.nrmse, floor)
+        found.append(Price(name, units[name], bounds[name], slope, step, error, then, without.enough))
     return sorted(found, key=lambda price: price.then)

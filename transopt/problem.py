@@ -173,8 +173,12 @@ class Status(Enum):
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "the solver stopped at its iteration limit: loosen the tolerance or choose another --solver"
-    INFEASIBLE = "no command meets all limits: change what is named before this"
+    INFEASIBLE = "no command meets all limits"
     NUMERICAL_FAILURE = "the solver broke down numerically: choose another --solver or rescale the scene"
+    NOT_GLOBAL = (
+        "a certified stationary point, but the convex bound leaves room for a better one: lower the temperature that "
+        "the winding may reach or the rate of taps, so that the copper warms less"
+    )
     NOT_CERTIFIED = "the answer is not proven optimal: tighten --solver-tolerance or choose another --solver"
     REPLAY_VIOLATION = (
         "the continuous-time replay leaves a limit or misses the prediction: report this scene as a defect"
@@ -306,7 +310,8 @@ class Certificate:
         return max(self.primal_violation_A, self.primal_violation_V, self.primal_violation_K)
 
     @property
-    def accepted(self) -> bool:
+    def is_stationary(self) -> bool:
+        """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
         # Written so that a NaN anywhere rejects.
         return (
             self.finite
@@ -314,8 +319,11 @@ class Certificate:
             and self.primal_violation_V <= self.VIOLATION_TOLERANCE
             and self.primal_violation_K <= self.VIOLATION_TOLERANCE
             and self.relative_gap <= self.GAP_TOLERANCE
-            and self.relative_bound <= self.BOUND_TOLERANCE
         )
+
+    @property
+    def accepted(self) -> bool:
+        return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
 
 
 def verdict(nrmse: float, floor: float, repeatability: float) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from transopt.discretise import StageModel, TimeGrid, split_delay
-from transopt.heat import Budget, ThermalLimit
+from transopt.heat import Budget
 from transopt.problem import TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.supply import Supply
@@ -27,7 +27,6 @@ MOST_HALVINGS = 6
 AFTER_S = 20e-3  # of free motion after the waveform
 CURRENT_TOLERANCE_A = 1e-6  # what counts as leaving a limit, as in the certificate
 TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
-STEADY_TOLERANCE = 1e-4  # of the rise: for ever adds up what a change of sign within a period heats
 SUPPLY_TOLERANCE = 1e-3  # of the limit: between switching instants only the back-EMF is left to its own devices
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
 
@@ -77,7 +76,7 @@ class Replay:
         supply, thermal = problem.supply, problem.thermal
         if supply is not None and not self.peak_voltage_V <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
             found.append(f"terminal voltage {self.peak_voltage_V:.4f} V, limit {supply.limit_V:g} V")
-        if thermal is not None and not self.winding_C <= thermal.limit_C + _temperature_tolerance_K(thermal):
+        if thermal is not None and not self.winding_C <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
             found.append(f"winding {self.winding_C:.3f} C, limit {thermal.limit_C:.8g} C")
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
@@ -91,12 +90,6 @@ class Replay:
         if not difference <= AGREEMENT:
             found.append(f"replayed acceleration differs from the predicted one by {difference:.1e} of its peak")
         return found
-
-
-def _temperature_tolerance_K(thermal: ThermalLimit) -> float:
-    if thermal.period_s is None:
-        return TEMPERATURE_TOLERANCE_K
-    return max(TEMPERATURE_TOLERANCE_K, STEADY_TOLERANCE * (thermal.limit_C - thermal.coil.ambient_C))
 
 
 def _radau(stages: int) -> tuple[FloatArray, FloatArray]:

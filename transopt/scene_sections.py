@@ -10,6 +10,7 @@ from transopt import models
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Speed = Annotated[float, Field(ge=1e-4, le=100)]
+Temperature = Annotated[float, Field(ge=-100, le=500)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -216,9 +217,9 @@ class LimitsSection(Section):
 class Thermal(Section):
     """Temperatures at the start, and what the winding may do: keep its limit, a headroom per tap, taps for ever."""
 
-    ambient_C: Finite = 25.0
-    start_winding_C: Finite = 25.0
-    start_housing_C: Finite = 25.0
+    ambient_C: Temperature = 25.0
+    start_winding_C: Temperature = 25.0
+    start_housing_C: Temperature = 25.0
     nodes: Literal[1, 2] = 2
     headroom_K: Positive | None = None
     tap_rate_Hz: Positive | None = None
@@ -230,6 +231,8 @@ class Thermal(Section):
             raise ValueError(
                 "tap_rate_Hz is about the steady state of winding and housing: it needs nodes = 2 and no headroom_K"
             )
+        if self.idle_A is not None and self.tap_rate_Hz is None:
+            raise ValueError("idle_A flows in the pauses between taps: state tap_rate_Hz too, or leave it out")
         return self
 
 

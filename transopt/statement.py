@@ -153,8 +153,9 @@ def _variable_bounds(
         # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
         lower[:, 1], upper[:, 1] = -SIZE_BOUND, SIZE_BOUND
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
+    # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
     front = np.full(shape.first, np.inf)
-    return np.append(-front, lower.ravel()), np.append(front, upper.ravel())
+    return np.append(np.zeros(shape.first), lower.ravel()), np.append(front, upper.ravel())
 
 
 def _row_bounds(problem: TransientProblem, shape: Shape, stage: LinearStage) -> tuple[FloatArray, FloatArray]:

@@ -137,7 +137,8 @@ class CoilModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Winding and housing over a tap that has repeated itself for ever, as `simulate` gives them, (M, K + 1).
 
-        The temperatures after one period are affine in those before it; their fixed point is the start.
+        The temperatures after one period are affine in those before it; their fixed point is the start. Infinite
+        where every tap leaves the coil hotter than it found it (thermal runaway).
 
         Parameters
         ----------
@@ -155,7 +156,11 @@ class CoilModel:
 
         origin = after_period(0.0, 0.0)
         transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
-        steady = np.asarray(np.linalg.solve(np.eye(2) - transition, origin[..., None])[..., 0], dtype=np.float64)
+        stable = np.abs(np.linalg.eigvals(transition)).max(axis=1) < 1
+        steady = np.full((M, 2), np.inf)
+        steady[stable] = np.linalg.solve(np.eye(2) - transition[stable], origin[stable][..., None])[..., 0]
         K = steps_s.size + 1
-        winding, housing = self.simulate(heat, steps, steady)
-        return winding[:, :K], housing[:, :K]
+        winding, housing = (np.full((M, K), np.inf) for _ in range(2))
+        courses = self.simulate(heat[stable], steps, steady[stable])
+        winding[stable], housing[stable] = (course[:, :K] for course in courses)
+        return winding, housing

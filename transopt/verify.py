@@ -33,6 +33,10 @@ def admit(
         return status, [status.value]
     if not certificate.accepted:
         c = certificate
+        if c.is_stationary and c.relative_bound > c.BOUND_TOLERANCE:
+            return Status.NOT_GLOBAL, [
+                f"J lies {c.relative_bound:.1%} above the convex lower bound, limit {c.BOUND_TOLERANCE:.0%}"
+            ]
         return Status.NOT_CERTIFIED, [
             f"violation {c.primal_violation_A:.1e} A, {c.primal_violation_V:.1e} V, {c.primal_violation_K:.1e} K "
             f"(limit {Certificate.VIOLATION_TOLERANCE:.0e}), gap {c.relative_gap:.1e} (limit "

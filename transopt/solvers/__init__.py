@@ -112,7 +112,7 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command_A, answer.multipliers)
-    return answer.status is Status.OPTIMAL and replace(proof, lower_bound=proof.objective).accepted
+    return answer.status is Status.OPTIMAL and proof.is_stationary
 
 
 def solve_certified(problem: TransientProblem, options: SolverOptions) -> Solution:
