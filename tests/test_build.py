@@ -282,8 +282,8 @@ class TestAdmission:
             {"primal_violation_V": 1e-5},
             {"primal_violation_K": 1e-5},
             {"primal_violation_K": np.nan},
-            {"lower_bound": -np.inf},
             {"lower_bound": np.nan},
+            {"lower_bound": 1.0},  # above J: something is wrong with one of the two
             {"finite": False},
         ],
     )
@@ -291,6 +291,11 @@ class TestAdmission:
         status, why = admit(**{**parts, "certificate": replace(parts["certificate"], **change)})
         assert status is Status.NOT_CERTIFIED
         assert "limit 1e-06" in why[0]
+
+    def test_a_loose_bound_has_a_name_of_its_own(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "certificate": replace(parts["certificate"], lower_bound=-np.inf)})
+        assert status is Status.NOT_GLOBAL
+        assert "above the convex lower bound, limit 1%" in why[0]
 
     @pytest.mark.parametrize(
         ("change", "text"),

@@ -204,11 +204,13 @@ class TestSolve:
         assert run("solve", quick_scene, "--out", "here").code == 0
         before = Path("here/library.npz").read_bytes()
         stiff = Path("stiff.toml")
-        stiff.write_text(quick_scene.read_text() + "\n[feedback]\nstiffness_N_m = 1e5\n")
+        weak = quick_scene.read_text().replace("steady_current_A = 1.25", "steady_current_A = 1.25\ncurrent_A = 0.3")
+        assert "current_A = 0.3" in weak
+        stiff.write_text(weak.replace("beta = 3.2", "") + "\n[feedback]\nstiffness_N_m = 2000.0\n")
         outcome = run("solve", stiff, "--out", "here")
         assert outcome.code == 1
         reason = re.search(
-            r"refused: 0\.2 m/s, 3 N: (hand-over: K_p z / k_f = .* A at .* mm .*, limit 4 A)", outcome.out
+            r"refused: 0\.2 m/s, 3 N: (hand-over: K_p z / k_f = .* A at .* mm .*, limit 0.3 A)", outcome.out
         )
         assert reason is not None, outcome.out
         assert Path("here/library.npz").read_bytes() == before

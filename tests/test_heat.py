@@ -212,3 +212,15 @@ class TestHeatModel:
         assert model.closure is not None
         F, f = model.closure
         np.testing.assert_allclose(F @ course[-1] + f, course[0], rtol=1e-12)
+
+    def test_past_runaway_there_is_no_steady_state(self, coil: CoilModel) -> None:
+        """The fixed point of such a period lies below absolute zero; it must not pass for a cool coil."""
+        model = model_of(coil, 600, tap_rate_Hz=16.0)
+        hot = np.full(600, 30.0)
+        assert np.all(np.isinf(model.rise(hot)))
+        assert np.all(np.isfinite(model.rise(np.full(600, 0.5))))
+        heat = np.stack([hot, np.full(600, 0.5)])
+        winding, housing = coil.steady_course(heat, np.full(600, DT_S), 1 / 16 - 0.06, np.zeros(2))
+        assert np.all(np.isinf(winding[0]))
+        assert np.all(np.isinf(housing[0]))
+        assert winding[1].max() == pytest.approx(model.rise(heat[1])[:, 0].max() + 25, abs=0.01)

@@ -283,8 +283,9 @@ class TestRepetition:
         transition, offset = maps[-1][:2, :2], maps[-1][:2, 2]
         steady = np.append(np.linalg.solve(np.eye(2) - transition, offset), 1.0)
         forever = max(float((step @ steady)[0]) for step in maps)
-        assert predicted == pytest.approx(thermal.limit_C, abs=1e-6)
-        # Changes of sign within a period heat a little more than the statement says, again and again.
+        # Below the limit by the margin for changes of sign, which heat a little more than the statement says.
+        assert predicted == pytest.approx(thermal.limit_C - 1e-4 * (thermal.limit_C - 60), abs=1e-6)
+        assert forever <= thermal.limit_C
         assert -2e-3 <= predicted - forever <= 1e-6
         assert played.winding_C == pytest.approx(forever, abs=5e-4)
 

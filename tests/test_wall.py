@@ -387,22 +387,34 @@ class TestClosedLoop:
 
 
 class TestRefusal:
+    def weak(self, problem: TransientProblem) -> TransientProblem:
+        """A motor that can neither hold the stylus up nor push back what the wall asks for."""
+        return replace(problem, limits=replace(problem.limits, current_A=0.3))
+
     def test_names_the_hand_over_and_a_stiffness_that_does(self, walled: Maker) -> None:
-        designed = optimum(walled(2000, 0.4), SolverOptions())
+        designed = optimum(self.weak(walled(2000, 0.4)), SolverOptions())
         assert designed.solution.status is Status.HAND_OVER
-        assert not designed.solution.command_A.any()
         (reason,) = designed.remarks
-        assert reason.startswith("hand-over: K_p z / k_f = 4.36 A at 2.72 mm below the surface, limit 4 A; ")
+        assert reason.startswith("hand-over: K_p z / k_f = 4.36 A at 2.72 mm below the surface, ")
+        assert ", limit 0.3 A; " in reason
         assert reason.endswith(" N/m would do")
         enough = float(reason.split("; ")[1].split(" ")[0])
-        assert 1500 < enough < 2000
-        softer = optimum(walled(enough, 0.4), SolverOptions())
+        assert 100 < enough < 200
+        softer = optimum(self.weak(walled(enough, 0.4)), SolverOptions())
         assert softer.solution.status is Status.OPTIMAL, softer.remarks
         assert softer.certificate.accepted
 
+    def test_a_wall_that_holds_the_stylus_up_itself_is_no_reason(self, walled: Maker) -> None:
+        """The reference would go 2.7 mm deep, where 2000 N/m ask for 4.4 A; the answer does not go there."""
+        designed = optimum(walled(2000, 0.4), SolverOptions())
+        assert designed.solution.status is Status.OPTIMAL
+        assert designed.certificate.accepted
+        assert np.abs(designed.solution.command_A[-10:]).max() < 4
+
     def test_a_refused_entry_says_so_in_the_design(self, scene: Scene, references: list[Reference]) -> None:
-        stiff = walled_scene(scene, 2000.0)
-        (entry,) = design_grip(stiff, 3.0, [references[-1]], SolverOptions())
+        data = walled_scene(scene, 2000.0).model_dump()
+        data["limits"].update(beta=None, current_A=0.3)
+        (entry,) = design_grip(Scene.model_validate(data), 3.0, [references[-1]], SolverOptions())
         assert entry.status is Status.HAND_OVER
         assert "N/m would do" in entry.shortfalls[0]
 

@@ -56,8 +56,8 @@ def _cooler(problem: TransientProblem) -> str:
     if budget.headroom_K is not None:
         return f"raise thermal.headroom_K ({budget.headroom_K:g} K) or cool the housing ({coil.start_housing_C:g} C)"
     return (
-        f"lower thermal.start_winding_C ({coil.start_winding_C:g} C), start_housing_C ({coil.start_housing_C:g} C) or "
-        f"ambient_C ({coil.ambient_C:g} C)"
+        f"lower thermal.start_winding_C ({coil.start_winding_C:g} C), start_housing_C ({coil.start_housing_C:g} C), "
+        f"or ambient_C ({coil.ambient_C:g} C)"
     )
 
 
