@@ -241,7 +241,7 @@ def solve(
     from transopt.build import build_library
     from transopt.refine import check_tolerance, refine_grid
     from transopt.solvers import SolverOptions, check_name
-    from transopt.tables import LEGEND, build_table, refinement_summary, refusal, summary
+    from transopt.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
 
     check_name(solver)
     options = SolverOptions(solver, solver_tolerance)
@@ -292,6 +292,8 @@ def solve(
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
     console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
+    if aftermath(build):
+        console.print(aftermath(build), style="yellow", highlight=False, soft_wrap=True)
     for entry in build.refused:
         message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}"
         console.print(message, style="red", highlight=False, soft_wrap=True)

@@ -224,6 +224,9 @@ class _Method:
 def _methods(build: "Build") -> list[_Method]:
     limits = build.scene.limits
     high, low = f"{build.scene.current_limits().current_A:g} A", f"{limits.steady_current_A:g} A"
+    # A rival that heeds neither rail nor coil may lie below the optimum, which does.
+    more = any({"supply", "coil"} & {price.limit for price in entry.prices} for entry in build.all_entries())
+    only = ", no other limit" if more else ""
 
     def dot(shape: str, colour: str, filled: bool) -> dict[str, Any]:
         # Hollow ones are larger, so that a filled one at the same place shows inside.
@@ -235,8 +238,10 @@ def _methods(build: "Build") -> list[_Method]:
         _Method("floor (no limits)", lambda e: e.floor, 0.0, {"marker": "_", "markersize": 13, "color": "black"}),
         _Method(f"seed inversion, {high}", lambda e: e.baselines.seed, -0.26, dot("s", SEED, True)),
         _Method(f"seed inversion, {low}", lambda e: e.baselines.seed_steady, -0.26, dot("s", SEED, False)),
-        _Method(f"clipped optimum, {high}", lambda e: e.baselines.clipped, 0.26, dot("^", CLIPPED, True)),
-        _Method(f"clipped optimum, {low}", lambda e: e.baselines.clipped_steady, 0.26, dot("^", CLIPPED, False)),
+        _Method(f"clipped optimum, {high}{only}", lambda e: e.baselines.clipped, 0.26, dot("^", CLIPPED, True)),
+        _Method(
+            f"clipped optimum, {low}{only}", lambda e: e.baselines.clipped_steady, 0.26, dot("^", CLIPPED, False)
+        ),
     ]
 
 

@@ -276,7 +276,8 @@ class Library:
     def at(self, speed_m_s: float, grip_N: float) -> Waveform:
         """Bilinear blend at any speed and grip; outside the grid the nearest edge is taken and reported.
 
-        A convex combination of feasible currents is feasible, so every limit holds between the nodes too.
+        A convex combination of feasible currents is feasible, so every limit on the current holds between the nodes
+        too; with a wall as far as the device's own feedback is the predicted one.
         Below `grip_min_N` the command is zero, since a free stylus would be thrown; a library of the free
         device (its only grip is 0) has no such bound. A stylus that does not come in (speed <= 0) taps nothing.
 

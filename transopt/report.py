@@ -12,11 +12,12 @@ from transopt.design import Entry
 from transopt.reference import Reference
 from transopt.refine import Refinement
 from transopt.signals import STANDARD_GRAVITY_M_S2
-from transopt.tables import LEGEND, columns_of, entry_cells, percent, refinement_summary, summary
+from transopt.tables import LEGEND, aftermath, columns_of, entry_cells, percent, refinement_summary, summary
 
 CERTIFICATE_LEGEND = (
     "gap: to the optimum by the multipliers, rigorous unless the coil binds; over bound: J above the convex lower "
-    "bound, rigorous always. violation: the largest, in A, V or K. winding: the hottest of the replay{}. after: peak "
+    "bound, rigorous always (with a wall, for the ticks at which it pushes). violation: the largest, in A, V or K. "
+    "winding: the hottest of the replay{}. after: peak "
     "acceleration in the 20 ms after the waveform, which no term of the problem holds down. states, rows, nonzeros: "
     "per stage, and of the constraints, of the program that was solved; dashes where one linear solve was enough."
 )
@@ -171,6 +172,7 @@ def build_markdown(build: Build) -> str:
     entries = list(build.all_entries())
     columns = columns_of(build)
     lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
+    lines += [aftermath(build), ""] if aftermath(build) else []
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
     lines += [

@@ -10,6 +10,7 @@ from transopt.design import Entry
 from transopt.library import Library
 from transopt.problem import OBJECTIVE_SCALE, Status, verdict
 from transopt.refine import Refinement
+from transopt.signals import STANDARD_GRAVITY_M_S2
 from transopt.verify import EntryCheck
 
 
@@ -20,6 +21,7 @@ def percent(value: float) -> str:
     return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
+FELT_g = 1.0  # after the tap
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
 ESSENTIAL = (0, 1, 2, 3, 7, 9, 10)  # columns of the entry table that a narrow terminal keeps
 LEGEND = (
@@ -99,6 +101,18 @@ def summary(build: Build) -> str:
         f"gap <= {max(e.certificate.relative_gap for e in entries):.0e}, "
         f"violation <= {max(e.certificate.primal_violation for e in entries):.0e} A, V or K; "
         f"{np.median(times_ms):.0f} ms per entry (median), {build.elapsed_s:.2f} s in all"
+    )
+
+
+def aftermath(build: Build) -> str:
+    """One line where the stylus rings on after a waveform so much that it is felt; empty if nowhere."""
+    loudest = max(build.all_entries(), key=lambda entry: entry.played.after_peak_m_s2)
+    after_g = loudest.played.after_peak_m_s2 / STANDARD_GRAVITY_M_S2
+    if loudest.status is not Status.OPTIMAL or after_g < FELT_g:
+        return ""
+    return (
+        f"after the waveform the stylus rings on with up to {after_g:.1f} g ({loudest.speed_m_s:g} m/s, "
+        f"{loudest.grip_N:g} N), which no term of the problem holds down: more hand_over_samples calm it"
     )
 
 
