@@ -284,6 +284,6 @@ def flow(
     S = Layout(n).states
 
     def maps(fraction: float) -> tuple[FloatArray, ...]:
-        return tuple(np.ascontiguousarray(linalg.expm(G * (h * fraction))[:S]) for h in steps_s)
+        return tuple(np.ascontiguousarray(exponential(G * (h * fraction))[:S]) for h in steps_s)
 
     return Flow(maps(1.0), maps(0.5) if nonlinear(device, target) else (), G[n + device.stylus].copy())
