@@ -100,7 +100,7 @@ def tap(
     _checked("grip", grip_N, 0.0, 60.0, " N, what a hand does")
     if out is not None:
         _make_folder(out)
-    servo = Servo(Settings.of(loaded), bank(loaded, Method(method)))
+    servo = Servo(Settings.of(loaded, amplifier_tolerance=mismatch), bank(loaded, Method(method)))
     servo.set_gain(gain)
     wanted = Tap(
         speed_m_s,

@@ -352,6 +352,26 @@ def test_limits_hold_whatever_the_hand_does(
         assert np.mean(steps <= slew_A_per_s * DT_S + 1e-9) > 0.95
 
 
+@pytest.mark.parametrize("off", [-0.2, -0.1, 0.0, 0.1, 0.2])
+def test_the_limit_holds_for_every_pole_within_the_tolerance(stated: Settings, tables: Bank, off: float) -> None:
+    """An amplifier that is faster or slower than the model, under a wild hand on a stiff wall."""
+    rng = np.random.default_rng(3)
+    z = 3e-3 * np.cumsum(np.convolve(rng.standard_normal(4000), np.ones(30) / 30, "same")) / 30
+    wall = replace(WALL, stiffness_N_m=4000.0, damping_N_s_m=20.0)
+    peaks = []
+    for tolerance in (0.2, 0.0):
+        made = replace(stated, wall=wall, amplifier_tolerance=tolerance)
+        bench = Bench(made, tables, lambda k: float(z[int(k)]))
+        bench.servo.arm()
+        decay, current, peak = math.exp(-AMPLIFIER.rate_rad_s * DT_S * (1 + off)), 0.0, 0.0
+        for c in bench.run(z.size).commands():
+            current = decay * current + (1 - decay) * c
+            peak = max(peak, abs(current))
+        peaks.append(peak)
+    assert peaks[0] <= 4.0 + 1e-12
+    assert (peaks[1] > 4.04) == (off > 0)
+
+
 def test_second_contact_while_playing_is_chatter(stated: Settings, tables: Bank) -> None:
     def bouncing(k: float) -> float:
         if k < CONTACT + 50:
@@ -438,6 +458,7 @@ def test_without_coil_data_the_temperature_is_unknown(stated: Settings, tables: 
         ({"dt_s": 0.0}, r"servo: dt_s = 0: must be > 0 and finite"),
         ({"current_limit_A": math.nan}, r"servo: current_limit_A = nan: must be > 0 and finite"),
         ({"lead_s": -1e-4}, r"servo: lead_s = -0.0001: must be >= 0 and finite"),
+        ({"amplifier_tolerance": 1.0}, r"servo: amplifier_tolerance = 1: must be below 1"),
         ({"window_ticks": 3}, r"servo: window_ticks = 3: a quadratic needs at least 4 readings"),
         ({"surface_counts": math.inf}, r"servo: surface_counts and grip_open_N must be finite"),
     ],
