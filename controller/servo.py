@@ -199,7 +199,7 @@ class Servo:
         if scale <= 0.0:
             return self._note(NOTHING, tick, Notice.TOO_HOT_TO_PLAY, speed, grip)
         events = self._note(NOTHING, tick, Notice.CONTACT, speed, grip)
-        if play.out_of_grid:
+        if play.out_of_grid and self._outside(play, speed, grip):
             events = self._note(events, tick, Notice.OUT_OF_GRID, speed, grip)
         if scale < 1.0:
             events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip)
@@ -207,6 +207,12 @@ class Servo:
         if play.samples_A:
             self._start(play.samples_A, approach.phase)
         return events
+
+    def _outside(self, play: Play, speed_m_s: float, grip_N: float) -> bool:
+        s = self.settings
+        return (
+            abs(speed_m_s - play.speed_m_s) > s.grid_slack * speed_m_s or abs(grip_N - play.grip_N) > s.grid_slack_N
+        )
 
     def _start(self, samples_A: list[float], phase: float) -> None:
         """Play from `phase` ticks after c_0: sample j at tick j + part late, blended with the one before it."""

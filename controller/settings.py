@@ -17,6 +17,8 @@ MAY_BE_ZERO = (
     "rearm_s",
     "grip_filter_s",
     "grip_margin_N",
+    "grid_slack",
+    "grid_slack_N",
     "withhold_K",
     "grip_min_N",
     "assumed_grip_N",
@@ -53,6 +55,8 @@ class Settings:
     grip_filter_s : time constant of the grip reading's smoothing; a grip changes over tens of ms, the sensor's noise
         over single ticks.
     grip_margin_N : a transient starts only this much above `grip_min_N`, so that noise does not abort it.
+    grid_slack, grid_slack_N : by this part of the speed, by this much grip a contact may lie outside the grid before
+        it is told: what sensors and fit are worth, so that a tap on the edge is not reported every other time.
     gain_rate_1_s : how fast a changed gain is followed: 0 to 1 in 0.1 s is no bang.
 
     withhold_K : below the coil's limit no transient starts; feedback goes on. A tap heats by 0.2 K at most, a
@@ -92,6 +96,8 @@ class Settings:
     rearm_s: float = 5e-3
     grip_filter_s: float = 5e-3
     grip_margin_N: float = 0.1
+    grid_slack: float = 0.02
+    grid_slack_N: float = 0.1
     gain_rate_1_s: float = 10.0
 
     withhold_K: float = 5.0

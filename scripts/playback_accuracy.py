@@ -133,6 +133,20 @@ def inside(library: Library, count: int, seed: int = SEED) -> FloatArray:
     return np.random.default_rng(seed).uniform(low, high, (count, 2))
 
 
+def summarise(points: list[Point]) -> None:
+    late = np.array([p.latency_s for p in points])
+    extra = [p.nrmse_blend - p.interpolation for p in points]
+    worst = points[int(np.argmax(extra))]
+    print(
+        f"{len(points)} random taps between the nodes: latency {1e6 * np.sqrt(np.mean(late**2)):.1f} us rms, "
+        f"{1e6 * np.abs(late).max():.1f} us at most; NRMSE at most\n"
+        f"  {100 * max(p.nrmse for p in points):.2f} % against the blended command's replay,\n"
+        f"  {100 * max(p.nrmse_blend for p in points):.2f} % against the blended prediction, where interpolation "
+        f"alone makes {100 * max(p.interpolation for p in points):.2f} %;\n"
+        f"  largest difference of the two {100 * max(extra):.2f} % at {worst.speed_m_s:.3f} m/s, {worst.grip_N:.2f} N"
+    )
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("library", type=Path, help="library.npz")
@@ -146,9 +160,7 @@ def main() -> int:
     try:
         library = load_library(arguments.library)
         table, phases = bank(library), np.arange(arguments.phases) / arguments.phases
-        print(
-            f"{'m/s':>5} {'N':>4} {'taps':>4} {'latency rms us':>14} {'worst us':>8} {'NRMSE %':>8} {'of r %':>7} peak A"
-        )
+        print("  m/s    N taps latency rms us worst us  NRMSE %  of r % peak A")
         nodes = []
         for iv in range(library.speeds_m_s.size):
             for ig in range(library.grips_N.size):
@@ -163,17 +175,7 @@ def main() -> int:
         drawn = inside(library, arguments.points)
         points = [between(library, table, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
         if points:
-            worst = max(points, key=lambda p: p.nrmse_blend - p.interpolation)
-            late = np.array([p.latency_s for p in points])
-            print(
-                f"{len(points)} random taps between the nodes: latency {1e6 * np.sqrt(np.mean(late**2)):.1f} us rms, "
-                f"{1e6 * np.abs(late).max():.1f} us at most; NRMSE {100 * max(p.nrmse for p in points):.2f} % at most "
-                f"against the blended command's replay;\nagainst the blended prediction "
-                f"{100 * max(p.nrmse_blend for p in points):.2f} % at most, where interpolation alone makes "
-                f"{100 * max(p.interpolation for p in points):.2f} %; largest difference "
-                f"{100 * (worst.nrmse_blend - worst.interpolation):.2f} % at {worst.speed_m_s:.3f} m/s, "
-                f"{worst.grip_N:.2f} N"
-            )
+            summarise(points)
         if arguments.json is not None:
             result = {"nodes": [asdict(n) for n in nodes], "points": [asdict(p) for p in points]}
             with whole_file(arguments.json) as file:

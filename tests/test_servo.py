@@ -391,6 +391,11 @@ def test_out_of_grid_and_grip_are_told(stated: Settings, tables: Bank) -> None:
     fast.servo.arm()
     fast.run(CONTACT + 5)
     assert fast.events() == [Notice.CONTACT, Notice.OUT_OF_GRID]
+    edge = Bench(stated, tables, lambda k: tap_m(k, 0.402))
+    edge.servo.arm()
+    edge.grip_N = 5.06  # within what the sensors are worth
+    edge.run(CONTACT + 5)
+    assert edge.events() == [Notice.CONTACT]
     loose = Bench(stated, tables)
     loose.servo.arm()
     loose.grip_N = 0.3
