@@ -77,7 +77,9 @@ def tap_figure(played: Played) -> Figure:
 
     for panel in panels:
         if panel.get_legend_handles_labels()[0]:
-            panel.legend(fontsize=SMALL_PT, frameon=False, loc="upper right")
+            # The temperature only rises.
+            place = "upper left" if panel is temperature else "upper right"
+            panel.legend(fontsize=SMALL_PT, frameon=False, loc=place)
     temperature.set_xlabel("time from contact ms", fontsize=LABEL_PT)
     temperature.set_xlim(*shown)
     visible = played.motor_m[inside] * 1e3
