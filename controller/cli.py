@@ -96,11 +96,16 @@ def tap(
     _checked("seed", seed, 0, 2**63 - 1, "")
     loaded = load_library(library)
     speed_m_s, grip_N = _middle(loaded, speed, grip)
-    _checked("speed", speed_m_s, 0.01, 5.0, " m/s, what a hand does")
-    _checked("grip", grip_N, 0.0, 60.0, " N, what a hand does")
+    settings = Settings.of(loaded, amplifier_tolerance=mismatch)
+    _checked("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
+    _checked("grip", grip_N, 0.0, 50.0, " N, what a hand does")
+    if settings.assumed_grip_N == 0 and grip_N > 0:
+        raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
+    if method == Method.PROPORTIONAL.value and settings.wall is None:
+        raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
     if out is not None:
         _make_folder(out)
-    servo = Servo(Settings.of(loaded), bank(loaded, Method(method)))
+    servo = Servo(settings, bank(loaded, Method(method)))
     servo.set_gain(gain)
     wanted = Tap(
         speed_m_s,

@@ -60,7 +60,11 @@ class Servo:
         )
         self._trigger = Trigger(s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s))
         amplifier, wall = s.amplifier, s.wall
-        self._decay = 0.0 if amplifier is None else math.exp(-amplifier.rate_rad_s * s.dt_s)
+        rate = math.inf if amplifier is None else amplifier.rate_rad_s * s.dt_s
+        self._decay = math.exp(-rate)
+        # Of the fastest and the slowest amplifier that may be there.
+        self._fast, self._slow = (math.exp(-rate * (1.0 + sign * s.amplifier_tolerance)) for sign in (1.0, -1.0))
+        self._least_A = self._most_A = 0.0  # between these the current is at the coming switching instant
         self._now, self._before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, s.dt_s)
         self._slew_A = None if s.slew_limit_A_per_s is None else s.slew_limit_A_per_s * s.dt_s
         self._gain_step = s.gain_rate_1_s * s.dt_s
@@ -146,7 +150,7 @@ class Servo:
                     self._earlier_A = wanted
                     events = self._saturation(tick, cut, events)
         self._transient_A, self._command_A = transient, command
-        self.expected_A = self._decay * self.expected_A + (1.0 - self._decay) * command
+        self._expect(command)
         winding = math.nan if guard is None else guard.winding_C
         return Output(command, self.state, transient, feedback, winding, events)
 
@@ -195,7 +199,7 @@ class Servo:
         if scale <= 0.0:
             return self._note(NOTHING, tick, Notice.TOO_HOT_TO_PLAY, speed, grip)
         events = self._note(NOTHING, tick, Notice.CONTACT, speed, grip)
-        if play.out_of_grid:
+        if play.out_of_grid and self._outside(play, speed, grip):
             events = self._note(events, tick, Notice.OUT_OF_GRID, speed, grip)
         if scale < 1.0:
             events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip)
@@ -203,6 +207,12 @@ class Servo:
         if play.samples_A:
             self._start(play.samples_A, approach.phase)
         return events
+
+    def _outside(self, play: Play, speed_m_s: float, grip_N: float) -> bool:
+        s = self.settings
+        return (
+            abs(speed_m_s - play.speed_m_s) > s.grid_slack * speed_m_s or abs(grip_N - play.grip_N) > s.grid_slack_N
+        )
 
     def _start(self, samples_A: list[float], phase: float) -> None:
         """Play from `phase` ticks after c_0: sample j at tick j + part late, blended with the one before it."""
@@ -225,15 +235,28 @@ class Servo:
     def _limited(self, command_A: float) -> float:
         """The nearest command inside the slew limit, the command's range and, above all, the current limit.
 
-        The current at the coming switching instant, and by monotony all the way to it, is e i + (1 - e) c.
+        The current at the coming switching instant, and by monotony all the way to it, is e i + (1 - e) c; it comes
+        closest to the limit with the fastest amplifier and the current that is nearest to it.
         """
-        s, e, i = self.settings, self._decay, self.expected_A
+        s, e = self.settings, self._fast
         limited = command_A
         if self._slew_A is not None:
             limited = _within(limited, self._command_A - self._slew_A, self._command_A + self._slew_A)
-        high, low = (s.current_limit_A - e * i) / (1.0 - e), (-s.current_limit_A - e * i) / (1.0 - e)
+        high = (s.current_limit_A - e * self._most_A) / (1.0 - e)
+        low = (-s.current_limit_A - e * self._least_A) / (1.0 - e)
         limited = _within(limited, low, high)
         return _within(limited, -s.command_limit_A, s.command_limit_A)
+
+    def _expect(self, command_A: float) -> None:
+        """Move the current on to the coming switching instant: as the model has it, and its bounds.
+
+        The upper bound rises with the fastest amplifier and falls with the slowest, the lower one the other way.
+        """
+        self.expected_A = self._decay * self.expected_A + (1.0 - self._decay) * command_A
+        most = self._fast if command_A > self._most_A else self._slow
+        least = self._fast if command_A < self._least_A else self._slow
+        self._most_A = most * self._most_A + (1.0 - most) * command_A
+        self._least_A = least * self._least_A + (1.0 - least) * command_A
 
     def _follow_gain(self) -> None:
         self.gain = _within(self.wanted_gain, self.gain - self._gain_step, self.gain + self._gain_step)

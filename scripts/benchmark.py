@@ -24,6 +24,13 @@ import casadi as ca
 import numpy as np
 
 import problems
+from controller.bank import bank
+from controller.loop import run as play
+from controller.servo import Servo
+from controller.settings import Settings
+from controller.simulator import Imperfections, Simulator
+from controller.truth import device_of
+from controller.user import RepeatedTaps
 from problems.simulate import recordings
 from transopt import transcribe
 from transopt.build import build_library
@@ -31,6 +38,7 @@ from transopt.certify import certify
 from transopt.discretise import discretise
 from transopt.files import whole_file
 from transopt.heat import Budget, thermal_limit
+from transopt.library import Library
 from transopt.problem import Multipliers, Solution, TransientProblem
 from transopt.reference import build_references
 from transopt.report import without_nan
@@ -279,6 +287,24 @@ def cold_start(runs: int) -> tuple[Row, float]:
     return row("command", "transopt solve", "cold process, figures included", 600, np.array(times)), memory
 
 
+def online(library: Library, runs: int) -> Row:
+    """A virtual second of random taps: servo, plant, sensors, hand; other taps in every run, so none is known."""
+    settings, table = Settings.of(library), bank(library)
+    device, ticks = device_of(Scene.model_validate(library.meta["scene"])), round(1 / settings.dt_s)
+    seeds = iter(range(runs + 1))
+
+    def second() -> None:
+        seed = next(seeds)
+        servo = Servo(settings, table)
+        servo.arm()
+        imperfections = Imperfections(mismatch=0.1)
+        simulator = Simulator(device, RepeatedTaps(seed), settings.dt_s, imperfections=imperfections, seed=seed)
+        play(simulator, servo, ticks, settings.dt_s)
+
+    times = timed(runs, online=second)["online"]
+    return row("online", "servo + simulator", "one virtual second of random taps", ticks, times)
+
+
 def machine() -> dict[str, object]:
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
@@ -318,6 +344,9 @@ def measure(runs: int) -> tuple[list[Row], float]:
     taps = recordings(scene)
     times = timed(max(runs // 3, 3), library=lambda: build_library(scene, taps))["library"]
     rows.append(row("library", "transopt", "12 entries solved, certified, replayed, baselines", 600, times))
+    library = build_library(scene, taps).library
+    assert library is not None
+    rows.append(online(library, runs))
     cold, memory = cold_start(3)
     return [*rows, cold], memory
 
@@ -356,6 +385,7 @@ def main() -> None:
         f"casadi-ipopt / casadi-fatrop, thermal: {by['thermal', 'casadi-ipopt'] / by['thermal', 'casadi-fatrop']:.1f}"
     )
     print(f"casadi-ipopt / casadi-piqp, saturated: {by['saturated', 'casadi-ipopt'] / fast:.1f}")
+    print(f"wall clock / virtual time, servo + simulator: {by['online', 'servo + simulator'] / 1e3:.2f}")
     print(f"6000 stages / 600 stages, casadi-piqp: {by['horizon', 'casadi-piqp'] / fast:.1f}")
     if arguments.json is not None:
         with whole_file(arguments.json) as file:

@@ -1,0 +1,189 @@
+"""How well the servo plays a library on the nominal device under a mild user.
+
+    python scripts/playback_accuracy.py LIBRARY [--phases 5] [--seeds 2] [--points 60] [--json FILE]
+
+At the nodes: latency and NRMSE after it, against the library's prediction, over contact phases within the tick and
+seeds of the sensors' noise. Between them, at random speeds and grips of the grid: against the blend of the nodes'
+predictions, which a device at that grip misses by the interpolation error even if everything is played on time.
+Exit code 1 if a node's latency is above 20 us rms or its NRMSE above 3 %, or a point's above the interpolation error
+plus 3 %.
+"""
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from controller.bank import Bank, bank
+from controller.experiment import Metrics, Tap, play_tap
+from controller.metrics import align
+from controller.prediction import predict
+from controller.servo import Servo
+from controller.settings import Settings
+from transopt.errors import InputError
+from transopt.files import whole_file
+from transopt.library import Library
+from transopt.library_file import load_library
+from transopt.signals import FloatArray, nrmse
+
+MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Node:
+    """One node over all phases and seeds; `nrmse` the worst, `nrmse_reference` the mean against the recorded tap."""
+
+    speed_m_s: float
+    grip_N: float
+    taps: int
+    latency_rms_s: float
+    latency_worst_s: float
+    nrmse: float
+    nrmse_reference: float
+    peak_current_A: float
+
+    @property
+    def kept(self) -> bool:
+        return self.latency_rms_s <= MOST_LATENCY_S and self.nrmse <= MOST_NRMSE
+
+
+@dataclass(frozen=True)
+class Point:
+    """One tap between the nodes.
+
+    Attributes
+    ----------
+    nrmse : against the blended command replayed through the device of this grip.
+    nrmse_blend : against the blend of the nodes' predicted accelerations. interpolation : that replay against it.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    latency_s: float
+    nrmse: float
+    nrmse_blend: float
+    interpolation: float
+
+    @property
+    def kept(self) -> bool:
+        return self.nrmse_blend <= self.interpolation + MOST_NRMSE
+
+
+def once(library: Library, table: Bank, tap: Tap) -> Metrics:
+    """One nominal tap with a fresh servo.
+
+    Raises
+    ------
+    RuntimeError : it was not played.
+    """
+    metrics = play_tap(library, Servo(Settings.of(library), table), tap).metrics
+    if not metrics.played or metrics.faults:
+        raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.verdict}")
+    return metrics
+
+
+def at_node(library: Library, table: Bank, iv: int, ig: int, phases: FloatArray, seeds: int) -> Node:
+    speed, grip = float(library.speeds_m_s[iv]), float(library.grips_N[ig])
+    taps = [Tap(speed, grip, phase=float(phase), seed=seed) for phase in phases for seed in range(seeds)]
+    found = [once(library, table, tap) for tap in taps]
+    late = np.array([metrics.latency_s for metrics in found])
+    return Node(
+        speed_m_s=speed,
+        grip_N=grip,
+        taps=len(taps),
+        latency_rms_s=float(np.sqrt(np.mean(late**2))),
+        latency_worst_s=float(late[np.argmax(np.abs(late))]),
+        nrmse=max(metrics.nrmse for metrics in found),
+        nrmse_reference=float(np.mean([metrics.nrmse_reference for metrics in found])),
+        peak_current_A=max(metrics.peak_current_A for metrics in found),
+    )
+
+
+def blended(library: Library, speed_m_s: float, grip_N: float) -> FloatArray:
+    """(N,) predicted accelerations of the four nodes around a point, blended as the commands are."""
+    by_v, by_F = (
+        np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
+        for value, nodes in ((speed_m_s, library.speeds_m_s), (grip_N, library.grips_N))
+    )
+    return np.asarray(np.einsum("v,g,vgk->k", by_v, by_F, library.acceleration_m_s2))
+
+
+def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed: int) -> Point:
+    """One tap between the nodes, its phase drawn from the seed."""
+    tap = Tap(speed_m_s, grip_N, seed=seed)
+    played = play_tap(library, Servo(Settings.of(library), table), tap)
+    blend, prediction = blended(library, speed_m_s, grip_N), predict(library, speed_m_s, grip_N)
+    return Point(
+        speed_m_s=speed_m_s,
+        grip_N=grip_N,
+        latency_s=played.metrics.latency_s,
+        nrmse=played.metrics.nrmse,
+        nrmse_blend=align(played.times_s, played.acceleration_m_s2, prediction.times_s, blend).nrmse,
+        interpolation=nrmse(prediction.acceleration_m_s2, blend),
+    )
+
+
+def inside(library: Library, count: int, seed: int = SEED) -> FloatArray:
+    """(count, 2) random speeds [m/s] and grips [N] of the grid."""
+    low, high = (library.speeds_m_s[0], library.grips_N[0]), (library.speeds_m_s[-1], library.grips_N[-1])
+    return np.random.default_rng(seed).uniform(low, high, (count, 2))
+
+
+def summarise(points: list[Point]) -> None:
+    late = np.array([p.latency_s for p in points])
+    extra = [p.nrmse_blend - p.interpolation for p in points]
+    worst = points[int(np.argmax(extra))]
+    print(
+        f"{len(points)} random taps between the nodes: latency {1e6 * np.sqrt(np.mean(late**2)):.1f} us rms, "
+        f"{1e6 * np.abs(late).max():.1f} us at most; NRMSE at most\n"
+        f"  {100 * max(p.nrmse for p in points):.2f} % against the blended command's replay,\n"
+        f"  {100 * max(p.nrmse_blend for p in points):.2f} % against the blended prediction, where interpolation "
+        f"alone makes {100 * max(p.interpolation for p in points):.2f} %;\n"
+        f"  largest difference of the two {100 * max(extra):.2f} % at {worst.speed_m_s:.3f} m/s, {worst.grip_N:.2f} N"
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("library", type=Path, help="library.npz")
+    parser.add_argument("--phases", type=int, default=5, help="phases of the contact within the tick, per node")
+    parser.add_argument("--seeds", type=int, default=2, help="seeds of the sensors' noise, per phase")
+    parser.add_argument("--points", type=int, default=60, help="random taps between the nodes")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    arguments = parser.parse_args()
+    if min(arguments.phases, arguments.seeds) < 1 or arguments.points < 0:
+        parser.error("--phases and --seeds must be at least 1, --points at least 0")
+    try:
+        library = load_library(arguments.library)
+        table, phases = bank(library), np.arange(arguments.phases) / arguments.phases
+        print("  m/s    N taps latency rms us worst us  NRMSE %  of r % peak A")
+        nodes = []
+        for iv in range(library.speeds_m_s.size):
+            for ig in range(library.grips_N.size):
+                n = at_node(library, table, iv, ig, phases, arguments.seeds)
+                nodes.append(n)
+                print(
+                    f"{n.speed_m_s:5g} {n.grip_N:4g} {n.taps:4d} {1e6 * n.latency_rms_s:14.1f} "
+                    f"{1e6 * n.latency_worst_s:8.1f} {100 * n.nrmse:8.2f} {100 * n.nrmse_reference:7.2f} "
+                    f"{n.peak_current_A:.4f}{'' if n.kept else '  MISSED'}",
+                    flush=True,
+                )
+        drawn = inside(library, arguments.points)
+        points = [between(library, table, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
+        if points:
+            summarise(points)
+        if arguments.json is not None:
+            result = {"nodes": [asdict(n) for n in nodes], "points": [asdict(p) for p in points]}
+            with whole_file(arguments.json) as file:
+                file.write(json.dumps(result, indent=1).encode())
+    except InputError as error:
+        parser.error(str(error))
+    return 0 if all(entry.kept for entry in [*nodes, *points]) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
