@@ -173,9 +173,8 @@ class Summary:
     mean, worst_device, worst_tap : over the mismatched devices: mean over devices and conditions, the largest mean
         that one device has over its conditions, the largest single tap.
     nominal_unshifted, mean_unshifted : the same two means as the taps came.
-    ahead : mismatched taps in which this method came nearer to the reference than the optimum on the same device, by
-        more than `EQUAL`.
-    taps : mismatched taps.
+    ahead, ahead_unshifted : mismatched taps in which this method came nearer to the reference than the optimum on the
+        same device, by more than `EQUAL`; after the shift and as they came. taps : mismatched taps.
     """
 
     method: str
@@ -187,6 +186,7 @@ class Summary:
     nominal_unshifted: float
     mean_unshifted: float
     ahead: int
+    ahead_unshifted: int
     taps: int
 
 
@@ -200,7 +200,7 @@ def _table(results: Sequence[Result], method: str, field: str, nominal: bool) ->
 def summarise(results: Sequence[Result]) -> list[Summary]:
     """One summary per method, in the order of the results; the optimum has to be among them."""
     nothing = float("nan")
-    best = _table(results, Method.BILINEAR.value, "nrmse", False)
+    best, best_came = (_table(results, Method.BILINEAR.value, name, False) for name in ("nrmse", "nrmse_unshifted"))
     summaries = []
     for method in dict.fromkeys(r.method for r in results):
         nominal, others = (_table(results, method, "nrmse", which) for which in (True, False))
@@ -215,7 +215,8 @@ def summarise(results: Sequence[Result]) -> list[Summary]:
                 worst_tap=float(others.max()) if others.size else nothing,
                 nominal_unshifted=float(nominal_came.mean()) if nominal.size else nothing,
                 mean_unshifted=float(others_came.mean()) if others.size else nothing,
-                ahead=int(np.sum(others < best - EQUAL)) if others.size else 0,
+                ahead=int(np.sum(others < best - EQUAL)),
+                ahead_unshifted=int(np.sum(others_came < best_came - EQUAL)),
                 taps=others.size,
             )
         )

@@ -87,7 +87,7 @@ def real_taps_figure(by_speed: Sequence[RealTap], by_grip: Sequence[RealTap]) ->
 # ------------------------------------------------------------------------------------------------ Fig. 5
 
 AMPLIFIER_HZ = np.geomspace(20.0, 4000.0, 17)
-SETTLING_S, LEAST_S, PERIODS = 5e-3, 40e-3, 5  # of each sine
+SETTLING_S, LEAST_S, PERIODS = 5e-3, 20e-3, 2  # of each sine
 AMPLIFIER_STEPS = 5  # integration steps per segment of a servo period, so that the rise within it is seen
 LOUD_A, QUIET_A = 2.0, 0.1  # the crossover's dead band is 0.01 A
 
@@ -173,13 +173,20 @@ def amplifier_figure(scene: Scene, amplifier: Amplifier, responses: dict[float, 
     fine = np.geomspace(AMPLIFIER_HZ[0], AMPLIFIER_HZ[-1], 300)
     wanted = amplifier_model(amplifier.pole_Hz, amplifier.delay_s, dt, fine)
     _bode(magnitude, phase, fine, wanted, {"color": REFERENCE, "linewidth": 3.0})
-    for (_, response), colour, marker in zip(responses.items(), (OPTIMUM, SEED), "o^", strict=True):
-        dots = {"color": colour, "linestyle": "", "marker": marker, "markersize": 3.5}
+    for (amplitude, response), colour, marker in zip(responses.items(), (OPTIMUM, SEED), "o^", strict=True):
+        dots = {
+            "color": colour,
+            "linestyle": "",
+            "marker": marker,
+            "markersize": 3.5,
+            "label": f"sines of {amplitude:g} A",
+        }
         _bode(magnitude, phase, AMPLIFIER_HZ, response, dots)
     logarithmic(magnitude, y=False)
     for axes in (magnitude, phase):
         style(axes)
     magnitude.set_ylim(0, 1.1)
+    magnitude.legend(fontsize=SMALL_PT, frameon=False, loc="lower left")
     magnitude.set_ylabel("current per command", fontsize=LABEL_PT)
     phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
     phase.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)

@@ -49,6 +49,18 @@ from transopt.signals import STANDARD_GRAVITY_M_S2
 
 SCENE = "wood_on_foam"
 GRIPS_N = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # of Fig. 7
+# From the optimum to what came before the seed.
+METHODS = (
+    Method.BILINEAR,
+    Method.NEAREST,
+    Method.CLIPPED_OPTIMUM,
+    Method.SEED_INVERSION,
+    Method.BLIND,
+    Method.FIXED_WIDTH_PULSE,
+    Method.DECAYING_SINUSOID,
+    Method.MOMENTUM_CANCELLATION,
+    Method.PROPORTIONAL,
+)
 SWEEP_S, SWEEP_GRIP_N = 10.0, 3.0  # of Fig. 6
 
 
@@ -302,7 +314,7 @@ def main() -> int:
         parser.error(f"--out {arguments.out}: cannot be written ({error.strerror}); choose another folder")
     try:
         library, steady = libraries(load_scene(problems.scene_path(SCENE)))
-        experiment = Experiment(library, steady, nodes(library), list(Method), arguments.devices, arguments.jobs)
+        experiment = Experiment(library, steady, nodes(library), METHODS, arguments.devices, arguments.jobs)
         command = f"python scripts/seed_figures.py --out DIR --devices {arguments.devices} --jobs {arguments.jobs}"
         write_all(experiment, arguments.out, command)
     except InputError as error:

@@ -19,6 +19,7 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray
 REFERENCE = "0.65"
 BEFORE_MS, AFTER_MS = 1.5, 30.0  # shown of a tap; the recordings ring to 25 ms
 JITTER = 0.28  # of the dots around their method's line
+MEAN: dict[str, Any] = {"linestyle": "", "marker": "|", "markersize": 22, "markeredgewidth": 2, "color": OPTIMUM}
 
 
 def colours(n: int) -> FloatArray:
@@ -112,7 +113,7 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
                 below.axhline(sign * limit, color=DARK, linewidth=0.8, linestyle=":")
         for axes in (above, below):
             style(axes)
-            axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 4, 5, 10]))
+            axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 4, 5, 10]))
     for ig, grip in enumerate(grips):
         rows[0, ig].set_title(f"grip {grip:g} N", fontsize=LABEL_PT)
         rows[-1, ig].set_xlabel("time after contact [ms]", fontsize=LABEL_PT)
@@ -126,8 +127,11 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
     for one in series:
         line = {**one.line, "linestyle": "--"} if predicted else one.line
         handles.append(Line2D([], [], label=one.label, **line))
-    text = " and ".join(f"{limit:g}" for limit in limits_A)
-    handles.append(Line2D([], [], color=DARK, linewidth=0.8, linestyle=":", label=f"limit {text} A"))
+    text = " and ".join(f"{limit:g} A" for limit in limits_A)
+    handles.append(Line2D([], [], color=DARK, linewidth=0.8, linestyle=":", label=f"limit of {text}"))
+    least = min(float(played.current_A.min()) for one in series for played in one.taps.values())
+    for axes in rows[1::2, 0]:
+        axes.set_ylim(least - 0.08 * max(limits_A), 1.15 * max(limits_A))
     columns = 1 if len(grips) == 1 else len(handles)
     figure.legend(handles=handles, loc="outside upper center", ncols=columns, fontsize=SMALL_PT, frameon=False)
     return figure
@@ -145,14 +149,12 @@ def method_figure(results: Sequence[Result], summaries: Sequence[Summary]) -> Fi
     random = np.random.default_rng(0)
     for row, summary in enumerate(summaries):
         taps = [r for r in results if r.method == summary.method]
-        for nominal, colour, size in ((False, "0.72", 2.2), (True, SEED, 3.2)):
+        for nominal, colour, size in ((False, "0.65", 2.2), (True, SEED, 3.6)):
             values = np.array([100 * r.nrmse for r in taps if (r.device == NOMINAL) == nominal])
             places = row + random.uniform(-JITTER, JITTER, values.size)
             axes.plot(values, places, linestyle="", marker="o", markersize=size, color=colour, markeredgewidth=0)
-        for value, marker in ((summary.mean, "D"), (summary.worst_tap, "|")):
-            if np.isfinite(value):
-                axes.plot(100 * value, row, linestyle="", marker=marker, markersize=8, color=OPTIMUM)
-    axes.axhline(0.5, color="0.6", linewidth=0.6)
+        if np.isfinite(summary.mean):
+            axes.plot(100 * summary.mean, row, **MEAN)
     axes.set_yticks(range(len(summaries)), [summary.method for summary in summaries], fontsize=SMALL_PT)
     axes.set_ylim(len(summaries) - 0.5, -0.5)
     logarithmic(axes, y=False)
@@ -162,9 +164,8 @@ def method_figure(results: Sequence[Result], summaries: Sequence[Summary]) -> Fi
     dot: dict[str, Any] = {"linestyle": "", "marker": "o"}
     handles = [
         Line2D([], [], color=SEED, markersize=4, label="nominal device", **dot),
-        Line2D([], [], color="0.72", markersize=4, label="mismatched devices", **dot),
-        Line2D([], [], color=OPTIMUM, linestyle="", marker="D", markersize=6, label="their mean"),
-        Line2D([], [], color=OPTIMUM, linestyle="", marker="|", markersize=8, label="their worst tap"),
+        Line2D([], [], color="0.65", markersize=4, label="mismatched devices", **dot),
+        Line2D([], [], label="their mean", **{**MEAN, "markersize": 11}),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=SMALL_PT, frameon=False)
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, fontsize=SMALL_PT, frameon=False)
     return figure

@@ -16,7 +16,7 @@ from transopt.files import whole_file
 WORDS = {
     Method.BILINEAR: "optimum, blended (bilinear)",
     Method.NEAREST: "optimum, nearest node",
-    Method.BLIND: "optimum for 3 N whatever the grip (blind)",
+    Method.BLIND: "optimum for the middle grip (blind)",
     Method.PROPORTIONAL: "proportional only, wall of 200 N/m",
     Method.DECAYING_SINUSOID: "decaying sinusoid",
     Method.FIXED_WIDTH_PULSE: "fixed-width pulse",
@@ -101,7 +101,7 @@ def method_table(summaries: Sequence[Summary], off_nodes: Sequence[Summary]) -> 
     rows = []
     for s in summaries:
         values = (s.nominal, s.nominal_worst, s.mean, s.worst_device, s.worst_tap)
-        ahead = f"{s.ahead} of {s.taps}" if s.taps else "-"
+        ahead = f"{s.ahead} / {s.ahead_unshifted} of {s.taps}"
         last = [percent(s.nominal_unshifted), percent(s.mean_unshifted)]
         if s.method in off:
             last += [percent(off[s.method].nominal), percent(off[s.method].nominal_worst)]
@@ -214,7 +214,8 @@ def how_measured(devices: int) -> list[str]:
         f"Devices: {devices} with every mass, stiffness, damping, force per ampere and the amplifier's pole and "
         f"delay off by up to {100 * MISMATCH:g} % and a dead band of 10 mA, the same ones for every method. "
         "*Nearer than optimum* counts their taps in which a method beat the optimum by more than 0.1 percentage "
-        "points. *Off the nodes*: nominal device, middles of the grid's cells. The scene renders no wall; "
-        "proportional only has the one of the scene `walled`.",
+        "points, after the shift / as they came: the optimum is one for the nominal device, and on another one the "
+        "error of a worse waveform can happen to oppose that of the device. *Off the nodes*: nominal device, middles "
+        "of the grid's cells. The scene renders no wall; proportional only has the one of the scene `walled`.",
         "",
     ]
