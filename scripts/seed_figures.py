@@ -1,0 +1,327 @@
+"""The seed's experiment: its Figs. 1, 5, 6, 7 and 10 and the comparisons of its text, from models and simulator.
+
+    python scripts/seed_figures.py --out DIR [--devices 20] [--jobs 2]
+
+Writes seed.md, which shows figures and tables, the figures themselves, and CSV files: taps.csv and off_nodes.csv (one
+row per tap), methods.csv (one per method), limits.csv (one per condition). Five minutes on two idle cores.
+"""
+
+import argparse
+import os
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import seed_device
+from benchmark import machine
+from seed_comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
+from seed_plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
+from seed_report import (
+    Compared,
+    ahead_of_all,
+    how_measured,
+    limit_table,
+    limit_words,
+    method_table,
+    real_tap_table,
+    shape_table,
+    write_csv,
+    write_text,
+)
+
+import problems
+from controller.bank import Method
+from controller.experiment import Played
+from controller.inversions import unlimited_optimum
+from problems.simulate import recordings
+from transopt.build import build_library
+from transopt.errors import InputError
+from transopt.library import Library
+from transopt.plotting import save_figure
+from transopt.scene import Scene
+from transopt.scene_file import load_scene
+from transopt.signals import STANDARD_GRAVITY_M_S2
+
+SCENE = "wood_on_foam"
+GRIPS_N = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # of Fig. 7
+# From the optimum to what came before the seed.
+METHODS = (
+    Method.BILINEAR,
+    Method.NEAREST,
+    Method.CLIPPED_OPTIMUM,
+    Method.SEED_INVERSION,
+    Method.BLIND,
+    Method.FIXED_WIDTH_PULSE,
+    Method.DECAYING_SINUSOID,
+    Method.MOMENTUM_CANCELLATION,
+    Method.PROPORTIONAL,
+)
+SWEEP_S, SWEEP_GRIP_N = 10.0, 3.0  # of Fig. 6
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is tapped.
+
+    Attributes
+    ----------
+    library, steady : of one scene, at the transient limit and at the steady one. conditions : nodes of both.
+    methods : the bilinear optimum has to be among them. devices : mismatched ones.
+    """
+
+    library: Library
+    steady: Library
+    conditions: Sequence[Condition]
+    methods: Sequence[Method]
+    devices: int
+    jobs: int
+
+    @property
+    def scene(self) -> Scene:
+        return Scene.model_validate(self.library.meta["scene"])
+
+    @property
+    def limits_A(self) -> tuple[float, float]:
+        return self.library.meta["limits"]["current_A"], self.steady.meta["limits"]["current_A"]
+
+
+def libraries(scene: Scene) -> tuple[Library, Library]:
+    """The scene's library, and one that keeps the motor's steady current at all times."""
+    limits = scene.limits.model_copy(update={"beta": 1.0, "current_A": None})
+    made = [
+        build_library(one, recordings(scene)).library for one in (scene, scene.model_copy(update={"limits": limits}))
+    ]
+    if made[0] is None or made[1] is None:
+        raise InputError(f"{scene.name}: entries refused, no library to play")
+    return made[0], made[1]
+
+
+# ------------------------------------------------------------------------------------------------ device
+
+
+def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float, out: Path) -> list[str]:
+    """Figs. 1, 5, 6 and 7 into `out`; their part of seed.md."""
+    speeds, grips = (list(dict.fromkeys(c[j] for c in conditions)) for j in (0, 1))
+    recorded = scene.recordings.simulated
+    assert recorded is not None
+    by_speed = [seed_device.real_tap(scene, v, recorded.grip_N) for v in speeds]
+    by_grip = [seed_device.real_tap(scene, speeds[len(speeds) // 2], F) for F in grips]
+    save_figure(seed_device.real_taps_figure(by_speed, by_grip), out / "fig01_real_taps.png")
+
+    amplifier, dt = scene.amplifier_model(), scene.time.dt_s
+    assert amplifier is not None
+    responses = {A: seed_device.sine_response(scene, A) for A in (seed_device.LOUD_A, seed_device.QUIET_A)}
+    save_figure(seed_device.amplifier_figure(scene, amplifier, responses), out / "fig05_amplifier.png")
+    fits = []
+    for amplitude, response in responses.items():
+        gain, pole_Hz, delay_s = seed_device.fitted_amplifier(response, dt)
+        fits.append(f"{amplitude:g} A: gain {gain:.3f}, pole {pole_Hz:.0f} Hz, delay {1e6 * delay_s:.1f} µs")
+
+    found = seed_device.sweep_response(scene, SWEEP_GRIP_N, sweep_s)
+    save_figure(seed_device.sweep_figure(scene, SWEEP_GRIP_N, found), out / "fig06_stylus_and_hand.png")
+    size_dB, phase_deg = seed_device.deviation(scene, SWEEP_GRIP_N, found, 5.0)
+
+    shapes = [seed_device.shape(scene, F) for F in GRIPS_N]
+    save_figure(seed_device.family_figure(scene, GRIPS_N), out / "fig07_grips.png")
+    return [
+        "## Fig. 1: real taps",
+        "",
+        "![Fig. 1](fig01_real_taps.png)",
+        "",
+        "The undriven stylus strikes the scene's real object, wood on foam, by speed (left) and grip (right).",
+        "",
+        *real_tap_table([*by_speed, *(tap for tap in by_grip if tap.grip_N != recorded.grip_N)]),
+        "## Fig. 5: amplifier",
+        "",
+        "![Fig. 5](fig05_amplifier.png)",
+        "",
+        f"Simulated amplifier with its dead band against the model ({amplifier.pole_Hz:g} Hz, "
+        f"{1e6 * amplifier.delay_s:g} µs beyond the hold): steps (left), sines issued at the servo's ticks (right). "
+        f"Fitted to the sines of {'; '.join(fits)}: the dead band costs gain, neither pole nor delay.",
+        "",
+        "## Fig. 6: stylus and hand",
+        "",
+        "![Fig. 6](fig06_stylus_and_hand.png)",
+        "",
+        f"A sweep of {seed_device.SWEEP_A:g} A and {sweep_s:g} s at {SWEEP_GRIP_N:g} N, as the amplifier's monitor "
+        f"and the noisy accelerometer read it, against the model: {size_dB:.2f} dB and {phase_deg:.1f} degrees rms "
+        "from 5 Hz on.",
+        "",
+        "## Fig. 7: the grips",
+        "",
+        "![Fig. 7](fig07_grips.png)",
+        "",
+        "The family of |G| over grip force: the grip acts below 100 Hz.",
+        "",
+        *shape_table(shapes),
+    ]
+
+
+# ------------------------------------------------------------------------------------------------ taps
+
+
+def _compared(experiment: Experiment, condition: Condition, taps: dict[str, Played]) -> Compared:
+    library, (_, low) = experiment.library, experiment.limits_A
+    iv = int(np.flatnonzero(library.speeds_m_s == condition[0])[0])
+    ig = int(np.flatnonzero(library.grips_N == condition[1])[0])
+    problem = library.problem(iv, ig)
+    _, current = problem.stage.rollout(unlimited_optimum(problem))
+    errors = {name: result(played, Method.BILINEAR, NOMINAL).nrmse for name, played in taps.items()}
+    own, g = taps["optimum"].metrics, STANDARD_GRAVITY_M_S2
+    return Compared(
+        speed_m_s=condition[0],
+        grip_N=condition[1],
+        needed_A=float(np.abs(current).max()),
+        over_ms=1e3 * library.meta["dt_s"] * int(np.sum(np.abs(current) > low)),
+        reference_g=own.reference_peak_m_s2 / g,
+        peak_g=own.peak_m_s2 / g,
+        peak_steady_g=taps["optimum_steady"].metrics.peak_m_s2 / g,
+        predicted_error=own.nrmse,
+        latency_s=own.latency_s,
+        **errors,
+    )
+
+
+def played_figures(experiment: Experiment, out: Path) -> list[str]:
+    """Fig. 10 with its comparisons, nominal device, into `out`; its part of seed.md."""
+    own = kit(experiment.library, (Method.BILINEAR, Method.BLIND, Method.SEED_INVERSION))
+    low = kit(experiment.steady, (Method.BILINEAR, Method.SEED_INVERSION))
+    ways: dict[str, tuple[Kit, Method]] = {
+        "optimum": (own, Method.BILINEAR),
+        "optimum_steady": (low, Method.BILINEAR),
+        "seed": (own, Method.SEED_INVERSION),
+        "seed_steady": (low, Method.SEED_INVERSION),
+        "blind": (own, Method.BLIND),
+    }
+    taps = {
+        name: {condition: with_kit.play(method, NOMINAL, condition) for condition in experiment.conditions}
+        for name, (with_kit, method) in ways.items()
+    }
+    high_A, low_A = experiment.limits_A
+    optimum = Series(f"played, {high_A:g} A", taps["optimum"], optimum_line())
+    steady = Series(f"optimum at {low_A:g} A", taps["optimum_steady"], steady_line())
+    blind = Series("blind grip", taps["blind"], blind_line())
+    save_figure(tap_grid([optimum], [high_A], predicted=True), out / "fig10_played.png")
+    other = Series(f"optimum at {high_A:g} A", taps["optimum"], optimum_line())
+    save_figure(tap_grid([other, steady, blind], [high_A, low_A], predicted=False), out / "fig10_compared.png")
+    compared = [
+        _compared(experiment, condition, {name: played[condition] for name, played in taps.items()})
+        for condition in experiment.conditions
+    ]
+    write_csv(compared, out / "limits.csv")
+    return [
+        "## Fig. 10: taps as played",
+        "",
+        "![Fig. 10](fig10_played.png)",
+        "",
+        "Closed loop on the nominal device: recorded reference, the library's prediction, and what was played.",
+        "",
+        f"## Fig. 10 again: {high_A:g} A against {low_A:g} A, compensated against blind grip",
+        "",
+        "![Fig. 10, compared](fig10_compared.png)",
+        "",
+        *limit_words(compared, experiment.limits_A),
+        "NRMSE in % against r after the shift, nominal device; *needed* is the peak of the unlimited optimum.",
+        "",
+        *limit_table(compared, experiment.limits_A),
+    ]
+
+
+def method_comparison(experiment: Experiment, out: Path) -> list[str]:
+    """Every method on every device into `out`; its part of seed.md."""
+    own = kit(experiment.library, experiment.methods)
+    started = time.perf_counter()
+    last_told = 0.0
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last_told
+        if done == total or time.perf_counter() - last_told > 10.0:
+            last_told = time.perf_counter()
+            print(f"{done} of {total} taps, {last_told - started:.0f} s", file=sys.stderr, flush=True)
+
+    devices = range(NOMINAL, experiment.devices + 1)
+    results = compare(own, experiment.conditions, devices, jobs=experiment.jobs, progress=tell)
+    off_nodes = compare(own, midpoints(experiment.library), [NOMINAL], jobs=experiment.jobs)
+    elapsed_s = time.perf_counter() - started
+    summaries = summarise(results)
+    write_csv(results, out / "taps.csv")
+    write_csv(summaries, out / "methods.csv")
+    write_csv(off_nodes, out / "off_nodes.csv")
+    save_figure(method_figure(results, summaries), out / "methods.png")
+    count = len(results) + len(off_nodes)
+    return [
+        "## All methods",
+        "",
+        "![NRMSE by method](methods.png)",
+        "",
+        f"NRMSE by method over {len(experiment.conditions)} conditions; every dot is a tap.",
+        "",
+        *method_table(summaries, summarise(off_nodes)),
+        *ahead_of_all(summaries),
+        *how_measured(experiment.devices),
+        f"{count} taps in {elapsed_s:.0f} s with {experiment.jobs} processes, "
+        f"{1e3 * elapsed_s * experiment.jobs / count:.0f} ms per tap and process.",
+        "",
+    ]
+
+
+# ------------------------------------------------------------------------------------------------ all
+
+
+def write_all(experiment: Experiment, out: Path, command: str, *, sweep_s: float = SWEEP_S) -> None:
+    """Every file of the command into the folder `out`, each whole."""
+    started = time.perf_counter()
+    parts = [
+        *method_comparison(experiment, out),
+        *played_figures(experiment, out),
+        *device_figures(experiment.scene, experiment.conditions, sweep_s, out),
+    ]
+    names = ("transopt", "numpy", "scipy", "casadi", "matplotlib")
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in names)
+    computer = machine()
+    head = [
+        "# The seed's experiment",
+        "",
+        "Figures and comparisons of Fiene, Kuchenbecker and Niemeyer, *Event-Based Haptic Tapping with Grip Force "
+        f"Compensation* (2006), from the scene `{experiment.scene.name}` on the simulator.",
+        "",
+        f"`{command}`: {time.perf_counter() - started:.0f} s on {computer['cpu']}, {computer['cores']} cores, "
+        f"{computer['system']}; Python {platform.python_version()}, {versions}.",
+        "",
+    ]
+    write_text("\n".join([*head, *parts]), out / "seed.md")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder for everything that is written")
+    parser.add_argument("--devices", type=int, default=20, help="random mismatched devices")
+    parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 2), help="processes")
+    arguments = parser.parse_args()
+    for name, least in (("devices", 1), ("jobs", 1)):
+        if getattr(arguments, name) < least:
+            parser.error(f"--{name} {getattr(arguments, name)}: must be at least {least}")
+    # The processes multiply small matrices; threads of theirs would only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        arguments.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"--out {arguments.out}: cannot be written ({error.strerror}); choose another folder")
+    try:
+        library, steady = libraries(load_scene(problems.scene_path(SCENE)))
+        experiment = Experiment(library, steady, nodes(library), METHODS, arguments.devices, arguments.jobs)
+        command = f"python scripts/seed_figures.py --out DIR --devices {arguments.devices} --jobs {arguments.jobs}"
+        write_all(experiment, arguments.out, command)
+    except InputError as error:
+        parser.error(str(error))
+    print(arguments.out / "seed.md")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
