@@ -1,5 +1,6 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import problems
 from problems.simulate import recordings
 from transopt.build import Build, build_library
+from transopt.design import entry_problem, scene_stage
 from transopt.discretise import discretise
 from transopt.library import Library
 from transopt.problem import TransientProblem
@@ -88,3 +90,27 @@ class ProblemMaker:
 @pytest.fixture(scope="session")
 def make_problem(scene: Scene, references: list[Reference]) -> ProblemMaker:
     return ProblemMaker(scene, references)
+
+
+def walled_scene(scene: Scene, stiffness_N_m: float, **feedback: float) -> Scene:
+    data = scene.model_dump()
+    data["feedback"] = {"stiffness_N_m": stiffness_N_m, "damping_N_s_m": 5.0, **feedback}
+    return Scene.model_validate(data)
+
+
+WalledMaker = Callable[..., TransientProblem]
+
+
+@pytest.fixture(scope="session")
+def walled(scene: Scene, references: list[Reference]) -> WalledMaker:
+    """An entry over a wall; stiffness 0, which no scene may state, leaves the damper."""
+
+    def make(stiffness_N_m: float, speed_m_s: float, grip_N: float = 3.0, **feedback: float) -> TransientProblem:
+        varied = walled_scene(scene, max(stiffness_N_m, 1.0), **feedback)
+        reference = next(r for r in references if r.speed_m_s == speed_m_s)
+        problem = entry_problem(varied, scene_stage(varied, grip_N), reference)
+        assert problem.wall is not None
+        wall = replace(problem.wall.wall, stiffness_N_m=stiffness_N_m)
+        return replace(problem, wall=replace(problem.wall, wall=wall))
+
+    return make

@@ -1,31 +1,24 @@
 """The virtual wall: its law, the hand-over, the closed loop in continuous time, walled libraries."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.conftest import WalledMaker
 from transopt.amplifier import Amplifier, prefilter
-from transopt.build import build_library
 from transopt.certify import certify, reduced_gradient
-from transopt.design import design_grip, entry_problem, scene_stage
 from transopt.discretise import discretise
 from transopt.errors import InputError
-from transopt.library import Library
-from transopt.library_file import load_library
 from transopt.linear import hand_over_rows, linear_stage
 from transopt.optimum import Designed, optimum
 from transopt.parts import pressing
 from transopt.problem import Multipliers, Status, TransientProblem
-from transopt.recording import Recording
 from transopt.reference import Reference
 from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.solvers import SolverOptions, solve
-from transopt.verify import verify_library
 from transopt.wall import FeedbackLoop, HandOver, Wall
 
 AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit_A=6.0)
@@ -34,30 +27,6 @@ COUNT_m = 24.5e-6
 WALL = Wall(
     stiffness_N_m=500.0, damping_N_s_m=5.0, force_per_current_N_A=1.25, latency_ticks=1, derivative_filter_Hz=500.0
 )
-
-
-def walled_scene(scene: Scene, stiffness_N_m: float, **feedback: float) -> Scene:
-    data = scene.model_dump()
-    data["feedback"] = {"stiffness_N_m": stiffness_N_m, "damping_N_s_m": 5.0, **feedback}
-    return Scene.model_validate(data)
-
-
-Maker = Callable[..., TransientProblem]
-
-
-@pytest.fixture(scope="module")
-def walled(scene: Scene, references: list[Reference]) -> Maker:
-    """An entry over a wall; stiffness 0, which no scene may state, leaves the damper."""
-
-    def make(stiffness_N_m: float, speed_m_s: float, grip_N: float = 3.0, **feedback: float) -> TransientProblem:
-        varied = walled_scene(scene, max(stiffness_N_m, 1.0), **feedback)
-        reference = next(r for r in references if r.speed_m_s == speed_m_s)
-        problem = entry_problem(varied, scene_stage(varied, grip_N), reference)
-        assert problem.wall is not None
-        wall = replace(problem.wall.wall, stiffness_N_m=stiffness_N_m)
-        return replace(problem, wall=replace(problem.wall, wall=wall))
-
-    return make
 
 
 def plain_feedback(wall: Wall, z_m: np.ndarray, approach_m_s: float) -> np.ndarray:
@@ -170,7 +139,7 @@ class TestHandOver:
     @pytest.mark.parametrize("latency", [0, 1, 3])
     @pytest.mark.parametrize("amplifier", [AMPLIFIER, replace(AMPLIFIER, delay_s=168e-6), None])
     def test_rows_are_the_feedback_of_the_rolled_out_states(
-        self, walled: Maker, latency: int, amplifier: Amplifier | None
+        self, walled: WalledMaker, latency: int, amplifier: Amplifier | None
     ) -> None:
         """Encoder memory, derivative filter, delay line, prefilter: all of it as states, against the plain law."""
         problem = rebuilt(walled(500, 0.4, latency_ticks=latency), amplifier)
@@ -194,7 +163,7 @@ class TestHandOver:
         assert expected[problem.free_stages :].min() > 0.1, "the wall does not push: the test shows nothing"
         np.testing.assert_allclose(found, expected[problem.free_stages :], atol=1e-10)
 
-    def test_encoder_positions_against_the_matrix_exponential(self, walled: Maker) -> None:
+    def test_encoder_positions_against_the_matrix_exponential(self, walled: WalledMaker) -> None:
         """At the ticks, 32 us before the next switching instant, not at the switching instants."""
         problem = walled(500, 0.4)
         command = np.random.default_rng(5).uniform(-4, 4, 60)
@@ -203,7 +172,7 @@ class TestHandOver:
         assert np.abs(z).max() > 1e-5
         np.testing.assert_allclose(course[:-1], z[1:], atol=1e-13)
 
-    def test_gradient_of_the_hand_overs_lagrangian_by_differences(self, walled: Maker) -> None:
+    def test_gradient_of_the_hand_overs_lagrangian_by_differences(self, walled: WalledMaker) -> None:
         problem = walled(500, 0.4)
         N = problem.grid.stages
         random = np.random.default_rng(6)
@@ -222,7 +191,7 @@ class TestHandOver:
             difference = (lagrangian(command + step) - lagrangian(command - step)) / 2
             assert gradient[k] == pytest.approx(difference, rel=1e-8, abs=1e-11)
 
-    def test_two_methods_agree(self, walled: Maker) -> None:
+    def test_two_methods_agree(self, walled: WalledMaker) -> None:
         problem = optimum(walled(500, 0.4), SolverOptions()).problem
         proofs = []
         for solver in ("casadi-piqp", "casadi-ipopt", "casadi-fatrop"):
@@ -232,7 +201,7 @@ class TestHandOver:
         assert all(proof.accepted for proof in proofs)
         assert np.ptp([proof.objective for proof in proofs]) <= 1e-6 * proofs[0].objective
 
-    def test_a_lost_or_flipped_multiplier_is_noticed(self, walled: Maker) -> None:
+    def test_a_lost_or_flipped_multiplier_is_noticed(self, walled: WalledMaker) -> None:
         designed = optimum(walled(500, 0.4), SolverOptions())
         command, m = designed.solution.command_A, designed.solution.multipliers
         assert designed.certificate.accepted
@@ -318,18 +287,18 @@ class TestClosedLoop:
         [(0, 0.1), (0, 0.4), (200, 0.1), (200, 0.3), (200, 0.4), (500, 0.1), (500, 0.2), (500, 0.4), (2000, 0.1)],
     )
     def test_sampled_delayed_feedback_reproduces_the_prediction(
-        self, walled: Maker, stiffness_N_m: float, speed_m_s: float
+        self, walled: WalledMaker, stiffness_N_m: float, speed_m_s: float
     ) -> None:
         """Measured 7e-13 A and 7e-14 of the peak acceleration at most."""
         check_closed_loop(walled(stiffness_N_m, speed_m_s))
 
-    def test_longer_latency_and_whole_delays(self, walled: Maker) -> None:
+    def test_longer_latency_and_whole_delays(self, walled: WalledMaker) -> None:
         check_closed_loop(walled(200, 0.2, 1.0, latency_ticks=3))
         check_closed_loop(rebuilt(walled(500, 0.3, latency_ticks=2), replace(AMPLIFIER, delay_s=168e-6)))
         check_closed_loop(rebuilt(walled(500, 0.3, latency_ticks=0), replace(AMPLIFIER, delay_s=100e-6)))
 
     @pytest.mark.parametrize(("stiffness_N_m", "speed_m_s"), [(500, 0.4), (2000, 0.1)])
-    def test_an_independent_closed_loop(self, walled: Maker, stiffness_N_m: float, speed_m_s: float) -> None:
+    def test_an_independent_closed_loop(self, walled: WalledMaker, stiffness_N_m: float, speed_m_s: float) -> None:
         """Measured: 2e-13 A, 3e-12 m/s^2."""
         designed = optimum(walled(stiffness_N_m, speed_m_s), SolverOptions())
         problem, command = designed.problem, designed.solution.command_A
@@ -362,7 +331,7 @@ class TestClosedLoop:
         [(500, 0.0, 0.4, 0.01), (200, 5.0, 0.4, 0.1), (2000, 5.0, 0.1, 0.6)],
     )
     def test_encoder_counts(
-        self, walled: Maker, stiffness_N_m: float, damping_N_s_m: float, speed_m_s: float, most: float
+        self, walled: WalledMaker, stiffness_N_m: float, damping_N_s_m: float, speed_m_s: float, most: float
     ) -> None:
         """Measured: 0.26 %, 3.9 % and 21 % of the peak acceleration.
 
@@ -386,133 +355,14 @@ class TestClosedLoop:
         assert 1e-4 < off < most
 
 
-class TestRefusal:
-    def weak(self, problem: TransientProblem) -> TransientProblem:
-        """A motor that can neither hold the stylus up nor push back what the wall asks for."""
-        return replace(problem, limits=replace(problem.limits, current_A=0.3))
-
-    def test_names_the_hand_over_and_a_stiffness_that_does(self, walled: Maker) -> None:
-        designed = optimum(self.weak(walled(2000, 0.4)), SolverOptions())
-        assert designed.solution.status is Status.HAND_OVER
-        (reason,) = designed.remarks
-        assert reason.startswith("hand-over: K_p z / k_f = 4.36 A at 2.72 mm below the surface, ")
-        assert ", limit 0.3 A; " in reason
-        assert reason.endswith(" N/m would do")
-        enough = float(reason.split("; ")[1].split(" ")[0])
-        assert 100 < enough < 200
-        softer = optimum(self.weak(walled(enough, 0.4)), SolverOptions())
-        assert softer.solution.status is Status.OPTIMAL, softer.remarks
-        assert softer.certificate.accepted
-
-    def test_a_wall_that_holds_the_stylus_up_itself_is_no_reason(self, walled: Maker) -> None:
-        """The reference would go 2.7 mm deep, where 2000 N/m ask for 4.4 A; the answer does not go there."""
-        designed = optimum(walled(2000, 0.4), SolverOptions())
-        assert designed.solution.status is Status.OPTIMAL
-        assert designed.certificate.accepted
-        assert np.abs(designed.solution.command_A[-10:]).max() < 4
-
-    def test_a_refused_entry_says_so_in_the_design(self, scene: Scene, references: list[Reference]) -> None:
-        data = walled_scene(scene, 2000.0).model_dump()
-        data["limits"].update(beta=None, current_A=0.3)
-        (entry,) = design_grip(Scene.model_validate(data), 3.0, [references[-1]], SolverOptions())
-        assert entry.status is Status.HAND_OVER
-        assert "N/m would do" in entry.shortfalls[0]
-
-
-class TestMask:
-    def test_is_taken_anew_from_the_answers_motion(self, walled: Maker) -> None:
-        """A hand that lets the stylus come back to the surface just where the reference and the answer part.
-
-        At 0.4 m/s and 5 N the answer saturates, so that its motion is not the reference's.
-        """
-        problem = walled(500, 0.4, 5.0, damping_N_s_m=0.0)
-        assert problem.wall is not None
-        # Close to the surface the wall asks for next to nothing, so the answer is nearly that without a wall.
-        plain = optimum(replace(problem, wall=None), SolverOptions())
-        answer = plain.problem.encoder_at_ticks(plain.problem.stage.motion(plain.solution.command_A))
-        t, r = problem.grid.switching_times_s, problem.reference_m_s2
-        velocity = np.append(0.0, np.cumsum((r[1:] + r[:-1]) / 2) * DT_S)
-        intended = np.interp(
-            problem.grid.issue_times_s, t, np.append(0.0, np.cumsum((velocity[1:] + velocity[:-1]) / 2) * DT_S)
-        )
-        apart = np.abs(answer - intended)[-10:].min()
-        assert apart > 1e-5
-        nominal = problem.wall.nominal_m.copy()
-        nominal[-80:] = -(answer + intended)[-80:] / 2
-        designed = optimum(replace(problem, wall=replace(problem.wall, nominal_m=nominal)), SolverOptions())
-        assert designed.solution.status is Status.OPTIMAL
-        assert designed.certificate.accepted
-        final = designed.problem
-        assert final.wall is not None
-        first_guess = pressing(final, intended).wall
-        course = final.encoder_at_ticks(final.stage.motion(designed.solution.command_A))
-        last = pressing(final, course).wall
-        assert first_guess is not None
-        assert last is not None
-        tail = slice(final.free_stages - 1, None)
-        np.testing.assert_array_equal(final.wall.pressing[tail], last.pressing[tail])
-        assert np.any(first_guess.pressing[tail] != last.pressing[tail]), "the mask did not change"
-
-
-@pytest.fixture(scope="module")
-def walled_library(scene: Scene, taps: list[Recording]) -> Library:
-    data = walled_scene(scene, 500.0).model_dump()
-    data["grid"] = {"speeds_m_s": [0.3, 0.4], "grips_N": [3.0]}
-    # The loaded file's references come from these taps alone.
-    chosen = [tap for tap in taps if tap.speed_m_s is None or tap.speed_m_s > 0.25]
-    built = build_library(Scene.model_validate(data), chosen)
-    assert built.library is not None, [entry.shortfalls for entry in built.refused]
-    return built.library
-
-
-class TestLibrary:
-    def test_stores_what_is_left_of_the_command(self, walled_library: Library) -> None:
-        """From the file's own arrays: transient = command - prefilter(feedback of the predicted motion)."""
-        lib, wall = walled_library, walled_library.wall()
-        assert wall is not None
-        for iv, speed in enumerate(lib.speeds_m_s):
-            problem = lib.problem(iv, 0)
-            deviation = problem.encoder_at_ticks(problem.stage.motion(lib.command_A[iv, 0]))
-            law = plain_feedback(wall, lib.nominal_position_at_ticks_m[iv] + deviation, speed)
-            assert law.max() > 0.3
-            expected = lib.command_A[iv, 0] - plain_prefilter(law)
-            np.testing.assert_allclose(lib.transient_command_A[iv, 0], expected, atol=1e-8)
-            assert not lib.transient_command_A[iv, 0, -10:].any()
-
-    def test_round_trip_and_verify(self, walled_library: Library, tmp_path: Path) -> None:
-        walled_library.save(tmp_path / "library.npz")
-        loaded = load_library(tmp_path / "library.npz")
-        assert loaded.wall() == walled_library.wall()
-        np.testing.assert_array_equal(loaded.transient_command_A, walled_library.transient_command_A)
-        checks = verify_library(loaded)
-        assert len(checks) == 2
-        for check in checks:
-            assert check.shortfalls == []
-            assert check.certificate.accepted
-
-    def test_a_tampered_transient_is_noticed(self, walled_library: Library, tmp_path: Path) -> None:
-        transient = walled_library.transient_command_A.copy()
-        transient[1, 0, 100] += 0.01
-        replace(walled_library, transient_command_A=transient).save(tmp_path / "library.npz")
-        clean, tampered = verify_library(load_library(tmp_path / "library.npz"))
-        assert clean.shortfalls == []
-        assert any("transient_command_A" in text for text in tampered.shortfalls)
-        assert any("wall's feedback the command differs" in text for text in tampered.shortfalls)
-
-    def test_another_wall_than_the_designs_is_noticed(self, walled_library: Library) -> None:
-        feedback = {**walled_library.meta["feedback"], "stiffness_N_m": 450.0}
-        softer = replace(walled_library, meta={**walled_library.meta, "feedback": feedback})
-        assert all(check.shortfalls for check in verify_library(softer))
-
-
-def test_a_wall_needs_the_encoders_position(walled: Maker) -> None:
+def test_a_wall_needs_the_encoders_position(walled: WalledMaker) -> None:
     problem = walled(500, 0.4)
     blind = discretise(problem.stage.plant, problem.stage.amplifier, DT_S)
     with pytest.raises(InputError, match="a wall needs the encoder position"):
         replace(problem, stage=blind)
 
 
-def test_hand_over_knows_its_wall(walled: Maker) -> None:
+def test_hand_over_knows_its_wall(walled: WalledMaker) -> None:
     problem = walled(500, 0.4)
     assert isinstance(problem.wall, HandOver)
     assert problem.wall.wall == replace(
