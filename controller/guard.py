@@ -5,6 +5,7 @@ import math
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
 CEILING_C = 1000.0  # nothing is hotter; an estimate that ran off to infinity could not be cooled down again
+DYING_TICKS = 4.0  # of the present current: until the answer to a reading is felt, and what is left then
 UPDATE_S = 0.01  # DESIGN 7: at 10 kHz the rise per tick of a slow node is lost in single precision
 
 
@@ -41,12 +42,13 @@ class Guard:
         self._from_housing = dt_s / coil.tau_w_s
         self.limit_C, self.play_limit_C = coil.limit_C, coil.limit_C - withhold_K
         self.winding_C, self.housing_C = coil.start_winding_C, coil.start_housing_C
-        self._sum, self._count = 0.0, 0
+        self._sum, self._square, self._count = 0.0, 0.0, 0
 
     def step(self, current_A: float) -> None:
         """One tick's current; the caller has seen to it that it is a number."""
         effective = abs(current_A) + PWM_RIPPLE_A
-        self._sum += effective * effective
+        self._square = effective * effective
+        self._sum += self._square
         self._count += 1
         if self._count >= self._ticks:
             self._update(self._coil.R_ohm * (self._sum / self._count))
@@ -67,8 +69,13 @@ class Guard:
 
     @property
     def too_hot(self) -> bool:
+        """Whether the winding may pass its limit before a command of zero is felt.
+
+        Heat since the last update counts: at 4 A that is 0.1 K.
+        """
+        coming_K = self._rise_K * (self._sum + DYING_TICKS * self._square)
         # Written so that a NaN is too hot.
-        return not (self.winding_C <= self.limit_C)
+        return not (self.winding_C + coming_K <= self.limit_C)
 
     def rise_K(self, transient_A: float, feedback_A: float, ticks: int, scale: float) -> float:
         """Bound on the winding's rise over a transient played at `scale`.

@@ -68,7 +68,7 @@ INJECTIONS = (
     Injection("grip lost", Fault.GRIP_LOST, {"grip_N": 0.3}, within=(0, PLAYING_TICKS - 20)),
     Injection("over-current", Fault.OVER_CURRENT, {"current_A": 5.3}),
     Injection("no current", Fault.NO_CURRENT, {}, open_circuit=True, within=(-20, 20)),
-    Injection("over-temperature", Fault.OVER_TEMPERATURE, {}, heat_K=0.01),
+    Injection("over-temperature", Fault.OVER_TEMPERATURE, {}, heat_K=1.0),
     # Before the contact a stuck encoder is a stylus that stands still: nothing is played, and nothing is at fault.
     Injection("encoder stuck", Fault.ENCODER_STUCK, {}, within=(0, 10)),
 )
@@ -113,7 +113,7 @@ def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Ou
     random = np.random.default_rng([seed, 6])
     settings = replace(Settings.of(library), amplifier_tolerance=0.1)
     # Fast enough for the strokes that a missing current and a stuck encoder are seen by.
-    speed, grip = float(random.uniform(0.15, 0.6)), float(random.integers(2, 17) / 2)
+    speed, grip = float(random.uniform(0.25, 0.6)), float(random.integers(2, 17) / 2)
     contact = approach_ticks(speed, settings.dt_s)
     habit = Habit.YIELDING if random.uniform() < 0.5 else Habit.MILD
     user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, habit, Tremor())

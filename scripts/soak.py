@@ -43,6 +43,7 @@ SPEED_TICKS = 30  # over which the speed of a contact is taken
 SLOWEST_M_S = 0.025  # slower touches need no notice; above the servo's 0.02 m/s by what 3 ms of counts leave open
 SETTLED_TICKS = 150  # after a reset the servo's fit needs 100 readings, and the trigger 50 off the surface
 GRIP_SLACK = 0.06  # hysteresis of the grip sensor, and its noise
+ESTIMATE_K = 0.3  # by which the servo's cautious estimate of the winding may lie above the truth
 ANSWERS = (Notice.CONTACT, Notice.CONTACT_CHATTER, Notice.NO_GRIP, Notice.TOO_HOT_TO_PLAY)
 
 
@@ -154,7 +155,10 @@ class Witness:
             self.tally.silent.append(f"{self.name}, {at:.4f} s: a contact at {speed_m_s:.3f} m/s without a notice")
 
     def _explained(self, fault: Fault, readings: Readings) -> bool:
-        """Whether the truth itself is at fault; nothing but the grip may be."""
+        """Whether the truth itself is at fault: a loose grip, or a coil that a wall has heated to its limit."""
+        coil = self.servo.settings.coil
+        if fault is Fault.OVER_TEMPERATURE and coil is not None:
+            return self.simulator.winding_C > coil.limit_C - ESTIMATE_K
         held = self.user.grip_N(self.simulator.time_s)
         return fault is Fault.GRIP_LOST and held * (1 - GRIP_SLACK) - 0.1 < self.servo.settings.grip_min_N
 

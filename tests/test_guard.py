@@ -96,3 +96,16 @@ def test_four_corners_bound_the_heat_of_a_blend(library: Library, table: Bank, s
     winding, _ = coil.simulate(effective_square(fine)[None], np.full(fine.size, DT_S / 4))
     predicted = _guard(coil).rise_K(play.transient_A, play.feedback_A, len(play.samples_A) + 1, scale)
     assert winding.max() - 80.0 <= predicted
+
+
+@pytest.mark.parametrize("current_A", [1.5, 2.5, 4.0])
+def test_trips_before_the_true_winding_passes_its_limit(current_A: float) -> None:
+    """A wall leaned on, between two updates too, with two more ticks until the answer is felt."""
+    coil = replace(COIL, start_winding_C=99.8, start_housing_C=99.0)
+    guard, heat = _guard(coil), float(effective_square(np.array([current_A]))[0])
+    ticks = 0
+    while not guard.too_hot:
+        guard.step(current_A)
+        ticks += 1
+    winding, _ = coil.simulate(np.full((1, ticks + 2), heat), np.full(ticks + 2, DT_S))
+    assert coil.limit_C - 0.01 < winding[0, -1] <= coil.limit_C
