@@ -3,7 +3,7 @@
     python scripts/seed_figures.py --out DIR [--devices 20] [--jobs 2]
 
 Writes seed.md, which shows figures and tables, the figures themselves, and CSV files: taps.csv and off_nodes.csv (one
-row per tap), methods.csv (one per method), limits.csv (one per condition). Five minutes on two idle cores.
+row per tap), methods.csv (one per method), limits.csv (one per condition). Nine minutes on two shared cores.
 """
 
 import argparse
