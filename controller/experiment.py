@@ -8,7 +8,7 @@ import numpy as np
 from controller.interface import Event, Fault, Notice, Output, Readings, State
 from controller.loop import Clock, Observer, Servo, run
 from controller.metrics import align, rate_hardness_N_m, spectral_error_dB
-from controller.prediction import Prediction, predict
+from controller.prediction import Prediction, predict, scene_of
 from controller.simulator import NONE, Imperfections, Simulator, Trace
 from controller.truth import device_of
 from controller.user import Habit, RecordedUser, TapUser, Tremor, User
@@ -191,7 +191,7 @@ def play_tap(
     InputError : speed or grip is not a finite number.
     """
     prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
-    scene, grid = Scene.model_validate(library.meta["scene"]), library.time_grid()
+    scene, grid = scene_of(library), library.time_grid()
     dt = grid.dt_s
     approach = approach_ticks(tap.speed_m_s, dt)
     phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase

@@ -3,8 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import ValidationError
 
 from transopt.discretise import discretise
+from transopt.errors import InputError
 from transopt.library import Library
 from transopt.replay import replay
 from transopt.scene import Scene
@@ -50,6 +52,22 @@ def _shares(nodes: FloatArray, value: float) -> FloatArray:
     return np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
 
 
+def scene_of(library: Library) -> Scene:
+    """The scene that a library was solved from, as the file tells it.
+
+    Raises
+    ------
+    InputError : a scene of another version, or changed by hand.
+    """
+    try:
+        return Scene.model_validate(library.meta["scene"])
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        raise InputError(f"meta.scene: {key}: {message}; solve the scene again") from None
+
+
 def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:
     """Prediction for any speed and grip.
 
@@ -64,7 +82,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     v, F = wave.speed_m_s, wave.grip_N
     by_speed = speed_weights(library.speeds_m_s, v)
     reference = by_speed @ library.reference_m_s2
-    grid, scene = library.time_grid(), Scene.model_validate(library.meta["scene"])
+    grid, scene = library.time_grid(), scene_of(library)
     at_node = v in library.speeds_m_s and F in library.grips_N and gain == 1.0 and not wave.silent
     if at_node:
         iv, ig = (int(np.searchsorted(nodes, x)) for nodes, x in ((library.speeds_m_s, v), (library.grips_N, F)))

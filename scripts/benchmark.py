@@ -26,6 +26,7 @@ import numpy as np
 import problems
 from controller.bank import bank
 from controller.loop import run as play
+from controller.prediction import scene_of
 from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
@@ -290,7 +291,7 @@ def cold_start(runs: int) -> tuple[Row, float]:
 def online(library: Library, runs: int) -> Row:
     """A virtual second of random taps: servo, plant, sensors, hand; other taps in every run, so none is known."""
     settings, table = Settings.of(library), bank(library)
-    device, ticks = device_of(Scene.model_validate(library.meta["scene"])), round(1 / settings.dt_s)
+    device, ticks = device_of(scene_of(library)), round(1 / settings.dt_s)
     seeds = iter(range(runs + 1))
 
     def second() -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from controller.bank import Bank, bank
 from controller.experiment import approach_ticks
 from controller.interface import Fault, Output, Readings, State
+from controller.prediction import scene_of
 from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
@@ -30,7 +31,6 @@ from controller.user import Habit, TapUser, Tremor
 from transopt.errors import InputError
 from transopt.library import Library
 from transopt.library_file import load_library
-from transopt.scene import Scene
 
 PLAYING_TICKS = 600  # of a tap; instants lie between the first reading and its end
 STROKE_TICKS = 60  # in which a missing current or a stuck encoder must show
@@ -119,7 +119,7 @@ def inject(library: Library, table: Bank, injection: Injection, seed: int) -> Ou
     user = TapUser(speed, grip, (contact + random.uniform()) * settings.dt_s, habit, Tremor())
     low, high = (1 - contact, PLAYING_TICKS + 100) if injection.within is None else injection.within
     instant = contact + int(random.integers(low, high))
-    device = device_of(Scene.model_validate(library.meta["scene"]))
+    device = device_of(scene_of(library))
     imperfections = Imperfections(mismatch=float(random.uniform(0, 0.1)))
     simulator = Simulator(device, user, settings.dt_s, imperfections=imperfections, seed=seed)
     servo = Servo(settings, table)

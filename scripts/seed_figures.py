@@ -38,6 +38,7 @@ import problems
 from controller.bank import Method
 from controller.experiment import Played
 from controller.inversions import unlimited_optimum
+from controller.prediction import scene_of
 from problems.simulate import recordings
 from transopt.build import build_library
 from transopt.errors import InputError
@@ -83,7 +84,7 @@ class Experiment:
 
     @property
     def scene(self) -> Scene:
-        return Scene.model_validate(self.library.meta["scene"])
+        return scene_of(self.library)
 
     @property
     def limits_A(self) -> tuple[float, float]:

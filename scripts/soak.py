@@ -25,6 +25,7 @@ import numpy as np
 from controller.bank import Bank, bank
 from controller.interface import Fault, Notice, Output, Readings, State
 from controller.loop import run
+from controller.prediction import scene_of
 from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
@@ -33,7 +34,6 @@ from controller.user import RepeatedTaps, Tremor
 from transopt.errors import InputError
 from transopt.library import Library
 from transopt.library_file import load_library
-from transopt.scene import Scene
 
 STRETCH_S = 10.0
 TURN_TICKS = 200  # after which the host looks whether there is a fault to reset
@@ -198,7 +198,7 @@ def soak(
     """One stretch of tapping, added to the tally; without a tolerance the servo knows how far the device is off."""
     known = stretch.mismatch if amplifier_tolerance is None else amplifier_tolerance
     settings = Settings.of(library, amplifier_tolerance=known)
-    device = device_of(Scene.model_validate(library.meta["scene"]))
+    device = device_of(scene_of(library))
     if stretch.hot and device.coil is not None:
         start_C = device.coil.limit_C - BELOW_LIMIT_K
         coil = replace(device.coil, start_winding_C=start_C, start_housing_C=start_C)

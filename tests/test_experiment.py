@@ -16,12 +16,13 @@ from controller.figures import tap_figure
 from controller.interface import Event, Fault, Notice, Output, Readings, State
 from controller.loop import run
 from controller.metrics import align, band_levels_dB, rate_hardness_N_m, spectral_error_dB
-from controller.prediction import predict, speed_weights
+from controller.prediction import predict, scene_of, speed_weights
 from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
 from controller.truth import Ground, device_of
 from controller.user import Habit, RepeatedTaps, TapUser, Tremor
+from transopt.errors import InputError
 from transopt.library import Library
 from transopt.plotting import save_figure
 from transopt.reference import Reference, between
@@ -437,3 +438,11 @@ def test_a_simulated_tap_never_loads_the_optimiser(library: Library, tmp_path: P
     )
     path = str(tmp_path / "library.npz")
     subprocess.run([sys.executable, "-c", program, path], check=True, cwd=Path(__file__).parents[1], timeout=60)
+
+
+def test_a_library_of_another_version_is_refused_in_one_line(library: Library) -> None:
+    scene = {**library.meta["scene"], "thermal": {"idle_A": 0.0}}
+    with pytest.raises(
+        InputError, match=r"meta\.scene: thermal: idle_A flows in the pauses .*; solve the scene again"
+    ):
+        scene_of(replace(library, meta={**library.meta, "scene": scene}))
