@@ -109,6 +109,8 @@ class Trigger:
 
     def restart(self) -> None:
         self._above, self._ready, self._touching = 0, False, True
+        # Armed too late for a contact that is already on its way: that is told too.
+        self._fresh, self._was_above = True, False
 
     def step(self, z_m: float, speed_m_s: float, phase: float) -> Touch:
         if z_m > self._rearm_height_m:
@@ -117,10 +119,16 @@ class Trigger:
                 self._ready = True
         else:
             self._above = 0
+        if self._fresh and self._touching:
+            if z_m >= 0.0:
+                self._was_above = True
+            elif self._was_above:
+                self._fresh = False
+                return Touch.CHATTER
         if self._touching:
             # While it comes in, a fast stylus is above the touch height when its contact is already due.
             if z_m > self._touch_height_m and (speed_m_s <= 0.0 or self._ready):
-                self._touching = False
+                self._touching = self._fresh = False
             return Touch.NOTHING
         due = phase > -1.0
         if not due and z_m >= 0.0:

@@ -74,6 +74,7 @@ def tap(
     """Play one tap and say how well: latency, error, peak, spectrum, rate-hardness, temperature."""
     from controller.bank import Method, bank
     from controller.experiment import Tap, play_tap
+    from controller.interface import Notice
     from controller.loop import WallClock
     from controller.servo import Servo
     from controller.settings import Settings
@@ -135,7 +136,7 @@ def tap(
 
         save_figure(tap_figure(played), out / "tap.png")
         console.print(f"{out}: tap.png, {CSV_NAME}, {NPZ_NAME}", highlight=False, soft_wrap=True)
-    if played.metrics.faults or not played.metrics.played:
+    if played.metrics.faults or not played.metrics.played or not played.metrics.notices.get(Notice.CONTACT):
         raise typer.Exit(1)
 
 

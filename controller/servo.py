@@ -76,6 +76,7 @@ class Servo:
         self._samples = [0.0]
         self._index, self._part, self._last = 0, 0.0, 0
         self._engaged = self._was_saturated = False
+        self._latched: tuple[Fault, ...] = ()
         self._earlier_A = self._transient_A = self._command_A = 0.0
 
     # What the host may ask for, between two ticks.
@@ -97,9 +98,10 @@ class Servo:
     def reset(self) -> bool:
         """Leave FAULT for IDLE if no cause remained at the last tick; whether no fault is latched any more."""
         if self.state is State.FAULT:
-            if any(rule.remains(self.watch) for rule in FAULTS):
+            # What was latched must be gone; of the rest, whatever would trip again at once.
+            if any((rule.remains if rule.fault in self._latched else rule.trips)(self.watch) for rule in FAULTS):
                 return False
-            self.state, self.fault = State.IDLE, None
+            self.state, self.fault, self._latched = State.IDLE, None, ()
             self.approach.restart()
         return True
 
@@ -114,14 +116,15 @@ class Servo:
         watch, guard, tick = self.watch, self.guard, readings.tick
         watch.step(readings, self.expected_A, self._transient_A, self.state is State.PLAYING)
         if guard is not None:
-            # The larger of the two: a sensor that reads low must not let the coil burn.
-            measured, expected = abs(watch.current_A), abs(self.expected_A)
-            heating = measured if measured > expected else expected
-            guard.step(heating if heating < watch.over_current_A else watch.over_current_A)
+            # The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing.
+            measured = watch.over_current_A if watch.bad_current else abs(watch.current_A)
+            expected = abs(self.expected_A)
+            guard.step(measured if measured > expected else expected)
         self._measure()
         events = NOTHING
         transient = feedback = command = 0.0
         if self.state is State.FAULT:
+            events = self._more_faults(tick)
             watch.forget()
         else:
             for rule in FAULTS:
@@ -199,7 +202,7 @@ class Servo:
         if scale <= 0.0:
             return self._note(NOTHING, tick, Notice.TOO_HOT_TO_PLAY, speed, grip)
         events = self._note(NOTHING, tick, Notice.CONTACT, speed, grip)
-        if play.out_of_grid and self._outside(play, speed, grip):
+        if play.out_of_grid and self._outside(speed, grip):
             events = self._note(events, tick, Notice.OUT_OF_GRID, speed, grip)
         if scale < 1.0:
             events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip)
@@ -208,11 +211,13 @@ class Servo:
             self._start(play.samples_A, approach.phase)
         return events
 
-    def _outside(self, play: Play, speed_m_s: float, grip_N: float) -> bool:
-        s = self.settings
-        return (
-            abs(speed_m_s - play.speed_m_s) > s.grid_slack * speed_m_s or abs(grip_N - play.grip_N) > s.grid_slack_N
-        )
+    def _outside(self, speed_m_s: float, grip_N: float) -> bool:
+        """Whether a contact lies outside the grid by more than the sensors are worth, where the grid is asked."""
+        s, speeds, grips = self.settings, self.bank.speeds_m_s, self.bank.grips_N
+        slack = s.grid_slack * speed_m_s
+        if not speeds[0] - slack <= speed_m_s <= speeds[-1] + slack:
+            return True
+        return self.bank.by_grip and not grips[0] - s.grid_slack_N <= grip_N <= grips[-1] + s.grid_slack_N
 
     def _start(self, samples_A: list[float], phase: float) -> None:
         """Play from `phase` ticks after c_0: sample j at tick j + part late, blended with the one before it."""
@@ -284,9 +289,17 @@ class Servo:
 
     def _fail(self, tick: int) -> tuple[Event, ...]:
         tripped = [rule.fault for rule in FAULTS if rule.trips(self.watch)]
-        self.state, self.fault = State.FAULT, tripped[0]
+        self.state, self.fault, self._latched = State.FAULT, tripped[0], tuple(tripped)
         self._silence()
         return tuple(Event(tick, fault) for fault in tripped)
+
+    def _more_faults(self, tick: int) -> tuple[Event, ...]:
+        """What goes wrong besides while in FAULT: latched and told too, since it bars the reset."""
+        more = tuple(r.fault for r in FAULTS if r.fault not in self._latched and r.trips(self.watch))
+        if not more:
+            return NOTHING
+        self._latched += more
+        return tuple(Event(tick, fault) for fault in more)
 
     def _silence(self) -> None:
         self._earlier_A = self._transient_A = self._command_A = 0.0

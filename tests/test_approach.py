@@ -132,3 +132,10 @@ def test_creeping_and_hovering_play_nothing() -> None:
     rng = np.random.default_rng(0)
     hover = np.concatenate([creep[:4200], 3e-5 * rng.standard_normal(2000)])
     assert Touch.CONTACT not in _touches(hover)[4300:]
+
+
+def test_armed_too_late_for_a_contact_is_told() -> None:
+    """Two ticks above the surface are too few to play, and too many to say nothing."""
+    trigger = Trigger(1e-4, 5e-4, 50)
+    found = [trigger.step(z, 0.3, -1.5) for z in (3e-5, 1e-5, -1e-5, -4e-5, -7e-5)]
+    assert found == [Touch.NOTHING, Touch.NOTHING, Touch.CHATTER, Touch.NOTHING, Touch.NOTHING]

@@ -128,3 +128,52 @@ def test_over_temperature_needs_cooling_before_the_reset(stated: Settings, table
         bench.step()
         assert bench.servo.reset()
         bench.servo.arm()
+
+
+def test_a_current_that_nobody_commands_is_booked_in_full(stated: Settings, tables: Bank) -> None:
+    """A shorted amplifier goes on heating in FAULT: the guard follows the coil, and the reset waits for it."""
+    coil = stated.coil
+    assert coil is not None
+    bench = Bench(stated, tables)
+    bench.change = {"current_A": 20.0}
+    bench.run(10_000)
+    winding, _ = coil.simulate(np.full((1, 100), 20.02**2), np.full(100, 1e-2))
+    assert bench.servo.guard is not None
+    assert bench.servo.guard.winding_C >= winding[0, -1] - 1.0
+    bench.change = {}
+    bench.run(10)
+    assert not bench.servo.reset()
+    assert Fault.OVER_TEMPERATURE in bench.events()
+
+
+def test_a_current_that_cannot_be_read_is_booked_as_too_much(stated: Settings, tables: Bank) -> None:
+    bench = Bench(stated, tables)
+    bench.change = {"current_A": float("nan")}
+    bench.run(10_000)
+    assert bench.servo.guard is not None
+    assert bench.servo.guard.winding_C > 35
+
+
+def test_only_what_was_latched_has_to_be_gone(stated: Settings, tables: Bank) -> None:
+    """The emergency stop of a stylus that lies on the table is reset without anybody holding it."""
+    bench = Bench(stated, tables, lambda k: 5e-3)
+    bench.grip_N = 0.0
+    bench.change = {"emergency_stop": True}
+    bench.run(10)
+    assert bench.servo.fault is Fault.EMERGENCY_STOP
+    bench.change = {}
+    bench.run(10)
+    assert bench.servo.reset()
+
+
+def test_what_goes_wrong_in_fault_is_told_once_and_bars_the_reset(stated: Settings, tables: Bank) -> None:
+    bench = Bench(stated, tables, lambda k: 5e-3)
+    bench.change = {"grip_N": 100.0}
+    bench.run(5)
+    bench.change = {"emergency_stop": True}
+    bench.run(5)
+    assert bench.events() == [Fault.GRIP_SHORT, Fault.EMERGENCY_STOP]
+    assert not bench.servo.reset()
+    bench.change = {}
+    bench.run(5)
+    assert bench.servo.reset()

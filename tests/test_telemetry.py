@@ -1,5 +1,6 @@
 """Telemetry: nothing lost, nothing halved, readable at any moment."""
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -139,3 +140,15 @@ class TestRefusals:
     def test_missing_file(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"No such file.*give a telemetry.csv"):
             read_csv(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize("counts", [float("nan"), float("inf"), 2**70])
+def test_a_broken_encoder_is_recorded_too(tmp_path: Path, counts: float) -> None:
+    """The tick that shows the fault is the one that has to be in the file."""
+    readings, output = tick(0)
+    with Telemetry(tmp_path, 1e-4) as telemetry:
+        telemetry.record(dataclasses.replace(readings, encoder_counts=counts), output)
+    expected = float(counts)
+    np.testing.assert_equal(read_csv(tmp_path / CSV_NAME)["encoder_counts"][0], expected)
+    with np.load(tmp_path / NPZ_NAME) as file:
+        np.testing.assert_equal(file["encoder_counts"][0], expected)
