@@ -4,15 +4,13 @@ Exit codes: 0 done, 1 a result fell short (a fault, or nothing was played), 2 ba
 the commands, so that help and errors come at once.
 """
 
-import sys
-import tempfile
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
+from transopt import terminal
 from transopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,8 +22,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Play a library of transients.",
 )
-
-WIDTH = 140  # of tables without a terminal, so that logs and pipes keep whole lines
 
 
 @app.callback()
@@ -44,16 +40,6 @@ def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -
     speeds, grips = library.speeds_m_s, library.grips_N
     speed = float(speeds[speeds.size // 2]) if speed_m_s is None else speed_m_s
     return speed, float(grips[grips.size // 2]) if grip_N is None else grip_N
-
-
-def _make_folder(folder: Path) -> None:
-    """Make sure that a folder can be written before any work is done for it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
 
 
 @app.command()
@@ -105,7 +91,7 @@ def tap(
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
     if out is not None:
-        _make_folder(out)
+        terminal.make_folder(out)
     servo = Servo(settings, bank(loaded, Method(method)))
     servo.set_gain(gain)
     wanted = Tap(
@@ -124,7 +110,7 @@ def tap(
             observe=None if telemetry is None else telemetry.record,
             clock=WallClock() if real_time else None,
         )
-    console = Console(markup=False, width=None if sys.stdout.isatty() else WIDTH)
+    console = terminal.console()
     title = f"{library}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
     console.print(tap_table(played, loaded, title))
     if real_time:
@@ -141,9 +127,5 @@ def tap(
 
 
 def main() -> None:
-    """Entry point: errors a user can cause end in one line, never in a traceback."""
-    try:
-        app()
-    except InputError as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
+    """Entry point."""
+    terminal.run(app)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from transopt import terminal
 from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
 
@@ -33,12 +34,6 @@ scenes = typer.Typer(no_args_is_help=True, help="Built-in scenes: list, show, co
 app.add_typer(scenes, name="scene")
 
 DEFAULT_SCENE = "wood_on_foam"
-
-
-def _console() -> Console:
-    """Where tables go. Without a terminal the width is fixed, so that logs and pipes keep whole lines."""
-    # No markup: names and descriptions are the user's and may hold brackets.
-    return Console(markup=False, width=None if sys.stdout.isatty() else 160)
 
 
 def _load(scene: str, recordings: Path | None) -> "Scene":
@@ -150,27 +145,17 @@ def taps(
         message = first["msg"].replace("Input should be", "must be")
         raise InputError(f"--{option.replace('_', '-')} {first['input']}: {message}") from None
     prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
-    console = _console()
+    console = terminal.console()
     console.print(taps_table(prepared))
     if out is not None:
         from transopt.figures import taps_figure
         from transopt.plotting import save_figure
 
-        _make_folder(out)
+        terminal.make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
     console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
     typer.echo(scene_lines(prepared, files, settings))
-
-
-def _make_folder(folder: Path) -> None:
-    """Make sure that a folder can be written before any work is done for it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
 
 
 def _publish(folder: Path, writers: dict[str, Callable[[Path], None]], stale: list[str]) -> None:
@@ -249,11 +234,11 @@ def solve(
     if grid_tolerance is not None:
         check_tolerance(loaded, grid_tolerance, grid_cap)
     folder = Path("out") / loaded.name if out is None else out
-    _make_folder(folder)
+    terminal.make_folder(folder)
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    terminal = sys.stderr.isatty()
+    watched = sys.stderr.isatty()
     try:
-        with Progress(*bar, console=Console(stderr=True), transient=True, disable=not terminal) as progress:
+        with Progress(*bar, console=Console(stderr=True), transient=True, disable=not watched) as progress:
             task = progress.add_task("recordings", total=None)
             taps_of_scene = _recordings(loaded)
             refinement = None
@@ -285,7 +270,7 @@ def solve(
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
-    console = _console()
+    console = terminal.console()
     console.print(build_table(build, console.width))
     console.print(LEGEND, style="dim", highlight=False)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
@@ -314,7 +299,7 @@ def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None
     from transopt.verify import verify_library
 
     checks = verify_library(load_library(library))
-    console = _console()
+    console = terminal.console()
     console.print(verify_table(checks, str(library)))
     failed = sum(bool(check.shortfalls) for check in checks)
     console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean", highlight=False)
@@ -334,7 +319,7 @@ def show(
     loaded = load_library(library)
     if figure is not None and figure.suffix.lower() != ".png":
         raise InputError(f"--figure {figure}: figures are written as .png")
-    console = _console()
+    console = terminal.console()
     console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
     if figure is not None:
         from transopt.figures import library_figure
@@ -358,9 +343,5 @@ def export(
 
 
 def main() -> None:
-    """Entry point: errors a user can cause end in one line, never in a traceback."""
-    try:
-        app()
-    except InputError as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
+    """Entry point."""
+    terminal.run(app)

@@ -1,0 +1,42 @@
+"""What the two command lines share: the console, folders that can be written, errors in one line."""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import typer
+from rich.console import Console
+
+from transopt.errors import InputError
+
+WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
+
+
+def console() -> Console:
+    """Where tables go."""
+    # No markup: names and descriptions are the user's and may hold brackets.
+    return Console(markup=False, width=None if sys.stdout.isatty() else WIDTH)
+
+
+def make_folder(folder: Path) -> None:
+    """Make sure that a folder can be written before any work is done for it.
+
+    Raises
+    ------
+    InputError : it cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+
+
+def run(app: typer.Typer) -> None:
+    """Run a command line: errors a user can cause end in one line, never in a traceback."""
+    try:
+        app()
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
