@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import problems
+from controller.bank import Bank, bank
+from controller.settings import Settings
 from problems.simulate import recordings
+from tests.servo_bench import WALL, Bench
 from transopt.build import Build, build_library
 from transopt.design import entry_problem, scene_stage
 from transopt.discretise import discretise
@@ -114,3 +117,21 @@ def walled(scene: Scene, references: list[Reference]) -> WalledMaker:
         return replace(problem, wall=replace(problem.wall, wall=wall))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def tables(library: Library) -> Bank:
+    return bank(library)
+
+
+@pytest.fixture(scope="session")
+def stated(library: Library) -> Settings:
+    return Settings.of(library)
+
+
+@pytest.fixture
+def bench(stated: Settings, tables: Bank) -> Bench:
+    """An armed servo over a wall."""
+    made = Bench(replace(stated, wall=WALL), tables)
+    made.servo.arm()
+    return made

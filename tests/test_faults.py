@@ -6,28 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.bank import Bank, bank
+from controller.bank import Bank
 from controller.interface import Fault, State
 from controller.settings import Settings
 from tests.servo_bench import CONTACT, WALL, Bench, tap_m
-from transopt.library import Library
-
-
-@pytest.fixture(scope="module")
-def tables(library: Library) -> Bank:
-    return bank(library)
-
-
-@pytest.fixture(scope="module")
-def stated(library: Library) -> Settings:
-    return Settings.of(library)
-
-
-@pytest.fixture
-def bench(stated: Settings, tables: Bank) -> Bench:
-    made = Bench(replace(stated, wall=WALL), tables)
-    made.servo.arm()
-    return made
 
 
 class Injection:

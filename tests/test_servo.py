@@ -20,23 +20,6 @@ from transopt.wall import FeedbackLoop
 NAN, INF = math.nan, math.inf
 
 
-@pytest.fixture(scope="module")
-def tables(library: Library) -> Bank:
-    return bank(library)
-
-
-@pytest.fixture(scope="module")
-def stated(library: Library) -> Settings:
-    return Settings.of(library)
-
-
-@pytest.fixture
-def bench(stated: Settings, tables: Bank) -> Bench:
-    made = Bench(replace(stated, wall=WALL), tables)
-    made.servo.arm()
-    return made
-
-
 def test_a_tap_runs_through_the_states(bench: Bench) -> None:
     assert bench.servo.state is State.ARMED
     bench.run(CONTACT + 1200)

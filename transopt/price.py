@@ -127,11 +127,8 @@ def prices(
         if box.name == "coil":
             headroom = box.bound - (problem.thermal.model.unpowered_C if problem.thermal is not None else 0.0)
             room[box.name] = float(headroom[np.isfinite(headroom)].max())
-    gains["current"] += (
-        2 * problem.movement_weight * float(movement @ movement) / problem.limits.current_A
-        if gains["current"] > WORTH_SAYING
-        else 0.0
-    )
+    if gains["current"] > WORTH_SAYING:
+        gains["current"] += 2 * problem.movement_weight * float(movement @ movement) / problem.limits.current_A
     found = []
     for name, gain in gains.items():
         if gain <= WORTH_SAYING:
