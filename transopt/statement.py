@@ -1,6 +1,6 @@
 """One problem's numbers for the CasADi statement, and a point of the program in the words of the problem."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from transopt.linear import LinearStage, hand_over_rows, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
 from transopt.signals import FloatArray
 from transopt.thermal import PWM_RIPPLE_A
-from transopt.transcribe import HeatSymbols, Shape, nonzeros, program_shape, state_program, supply_mask
+from transopt.transcribe import Shape, nonzeros, program_shape, state_program, supply_mask
 
 SIZE_BOUND = 2.0  # of the limit current
 
@@ -19,7 +19,7 @@ class Statement:
 
     Attributes
     ----------
-    p : parameters. lower_x, upper_x, lower_g, upper_g : bounds.
+    values : of the program's parameters, by name. lower_x, upper_x, lower_g, upper_g : bounds.
     kelvin : unit of the rises; 0 without temperature.
     """
 
@@ -27,11 +27,16 @@ class Statement:
     shape: Shape
     stage: LinearStage
     kelvin: float
-    p: FloatArray
+    values: dict[str, FloatArray]
     lower_x: FloatArray
     upper_x: FloatArray
     lower_g: FloatArray
     upper_g: FloatArray
+
+    @property
+    def p(self) -> FloatArray:
+        """The program's parameter vector."""
+        return np.concatenate([self.values[name] for name in state_program(self.shape).parameters])
 
     def _by_stage(self, x: FloatArray) -> FloatArray:
         """(N, variables) of a program point."""
@@ -96,23 +101,23 @@ def _kelvin(problem: TransientProblem) -> float:
     return max(float(headroom[np.isfinite(headroom)].max()), 1e-9)
 
 
-def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float) -> FloatArray:
-    """In the order of the program's symbols; the reference enters as r / |r|."""
+def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float) -> dict[str, FloatArray]:
+    """Values of the statement's symbols; the reference enters as r / |r|."""
     where, r = shape.layout, problem.reference_m_s2
     filtered = r if problem.error_filter is None else problem.error_filter.apply(r)
-    values = [
-        nonzeros(stage.A, where.dynamics_mask()),
-        stage.A[:, -1],
-        nonzeros(stage.C, where.output_mask()),
-        stage.E,
-        filtered / np.linalg.norm(r),
-        problem.tracking_weights,
-        [problem.movement_weight * stage.current_A**2],
-    ]
+    values: dict[str, FloatArray | list[float]] = {
+        "A": nonzeros(stage.A, where.dynamics_mask()),
+        "B": stage.A[:, -1],
+        "C": nonzeros(stage.C, where.output_mask()),
+        "E": stage.E,
+        "r": filtered / np.linalg.norm(r),
+        "w": problem.tracking_weights,
+        "rho": [problem.movement_weight * stage.current_A**2],
+    }
     if problem.thermal is not None:
         model, unit = problem.thermal.model, stage.current_A
         F, f = (np.zeros_like(model.M), np.zeros_like(model.b)) if model.closure is None else model.closure
-        heat: dict[str, FloatArray | list[float]] = {
+        values |= {
             "M": model.M.T.ravel(),
             "b": model.b * unit**2 / kelvin,
             "gain": model.gain,
@@ -124,15 +129,14 @@ def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kel
             "F": F.T.ravel(),
             "f": f / kelvin,
         }
-        values += [heat[field.name] for field in fields(HeatSymbols)]
     if where.feedback_delay is not None:
         rows, _ = hand_over_rows(problem, stage)
-        values.append(rows[:, where.wall].ravel())
+        values["T"] = rows[:, where.wall].ravel()
     if problem.supply is not None:
         volts = problem.supply.limit_V
-        values.append(nonzeros(stage.supply[None] / volts, supply_mask(where)))
-        values.append([problem.supply.by_command * stage.current_A / volts])
-    return np.concatenate([np.asarray(value, dtype=float).ravel() for value in values])
+        values["S"] = nonzeros(stage.supply[None] / volts, supply_mask(where))
+        values["S_direct"] = [problem.supply.by_command * stage.current_A / volts]
+    return {name: np.asarray(value, dtype=float).ravel() for name, value in values.items()}
 
 
 def _variable_bounds(
@@ -177,5 +181,5 @@ def state(problem: TransientProblem) -> Statement:
     shape, stage, kelvin = program_shape(problem), linear_stage(problem), _kelvin(problem)
     lower_x, upper_x = _variable_bounds(problem, shape, stage, kelvin)
     lower_g, upper_g = _row_bounds(problem, shape, stage)
-    p = _parameters(problem, shape, stage, kelvin)
-    return Statement(problem, shape, stage, kelvin, p, lower_x, upper_x, lower_g, upper_g)
+    values = _parameters(problem, shape, stage, kelvin)
+    return Statement(problem, shape, stage, kelvin, values, lower_x, upper_x, lower_g, upper_g)

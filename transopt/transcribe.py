@@ -63,7 +63,8 @@ class Program:
 
     Attributes
     ----------
-    x : MX (variables, 1), stage by stage. p : MX parameters (see `parameters`).
+    x : MX (variables, 1), stage by stage. p : MX, all parameters.
+    parameters : their names, in the order in which they stand in p.
     f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, rows kind by kind.
     rows : kind -> where it stands in g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over",
         "supply_before", "supply_after".
@@ -75,6 +76,7 @@ class Program:
     shape: Shape
     x: ca.MX
     p: ca.MX
+    parameters: tuple[str, ...]
     f: ca.MX
     g: ca.MX
     rows: dict[str, slice]
@@ -148,6 +150,74 @@ class HeatSymbols:
         return quadratic + 2 * self.ripple * size + self.ripple**2
 
 
+@dataclass(frozen=True)
+class Stage:
+    """What happens at a stage, as expressions; for states (n, K) and movements (1, K) at K stages side by side.
+
+    Attributes
+    ----------
+    A, B, C, E : MX of `linear.LinearStage`. S, direct : of the terminal voltage; None without supply rows.
+    heat : None without temperature. symbols : in the order in which `statement` gives their values.
+    """
+
+    layout: Layout
+    A: ca.MX
+    B: ca.MX
+    C: ca.MX
+    E: ca.MX
+    S: ca.MX | None
+    direct: ca.MX | None
+    heat: HeatSymbols | None
+    symbols: dict[str, ca.MX]
+
+    @classmethod
+    def make(cls, shape: Shape) -> "Stage":
+        where = shape.layout
+        A_values, A = _sparse_symbol("A", where.dynamics_mask())
+        C_values, C = _sparse_symbol("C", where.output_mask())
+        B, E = ca.MX.sym("B", where.states), ca.MX.sym("E", where.devices)
+        symbols = {"A": A_values, "B": B, "C": C_values, "E": E}
+        heat = HeatSymbols.make(shape) if shape.nodes else None
+        if heat is not None:
+            symbols |= {field.name: getattr(heat, field.name) for field in fields(HeatSymbols)}
+        S = direct = None
+        if shape.supply:
+            S_values, S = _sparse_symbol("S", supply_mask(where))
+            direct = ca.MX.sym("S_direct")
+            symbols |= {"S": S_values, "S_direct": direct}
+        return cls(where, A, B, C, E, S, direct, heat, symbols)
+
+    def after(self, before: ca.MX, movement: ca.MX) -> ca.MX:
+        """(n, K) states one period later."""
+        return self.A @ before + self.B @ movement
+
+    def outputs(self, before: ca.MX, movement: ca.MX) -> ca.MX:
+        """(S, K) tracked outputs."""
+        found = self.C @ before
+        return found if self.layout.amplifier else found + self.E @ movement
+
+    def voltage_before(self, state: ca.MX) -> ca.MX:
+        """(1, K) just before the switching instant that the state belongs to, without the nominal motion's."""
+        return self.S @ state
+
+    def voltage_after(self, before: ca.MX, movement: ca.MX) -> ca.MX:
+        return self.S @ before + self.direct * movement
+
+    def current(self, before: ca.MX) -> ca.MX:
+        """(1, K) zero for an ideal amplifier, whose current is the command."""
+        return before[self.layout.current, :] if self.layout.amplifier else ca.MX(1, before.size2())
+
+    def mean_current(self, before: ca.MX, movement: ca.MX) -> ca.MX:
+        assert self.heat is not None
+        return self.heat.mean_current(self.current(before), before[-1, :] + movement)
+
+    def warmer(self, before: ca.MX, movement: ca.MX, size: ca.MX, rise: ca.MX, gain: ca.MX) -> ca.MX:
+        """(m, K) rises one period later; `gain` (1, K) resistance at the unpowered temperature."""
+        assert self.heat is not None
+        square = self.heat.mean_square(self.current(before), before[-1, :] + movement, size)
+        return self.heat.M @ rise + self.heat.b @ ((gain + self.heat.copper * rise[0, :]) * square)
+
+
 @lru_cache(maxsize=16)
 def state_program(shape: Shape) -> Program:
     """State the problem for one shape; all numbers are parameters."""
@@ -156,54 +226,44 @@ def state_program(shape: Shape) -> Program:
     first = ca.MX.sym("start", shape.first)
     movement, after = variables[0, :], variables[shape.controls : shape.controls + n, :]
     rise = variables[shape.controls + n :, :]
-    A_values, A = _sparse_symbol("A", where.dynamics_mask())
-    C_values, C = _sparse_symbol("C", where.output_mask())
-    B, E = ca.MX.sym("B", n), ca.MX.sym("E", where.devices)
+    stage = Stage.make(shape)
     reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", 1, N)
     movement_weight = ca.MX.sym("rho")
-    symbols = [A_values, B, C_values, E, reference, weights, movement_weight]
+    symbols = {**stage.symbols, "r": reference, "w": weights, "rho": movement_weight}
 
     before = ca.horzcat(ca.MX(n, 1), after[:, :-1])
-    error = C @ before - ca.repmat(reference, where.devices, 1)
-    if not where.amplifier:
-        error += E @ movement
+    error = stage.outputs(before, movement) - ca.repmat(reference, where.devices, 1)
     tracking = sum(ca.dot(weights, error[s, :] ** 2) for s in range(where.devices)) / where.devices
     objective = tracking + movement_weight * ca.dot(movement, movement)
 
     # Each kind's rows with the stage they belong to in a stage-wise order.
     kinds: list[tuple[str, ca.MX, NDArray[np.intp]]] = []
     every = np.arange(N)
-    kinds.append(("dynamics", ca.vec(after - A @ before - B @ movement), np.repeat(every, n)))
-    if m:
-        heat = HeatSymbols.make(shape)
-        symbols += [getattr(heat, field.name) for field in fields(HeatSymbols)]
+    kinds.append(("dynamics", ca.vec(after - stage.after(before, movement)), np.repeat(every, n)))
+    if stage.heat is not None:
         warm = ca.horzcat(first if shape.repeated else ca.MX(m, 1), rise[:, :-1])
-        current = before[where.current, :] if where.amplifier else ca.MX(1, N)
-        size, issued = variables[1, :], before[-1, :] + movement
-        power = (heat.gain + heat.copper * warm[0, :]) * heat.mean_square(current, issued, size)
+        size = variables[1, :]
         # A step's own rise is tiny beside the headroom of taps that repeat: the row is weighed to be met as exactly.
         weight = REPEATED_WEIGHT if shape.repeated else 1.0
-        kinds.append(("heat", ca.vec(weight * (rise - heat.M @ warm - heat.b @ power)), np.repeat(every, m)))
+        warmer = stage.warmer(before, movement, size, warm, stage.heat.gain)
+        kinds.append(("heat", ca.vec(weight * (rise - warmer)), np.repeat(every, m)))
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
-        mean = heat.mean_current(current, issued)
+        mean = stage.mean_current(before, movement)
         kinds.append(("size_above", ca.vec(size - mean), every))
         kinds.append(("size_below", ca.vec(size + mean), every))
         if shape.repeated:
-            kinds.append(("pause", weight * (first - heat.F @ rise[:, -1] - heat.f), np.full(m, N)))
+            closed = weight * (first - stage.heat.F @ rise[:, -1] - stage.heat.f)
+            kinds.append(("pause", closed, np.full(m, N)))
     if where.feedback_delay is None:
         kinds.append(("hand_over", ca.vec(after[-1, N - h :]), every[N - h :] + 1))
     else:
         mask = np.repeat(feedback_mask(where), h, axis=0).T
-        T_values, T = _sparse_symbol("T", mask)
-        symbols.append(T_values)
+        symbols["T"], T = _sparse_symbol("T", mask)
         asked = before[-1, N - h :] + movement[N - h :] - ca.sum1(T * before[:, N - h :])
         kinds.append(("hand_over", ca.vec(asked), every[N - h :]))
     if shape.supply:
-        S_values, S = _sparse_symbol("S", supply_mask(where))
-        direct = ca.MX.sym("S_direct")
-        symbols += [S_values, direct]
-        kinds.append(("supply_before", ca.vec(S @ after[:, :-1]), every[1:]))
-        kinds.append(("supply_after", ca.vec(S @ before + direct * movement), every))
+        kinds.append(("supply_before", ca.vec(stage.voltage_before(after[:, :-1])), every[1:]))
+        kinds.append(("supply_after", ca.vec(stage.voltage_after(before, movement)), every))
 
     ends = np.cumsum([0, *(rows.numel() for _, rows, _ in kinds)])
     # Stable: within a stage the dynamics stay first, then come the limits.
@@ -212,14 +272,37 @@ def state_program(shape: Shape) -> Program:
     x = ca.veccat(first, variables)
     f = objective / OBJECTIVE_SCALE
     g = ca.vertcat(*(rows for _, rows, _ in kinds))
-    p = ca.veccat(*symbols)
+    p = ca.veccat(*symbols.values())
     qp_data = None
     if not m:
         hessian, gradient = ca.hessian(f, x)
         at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
         qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
     rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, (name, _, _) in enumerate(kinds)}
-    return Program(shape, x, p, f, g, rows_of, row_stages, order, qp_data is None, qp_data)
+    return Program(shape, x, p, tuple(symbols), f, g, rows_of, row_stages, order, qp_data is None, qp_data)
+
+
+@lru_cache(maxsize=16)
+def stage_data(shape: Shape) -> ca.Function:
+    """The same statement for a method that takes it stage by stage: matrices of one stage from its parameters.
+
+    Function of `Stage.symbols` (for `shape` with one stage) to dense A (n, n), C (S, n), E (S), V (3, n) and v (3):
+    voltage before and after a switching instant and mean current as V x + v dc, zero where there is none.
+    """
+    stage = Stage.make(shape)
+    x, movement = ca.MX.sym("x", shape.layout.states), ca.MX.sym("dc")
+    outputs = stage.outputs(x, movement)
+    rows = [
+        stage.voltage_before(x) if shape.supply else ca.MX(1, 1),
+        stage.voltage_after(x, movement) if shape.supply else ca.MX(1, 1),
+        stage.mean_current(x, movement) if shape.nodes else ca.MX(1, 1),
+    ]
+    limits = ca.vertcat(*rows)
+    found = [ca.jacobian(stage.after(x, movement), x), ca.jacobian(outputs, x), ca.jacobian(outputs, movement)]
+    found += [ca.jacobian(limits, x), ca.jacobian(limits, movement)]
+    dense = [ca.densify(each) for each in found]
+    names = list(stage.symbols)
+    return ca.Function("stage_data", list(stage.symbols.values()), dense, names, ["A", "C", "E", "V", "v"])
 
 
 def program_shape(problem: TransientProblem) -> Shape:
