@@ -43,10 +43,13 @@ class Statement:
         return x[self.shape.first :].reshape(self.shape.stages, self.shape.variables)
 
     def command(self, x: FloatArray) -> FloatArray:
-        """(N,) commands of a program point [A], moved by rounding only: into the box, zero at a plain hand-over."""
+        """(N,) commands of a program point [A], as `held`."""
+        return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.current_A)
+
+    def held(self, command_A: FloatArray) -> FloatArray:
+        """(N,) commands moved by rounding only: into the box, zero at a plain hand-over."""
         problem = self.problem
-        c = self._by_stage(x)[:, self.shape.command] * self.stage.current_A
-        c = np.clip(c, -problem.limits.command_bound_A, problem.limits.command_bound_A)
+        c = np.clip(command_A, -problem.limits.command_bound_A, problem.limits.command_bound_A)
         if problem.wall is None:
             c[problem.free_stages :] = 0.0
         return np.asarray(c)

@@ -6,7 +6,7 @@ the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable
 repeat. Current, command and movement are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -282,12 +282,18 @@ def state_program(shape: Shape) -> Program:
     return Program(shape, x, p, tuple(symbols), f, g, rows_of, row_stages, order, qp_data is None, qp_data)
 
 
+def stage_shape(shape: Shape) -> Shape:
+    """What of a shape one stage depends on."""
+    return replace(shape, stages=1, hand_over_samples=1)
+
+
 @lru_cache(maxsize=16)
 def stage_data(shape: Shape) -> ca.Function:
     """The same statement for a method that takes it stage by stage: matrices of one stage from its parameters.
 
-    Function of `Stage.symbols` (for `shape` with one stage) to dense A (n, n), C (S, n), E (S), V (3, n) and v (3):
-    voltage before and after a switching instant and mean current as V x + v dc, zero where there is none.
+    Function of those symbols that they depend on (of a `stage_shape`) to the dense
+    derivatives of the states one period later by x (n, n), of the outputs by x (S, n) and dc (S,), and of voltage before
+    and after a switching instant and mean current by x (3, n) and dc (3,), zero where there is none.
     """
     stage = Stage.make(shape)
     x, movement = ca.MX.sym("x", shape.layout.states), ca.MX.sym("dc")
@@ -301,8 +307,9 @@ def stage_data(shape: Shape) -> ca.Function:
     found = [ca.jacobian(stage.after(x, movement), x), ca.jacobian(outputs, x), ca.jacobian(outputs, movement)]
     found += [ca.jacobian(limits, x), ca.jacobian(limits, movement)]
     dense = [ca.densify(each) for each in found]
-    names = list(stage.symbols)
-    return ca.Function("stage_data", list(stage.symbols.values()), dense, names, ["A", "C", "E", "V", "v"])
+    names = ["A", "B", "C", "E", *(["S", "S_direct"] if shape.supply else []), *(["share", "decay"] if shape.nodes else [])]
+    results = ["states", "outputs", "outputs_movement", "limits", "limits_movement"]
+    return ca.Function("stage_data", [stage.symbols[name] for name in names], dense, names, results)
 
 
 def program_shape(problem: TransientProblem) -> Shape:

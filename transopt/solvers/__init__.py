@@ -9,7 +9,7 @@ from transopt.certify import certify
 from transopt.errors import InputError
 from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
-from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp
+from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati
 from transopt.solvers.options import SolverOptions
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
 ]
 
 SOLVERS = {
+    "riccati": riccati.solve,
     "casadi-piqp": casadi_piqp.solve,
     "casadi-fatrop": casadi_fatrop.solve,
     "casadi-ipopt": casadi_ipopt.solve,
@@ -46,9 +47,10 @@ def capable(problem: TransientProblem) -> list[str]:
 
     For the NLP that is IPOPT: FATROP is twice as fast, but loses its last digits on tight budgets and then runs on.
     """
+    own = ["riccati"] if riccati.available else []
     quadratic = ["casadi-piqp"] if problem.thermal is None else []
     stagewise = ["casadi-fatrop"] if casadi_fatrop.can_solve(problem) else []
-    return [*quadratic, "casadi-ipopt", *stagewise]
+    return [*own, *quadratic, "casadi-ipopt", *stagewise]
 
 
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
