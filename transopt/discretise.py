@@ -214,12 +214,18 @@ def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: in
     ----------
     A : (n, n). B : (n,).
     """
-    period = 20
-    x = np.zeros(B.size)
-    peak = np.zeros(B.size)
-    for k in range(min(stages, 20 * period)):
-        wave = current_limit_A if (k // period) % 2 == 0 else -current_limit_A
-        x = A @ x + B * wave
-        peak = np.maximum(peak, np.abs(x))
+    period, n = 20, B.size
+    # One half period after the other: all its states at once, from the powers of A.
+    after, held = np.empty((period, n, n)), np.empty((period, n))
+    power, response = np.eye(n), np.zeros(n)
+    for j in range(period):
+        response = A @ response + B * current_limit_A
+        power = A @ power
+        after[j], held[j] = power, response
+    x, peak = np.zeros(n), np.zeros(n)
+    for half in range(-(-min(stages, 20 * period) // period)):
+        course = after @ x + (held if half % 2 == 0 else -held)
+        peak = np.maximum(peak, np.abs(course).max(axis=0))
+        x = course[-1]
     # A state that the current cannot move has no size of its own.
     return np.where(peak > 0, peak, 1.0)

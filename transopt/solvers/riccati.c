@@ -66,6 +66,12 @@ enum { TR_SOLVED = 0, TR_ITERATION_LIMIT = 1, TR_STALLED = 2, TR_BREAKDOWN = 3, 
 #define CLONES
 #endif
 
+/* One side of every row: slack s = sign (value - bound), s * l -> 0. Where `there` is 0 there is no limit: l = 0. */
+typedef struct {
+    double sign;
+    double *there, *bound, *s, *l, *inverse, *residual, *ds, *dl, *target;
+} tr_side;
+
 /* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
 typedef struct {
     const tr_problem *q;
@@ -80,7 +86,7 @@ typedef struct {
     double *theta;                       /* (N + 1, nodes) */
     double *by_heat;                     /* (N) b' costate of th_(k+1) */
     double *V, *dV, *sigma, *y;          /* rows: values, weights, gradients */
-    double *s_low, *s_up, *t_low, *t_up, *ds_low, *ds_up, *dl_low, *dl_up;
+    tr_side side[2];                     /* their lower and their upper limits */
     double *unit_offset, *unit_offset_e; /* (nodes, N) response to the closure's multiplier */
     double *still;                       /* (N) zeros */
     /* At the ends of the horizon: cost to go in th_0, its gradient, th_N of a step; the closure's multiplier. */
@@ -97,7 +103,7 @@ size_t tr_workspace(const tr_problem *q)
     if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
     const size_t N = (size_t)q->stages, m = (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t ld = padded((size_t)q->states + t);
-    return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 12 * m);
+    return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 20 * m);
 }
 
 static double *take(double **rest, size_t count)
@@ -107,7 +113,7 @@ static double *take(double **rest, size_t count)
     return found;
 }
 
-static void lay_out(tr_work *w, const tr_problem *q, double *rest)
+static void lay_out(tr_work *w, const tr_problem *q, const tr_result *r, double *rest)
 {
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t n = (size_t)q->states, ld = padded(n + t);
@@ -126,8 +132,18 @@ static void lay_out(tr_work *w, const tr_problem *q, double *rest)
     w->unit_offset = take(&rest, N * t), w->unit_offset_e = take(&rest, N * t);
     w->still = take(&rest, N), w->theta = take(&rest, (N + 1) * t);
     w->V = take(&rest, m), w->dV = take(&rest, m), w->sigma = take(&rest, m), w->y = take(&rest, m);
-    w->s_low = take(&rest, m), w->s_up = take(&rest, m), w->t_low = take(&rest, m), w->t_up = take(&rest, m);
-    w->ds_low = take(&rest, m), w->ds_up = take(&rest, m), w->dl_low = take(&rest, m), w->dl_up = take(&rest, m);
+    for (int side = 0; side < 2; side++) {
+        tr_side *z = w->side + side;
+        const double *limit = side ? q->upper : q->lower;
+        z->sign = side ? -1.0 : 1.0;
+        z->l = side ? r->upper : r->lower;
+        z->there = take(&rest, m), z->bound = take(&rest, m), z->s = take(&rest, m), z->inverse = take(&rest, m);
+        z->residual = take(&rest, m), z->ds = take(&rest, m), z->dl = take(&rest, m), z->target = take(&rest, m);
+        for (size_t i = 0; i < m; i++) {
+            z->s[i] = 1.0, z->l[i] = 0.0;
+            if (limit[i] > -INFINITY && limit[i] < INFINITY) z->there[i] = 1.0, z->bound[i] = limit[i];
+        }
+    }
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) w->At[i * ld + j] = w->Acol[j * ld + i] = q->A[i * n + j];
     for (size_t s = 0; s < ny; s++) memcpy(w->Cp + s * ld, q->C + s * n, n * sizeof(double));
@@ -590,10 +606,8 @@ static double objective(const tr_work *w)
     return 0.5 * twice;
 }
 
-static int limited(double bound) { return bound > -INFINITY && bound < INFINITY; }
-
 /* Move everything by a part of the Newton step. */
-static void advance(tr_work *w, const tr_result *r, double step)
+static void advance(tr_work *w, double step)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, rows = (N + 1) * q->rows;
@@ -602,11 +616,9 @@ static void advance(tr_work *w, const tr_result *r, double step)
         w->current[k] += step * w->d_current[k], w->command[k] += step * w->d_command[k];
     }
     for (int i = 0; i < N * q->outputs; i++) w->error[i] += step * w->d_error[i];
-    for (int i = 0; i < rows; i++) {
-        w->V[i] += step * w->dV[i];
-        w->s_low[i] += step * w->ds_low[i], r->lower[i] += step * w->dl_low[i];
-        w->s_up[i] += step * w->ds_up[i], r->upper[i] += step * w->dl_up[i];
-    }
+    for (int i = 0; i < rows; i++) w->V[i] += step * w->dV[i];
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) z->s[i] += step * z->ds[i], z->l[i] += step * z->dl[i];
     if (q->repeated)
         for (int i = 0; i < q->nodes; i++) w->theta[i] += step * w->d_start[i], w->eta[i] += step * w->d_eta[i];
     roll_heat(w);
@@ -614,7 +626,7 @@ static void advance(tr_work *w, const tr_result *r, double step)
 
 /* Start at the optimum without limits, slacks and multipliers well inside. Returns the number of limits, -1 if no
  * number. */
-static int start(tr_work *w, const tr_result *r)
+static double start(tr_work *w)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, n = q->states, rows = (N + 1) * q->rows;
@@ -624,37 +636,31 @@ static int start(tr_work *w, const tr_result *r)
         w->offset[k] = q->rule_offset[k - q->free_stages];
     }
     for (int k = 0; k < N && q->nodes; k++) w->e[k] = 1.0;
-    for (int i = 0; i < rows; i++) w->s_low[i] = w->s_up[i] = 1.0, r->lower[i] = r->upper[i] = 0.0;
     for (int pass = 0; pass < 2; pass++) {
         forward(w, nothing, w->offset, w->offset_e, 1);
         if (pass == 0) /* The size's rows depend on where the size starts. */
             for (int k = 0; k < N; k++)
                 for (int i = 0; i < q->rows; i++) w->dV[k * q->rows + i] += q->d_size[i] * w->e[k];
-        advance(w, r, 1.0);
+        advance(w, 1.0);
         if (pass == 1) break;
         for (int k = 0; k < N; k++)
             for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
         /* Without prices the heat pulls at nothing, so that its controls need weights of their own. */
         for (int k = 0; k < N && q->nodes; k++)
             for (int i = 1; i < q->rows; i++) w->sigma[k * q->rows + i] = q->d_size[i] != 0.0 ? 1e-6 : 0.0;
-        if (factor(w, 0)) return -1;
+        if (factor(w, 0)) return -1.0;
         backward(w, nothing, 1, w->offset, w->offset_e, 1);
         memset(w->offset_e, 0, (size_t)N * sizeof(double));
     }
     const double scale = fmax(objective(w), 1.0) / 100.0;
-    int count = 0;
-    for (int i = 0; i < rows; i++) {
-        if (limited(q->lower[i])) {
-            w->s_low[i] = fmax(w->V[i] - q->lower[i], 0.1);
-            r->lower[i] = scale / w->s_low[i];
-            count++;
+    double count = 0.0;
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) {
+            if (z->there[i] == 0.0) continue;
+            z->s[i] = fmax(z->sign * (w->V[i] - z->bound[i]), 0.1);
+            z->l[i] = scale / z->s[i];
+            count += 1.0;
         }
-        if (limited(q->upper[i])) {
-            w->s_up[i] = fmax(q->upper[i] - w->V[i], 0.1);
-            r->upper[i] = scale / w->s_up[i];
-            count++;
-        }
-    }
     return count;
 }
 
@@ -663,23 +669,20 @@ typedef struct {
 } tr_state;
 
 /* Where the iterate stands; leaves the gradient by the movements in `offset` and the heat's prices. */
-static tr_state judge(tr_work *w, const tr_result *r)
+static tr_state judge(tr_work *w)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, rows = (N + 1) * q->rows;
     tr_state found = {0.0, 0.0, 0.0, objective(w)};
     double end[MOST_NODES] = {0}, closure[MOST_NODES];
-    for (int i = 0; i < rows; i++) {
-        if (limited(q->lower[i])) {
-            found.complementarity += w->s_low[i] * r->lower[i];
-            found.residual = fmax(found.residual, fabs(w->V[i] - q->lower[i] - w->s_low[i]));
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) {
+            z->inverse[i] = 1.0 / z->s[i];
+            z->residual[i] = z->there[i] * (z->sign * (w->V[i] - z->bound[i]) - z->s[i]);
+            found.complementarity += z->s[i] * z->l[i];
+            found.residual = fmax(found.residual, fabs(z->residual[i]));
         }
-        if (limited(q->upper[i])) {
-            found.complementarity += w->s_up[i] * r->upper[i];
-            found.residual = fmax(found.residual, fabs(q->upper[i] - w->V[i] - w->s_up[i]));
-        }
-        w->y[i] = r->upper[i] - r->lower[i];
-    }
+    for (int i = 0; i < rows; i++) w->y[i] = w->side[1].l[i] - w->side[0].l[i];
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
     for (int k = 0; k < N; k++) {
@@ -698,72 +701,57 @@ static tr_state judge(tr_work *w, const tr_result *r)
     return found;
 }
 
-/* Weights and gradients of the rows for a step that aims at s l = t (predictor: t = 0). */
-static void aim(tr_work *w, const tr_result *r, int corrector)
+/* Weights and gradients of the rows for a step that aims at s l = target, or at 0. */
+CLONES static void aim(tr_work *w, int corrector)
 {
     const tr_problem *q = w->q;
     const int rows = (q->stages + 1) * q->rows;
+    const tr_side *low = w->side, *up = low + 1;
+    double *restrict sigma = w->sigma, *restrict y = w->y;
     for (int i = 0; i < rows; i++) {
-        double weight = 0.0, gradient = 0.0;
-        if (limited(q->lower[i])) {
-            const double s = w->s_low[i], by = r->lower[i] / s;
-            weight += by;
-            gradient += by * (w->V[i] - q->lower[i] - s) - (corrector ? w->t_low[i] / s : 0.0);
-        }
-        if (limited(q->upper[i])) {
-            const double s = w->s_up[i], by = r->upper[i] / s;
-            weight += by;
-            gradient += (corrector ? w->t_up[i] / s : 0.0) - by * (q->upper[i] - w->V[i] - s);
-        }
-        w->sigma[i] = weight;
-        w->y[i] = gradient;
+        const double of_low = low->l[i] * low->inverse[i], of_up = up->l[i] * up->inverse[i];
+        sigma[i] = of_low + of_up;
+        y[i] = of_low * low->residual[i] - of_up * up->residual[i];
     }
+    if (!corrector) return;
+    for (int i = 0; i < rows; i++) y[i] += up->target[i] * up->inverse[i] - low->target[i] * low->inverse[i];
 }
 
-/* Largest part of a step that keeps `value` >= (1 - part) of itself. */
-static double shortened(double step, double value, double change, double part)
-{
-    return change < 0.0 && -part * value > step * change ? -part * value / change : step;
-}
-
-/* Steps of slacks and multipliers that belong to the Newton step; the longest step that keeps them positive. */
-static double slack_steps(tr_work *w, const tr_result *r, int corrector, double part)
+/* Steps of slacks and multipliers that belong to the Newton step; the longest part of it, at most 1, that leaves
+ * `rest` of each. */
+CLONES static double slack_steps(tr_work *w, int corrector, double rest)
 {
     const tr_problem *q = w->q;
     const int rows = (q->stages + 1) * q->rows;
-    double step = 1.0;
-    for (int i = 0; i < rows; i++) {
-        if (limited(q->lower[i])) {
-            const double s = w->s_low[i], l = r->lower[i], ds = w->dV[i] + (w->V[i] - q->lower[i] - s);
-            const double dl = ((corrector ? w->t_low[i] : 0.0) - l * ds) / s - l;
-            w->ds_low[i] = ds, w->dl_low[i] = dl;
-            step = shortened(shortened(step, s, ds, part), l, dl, part);
+    double fastest = 1.0 - rest; /* fall relative to the value */
+    for (tr_side *z = w->side; z < w->side + 2; z++) {
+        double *restrict ds = z->ds, *restrict dl = z->dl;
+        const double *restrict inverse = z->inverse, *restrict l = z->l;
+        for (int i = 0; i < rows; i++) {
+            ds[i] = z->there[i] * (z->sign * w->dV[i] + z->residual[i]);
+            dl[i] = -l[i] * (ds[i] * inverse[i] + 1.0);
         }
-        if (limited(q->upper[i])) {
-            const double s = w->s_up[i], l = r->upper[i], ds = (q->upper[i] - w->V[i] - s) - w->dV[i];
-            const double dl = ((corrector ? w->t_up[i] : 0.0) - l * ds) / s - l;
-            w->ds_up[i] = ds, w->dl_up[i] = dl;
-            step = shortened(shortened(step, s, ds, part), l, dl, part);
+        for (int i = 0; corrector && i < rows; i++) dl[i] += z->there[i] * z->target[i] * inverse[i];
+        for (int i = 0; i < rows; i++) {
+            const double of_s = -ds[i] * inverse[i];
+            fastest = of_s > fastest ? of_s : fastest;
+            if (-dl[i] > fastest * l[i] && l[i] > 0.0) fastest = -dl[i] / l[i];
         }
     }
-    return step;
+    return (1.0 - rest) / fastest;
 }
 
 /* Mehrotra's target: the cube of what the predictor leaves, less the product of its steps. */
-static void centre(tr_work *w, const tr_result *r, double step, double mean, int count)
+CLONES static void centre(tr_work *w, double step, double mean, double count)
 {
     const tr_problem *q = w->q;
     const int rows = (q->stages + 1) * q->rows;
     double after = 0.0;
-    for (int i = 0; i < rows; i++) {
-        if (limited(q->lower[i])) after += (w->s_low[i] + step * w->ds_low[i]) * (r->lower[i] + step * w->dl_low[i]);
-        if (limited(q->upper[i])) after += (w->s_up[i] + step * w->ds_up[i]) * (r->upper[i] + step * w->dl_up[i]);
-    }
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) after += (z->s[i] + step * z->ds[i]) * (z->l[i] + step * z->dl[i]);
     const double ratio = after / count / mean, target = ratio * ratio * ratio * mean;
-    for (int i = 0; i < rows; i++) {
-        w->t_low[i] = target - w->ds_low[i] * w->dl_low[i];
-        w->t_up[i] = target - w->ds_up[i] * w->dl_up[i];
-    }
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) z->target[i] = z->there[i] * (target - z->ds[i] * z->dl[i]);
 }
 
 /* Solve; the answer is judged by the caller. */
@@ -772,31 +760,31 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
     if (!tr_workspace(q)) return TR_TOO_LARGE;
     tr_work work, *w = &work;
     memset(w, 0, sizeof work);
-    lay_out(w, q, workspace);
-    const int count = start(w, r);
-    int status = count < 0 ? TR_BREAKDOWN : TR_ITERATION_LIMIT;
+    lay_out(w, q, r, workspace);
+    const double count = start(w);
+    int status = count < 0.0 ? TR_BREAKDOWN : TR_ITERATION_LIMIT;
     r->iterations = 0;
     while (status == TR_ITERATION_LIMIT) {
-        const tr_state now = judge(w, r);
+        const tr_state now = judge(w);
         const double allowed = options->tolerance * fmax(now.objective, 1.0);
         r->objective = now.objective, r->gap = now.complementarity + now.stationarity, r->residual = now.residual;
         if (!(r->gap < INFINITY) || !(now.residual < INFINITY)) status = TR_BREAKDOWN;
         if (r->gap <= allowed && now.residual <= options->tolerance) status = TR_SOLVED;
         if (status != TR_ITERATION_LIMIT || r->iterations >= options->max_iterations) break;
-        aim(w, r, 0);
+        aim(w, 0);
         if (factor(w, 1) && factor(w, 0)) {
             status = TR_BREAKDOWN;
             break;
         }
         if (q->repeated) close_course(w);
         newton(w);
-        if (count > 0) {
-            centre(w, r, slack_steps(w, r, 0, 1.0), now.complementarity / count, count);
-            aim(w, r, 1);
+        if (count > 0.0) {
+            centre(w, slack_steps(w, 0, 0.0), now.complementarity / count, count);
+            aim(w, 1);
             newton(w);
         }
-        const double step = slack_steps(w, r, count > 0, 0.995);
-        advance(w, r, step);
+        const double step = slack_steps(w, count > 0.0, 0.005);
+        advance(w, step);
         r->iterations++;
         if (step < 1e-12) status = TR_STALLED;
     }
