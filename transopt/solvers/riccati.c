@@ -52,7 +52,11 @@ typedef struct {
     double objective, gap, residual;
 } tr_result;
 
-enum { TR_SOLVED = 0, TR_ITERATION_LIMIT = 1, TR_STALLED = 2, TR_BREAKDOWN = 3, TR_TOO_LARGE = 4 };
+enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_TOO_LARGE };
+
+static const double NEAR = 1e4;       /* times the tolerance: from here on the best iterate counts */
+static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
+static const int PATIENCE = 6;        /* iterations without a better iterate */
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
@@ -103,7 +107,7 @@ size_t tr_workspace(const tr_problem *q)
     if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
     const size_t N = (size_t)q->stages, m = (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t ld = padded((size_t)q->states + t);
-    return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 20 * m);
+    return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 22 * m);
 }
 
 static double *take(double **rest, size_t count)
@@ -113,7 +117,7 @@ static double *take(double **rest, size_t count)
     return found;
 }
 
-static void lay_out(tr_work *w, const tr_problem *q, const tr_result *r, double *rest)
+static void lay_out(tr_work *w, const tr_problem *q, double *rest)
 {
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t n = (size_t)q->states, ld = padded(n + t);
@@ -136,7 +140,7 @@ static void lay_out(tr_work *w, const tr_problem *q, const tr_result *r, double 
         tr_side *z = w->side + side;
         const double *limit = side ? q->upper : q->lower;
         z->sign = side ? -1.0 : 1.0;
-        z->l = side ? r->upper : r->lower;
+        z->l = take(&rest, m);
         z->there = take(&rest, m), z->bound = take(&rest, m), z->s = take(&rest, m), z->inverse = take(&rest, m);
         z->residual = take(&rest, m), z->ds = take(&rest, m), z->dl = take(&rest, m), z->target = take(&rest, m);
         for (size_t i = 0; i < m; i++) {
@@ -624,8 +628,8 @@ static void advance(tr_work *w, double step)
     roll_heat(w);
 }
 
-/* Start at the optimum without limits, slacks and multipliers well inside. Returns the number of limits, -1 if no
- * number. */
+/* Start at rest, where symmetric limits have all their room, slacks and multipliers well inside. Returns the number of
+ * limits. */
 static double start(tr_work *w)
 {
     const tr_problem *q = w->q;
@@ -635,23 +639,12 @@ static double start(tr_work *w)
         memcpy(w->K + k * w->ld, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
         w->offset[k] = q->rule_offset[k - q->free_stages];
     }
-    for (int k = 0; k < N && q->nodes; k++) w->e[k] = 1.0;
-    for (int pass = 0; pass < 2; pass++) {
-        forward(w, nothing, w->offset, w->offset_e, 1);
-        if (pass == 0) /* The size's rows depend on where the size starts. */
-            for (int k = 0; k < N; k++)
-                for (int i = 0; i < q->rows; i++) w->dV[k * q->rows + i] += q->d_size[i] * w->e[k];
-        advance(w, 1.0);
-        if (pass == 1) break;
-        for (int k = 0; k < N; k++)
-            for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
-        /* Without prices the heat pulls at nothing, so that its controls need weights of their own. */
-        for (int k = 0; k < N && q->nodes; k++)
-            for (int i = 1; i < q->rows; i++) w->sigma[k * q->rows + i] = q->d_size[i] != 0.0 ? 1e-6 : 0.0;
-        if (factor(w, 0)) return -1.0;
-        backward(w, nothing, 1, w->offset, w->offset_e, 1);
-        memset(w->offset_e, 0, (size_t)N * sizeof(double));
-    }
+    if (q->nodes)
+        for (int k = 0; k < N; k++) w->offset_e[k] = 1.0;
+    forward(w, nothing, w->offset, w->offset_e, 1);
+    advance(w, 1.0);
+    for (int k = 0; k < N; k++)
+        for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
     const double scale = fmax(objective(w), 1.0) / 100.0;
     double count = 0.0;
     for (tr_side *z = w->side; z < w->side + 2; z++)
@@ -754,28 +747,51 @@ CLONES static void centre(tr_work *w, double step, double mean, double count)
         for (int i = 0; i < rows; i++) z->target[i] = z->there[i] * (target - z->ds[i] * z->dl[i]);
 }
 
-/* Solve; the answer is judged by the caller. */
+/* The iterate that `judge` has just seen, as the result. */
+static void keep(const tr_work *w, const tr_state *now, tr_result *r)
+{
+    const tr_problem *q = w->q;
+    const size_t stages = (size_t)q->stages, rows = (stages + 1) * (size_t)q->rows;
+    memcpy(r->movement, w->u, stages * sizeof(double));
+    memcpy(r->size, w->e, stages * sizeof(double));
+    memcpy(r->gradient, w->offset, stages * sizeof(double));
+    memcpy(r->lower, w->side[0].l, rows * sizeof(double));
+    memcpy(r->upper, w->side[1].l, rows * sizeof(double));
+    for (int i = 0; i < q->nodes; i++) r->start[i] = w->theta[i];
+    r->objective = now->objective;
+    r->gap = now->complementarity + now->stationarity;
+    r->residual = now->residual;
+}
+
+/* Solve; the answer is judged by the caller.
+ *
+ * Near the answer rounding wins over progress at last: the best iterate is returned, as TR_ACCURACY where it is not
+ * quite what was asked for. Far from it the last iterate is, whose multipliers tell of infeasibility.
+ */
 int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, tr_result *r)
 {
+    r->iterations = 0;
     if (!tr_workspace(q)) return TR_TOO_LARGE;
     tr_work work, *w = &work;
     memset(w, 0, sizeof work);
-    lay_out(w, q, r, workspace);
+    lay_out(w, q, workspace);
     const double count = start(w);
-    int status = count < 0.0 ? TR_BREAKDOWN : TR_ITERATION_LIMIT;
-    r->iterations = 0;
-    while (status == TR_ITERATION_LIMIT) {
+    double best = INFINITY;
+    for (int since = 0;; r->iterations++, since++) {
         const tr_state now = judge(w);
         const double allowed = options->tolerance * fmax(now.objective, 1.0);
-        r->objective = now.objective, r->gap = now.complementarity + now.stationarity, r->residual = now.residual;
-        if (!(r->gap < INFINITY) || !(now.residual < INFINITY)) status = TR_BREAKDOWN;
-        if (r->gap <= allowed && now.residual <= options->tolerance) status = TR_SOLVED;
-        if (status != TR_ITERATION_LIMIT || r->iterations >= options->max_iterations) break;
+        const double gap = (now.complementarity + now.stationarity) / allowed;
+        const double measure = fmax(gap, now.residual / options->tolerance);
+        const int number = gap < INFINITY && now.residual < INFINITY;
+        if (number && measure < best) best = measure, since = 0;
+        const int near = best <= NEAR;
+        if (number && (since == 0 || !near)) keep(w, &now, r);
+        if (number && measure <= 1.0) return TR_SOLVED;
+        if (near && (!number || since >= PATIENCE)) return TR_ACCURACY;
+        if (!number) return TR_BREAKDOWN;
+        if (r->iterations >= options->max_iterations) return near ? TR_ACCURACY : TR_ITERATION_LIMIT;
         aim(w, 0);
-        if (factor(w, 1) && factor(w, 0)) {
-            status = TR_BREAKDOWN;
-            break;
-        }
+        if (factor(w, 1) && factor(w, 0)) return near ? TR_ACCURACY : TR_BREAKDOWN;
         if (q->repeated) close_course(w);
         newton(w);
         if (count > 0.0) {
@@ -784,13 +800,7 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
             newton(w);
         }
         const double step = slack_steps(w, count > 0.0, 0.005);
+        if (!(step > SHORTEST)) return near ? TR_ACCURACY : TR_STALLED;
         advance(w, step);
-        r->iterations++;
-        if (step < 1e-12) status = TR_STALLED;
     }
-    memcpy(r->movement, w->u, (size_t)q->stages * sizeof(double));
-    memcpy(r->size, w->e, (size_t)q->stages * sizeof(double));
-    memcpy(r->gradient, w->offset, (size_t)q->stages * sizeof(double));
-    for (int i = 0; i < q->nodes; i++) r->start[i] = w->theta[i];
-    return status;
 }

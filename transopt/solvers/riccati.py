@@ -10,6 +10,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from transopt.farkas import is_infeasible
 from transopt.linear import hand_over_rows
 from transopt.problem import OBJECTIVE_SCALE, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
@@ -49,6 +50,7 @@ class _Result(ct.Structure):
 # What `tr_solve` returns.
 STATUS = (
     (Status.OPTIMAL, "solved"),
+    (Status.OPTIMAL, "solved to what rounding leaves"),
     (Status.ITERATION_LIMIT, "iteration limit"),
     (Status.NUMERICAL_FAILURE, "no step left"),
     (Status.NUMERICAL_FAILURE, "a factorisation broke down"),
@@ -76,6 +78,7 @@ class Rows:
     Attributes
     ----------
     G : (rows, n). d, d_size : (rows,). lower, upper : (N + 1, rows), infinite where there is no limit.
+    unit : (rows,) of a row, in units of the program: the largest of its bounds, so that limits are of order one.
     variables, constraints : (rows, N + 1) index of the limited variable or row of the program, -1 for none.
     """
 
@@ -84,6 +87,7 @@ class Rows:
     d_size: FloatArray
     lower: FloatArray
     upper: FloatArray
+    unit: FloatArray
     variables: FloatArray
     constraints: FloatArray
 
@@ -94,7 +98,7 @@ def rows(statement: Statement, V: FloatArray, v: FloatArray) -> Rows:
     N, n, where = shape.stages, shape.layout.states, shape.layout
     place = shape.first + np.arange(N * shape.variables).reshape(N, shape.variables)
     of_kind = state_program(shape).rows
-    unit = np.eye(n)
+    states = np.eye(n)
     found: list[tuple[FloatArray, float, float, FloatArray, FloatArray]] = []
 
     def row(
@@ -110,20 +114,20 @@ def rows(statement: Statement, V: FloatArray, v: FloatArray) -> Rows:
 
     if shape.nodes:
         start = [0] if shape.repeated else []
-        row(0 * unit[0], 0.0, 0.0, first=1 - len(start), variables=[*start, *place[:, shape.command + 1]])
+        row(0 * states[0], 0.0, 0.0, first=1 - len(start), variables=[*start, *place[:, shape.command + 1]])
     free = slice(0, problem.free_stages if problem.wall is None else N)  # a plain hand-over's commands are zero
-    row(unit[-1], 1.0, 0.0, first=0, variables=place[free, shape.command])
+    row(states[-1], 1.0, 0.0, first=0, variables=place[free, shape.command])
     if where.amplifier:
-        row(unit[where.current], 0.0, 0.0, first=1, variables=place[:-1, shape.controls + where.current])
+        row(states[where.current], 0.0, 0.0, first=1, variables=place[:-1, shape.controls + where.current])
     if problem.limits.slew_A_per_s is not None:
-        row(0 * unit[0], 1.0, 0.0, first=0, variables=place[:, 0])
+        row(0 * states[0], 1.0, 0.0, first=0, variables=place[:, 0])
     if shape.supply:
         for kind, (first, j) in {"supply_before": (1, 0), "supply_after": (0, 1)}.items():
             row(V[j], v[j], 0.0, first=first, constraints=np.arange(of_kind[kind].start, of_kind[kind].stop))
     if shape.nodes:
         for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
             row(sign * V[2], sign * v[2], 1.0, first=0, constraints=np.arange(of_kind[kind].start, of_kind[kind].stop))
-        row(0 * unit[0], 0.0, 1.0, first=0, variables=place[:, 1])
+        row(0 * states[0], 0.0, 1.0, first=0, variables=place[:, 1])
 
     G, d, d_size, variables, constraints = (np.array(each) for each in zip(*found, strict=True))
     lower, upper = np.full(variables.shape, -np.inf), np.full(variables.shape, np.inf)
@@ -133,7 +137,12 @@ def rows(statement: Statement, V: FloatArray, v: FloatArray) -> Rows:
     ):
         stated = index >= 0
         lower[stated], upper[stated] = low[index[stated]], high[index[stated]]
-    return Rows(G, d, d_size, lower.T, upper.T, variables, constraints)
+    bounds = np.concatenate([lower, upper], axis=1)
+    unit = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1)
+    # The winding's row is a state of the recursion, whose unit is the largest headroom already.
+    unit = np.where((unit > 0) & (np.arange(unit.size) >= min(shape.nodes, 1)), unit, 1.0)
+    by = unit[:, None]
+    return Rows(G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, unit, variables, constraints)
 
 
 def _multipliers(statement: Statement, limits: Rows, by_row: FloatArray, hand_over: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -142,7 +151,7 @@ def _multipliers(statement: Statement, limits: Rows, by_row: FloatArray, hand_ov
     lam_x, lam_g = np.zeros(statement.lower_x.size), np.zeros(statement.lower_g.size)
     for index, lam in ((limits.variables, lam_x), (limits.constraints, lam_g)):
         stated = index >= 0
-        lam[index[stated]] = by_row.T[stated]
+        lam[index[stated]] = (by_row / limits.unit).T[stated]
     lam_g[program.rows["hand_over"]] = hand_over
     return lam_x, lam_g
 
@@ -205,11 +214,14 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     )
     status, message = STATUS[code]
     by_row, tail = answer["upper"] - answer["lower"], answer["gradient"][problem.free_stages :]
-    command = np.cumsum(answer["movement"]) * statement.stage.current_A
+    command = statement.held(np.cumsum(answer["movement"]) * statement.stage.current_A)
+    multipliers = statement.multipliers(*_multipliers(statement, limits, by_row, -tail))
+    if status is not Status.OPTIMAL and is_infeasible(problem, command, multipliers):
+        status, message = Status.INFEASIBLE, f"{message}: a ray proves that no command meets all limits"
     return Solution(
         status=status,
-        command_A=statement.held(command),
-        multipliers=statement.multipliers(*_multipliers(statement, limits, by_row, -tail)),
+        command_A=command,
+        multipliers=multipliers,
         solver="riccati",
         message=message,
         iterations=result.iterations,
