@@ -26,7 +26,9 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     ----------
     command_A : (N,) any command; the closer to all limits, the sharper.
     """
-    sizes = [float(np.abs(getattr(multipliers, f.name)).max()) for f in fields(multipliers) if f.name != "current_sign"]
+    sizes = [
+        float(np.abs(getattr(multipliers, f.name)).max()) for f in fields(multipliers) if f.name != "current_sign"
+    ]
     largest = max(sizes)
     if not 0 < largest < np.inf or not np.all(np.isfinite(command_A)):
         return False

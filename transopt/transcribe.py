@@ -198,9 +198,12 @@ class Stage:
 
     def voltage_before(self, state: ca.MX) -> ca.MX:
         """(1, K) just before the switching instant that the state belongs to, without the nominal motion's."""
+        assert self.S is not None
         return self.S @ state
 
     def voltage_after(self, before: ca.MX, movement: ca.MX) -> ca.MX:
+        assert self.S is not None
+        assert self.direct is not None
         return self.S @ before + self.direct * movement
 
     def current(self, before: ca.MX) -> ca.MX:
@@ -291,9 +294,9 @@ def stage_shape(shape: Shape) -> Shape:
 def stage_data(shape: Shape) -> ca.Function:
     """The same statement for a method that takes it stage by stage: matrices of one stage from its parameters.
 
-    Function of those symbols that they depend on (of a `stage_shape`) to the dense
-    derivatives of the states one period later by x (n, n), of the outputs by x (S, n) and dc (S,), and of voltage before
-    and after a switching instant and mean current by x (3, n) and dc (3,), zero where there is none.
+    Function of those symbols that they depend on (of a `stage_shape`) to the dense derivatives of the states one
+    period later by x (n, n), of the outputs by x (S, n) and dc (S,), and of voltage before and after a switching
+    instant and mean current by x (3, n) and dc (3,), zero where there is none.
     """
     stage = Stage.make(shape)
     x, movement = ca.MX.sym("x", shape.layout.states), ca.MX.sym("dc")
@@ -307,7 +310,14 @@ def stage_data(shape: Shape) -> ca.Function:
     found = [ca.jacobian(stage.after(x, movement), x), ca.jacobian(outputs, x), ca.jacobian(outputs, movement)]
     found += [ca.jacobian(limits, x), ca.jacobian(limits, movement)]
     dense = [ca.densify(each) for each in found]
-    names = ["A", "B", "C", "E", *(["S", "S_direct"] if shape.supply else []), *(["share", "decay"] if shape.nodes else [])]
+    names = [
+        "A",
+        "B",
+        "C",
+        "E",
+        *(["S", "S_direct"] if shape.supply else []),
+        *(["share", "decay"] if shape.nodes else []),
+    ]
     results = ["states", "outputs", "outputs_movement", "limits", "limits_movement"]
     return ca.Function("stage_data", [stage.symbols[name] for name in names], dense, names, results)
 

@@ -1,4 +1,4 @@
-"""The project's own method: an interior point over the stages, in C (`riccati.c`), on the stage data of the statement.
+"""The project's own method: an interior point over the stages, in C (`riccati.c`), on the statement's stage data.
 
 The extension is optional. Where it could not be built, `available` is False and the CasADi methods take over.
 """
@@ -126,7 +126,9 @@ def rows(statement: Statement, V: FloatArray, v: FloatArray) -> Rows:
             row(V[j], v[j], 0.0, first=first, constraints=np.arange(of_kind[kind].start, of_kind[kind].stop))
     if shape.nodes:
         for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
-            row(sign * V[2], sign * v[2], 1.0, first=0, constraints=np.arange(of_kind[kind].start, of_kind[kind].stop))
+            row(
+                sign * V[2], sign * v[2], 1.0, first=0, constraints=np.arange(of_kind[kind].start, of_kind[kind].stop)
+            )
         row(0 * states[0], 0.0, 1.0, first=0, variables=place[:, 1])
 
     G, d, d_size, variables, constraints = (np.array(each) for each in zip(*found, strict=True))
@@ -145,7 +147,9 @@ def rows(statement: Statement, V: FloatArray, v: FloatArray) -> Rows:
     return Rows(G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, unit, variables, constraints)
 
 
-def _multipliers(statement: Statement, limits: Rows, by_row: FloatArray, hand_over: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _multipliers(
+    statement: Statement, limits: Rows, by_row: FloatArray, hand_over: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """CasADi's lam_x and lam_g from upper less lower multipliers (N + 1, rows)."""
     program = state_program(statement.shape)
     lam_x, lam_g = np.zeros(statement.lower_x.size), np.zeros(statement.lower_g.size)
@@ -156,62 +160,85 @@ def _multipliers(statement: Statement, limits: Rows, by_row: FloatArray, hand_ov
     return lam_x, lam_g
 
 
-def can_solve(problem: TransientProblem) -> bool:
-    """Whether the extension is there; that the problem is not too large for it, `solve` finds out."""
-    return available
+@dataclass(frozen=True)
+class Stages:
+    """One problem as the method takes it, in the statement's units.
+
+    Attributes
+    ----------
+    sizes, numbers, arrays : integers, scalars and arrays of `tr_problem`, by name.
+    """
+
+    statement: Statement
+    limits: Rows
+    sizes: dict[str, int]
+    numbers: dict[str, float]
+    arrays: dict[str, FloatArray]
 
 
-def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """Solve the QP or the NLP stage by stage."""
-    assert _LIBRARY is not None
-    start = time.perf_counter()
+def stages(problem: TransientProblem) -> Stages:
+    """Stage data of a problem, from the CasADi statement."""
     statement = state(problem)
-    shape, values = statement.shape, statement.values
-    N, n, nodes = shape.stages, shape.layout.states, shape.nodes
+    shape, values, where = statement.shape, statement.values, statement.shape.layout
     function = stage_data(stage_shape(shape))
     data = function(**{name: values[name] for name in function.name_in()})
     A, C, E, V, v = (np.asarray(data[name]) for name in function.name_out())
     limits = rows(statement, V, v.ravel())
     gains, offsets = hand_over_rows(problem, statement.stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-
-    nothing = np.zeros(4)
-    heat = {name: values[name] if nodes else nothing for name in ("b", "gain", "square", "f")}
-    heat |= {name: values[name].reshape(nodes, nodes).T if nodes else nothing for name in ("M", "F")}
+    m, nothing = shape.nodes, np.zeros(4)
+    heat = {name: values[name] if m else nothing for name in ("b", "gain", "square", "f")}
+    heat |= {name: values[name].reshape(m, m).T if m else nothing for name in ("M", "F")}
     arrays = {
         "A": A,
         "C": C,
         "E": E,
-        "weight": 2 * values["w"] / (OBJECTIVE_SCALE * shape.layout.devices),
+        "weight": 2 * values["w"] / (OBJECTIVE_SCALE * where.devices),
         "reference": values["r"],
         "rule_gain": gains,
         "rule_offset": offsets,
         **{name: getattr(limits, name) for name in ("G", "d", "d_size", "lower", "upper")},
         **heat,
     }
-    arrays = {name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()}
+    return Stages(
+        statement=statement,
+        limits=limits,
+        sizes={
+            "stages": shape.stages,
+            "free_stages": problem.free_stages,
+            "states": where.states,
+            "outputs": where.devices,
+            "rows": limits.d.size,
+            "nodes": m,
+            "current": where.current if where.amplifier else -1,
+            "repeated": int(shape.repeated),
+        },
+        numbers={
+            "movement_weight": 2 * float(values["rho"][0]) / OBJECTIVE_SCALE,
+            "command_bound": problem.limits.command_bound_A / statement.stage.current_A,
+            **{name: float(values[name][0]) if m else 0.0 for name in ("decay", "ripple", "copper")},
+        },
+        arrays={name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},
+    )
+
+
+def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
+    """Solve the QP or the NLP stage by stage; infeasibility is claimed only with its proof (`farkas`)."""
+    assert _LIBRARY is not None
+    start = time.perf_counter()
+    given = stages(problem)
+    statement, limits, N = given.statement, given.limits, given.sizes["stages"]
     stated = _Problem(
-        stages=N,
-        free_stages=problem.free_stages,
-        states=n,
-        outputs=shape.layout.devices,
-        rows=limits.d.size,
-        nodes=nodes,
-        current=shape.layout.current if shape.layout.amplifier else -1,
-        repeated=int(shape.repeated),
-        movement_weight=2 * float(values["rho"][0]) / OBJECTIVE_SCALE,
-        command_bound=problem.limits.command_bound_A / statement.stage.current_A,
-        **{name: float(values[name][0]) if nodes else 0.0 for name in ("decay", "ripple", "copper")},
-        **{name: array.ctypes.data_as(DOUBLES) for name, array in arrays.items()},
+        **given.sizes,
+        **given.numbers,
+        **{name: array.ctypes.data_as(DOUBLES) for name, array in given.arrays.items()},
     )
     answer = {name: np.zeros(N) for name in ("movement", "size", "gradient")}
-    answer |= {name: np.zeros(limits.lower.shape) for name in ("lower", "upper")} | {"start": np.zeros(4)}
+    answer.update({name: np.zeros(limits.lower.shape) for name in ("lower", "upper")}, start=np.zeros(4))
     result = _Result(**{name: array.ctypes.data_as(DOUBLES) for name, array in answer.items()})
     asked = _Options(options.max_iterations, NEEDED_DIGITS * options.tolerance)
     workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(stated)))
-    code = _LIBRARY.tr_solve(
-        ct.byref(stated), ct.byref(asked), workspace.ctypes.data_as(DOUBLES), ct.byref(result)
-    )
+    code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), workspace.ctypes.data_as(DOUBLES), ct.byref(result))
     status, message = STATUS[code]
     by_row, tail = answer["upper"] - answer["lower"], answer["gradient"][problem.free_stages :]
     command = statement.held(np.cumsum(answer["movement"]) * statement.stage.current_A)

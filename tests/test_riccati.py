@@ -1,0 +1,233 @@
+"""The project's own interior-point method: its stage data, its answers, its refusals, its absence."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import problems
+from problems.simulate import recordings
+from tests.conftest import ProblemMaker, WalledMaker
+from transopt import solvers
+from transopt.certify import certify
+from transopt.design import entry_problem, scene_stage
+from transopt.farkas import is_infeasible
+from transopt.heat import Budget, thermal_limit
+from transopt.parts import pressing, reference_course
+from transopt.preparation import read_recordings
+from transopt.problem import OBJECTIVE_SCALE, Multipliers, Status, TransientProblem
+from transopt.reference import build_references
+from transopt.scene import Scene
+from transopt.scene_file import load_scene
+from transopt.solvers import SolverOptions, riccati, solve
+from transopt.transcribe import state_program
+
+pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+
+OWN = SolverOptions("riccati")
+SCENES = [
+    path.stem for path in sorted(Path(problems.__file__).parent.glob("*.toml")) if path.stem != "measured_impacts"
+]
+
+
+@pytest.fixture(scope="module")
+def hardest() -> Callable[[str], TransientProblem]:
+    """The fastest tap under the firmest grip of a built-in scene, with all its limits."""
+
+    def make(name: str) -> TransientProblem:
+        scene = load_scene(problems.scene_path(name))
+        taps = recordings(scene) if scene.recordings.simulated else read_recordings(scene.recordings)
+        references = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+        problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
+        return (
+            problem
+            if problem.wall is None
+            else pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        )
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def hot(scene: Scene) -> Callable[..., TransientProblem]:
+    """A problem with a temperature limit beside its others."""
+
+    def make(problem: TransientProblem, **budget: float) -> TransientProblem:
+        coil = scene.coil()
+        assert coil is not None
+        return replace(problem, thermal=thermal_limit(coil, problem.stage.amplifier, problem.grid, Budget(**budget)))
+
+    return make
+
+
+class TestStageData:
+    @pytest.mark.parametrize("name", SCENES)
+    def test_agrees_with_the_casadi_statement(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        """Objective and every limit at a random point, to 1e-12 of their size."""
+        problem = hardest(name)
+        given = riccati.stages(problem)
+        statement, limits, a = given.statement, given.limits, given.arrays
+        shape, program = statement.shape, state_program(statement.shape)
+        N, n, m = shape.stages, shape.layout.states, shape.nodes
+        random = np.random.default_rng(3)
+        u, size, rise = random.normal(size=N) * 0.1, random.uniform(0, 1, N), random.uniform(0, 1, (N + 1, m))
+        x = np.zeros((N + 1, n))
+        for k in range(N):
+            x[k + 1] = a["A"] @ x[k] + a["A"][:, -1] * u[k]
+        point = np.zeros((N, shape.variables))
+        point[:, 0], point[:, shape.controls : shape.controls + n] = u, x[1:]
+        if m:
+            point[:, 1], point[:, shape.controls + n :] = size, rise[1:]
+        point = np.append(rise[0] if shape.repeated else [], point.ravel())
+        values = ca.Function("values", [program.x, program.p], [program.f, program.g])(point, statement.p)
+        f, g = (np.asarray(value).ravel() for value in values)
+
+        error = x[:-1] @ a["C"].T + np.outer(u, a["E"]) - a["reference"][:, None]
+        objective = (a["weight"] @ np.sum(error**2, axis=1) + given.numbers["movement_weight"] * u @ u) / 2
+        assert f[0] == pytest.approx(objective, rel=1e-12)
+
+        dynamics = g[program.rows["dynamics"]]
+        assert np.abs(dynamics).max() <= 1e-12 * max(np.abs(x).max(), 1)
+        row = x @ a["G"].T
+        row[:-1] += np.outer(u, a["d"]) + np.outer(size, a["d_size"])
+        if m:
+            row[:, 0] = rise[:, 0]
+        for index, stated in ((limits.variables.T, point), (limits.constraints.T, g)):
+            where = index >= 0
+            scaled = (row * limits.unit)[where]
+            np.testing.assert_allclose(
+                scaled, stated[index[where]], rtol=0, atol=1e-12 * max(np.abs(scaled).max(initial=1), 1)
+            )
+
+    @pytest.mark.parametrize("name", SCENES)
+    def test_no_limit_of_the_statement_is_forgotten(
+        self, hardest: Callable[[str], TransientProblem], name: str
+    ) -> None:
+        """Every finite bound stands in exactly one row, but those of a plain hand-over, which is a rule."""
+        problem = hardest(name)
+        given = riccati.stages(problem)
+        statement, limits = given.statement, given.limits
+        shape = statement.shape
+        bounded = np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x)
+        if problem.wall is None:
+            tail = shape.first + np.arange(problem.free_stages, shape.stages) * shape.variables + shape.command
+            bounded[tail] = False
+        if shape.repeated:
+            bounded[1 : shape.first] = False  # a housing above the surroundings follows from the winding's
+        stated = np.sort(limits.variables[limits.variables >= 0])
+        np.testing.assert_array_equal(stated, np.flatnonzero(bounded))
+        inequalities = np.flatnonzero(statement.lower_g < statement.upper_g)
+        np.testing.assert_array_equal(np.sort(limits.constraints[limits.constraints >= 0]), inequalities)
+
+
+class TestAnswers:
+    @pytest.mark.parametrize("name", SCENES)
+    def test_certified_on_every_scene(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        problem = hardest(name)
+        answer = solve(problem, OWN)
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        assert answer.solver == "riccati"
+        assert answer.status is Status.OPTIMAL
+        assert proof.is_stationary
+        assert proof.relative_gap <= 1e-8
+
+    @pytest.mark.parametrize(
+        "name", ["firm_fast", "hot_coil", "rapid_tapping", "low_supply", "walled", "stiff_drive"]
+    )
+    def test_agrees_with_ipopt(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        problem = hardest(name)
+        own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
+        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, other)]
+        assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
+        np.testing.assert_allclose(own.command_A, other.command_A, rtol=0, atol=2e-4)
+
+    @pytest.mark.parametrize("stages", [11, 12, 30])
+    def test_short_horizons(self, make_problem: ProblemMaker, stages: int) -> None:
+        problem = make_problem(0.4, 5.0, stages=stages)
+        answer = solve(problem, OWN)
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    @pytest.mark.parametrize("current_A", [1e-3, 0.1, 1.25])
+    def test_tight_limits(self, make_problem: ProblemMaker, current_A: float) -> None:
+        problem = make_problem(0.4, 5.0, current_A=current_A, slew_A_per_s=2000.0 * current_A)
+        answer = solve(problem, OWN)
+        assert answer.iterations <= 40
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    def test_no_smoothness_and_weights_of_zero(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0)
+        weights = problem.tracking_weights.copy()
+        weights[200:] = 0.0
+        problem = replace(problem, tracking_weights=weights, rho=1e-12)
+        answer = solve(problem, OWN)
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    @pytest.mark.parametrize("budget", [{"headroom_K": 0.05}, {"headroom_K": 0.01}, {"tap_rate_Hz": 12.0}])
+    def test_temperature(
+        self, make_problem: ProblemMaker, hot: Callable[..., TransientProblem], budget: dict
+    ) -> None:
+        problem = hot(make_problem(0.4, 5.0), **budget)
+        own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
+        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, other)]
+        assert all(proof.is_stationary for proof in proofs)
+        assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
+
+    def test_one_command_for_several_devices(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 3.0)
+        problem = replace(problem, spread=tuple(make_problem(0.4, grip).stage for grip in (1.0, 5.0)))
+        answer = solve(problem, OWN)
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    def test_a_perturbed_answer_is_not_certified(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0)
+        answer = solve(problem, OWN)
+        for change in (1.001, 0.999):
+            assert not certify(problem, change * answer.command_A, answer.multipliers).accepted
+
+    def test_threads_change_no_bit(self, make_problem: ProblemMaker) -> None:
+        entries = [make_problem(speed, grip) for speed in (0.3, 0.4) for grip in (1.0, 3.0, 5.0)]
+        alone = [solve(entry, OWN).command_A for entry in entries]
+        with ThreadPoolExecutor(4) as pool:
+            together = list(pool.map(lambda entry: solve(entry, OWN).command_A, entries * 3))
+        for j, command in enumerate(together):
+            np.testing.assert_array_equal(command, alone[j % len(entries)])
+
+    def test_iteration_limit_is_said(self, make_problem: ProblemMaker) -> None:
+        assert solve(make_problem(0.4, 5.0), replace(OWN, max_iterations=3)).status is Status.ITERATION_LIMIT
+
+
+class TestInfeasible:
+    def test_a_ray_proves_it(self, walled: WalledMaker) -> None:
+        """The hand-over asks for what the wall wants; a slew limit keeps the command far from it."""
+        problem = walled(4000.0, 0.4, 5.0)
+        problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        limits = replace(problem.limits, current_A=0.05)
+        answer = solve(replace(problem, limits=limits, thermal=None), OWN)
+        assert answer.status is Status.INFEASIBLE
+        assert "ray" in answer.message
+
+    def test_nothing_proves_a_feasible_problem_infeasible(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
+        answer = solve(problem, OWN)
+        random, N = np.random.default_rng(5), problem.grid.stages
+        assert not is_infeasible(problem, answer.command_A, answer.multipliers)
+        for scale in (1.0, 1e8):
+            drawn = {
+                field.name: scale * random.exponential(size=N) * (random.random(N) < 0.05)
+                for field in fields(Multipliers)
+                if field.name not in ("hand_over", "current_sign")
+            }
+            made = replace(Multipliers.zero(problem), **drawn)
+            assert not is_infeasible(problem, answer.command_A, made)
+
+
+class TestAbsence:
+    def test_the_casadi_methods_take_over(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = make_problem(0.4, 5.0)
+        monkeypatch.setattr(riccati, "available", False)
+        assert solvers.capable(problem)[0] == "casadi-piqp"
+        assert solve(problem, OWN).solver == "casadi-piqp"
