@@ -248,7 +248,10 @@ class TestSolve:
         [
             (["absent"], ["absent", "no built-in scene"]),
             (["absent.toml"], ["absent.toml", "no such file"]),
-            (["wood_on_foam", "--solver", "osqp"], ["--solver osqp", "casadi-piqp, casadi-fatrop, casadi-ipopt"]),
+            (
+                ["wood_on_foam", "--solver", "osqp"],
+                ["--solver osqp", "riccati, casadi-piqp, casadi-fatrop, casadi-ipopt"],
+            ),
             (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
             (["wood_on_foam", "--jobs", "0"], ["--jobs 0", "at least 1"]),
             (["wood_on_foam", "--grid-tolerance", "0"], ["--grid-tolerance 0", "between 0 and 1"]),

@@ -13,17 +13,20 @@ import problems
 from problems.simulate import recordings
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt import solvers
+from transopt.build import Build
 from transopt.certify import certify
 from transopt.design import entry_problem, scene_stage
+from transopt.errors import InputError
 from transopt.farkas import is_infeasible
 from transopt.heat import Budget, thermal_limit
 from transopt.parts import pressing, reference_course
 from transopt.preparation import read_recordings
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, Status, TransientProblem
 from transopt.reference import build_references
+from transopt.report import build_markdown
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
-from transopt.solvers import SolverOptions, riccati, solve
+from transopt.solvers import SolverOptions, options, riccati, solve
 from transopt.transcribe import state_program
 
 pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is not built")
@@ -226,8 +229,18 @@ class TestInfeasible:
 
 
 class TestAbsence:
+    """Without a compiler there is no extension."""
+
     def test_the_casadi_methods_take_over(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
         problem = make_problem(0.4, 5.0)
         monkeypatch.setattr(riccati, "available", False)
         assert solvers.capable(problem)[0] == "casadi-piqp"
-        assert solve(problem, OWN).solver == "casadi-piqp"
+        with pytest.raises(InputError, match="--solver riccati: its extension is not built"):
+            solve(problem, OWN)
+
+    def test_the_default_and_the_report_say_so(self, build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+        assert SolverOptions().solver == "riccati"
+        assert "not built" not in build_markdown(build)
+        monkeypatch.setattr(options, "EXTENSION", "transopt.solvers._missing")
+        assert SolverOptions().solver == "casadi-piqp"
+        assert "own solver is not built" in build_markdown(build)

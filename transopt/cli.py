@@ -212,7 +212,10 @@ def solve(
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes; the grips are shared among them.")] = 1,
-    solver: Annotated[str, typer.Option(help="casadi-piqp, casadi-fatrop or casadi-ipopt.")] = "casadi-piqp",
+    solver: Annotated[
+        str | None,
+        typer.Option(help="riccati, the default where it is built, casadi-piqp, casadi-fatrop or casadi-ipopt."),
+    ] = None,
     solver_tolerance: Annotated[float, typer.Option(help="On residuals and gap, scaled; 1e-10 is usual.")] = 1e-10,
     grid_tolerance: Annotated[
         float | None,
@@ -225,11 +228,12 @@ def solve(
 
     from transopt.build import build_library
     from transopt.refine import check_tolerance, refine_grid
-    from transopt.solvers import SolverOptions, check_name
+    from transopt.solvers import SolverOptions, check_name, default_solver
     from transopt.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
 
-    check_name(solver)
-    options = SolverOptions(solver, solver_tolerance)
+    wanted = default_solver() if solver is None else solver
+    check_name(wanted)
+    options = SolverOptions(wanted, solver_tolerance)
     loaded = _load(scene, recordings)
     if grid_tolerance is not None:
         check_tolerance(loaded, grid_tolerance, grid_cap)

@@ -12,6 +12,7 @@ from transopt.design import Entry
 from transopt.reference import Reference
 from transopt.refine import Refinement
 from transopt.signals import STANDARD_GRAVITY_M_S2
+from transopt.solvers.options import FALLBACK, default_solver
 from transopt.tables import LEGEND, aftermath, columns_of, entry_cells, percent, refinement_summary, summary
 
 CERTIFICATE_LEGEND = (
@@ -173,6 +174,8 @@ def build_markdown(build: Build) -> str:
     columns = columns_of(build)
     lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
     lines += [aftermath(build), ""] if aftermath(build) else []
+    if default_solver() == FALLBACK:
+        lines += [f"The project's own solver is not built here, for want of a C compiler: {FALLBACK} takes over.", ""]
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
     lines += [

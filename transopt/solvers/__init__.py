@@ -10,12 +10,13 @@ from transopt.errors import InputError
 from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati
-from transopt.solvers.options import SolverOptions
+from transopt.solvers.options import SolverOptions, default_solver
 
 __all__ = [
     "SOLVERS",
     "SolverOptions",
     "check_name",
+    "default_solver",
     "global_bound",
     "is_stationary",
     "prove",
@@ -40,12 +41,15 @@ def check_name(solver: str) -> None:
     """
     if solver not in SOLVERS:
         raise InputError(f"--solver {solver}: unknown; choose one of {', '.join(SOLVERS)}")
+    if solver == "riccati" and not riccati.available:
+        raise InputError("--solver riccati: its extension is not built; install again where there is a C compiler")
 
 
 def capable(problem: TransientProblem) -> list[str]:
     """Names of the solvers that can take this problem, the first choice first.
 
-    For the NLP that is IPOPT: FATROP is twice as fast, but loses its last digits on tight budgets and then runs on.
+    That is the project's own method where it is built. Of the others IPOPT takes the NLP: FATROP is twice as fast,
+    but loses its last digits on tight budgets and then runs on.
     """
     own = ["riccati"] if riccati.available else []
     quadratic = ["casadi-piqp"] if problem.thermal is None else []

@@ -1,8 +1,17 @@
 """What a user may set about a solver."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 
 from transopt.errors import InputError
+
+EXTENSION = "transopt.solvers._riccati"
+FALLBACK = "casadi-piqp"
+
+
+def default_solver() -> str:
+    """The project's own method, or the best of the others where its extension could not be built."""
+    return "riccati" if find_spec(EXTENSION) is not None else FALLBACK
 
 
 @dataclass(frozen=True)
@@ -15,7 +24,7 @@ class SolverOptions:
     max_iterations : at least 1.
     """
 
-    solver: str = "casadi-piqp"
+    solver: str = field(default_factory=default_solver)
     tolerance: float = 1e-10
     max_iterations: int = 250
 

@@ -14,7 +14,7 @@ from transopt.farkas import is_infeasible
 from transopt.linear import hand_over_rows
 from transopt.problem import OBJECTIVE_SCALE, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
-from transopt.solvers.options import SolverOptions
+from transopt.solvers.options import EXTENSION, SolverOptions
 from transopt.statement import Statement, state
 from transopt.transcribe import stage_data, stage_shape, state_program
 
@@ -59,7 +59,7 @@ STATUS = (
 
 
 def _library() -> ct.CDLL | None:
-    found = find_spec("transopt.solvers._riccati")
+    found = find_spec(EXTENSION)
     if found is None or found.origin is None:
         return None
     library = ct.CDLL(found.origin)
