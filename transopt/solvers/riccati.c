@@ -54,7 +54,7 @@ typedef struct {
 
 enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_TOO_LARGE };
 
-static const double NEAR = 1e4;       /* times the tolerance: from here on the best iterate counts */
+static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
 static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
 static const int PATIENCE = 6;        /* iterations without a better iterate */
 
