@@ -6,7 +6,7 @@ read off the project's CasADi statement (`transopt.transcribe`): nothing is cond
 """
 
 import io
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from transopt.files import whole_file
 from transopt.linear import linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
 from transopt.signals import FloatArray
+from transopt.solvers import SolverOptions, casadi_piqp
 from transopt.statement import state
 
 DUMP_SCHEMA = 1
@@ -36,8 +37,8 @@ class QP:
     Attributes
     ----------
     P : (V, V) sparse, symmetric, both triangles. q : (V,).
-    A : (m + b, V) sparse: `rows` = m rows of dynamics and hand-over, all equalities, stage by stage; then b rows of the
-        identity, one for each variable `boxed` that has bounds. l, u : (m + b,).
+    A : (m + b, V) sparse: `rows` = m rows of dynamics and hand-over, all equalities, stage by stage; then b rows of
+        the identity, one for each variable `boxed` that has bounds. l, u : (m + b,).
     boxed : (b,) indices of variables. command_at : (N,) indices of the commands.
     A_d : (n, n), B_d : (n, 1), C_d : (1, n) acceleration divided by |r|. units : (n,) SI unit of each state.
     current_limit_A, command_limit_A : |i(t)| and |c|. hand_over_samples : last commands, zero.
@@ -79,7 +80,7 @@ class QP:
         return int(self.command_at.size)
 
     def command(self, x: FloatArray) -> FloatArray:
-        """(N,) commands [A] of a point (V,), moved by rounding only: into the command's range, zero at the hand-over."""
+        """(N,) commands [A] of a point (V,), moved by rounding only: into their range, zero at the hand-over."""
         command = np.clip(x[self.command_at] * self.current_unit_A, -self.command_limit_A, self.command_limit_A)
         command[self.stages - self.hand_over_samples :] = 0.0
         return np.asarray(command)
@@ -100,14 +101,14 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
 
     Raises
     ------
-    InputError : a problem that is no QP of this form: temperature, supply rows, wall or spread in it, or no amplifier.
+    InputError : no QP of this form: with temperature, supply rows, wall or spread, or without an amplifier.
     """
     if any(part is not None for part in (problem.thermal, problem.supply, problem.wall)) or problem.spread:
         raise InputError(
             f"{name}: has a temperature, supply, wall or spread in it; only plain entries are dumped as QPs"
         )
     if problem.limits.command_A is None:
-        raise InputError(f"{name}: has an ideal amplifier; only entries with an amplifier are dumped as QPs")
+        raise InputError(f"{name}: has an ideal amplifier: no QP of this form")
     statement, stage = state(problem), linear_stage(problem)
     data = transcribe.state_program(statement.shape).qp_data(p=statement.p)
     boxed = np.flatnonzero(np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x))
@@ -146,6 +147,26 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         multipliers=np.zeros(order.size + boxed.size),
         objective=float("nan"),
     )
+
+
+def solved(qp: QP, problem: TransientProblem, objective: float, tolerance: float) -> QP:
+    """The QP with its reference point and multipliers, from the project's PIQP; `objective` is J of its rollout."""
+    shape, statement = transcribe.program_shape(problem), state(problem)
+    program = transcribe.state_program(shape)
+    data = program.qp_data(p=statement.p)
+    result = casadi_piqp.solver_object(shape, SolverOptions("casadi-piqp", tolerance))(
+        h=data["H"],
+        g=data["q"],
+        a=data["A"],
+        lba=statement.lower_g,
+        uba=statement.upper_g,
+        lbx=statement.lower_x,
+        ubx=statement.upper_x,
+    )
+    on_rows = np.asarray(result["lam_a"]).ravel()[program.stage_order]
+    on_variables = np.asarray(result["lam_x"]).ravel()[qp.boxed]
+    solution = np.asarray(result["x"]).ravel()
+    return replace(qp, solution=solution, multipliers=np.append(on_rows, on_variables), objective=objective)
 
 
 def project_multipliers(problem: TransientProblem, qp: QP, y: FloatArray) -> Multipliers:

@@ -25,7 +25,7 @@ def take_turns(
     runs: Mapping[str, int],
     told: Callable[[], None] = lambda: None,
 ) -> dict[str, FloatArray]:
-    """(runs of it,) wall times [ms] of each method, after one run that is not counted.
+    """(runs of it,) wall times [ms] of each method.
 
     The methods take turns, so that a machine whose speed drifts changes no ratio between them.
 
@@ -33,9 +33,6 @@ def take_turns(
     ----------
     told : called after every run.
     """
-    for run in methods.values():
-        run()
-        told()
     times: dict[str, list[float]] = {name: [] for name in methods}
     for turn in range(max(runs.values(), default=0)):
         for name, run in methods.items():
@@ -46,7 +43,9 @@ def take_turns(
 
 
 def timed(runs: int, **methods: Callable[[], object]) -> dict[str, FloatArray]:
-    """(runs,) wall times [ms] of each method, all run as often."""
+    """(runs,) wall times [ms] of each method, taking turns, after one run that is not counted."""
+    for run in methods.values():
+        run()
     return take_turns(methods, dict.fromkeys(methods, runs))
 
 

@@ -9,10 +9,10 @@ from transopt.thermal import PWM_RIPPLE_A
 def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
     """The program without a solver yet, and its commands (1, N) [A].
 
-    As CasADi's own multiple-shooting examples do it: a stage Function called in a loop, every limit through subject_to,
-    SI units. States are plant, current and previous command, input its movement, as in the project's own statement;
-    where the temperature is limited, the rises of winding and housing too, with the absolute value of the current as it
-    stands in the seed's Eq. 7.
+    As CasADi's own multiple-shooting examples do it: a stage Function called in a loop, every limit through
+    subject_to, SI units. States are plant, current and previous command, input its movement, as in the project's own
+    statement; where the temperature is limited, the rises of winding and housing too, with the absolute value of the
+    current as it stands in the seed's Eq. 7.
     """
     stage, limits, N = problem.stage, problem.limits, problem.grid.stages
     assert limits.command_A is not None

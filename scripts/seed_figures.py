@@ -30,9 +30,8 @@ from seed_report import (
     method_table,
     real_tap_table,
     shape_table,
-    write_csv,
-    write_text,
 )
+from writing import write_csv, write_text
 
 import problems
 from controller.bank import Method
