@@ -2,10 +2,10 @@
 
     python scripts/error_against_runtime.py --out DIR [--quick] [--case NAME] [--method FILE.py] [--dump DIR]
 
-Writes work_precision.png, error_against_runtime.md and rows.csv into --out; about five minutes on two cores, one with
---quick. --method adds the curve of your own solve(qp) (see `ert_qp.QP`); it may take a second argument, tolerance, and
-returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}). --dump writes the QPs as NPZ, for use without this
-project.
+Writes work_precision.png, error_against_runtime.md and rows.csv into --out: five minutes on two cores, one with
+--quick. --method adds the curve of your own solve(qp) (see `ert_qp.QP`), which may take a second argument, tolerance,
+and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}). --dump writes the QPs as NPZ, to be used without
+this project.
 """
 
 import argparse
@@ -41,7 +41,7 @@ PERIOD_STEPS = 8  # in the progress bar
 
 
 def of_interest(method: Method, quick: bool) -> Method:
-    """With `quick` the default and the high-accuracy setting of a method alone; of Opti, slow to set up, the first."""
+    """With `quick` a method's default and high-accuracy setting alone; of Opti, slow to set up, only the default."""
     if not quick:
         return method
     wanted = {Level.DEFAULT, Level.POINT} if method.name == "opti-ipopt" else {Level.DEFAULT, Level.HIGH, Level.POINT}

@@ -17,6 +17,8 @@ from transopt.plotting import DARK, LABEL_PT, SMALL_PT
 ERROR_FLOOR, NRMSE_FLOOR = 1e-14, 1e-12  # what is drawn for less, zero included
 GREY = "0.45"
 TINY_PT = 6.5
+EXACT = "exact hold"  # what every solver's curve has anyway
+OFFSETS_PT = {"seed inversion": (-3, -8), "clipped optimum": (-3, 8)}  # of a point's name
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
     "casadi-piqp": {"color": "#0072B2", "marker": "o"},
@@ -38,10 +40,10 @@ LABELS = {
     "daqp": "daqp, condensed",
 }
 SPARE = ("#D55E00", "#7F3C8D", "#666666")  # for methods that the table above does not know
-POINTS = {Kind.BASELINE.value: "X", Kind.DISCRETISATION.value: "d", Kind.PERIOD.value: "p"}
+POINTS = {Kind.BASELINE.value: "X", Kind.DISCRETISATION.value: "_", Kind.PERIOD.value: "p"}
 POINT_WORDS = {
     Kind.BASELINE.value: "baseline",
-    Kind.DISCRETISATION.value: "other discretisation of the stage",
+    Kind.DISCRETISATION.value: "right edge: stage discretised otherwise",
     Kind.PERIOD.value: "other servo rate, over a 40 kHz servo's",
 }
 
@@ -72,24 +74,30 @@ def _curves(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
 
 
 def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
-    """Everything that is no curve, named beside its mark."""
-    found = [row for row in rows if row.kind in POINTS and np.isfinite(getattr(row, value))]
-    for row in found:
-        place = (row.solve_ms, max(abs(getattr(row, value)), floor))
-        axes.plot(*place, marker=POINTS[row.kind], markersize=4.5, color=GREY, linestyle="", zorder=1)
-        # The exact stage's place is that of its solver.
-        left = row.kind == Kind.DISCRETISATION.value
-        offset, side = ((-5, 0), "right") if left else ((5, 0), "left")
-        axes.annotate(
-            row.method, place, offset, textcoords="offset points", fontsize=TINY_PT, color=GREY, ha=side, va="center"
-        )
+    """Baselines and servo rates, named beside their marks; discretisations, whose time is that of one solver, by
+    their level at the right edge.
+    """
+    for row in rows:
+        if row.kind not in POINTS or not np.isfinite(getattr(row, value)):
+            continue
+        height = max(abs(getattr(row, value)), floor)
+        text = {"fontsize": TINY_PT, "color": GREY, "textcoords": "offset points"}
+        if row.kind == Kind.DISCRETISATION.value:
+            if row.method != EXACT:
+                edge = axes.get_xlim()[1]
+                axes.plot(edge, height, marker=POINTS[row.kind], markersize=5, color=GREY, clip_on=False)
+                axes.annotate(row.method, (edge, height), (-7, 0), ha="right", va="center", **text)
+            continue
+        axes.plot(row.solve_ms, height, marker=POINTS[row.kind], markersize=4.5, color=GREY, linestyle="", zorder=1)
+        offset = OFFSETS_PT.get(row.method, (5, 3))
+        axes.annotate(row.method, (row.solve_ms, height), offset, ha="left", va="center", **text)
 
 
 def _style(axes: Axes, floor: float, top: float) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_ylim(floor / 3, top)
-    axes.set_xlim(1.0, 2e3 * TIME_LIMIT_S / 5)
+    axes.set_xlim(0.8, 4e3 * TIME_LIMIT_S)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_locator(LogLocator(base=100, numticks=20))
@@ -121,8 +129,8 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
         kind = "QP" if case.qp is not None else "NLP"
         upper.set_title(f"{case.name}, {case.entry} ({kind})", fontsize=LABEL_PT)
         lower.set_xlabel("run time [ms]", fontsize=LABEL_PT)
-    panels[0, 0].set_ylabel("error: larger of |objective gap| and violation, relative", fontsize=LABEL_PT)
-    panels[1, 0].set_ylabel("|NRMSE after replay - that of the reference|", fontsize=LABEL_PT)
+    panels[0, 0].set_ylabel("relative error: the larger of\n|objective gap| and limit violation", fontsize=LABEL_PT)
+    panels[1, 0].set_ylabel("NRMSE after replay,\ndistance to the reference's", fontsize=LABEL_PT)
     figure.legend(handles=_handles(rows), loc="outside lower center", ncols=4, fontsize=SMALL_PT, frameon=False)
     return figure
 

@@ -159,8 +159,8 @@ def how_measured(reading_ms: float) -> list[str]:
   command's range and to zero over the hand-over.
 - **Reference**: two methods at their tightest tolerance, which have to agree to {AGREEMENT:g}; the grey band of the
   figure is their difference, below which errors mean nothing.
-- **Run time**: median of at least three runs in turns, linear algebra on {threads()} thread{plural}, each run from cold
-  with its numbers taken in anew; what is done once for a shape of problem is apart, as set-up. The project's solvers
+- **Run time**: median of several runs in turns, linear algebra on {threads()} thread{plural}, each run from cold with
+  its numbers taken in anew; what is done once for a shape of problem is apart, as set-up. The project's solvers
   read their numbers from the CasADi statement within that time ({reading_ms:.1f} ms), the others find P, q, A, l, u
   ready. DAQP is dense: condensing is part of its run. A run longer than {TIME_LIMIT_S:g} s is a failure.
 - **Summary**: as in qpbenchmark, the shifted geometric mean of the run time (shift {SHIFT_MS:g} ms) with failures
