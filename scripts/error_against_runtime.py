@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ert_cases import SCENES, Case, DisagreementError, case_of_scene
-from ert_figure import work_precision
+from ert_figure import save_small, work_precision
 from ert_methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
 from ert_periods import measure_periods
 from ert_qp import dump
@@ -105,11 +105,14 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("nothing to do: state --out DIR, --dump DIR or both")
     names = list(dict.fromkeys(arguments.case or SCENES))
     users = [user_method(path) for path in arguments.method or []]
+    if arguments.figure is not None and not arguments.figure.parent.is_dir():
+        raise InputError(f"--figure {arguments.figure}: no such folder")
     for folder in (arguments.out, arguments.dump):
         if folder is not None:
             make_folder(folder)
     started = time.perf_counter()
-    cases = [case_of_scene(name) for name in names]
+    with Console(stderr=True).status("reference solutions"):
+        cases = [case_of_scene(name) for name in names]
     if arguments.dump is not None:
         print("\n".join(dump_all(cases, arguments.dump)))
     if arguments.out is None:
@@ -131,7 +134,10 @@ def run(arguments: argparse.Namespace) -> int:
         reading_ms=reading_ms(quadratic[0]) if quadratic else float("nan"),
     )
     write_csv(rows, arguments.out / ROWS)
-    save_figure(work_precision(cases, rows), arguments.out / FIGURE)
+    figure = work_precision(cases, rows)
+    save_figure(figure, arguments.out / FIGURE)
+    if arguments.figure is not None:
+        save_small(figure, arguments.figure)
     write_text(text, arguments.out / REPORT)
     print("\n".join(summaries_of(cases, rows)))
     print(f"{arguments.out}: {REPORT}, {FIGURE}, {ROWS}; {time.perf_counter() - started:.0f} s in all")
@@ -146,6 +152,7 @@ def main(given: Sequence[str] | None = None) -> int:
         "--case", action="append", metavar="NAME", help=f"one of {', '.join(SCENES)}; may be repeated"
     )
     parser.add_argument("--method", action="append", type=Path, metavar="FILE.py", help="your own solve(qp)")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="also write the figure here, in few colours")
     parser.add_argument("--dump", type=Path, metavar="DIR", help="write the QPs here as NPZ")
     try:
         return run(parser.parse_args(given))

@@ -1,6 +1,8 @@
 """Work-precision diagrams: error, and NRMSE over the reference's, against run time; a column per case."""
 
+import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,13 +13,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from PIL import Image
 
+from transopt.files import whole_file
 from transopt.plotting import DARK, LABEL_PT, SMALL_PT
 
 ERROR_FLOOR, NRMSE_FLOOR = 1e-14, 1e-12  # what is drawn for less, zero included
 GREY = "0.45"
 TINY_PT = 6.5
+SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
+NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
 OFFSETS_PT = {"seed inversion": (-3, -8), "clipped optimum": (-3, 8)}  # of a point's name
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
@@ -77,20 +83,20 @@ def _points(axes: Axes, rows: Sequence[Row], value: str, floor: float) -> None:
     """Baselines and servo rates, named beside their marks; discretisations, whose time is that of one solver, by
     their level at the right edge.
     """
-    for row in rows:
-        if row.kind not in POINTS or not np.isfinite(getattr(row, value)):
-            continue
+    named: dict[str, Any] = {"fontsize": TINY_PT, "color": GREY, "textcoords": "offset points", "va": "center"}
+    shown = [row for row in rows if row.kind in POINTS and row.method != EXACT and np.isfinite(getattr(row, value))]
+    edge, free = axes.get_xlim()[1], np.inf
+    for row in sorted(shown, key=lambda row: -abs(getattr(row, value))):
         height = max(abs(getattr(row, value)), floor)
-        text = {"fontsize": TINY_PT, "color": GREY, "textcoords": "offset points"}
+        mark: dict[str, Any] = {"marker": POINTS[row.kind], "color": GREY, "linestyle": ""}
         if row.kind == Kind.DISCRETISATION.value:
-            if row.method != EXACT:
-                edge = axes.get_xlim()[1]
-                axes.plot(edge, height, marker=POINTS[row.kind], markersize=5, color=GREY, clip_on=False)
-                axes.annotate(row.method, (edge, height), (-7, 0), ha="right", va="center", **text)
-            continue
-        axes.plot(row.solve_ms, height, marker=POINTS[row.kind], markersize=4.5, color=GREY, linestyle="", zorder=1)
-        offset = OFFSETS_PT.get(row.method, (5, 3))
-        axes.annotate(row.method, (row.solve_ms, height), offset, ha="left", va="center", **text)
+            axes.plot(edge, height, markersize=6, clip_on=False, **mark)
+            # Names of levels that nearly coincide stand below each other.
+            free = min(height, free / NAME_HEIGHT)
+            axes.annotate(row.method, (edge, free), (-7, 0), ha="right", **named)
+        else:
+            axes.plot(row.solve_ms, height, markersize=4.5, zorder=1, **mark)
+            axes.annotate(row.method, (row.solve_ms, height), OFFSETS_PT.get(row.method, (5, 3)), ha="left", **named)
 
 
 def _style(axes: Axes, floor: float, top: float) -> None:
@@ -133,6 +139,20 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
     panels[1, 0].set_ylabel("NRMSE after replay,\ndistance to the reference's", fontsize=LABEL_PT)
     figure.legend(handles=_handles(rows), loc="outside lower center", ncols=4, fontsize=SMALL_PT, frameon=False)
     return figure
+
+
+def save_small(figure: Figure, path: Path) -> None:
+    """Write a PNG of a few dozen kilobytes, for a README: fewer points to the inch, 128 colours.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=SMALL_DPI)
+    small = Image.open(drawn).convert("RGB").quantize(128)
+    with whole_file(path) as file:
+        small.save(file, format="PNG", optimize=True)
 
 
 def _handles(rows: Sequence[Row]) -> list[Line2D]:

@@ -89,16 +89,21 @@ def failed(case: Case, status: str) -> Answer:
     return Answer(np.full(case.problem.grid.stages, np.nan), status)
 
 
-def sweep(default: str, tolerances: Sequence[float], name: str, more: str = "") -> list[Setting]:
-    """A method's own defaults, and tolerances from loose to tight; the last is its high-accuracy setting."""
-    levels = [Level.SWEEP] * (len(tolerances) - 1) + [Level.HIGH]
-    return [
-        Setting(default, NONE, Level.DEFAULT),
-        *(
-            Setting(f"{name} {tolerance:g}{more if level is Level.HIGH else ''}", tolerance, level)
-            for tolerance, level in zip(tolerances, levels, strict=True)
-        ),
-    ]
+def sweep(default: str, tolerances: Sequence[float], high: float, name: str, more: str = "") -> list[Setting]:
+    """A method's own defaults, and tolerances from loose to tight; `high` is its high-accuracy setting.
+
+    Parameters
+    ----------
+    name : of the option. more : what else the high-accuracy setting sets.
+    """
+    found = [Setting(default, NONE, Level.DEFAULT)]
+    for tolerance in tolerances:
+        options = f"{name} {tolerance:g}"
+        if tolerance == high:
+            found.append(Setting(options + more, tolerance, Level.HIGH))
+        else:
+            found.append(Setting(options, tolerance))
+    return found
 
 
 def forget() -> None:
@@ -121,7 +126,7 @@ def _project(solver: str) -> Method:
         usual, tightest = max(SolverOptions().tolerance, least), max(TIGHTEST, least)
         default = Setting(f"tolerance {usual:g}, the project's default", usual, Level.DEFAULT)
         others = [tolerance for tolerance in LOOSER if tolerance > usual]
-        return [default, *sweep("", [*others, tightest], "tolerance")[1:]]
+        return [default, *sweep("", [*others, tightest], tightest, "tolerance")[1:]]
 
     def prepare(case: Case, setting: Setting) -> Prepared:
         options = SolverOptions(solver, setting.tolerance)
@@ -162,9 +167,8 @@ def opti_ipopt() -> Method:
 
         return Prepared(run)
 
-    settings = sweep(
-        "as commonly written, IPOPT's defaults", (1e-4, 1e-12), "as commonly written, tol", ", bounds kept"
-    )
+    name, more = "as commonly written, tol", ", bounds kept"
+    settings = sweep("as commonly written, IPOPT's defaults", (1e-4, 1e-12), 1e-12, name, more)
     return Method("opti-ipopt", metadata.version("casadi"), Kind.SOLVER, lambda case: settings, prepare)
 
 

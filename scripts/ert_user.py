@@ -66,7 +66,7 @@ def user_method(path: Path) -> Method:
         raise InputError(f"--method {path}: solve takes no argument; it is called as solve(qp)")
     settings = [Setting("as the file has it", NONE, Level.DEFAULT)]
     if "tolerance" in names:
-        settings = sweep("tolerance not given", TOLERANCES, "tolerance")
+        settings = sweep("tolerance not given", TOLERANCES, TOLERANCES[-1], "tolerance")
         if inspect.signature(solve).parameters["tolerance"].default is inspect.Parameter.empty:
             others = [setting for setting in settings[1:] if setting.tolerance != USUAL]
             settings = [Setting(f"tolerance {USUAL:g}", USUAL, Level.DEFAULT), *others]
