@@ -8,6 +8,7 @@ read off the project's CasADi statement (`transopt.transcribe`): nothing is cond
 import io
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,18 +102,24 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
 
     Raises
     ------
-    InputError : no QP of this form: with temperature, supply rows, wall or spread, or without an amplifier.
+    InputError : no QP of this plain form, with the part of the problem that it has not.
     """
-    if any(part is not None for part in (problem.thermal, problem.supply, problem.wall)) or problem.spread:
-        raise InputError(
-            f"{name}: has a temperature, supply, wall or spread in it; only plain entries are dumped as QPs"
-        )
-    if problem.limits.command_A is None:
-        raise InputError(f"{name}: has an ideal amplifier: no QP of this form")
+    parts = {
+        "a temperature limit": problem.thermal is not None,
+        "a supply limit": problem.supply is not None,
+        "a slew limit": problem.limits.slew_A_per_s is not None,
+        "a wall": problem.wall is not None,
+        "an error filter": problem.error_filter is not None,
+        "a spread of devices": bool(problem.spread),
+        "an ideal amplifier": problem.limits.command_A is None,
+    }
+    for part, present in parts.items():
+        if present:
+            raise InputError(f"{name}: has {part}, which the plain QP of current and command limits does not state")
+    assert problem.limits.command_A is not None
     statement, stage = state(problem), linear_stage(problem)
     data = transcribe.state_program(statement.shape).qp_data(p=statement.p)
     boxed = np.flatnonzero(np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x))
-    # A variable that its own limit leaves free, such as the movement without a slew limit, has no row.
     V = statement.lower_x.size
     identity = sparse.csc_array((np.ones(boxed.size), (np.arange(boxed.size), boxed)), shape=(boxed.size, V))
     order = transcribe.state_program(statement.shape).stage_order
@@ -201,9 +208,16 @@ def dump(qp: QP, path: Path) -> None:
 
 
 def load(path: Path) -> QP:
-    """Read a dumped QP."""
+    """Read a dumped QP.
+
+    Raises
+    ------
+    InputError : a file that `dump` has not written.
+    """
     with np.load(path, allow_pickle=False) as file:
-        values: dict[str, object] = {}
+        if "schema" not in file or file["schema"] != DUMP_SCHEMA:
+            raise InputError(f"{path}: no QP of schema {DUMP_SCHEMA}; write it anew with --dump")
+        values: dict[str, Any] = {}
         for field in fields(QP):
             if f"{field.name}_indptr" in file:
                 parts = tuple(file[f"{field.name}_{part}"] for part in ("data", "indices", "indptr"))

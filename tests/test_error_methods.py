@@ -83,9 +83,21 @@ class TestQP:
         found = clarabel.DefaultSolver(P, qp.q, A, np.append(qp.u, -qp.l), cones, settings).solve()
         np.testing.assert_allclose(qp.command(np.array(found.x)), short_case.optimum.command_A, atol=1e-5)
 
-    def test_a_problem_with_a_temperature_is_refused(self, scripts: Any, hot_problem: TransientProblem) -> None:
-        with pytest.raises(InputError, match="hot: has a temperature"):
-            scripts.ert_qp.quadratic_program("hot", hot_problem)
+    def test_what_the_plain_form_does_not_state_is_refused(
+        self, scripts: Any, hot_problem: TransientProblem, make_problem: ProblemMaker
+    ) -> None:
+        quadratic_program = scripts.ert_qp.quadratic_program
+        with pytest.raises(InputError, match="hot: has a temperature limit"):
+            quadratic_program("hot", hot_problem)
+        with pytest.raises(InputError, match="quick: has a slew limit"):
+            quadratic_program("quick", make_problem(stages=STAGES, slew_A_per_s=1e4))
+        with pytest.raises(InputError, match="ideal: has an ideal amplifier"):
+            quadratic_program("ideal", make_problem(stages=STAGES, ideal=True))
+
+    def test_a_foreign_file_is_refused(self, scripts: Any, tmp_path: Path) -> None:
+        np.savez(tmp_path / "foreign.npz", P=np.eye(2))
+        with pytest.raises(InputError, match="no QP of schema 1"):
+            scripts.ert_qp.load(tmp_path / "foreign.npz")
 
     def test_dump_round_trip(self, scripts: Any, short_case: Any, tmp_path: Path) -> None:
         path = tmp_path / "short.npz"
