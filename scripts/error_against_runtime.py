@@ -2,7 +2,7 @@
 
     python scripts/error_against_runtime.py --out DIR [--quick] [--case NAME] [--method FILE.py] [--dump DIR]
 
-Writes work_precision.png, error_against_runtime.md and rows.csv into --out: five minutes on two cores, one with
+Writes work_precision.png, error_against_runtime.md and rows.csv into --out: four minutes of one core, one with
 --quick. --method adds the curve of your own solve(qp) (see `ert_qp.QP`), which may take a second argument, tolerance,
 and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}). --dump writes the QPs as NPZ, to be used without
 this project.

@@ -103,7 +103,7 @@ def _style(axes: Axes, floor: float, top: float) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_ylim(floor / 3, top)
-    axes.set_xlim(0.8, 4e3 * TIME_LIMIT_S)
+    axes.set_xlim(0.8, 2e3 * TIME_LIMIT_S)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_major_locator(LogLocator(base=100, numticks=20))

@@ -17,7 +17,7 @@ from transopt.problem import Multipliers
 from transopt.signals import FloatArray
 from transopt.solvers import SOLVERS, SolverOptions, capable, casadi_fatrop, solve, unlimited
 
-TIME_LIMIT_S = 5.0  # a run that takes longer has failed
+TIME_LIMIT_S = 10.0  # a run that takes longer has failed
 LOOSER, TIGHTEST = (1e-1, 1e-3, 1e-5, 1e-7), 1e-12  # of the project's solvers, beside their default
 NONE = float("nan")  # tolerance of a method that has none to set, or of its own default
 

@@ -12,15 +12,13 @@ from ert_wheels import PIP_LINE
 from measuring import machine, threads, versions
 from writing import table
 
-CITATION = """```bibtex
-@software{transopt,
+CITATION = """@software{transopt,
+  author  = {{The transopt developers}},
   title   = {transopt: optimal motor-current transients for event-based haptics},
-  version = {VERSION},
+  version = {0.1.0},
   year    = {2026},
-  license = {BSD-3-Clause},
-  note    = {Work-precision diagrams: scripts/error_against_runtime.py}
-}
-```""".splitlines()
+  license = {BSD-3-Clause}
+}"""
 
 
 def number(value: float) -> str:
@@ -209,5 +207,5 @@ def markdown(
     lines += how_measured(reading_ms)
     for case in cases:
         lines += [f"## {case.name}", "", *_row_table([row for row in rows if row.case == case.name])]
-    lines += ["## How to cite", "", *(line.replace("VERSION", installed["transopt"]) for line in CITATION), ""]
+    lines += ["## How to cite", "", "```bibtex", CITATION, "```", ""]
     return "\n".join(lines)

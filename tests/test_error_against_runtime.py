@@ -5,6 +5,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,7 @@ class TestSummary:
         )
 
     def test_by_hand(self, scripts: Any) -> None:
-        """Shift 10 ms: (20 + 10)(50 + 10)... ; a failure is charged 5000 ms."""
+        """Shift 10 ms: (20 + 10)(50 + 10)... ; a failure is charged 10000 ms."""
         rows = [
             self.row(scripts, "a", "fast", 20.0, 1e-7),
             self.row(scripts, "b", "fast", 50.0, 1e-9),
@@ -143,13 +144,19 @@ class TestSummary:
         assert fast.scores[1e-6].mean_ms == pytest.approx(math.sqrt(30 * 60) - 10)
         assert fast.scores[1e-6].relative == 1.0
         assert loose.scores[1e-6].success == 0.5
-        assert loose.scores[1e-6].mean_ms == pytest.approx(math.sqrt(5010 * 20) - 10)
+        assert loose.scores[1e-6].mean_ms == pytest.approx(math.sqrt(10010 * 20) - 10)
         assert loose.scores[1e-3].mean_ms == pytest.approx(10.0)
         assert loose.scores[1e-3].relative == 1.0
         assert fast.scores[1e-3].relative == pytest.approx((math.sqrt(1800) - 10) / 10)
         assert lost.scores[1e-3].success == 0.0
-        assert lost.scores[1e-3].mean_ms == pytest.approx(5000.0)
+        assert lost.scores[1e-3].mean_ms == pytest.approx(10000.0)
         assert lost.worst == math.inf
+
+
+def test_readme_and_report_ask_for_one_citation_of_this_version(scripts: Any) -> None:
+    citation = scripts.ert_report.CITATION
+    assert citation in (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    assert f"version = {{{metadata.version('transopt')}}}" in citation
 
 
 class TestCommand:
