@@ -9,8 +9,6 @@ need the calibration row.
 
 import argparse
 import json
-import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -20,8 +18,9 @@ from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
+from measuring import elapsed_ms, machine, timed, versions
+from peers import commonly_written
 
 import problems
 from controller.bank import bank
@@ -75,22 +74,6 @@ class Row:
     runs: int
     objective_gap: float
     violation: float
-
-
-def timed(runs: int, **methods: Callable[[], object]) -> dict[str, FloatArray]:
-    """(runs,) wall times [ms] of each method, after one run that is not counted.
-
-    The methods take turns, so that a machine whose speed drifts changes no ratio between them.
-    """
-    for run in methods.values():
-        run()
-    times = {name: np.empty(runs) for name in methods}
-    for j in range(runs):
-        for name, run in methods.items():
-            start = time.perf_counter()
-            run()
-            times[name][j] = 1e3 * (time.perf_counter() - start)
-    return times
 
 
 def row(
@@ -173,44 +156,11 @@ def unlimited_solver(
     )
 
 
-def elapsed_ms(run: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    run()
-    return 1e3 * (time.perf_counter() - start)
-
-
 def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
-    """The usual way of writing it, as CasADi's own multiple-shooting examples do.
-
-    Opti, a stage Function called in a loop, every limit through subject_to, SI units, IPOPT's defaults. States are
-    plant, current and previous command, input its movement, as in the project's own statement.
-    """
-    stage, limits, N = problem.stage, problem.limits, problem.grid.stages
-    assert limits.command_A is not None
-    r, n = problem.reference_m_s2, stage.A.shape[0]
-    state, movement = ca.MX.sym("z", n + 1), ca.MX.sym("dc")
-    command = state[n] + movement
-    advance = ca.Function("F", [state, movement], [ca.vertcat(stage.A @ state[:n] + stage.B * command, command)])
-
-    def build() -> tuple[ca.Opti, ca.MX]:
-        opti = ca.Opti()
-        z, dc, wanted = opti.variable(n + 1, N + 1), opti.variable(1, N), opti.parameter(1, N)
-        cost = 0
-        opti.subject_to(z[:, 0] == 0)
-        for k in range(N):
-            opti.subject_to(z[:, k + 1] == advance(z[:, k], dc[k]))
-            opti.subject_to(opti.bounded(-limits.current_A, z[n - 1, k], limits.current_A))
-            opti.subject_to(opti.bounded(-limits.command_A, z[n, k + 1], limits.command_A))
-            cost += (stage.C @ z[:n, k] - wanted[k]) ** 2 / float(r @ r) + problem.movement_weight * dc[k] ** 2
-            if k >= problem.free_stages:
-                opti.subject_to(z[n, k + 1] == 0)
-        opti.minimize(cost)
-        opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
-        opti.set_value(wanted, r)
-        return opti, z[n, 1:]
-
+    """The usual way of writing it, with IPOPT's defaults."""
     start = time.perf_counter()
-    opti, commands = build()
+    opti, commands = commonly_written(problem)
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
     found = np.asarray(opti.solve().value(commands)).ravel()
     setup_and_first = 1e3 * (time.perf_counter() - start)
 
@@ -309,15 +259,6 @@ def online(library: Library, runs: int) -> Row:
     return row("online", "servo + simulator", "one virtual second of random taps, two steps per tick", ticks, times)
 
 
-def machine() -> dict[str, object]:
-    name = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        models = [line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line]
-        name = models[0] if models else name
-    return {"cpu": name, "cores": os.cpu_count(), "system": platform.platform()}
-
-
 def measure(runs: int) -> tuple[list[Row], float]:
     scene = load_scene(problems.scene_path("wood_on_foam"))
     rows = [calibration()]
@@ -361,10 +302,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=15, help="timed runs of each method")
     arguments = parser.parse_args()
     rows, memory_MB = measure(arguments.runs)
-    names = ("casadi", "numpy", "scipy", "transopt")
     result = {
         "machine": machine(),
-        "versions": {**{name: metadata.version(name) for name in names}, "python": platform.python_version()},
+        "versions": versions("casadi", "numpy", "scipy", "transopt"),
         "default_solver": SolverOptions().solver,
         "peak_memory_MB": round(memory_MB, 1),
         "rows": [asdict(r) for r in rows],

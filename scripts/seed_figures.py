@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import seed_device
-from benchmark import machine
+from measuring import machine
 from seed_comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
 from seed_plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
 from seed_report import (
@@ -30,9 +30,8 @@ from seed_report import (
     method_table,
     real_tap_table,
     shape_table,
-    write_csv,
-    write_text,
 )
+from writing import write_csv, write_text
 
 import problems
 from controller.bank import Method

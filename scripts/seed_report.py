@@ -1,17 +1,14 @@
 """Tables and text of `seed_figures.py`: seed.md and the CSV files."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
-from seed_comparison import MISMATCH, Result, Summary, exceptions
+from seed_comparison import MISMATCH, Summary, exceptions
 from seed_device import RealTap, Shape
+from writing import table
 
 from controller.bank import Method
-from transopt.files import whole_file
 
 WORDS = {
     Method.BILINEAR: "optimum, blended (bilinear)",
@@ -70,27 +67,6 @@ class Compared:
 
 def percent(value: float) -> str:
     return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.1 else f"{100 * value:.1f}"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    """Lines of a Markdown table."""
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows] + [""]
-
-
-def write_text(text: str, path: Path) -> None:
-    """Whole or not at all."""
-    with whole_file(path) as file:
-        file.write(text.encode())
-
-
-def write_csv(rows: Sequence[Result] | Sequence[Summary] | Sequence[Compared], path: Path) -> None:
-    """One row per dataclass, its fields as columns."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    write_text(text.getvalue(), path)
 
 
 def method_table(summaries: Sequence[Summary], off_nodes: Sequence[Summary]) -> list[str]:

@@ -1,8 +1,11 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
-from collections.abc import Callable
+import importlib
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from tests.servo_bench import WALL, Bench
 from transopt.build import Build, build_library
 from transopt.design import entry_problem, scene_stage
 from transopt.discretise import discretise
+from transopt.heat import Budget, thermal_limit
 from transopt.library import Library
 from transopt.problem import TransientProblem
 from transopt.recording import Recording
@@ -22,6 +26,8 @@ from transopt.reference import Reference, build_references
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
 IMPACTS = Path(__file__).parents[2] / "shared" / "data" / "impacts"
 
 
@@ -135,3 +141,60 @@ def bench(stated: Settings, tables: Bank) -> Bench:
     made = Bench(replace(stated, wall=WALL), tables)
     made.servo.arm()
     return made
+
+
+# ------------------------------------------------------------------------------------------------ error and run time
+
+
+class Scripts:
+    """The script and its parts, found beside it as when it is called by its path."""
+
+    def __getattr__(self, name: str) -> ModuleType:
+        return importlib.import_module(name)
+
+
+@pytest.fixture(scope="session")
+def scripts() -> Iterator[Any]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPTS))
+        yield Scripts()
+
+
+@pytest.fixture(scope="session")
+def short_scene(scene: Scene) -> Scene:
+    return scene.model_copy(update={"time": scene.time.model_copy(update={"stages": STAGES})})
+
+
+@pytest.fixture(scope="session")
+def short_case(scripts: Any, make_problem: ProblemMaker, short_scene: Scene) -> Any:
+    problem = make_problem(stages=STAGES)
+    return scripts.ert_cases.make_case("short", short_scene, problem, 0.4, 5.0)
+
+
+@pytest.fixture(scope="session")
+def hot_problem(make_problem: ProblemMaker, scene: Scene) -> TransientProblem:
+    """The coil's temperature binds, so that there is no QP."""
+    problem, coil = make_problem(stages=STAGES), scene.coil()
+    assert coil is not None
+    limit = thermal_limit(coil, scene.amplifier_model(), problem.grid, Budget(headroom_K=0.02))
+    return replace(problem, thermal=limit)
+
+
+@pytest.fixture
+def rows_of(scripts: Any, short_case: Any) -> Callable[..., list[Any]]:
+    """Rows of methods on the short case, each setting run once after its two first runs."""
+
+    def measured(*methods: Any) -> list[Any]:
+        return list(scripts.ert_run.measure(short_case, methods, scripts.ert_run.Effort(0.0, least=1)))
+
+    return measured
+
+
+@pytest.fixture
+def user_file(tmp_path: Path) -> Callable[[str], Path]:
+    def write(text: str) -> Path:
+        path = tmp_path / "mine.py"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write

@@ -178,12 +178,21 @@ class TestSolve:
         for word in ("NRMSE %", "floor %", "seed %", "clipped %", "what binds", "Left out", "25.55 C"):
             assert word in markdown
 
-    def test_error_against_time_stands_in_the_last_lines(self, run, quick_scene: Path) -> None:
-        outcome = run("solve", quick_scene)
+    def test_ends_with_error_certificate_and_time_in_one_line(self, run, quick_scene: Path) -> None:
+        outcome = run("solve", quick_scene, "--out", "here")
         assert outcome.code == 0
-        line = next(line for line in outcome.out.splitlines() if "certified and replayed" in line)
-        for word in ("NRMSE", "gap <=", "violation <=", "ms per entry", "s in all"):
-            assert word in line
+        found = re.fullmatch(
+            r"1 of 1 entries certified and replayed: NRMSE (\S+) to (\S+) % \(worst at 0\.2 m/s, 3 N: (\S+) points "
+            r"over its floor\), gap <= (\S+), violation <= (\S+) A, V or K; "
+            r"(\d+) ms per entry \(median\), (\S+) s in all",
+            outcome.out.splitlines()[-1],
+        )
+        assert found is not None, outcome.out
+        (entry,) = json.loads(Path("here/report.json").read_text())["entries"]
+        assert found[1] == found[2] == f"{100 * entry['nrmse']:.2f}"
+        assert found[3] == f"{100 * max(entry['nrmse'] - entry['floor'], 0):.2f}"
+        assert float(found[4]) == pytest.approx(entry["certificate"]["relative_gap"], rel=0.5)
+        assert float(found[7]) > 0
 
     def test_simulated_recordings_are_called_simulated(self, run) -> None:
         Path("one.toml").write_text(WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]"))
@@ -213,6 +222,9 @@ class TestSolve:
             r"refused: 0\.2 m/s, 3 N: (hand-over: K_p z / k_f = .* A at .* mm .*, limit 0.3 A)", outcome.out
         )
         assert reason is not None, outcome.out
+        last = outcome.out.splitlines()[-1]
+        assert last.startswith("1 of 1 entries refused; no library written, an earlier one is kept; ")
+        assert last.endswith(" s in all")
         assert Path("here/library.npz").read_bytes() == before
         assert reason[1] in Path("here/refused.md").read_text()
         assert run("solve", quick_scene, "--out", "here").code == 0

@@ -223,7 +223,7 @@ def solve(
     ] = None,
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
 ) -> None:
-    """Solve a scene: certified library of current transients, report, figures."""
+    """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.build import build_library
@@ -280,7 +280,6 @@ def solve(
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
-    console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     if aftermath(build):
         console.print(aftermath(build), style="yellow", highlight=False, soft_wrap=True)
     for entry in build.refused:
@@ -291,6 +290,7 @@ def solve(
         text = refinement_summary(refinement)
         console.print(text, style="red" if missed else None, highlight=False, soft_wrap=True)
     console.print(f"{folder}: {', '.join(writers)}", highlight=False, soft_wrap=True)
+    console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     if build.refused or missed:
         raise typer.Exit(1)
 
