@@ -4,7 +4,7 @@ import hashlib
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -182,7 +182,7 @@ class Plan:
 
     Attributes
     ----------
-    scene : what is not varied. axes : what is. sample : number of points of a Latin hypercube; None: all combinations.
+    scene : what is not varied. axes : what is. sample : points of a Latin hypercube; None: all combinations.
     speeds_m_s, grips_N : the entries of every point.
     rivals : baselines and prices too.
     """
@@ -194,7 +194,7 @@ class Plan:
     sample: int | None = None
     seed: int = 1
     rivals: bool = False
-    options: SolverOptions = SolverOptions()
+    options: SolverOptions = field(default_factory=SolverOptions)
 
     def __post_init__(self) -> None:
         names = [axis.key for axis in self.axes]
@@ -253,7 +253,9 @@ class Plan:
             return {axis.key: axis.labels[j] for axis, j in zip(self.axes, self.place(point), strict=True)}
         found = self.changes(point)
         return {
-            axis.key: axis.labels[axis.values.index(found[axis.key])] if axis.limits is None else label(found[axis.key])
+            axis.key: axis.labels[axis.values.index(found[axis.key])]
+            if axis.limits is None
+            else label(found[axis.key])
             for axis in self.axes
         }
 
@@ -283,11 +285,10 @@ class Plan:
     def point_of(self, index: int) -> int:
         return index // self.entries_per_point
 
-    def tasks(self, done: Callable[[int], bool]) -> Iterator[Task]:
+    def tasks(self, done: Callable[[int], bool], takes: "Recorder") -> Iterator[Task]:
         """Tasks with at least one row that is not done; which rows share a task never depends on that."""
-        takes = Recorder(self.scene, self.axes)
         for points in self.groups():
-            recordings, source = takes.of(self.changes(points[0]))
+            recordings, source = takes.taken(self.changes(points[0]))
             for ig, grip in enumerate(self.grips_N):
                 rows = ((p, iv) for p in points for iv in range(len(self.speeds_m_s)))
                 while together := list(itertools.islice(rows, TOGETHER)):
@@ -334,12 +335,12 @@ class Recorder:
         end_s = longest["time.dt_s"] * longest["time.stages"] + longest["amplifier.delay_s"]
         self._longer_s = end_s - scene.time.dt_s * scene.time.stages
 
-    def of(self, changes: Changes) -> tuple[tuple[Recording, ...], str]:
+    def taken(self, changes: Changes) -> tuple[tuple[Recording, ...], str]:
         """Recordings for a point, and a name for them that no others have."""
         own = {key: value for key, value in changes.items() if key.startswith("recordings.")}
         if repr(own) == self._last[0]:
             return self._last[1], self._last[2]
-        taken = tuple(self._taken(own))
+        taken = tuple(self._take(own))
         digest = hashlib.sha256()
         for one in taken:
             digest.update(f"{one.name} {one.speed_m_s} {one.grip_N} {one.acceleration.dt_s}".encode())
@@ -347,7 +348,7 @@ class Recorder:
         self._last = (repr(own), taken, digest.hexdigest())
         return taken, digest.hexdigest()
 
-    def _taken(self, own: Changes) -> list[Recording]:
+    def _take(self, own: Changes) -> list[Recording]:
         try:
             scene = with_values(self._scene, own)
         except InputError:
