@@ -54,7 +54,11 @@ def _prepared(axes: Axes, axis: Axis) -> FloatArray:
         return np.arange(len(axis.labels), dtype=float)
     if _logarithmic(axis):
         percent_axis(axes, x=True)
-    return np.array(axis.values, dtype=float)
+    values = np.array(axis.values, dtype=float)
+    if unit_of(axis.key) == "s" and values.max() < 0.1:
+        axes.set_xlabel(f"{axis.key} [ms]", fontsize=LABEL_PT)
+        values = 1e3 * values
+    return values
 
 
 def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
