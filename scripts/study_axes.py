@@ -146,7 +146,7 @@ def parse_axis(scene: Scene, option: str, text: str) -> Axis:
             instead = f"; give them with {option_of}" if option_of else ""
             raise InputError(f"{path}: the grid is what every point is solved at, not a key that is varied{instead}")
         limits, log = None, False
-        if ":" in values_text and not key.choices:
+        if ":" in values_text and key.number:
             limits, numbers, log = parse_range(f"{option} {path} =", values_text)
             values = tuple(round(number) if key.integer else number for number in numbers)
         else:

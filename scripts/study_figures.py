@@ -76,7 +76,7 @@ def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
     shade = colours(len(speeds))
     across = min(len(grips), 4)
     down = math.ceil(len(grips) / across)
-    figure = Figure(figsize=(1.2 + 2.5 * across, 1.1 + 2.5 * down), layout="constrained")
+    figure = Figure(figsize=(1.0 + 2.3 * across, 0.9 + 2.5 * down), layout="constrained")
     panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[len(grips) :]:
         axes.set_visible(False)

@@ -122,7 +122,7 @@ def parse_question(scene: Scene, text: str, requirements: Sequence[str], *, grea
     if not equals or len(numbers) not in (2, 3) or not all(math.isfinite(value) for value in numbers):
         raise InputError(f"--solve-for {text}: give KEY=LOW:HIGH or KEY=LOW:HIGH:TOLERANCE")
     key = find_key(scene, path)
-    if path.startswith("grid.") or (key.choices and not key.bounds):
+    if path.startswith("grid.") or not key.number:
         raise InputError(f"--solve-for {path}: not a number that can be solved for")
     low, high = numbers[:2]
     if not low < high:
@@ -180,7 +180,7 @@ class Answer:
         if self.met is None:
             best = min(self.tried, key=lambda tried: tried.excess)
             return [
-                f"No {q.key.path} of the {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest is "
+                f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest is "
                 f"{label(best.value)} {unit}: {self._entry(best)}."
             ]
         extreme = "greatest" if q.greatest else "least"

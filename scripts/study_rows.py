@@ -3,6 +3,7 @@
 A folder holds `study.json`, which says what is studied and with which versions, and `rows.csv`, one row per solve.
 """
 
+import contextlib
 import csv
 import io
 import json
@@ -13,7 +14,7 @@ from dataclasses import asdict, fields
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from study_axes import label
@@ -103,30 +104,36 @@ class Rows:
         self._definition: dict[str, Any] = json.loads(json.dumps(without_nan(content)))
 
     def __enter__(self) -> Self:
-        manifest = self.folder / "study.json"
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not manifest.exists():
-                if self.path.exists():
-                    raise InputError(f"--out {self.folder}: rows.csv without study.json: choose another folder")
-                with whole_file(manifest) as file:
-                    file.write(json.dumps(self._definition, indent=1).encode())
-            self._lock = manifest.open("rb")
-            self._keep_others_out()
-            self._check(self._lock.read())
-            self._file = self.path.open("ab")
-            self._resume()
-        except OSError as error:
-            raise InputError(
-                f"--out {self.folder}: cannot be written ({error.strerror}); choose another folder"
-            ) from None
+        with contextlib.ExitStack() as opened:
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+                self._lock = opened.enter_context(self._manifest())
+                self._keep_others_out()
+                self._check(self._lock.read())
+                self._file = self.path.open("ab")
+                opened.callback(lambda: self._file.close())
+                self._resume()
+            except OSError as error:
+                raise InputError(
+                    f"--out {self.folder}: cannot be written ({error.strerror}); choose another folder"
+                ) from None
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
-        self._lock.close()
+        self._opened.close()
+
+    def _manifest(self) -> BinaryIO:
+        """study.json, written if there is none."""
+        path = self.folder / "study.json"
+        if not path.exists():
+            if self.path.exists():
+                raise InputError(f"--out {self.folder}: rows.csv without study.json: choose another folder")
+            with whole_file(path) as file:
+                file.write(json.dumps(self._definition, indent=1).encode())
+        return path.open("rb")
 
     def _keep_others_out(self) -> None:
         if fcntl is None:

@@ -52,7 +52,8 @@ class Key:
     ----------
     path : dotted. unit : from the ending of the name, empty without one.
     default : of the model, None for none; `required` if it has no default. value : in this scene, None if not stated.
-    bounds : in words. choices : the words it takes, empty for a number. integer, optional : of the number.
+    bounds : in words. choices : the words it takes. number : whether it takes numbers. integer : only whole ones.
+    optional : whether it may be left out.
     description : of the table it stands in.
     """
 
@@ -63,6 +64,7 @@ class Key:
     value: Value
     bounds: str
     choices: tuple[str, ...]
+    number: bool
     integer: bool
     optional: bool
     description: str
@@ -109,10 +111,12 @@ def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[
         parts += [bound for part in parts if isinstance(part, FieldInfo) for bound in part.metadata]
         inner = [part for part in parts if isinstance(part, type) and issubclass(part, Section)]
         if path == "motor":
-            yield Key(path, "", None, False, getattr(stated, "name", None), "", ("FILE",), False, False, COUPLED)
+            yield Key(
+                path, "", None, False, getattr(stated, "name", None), "", ("FILE",), False, False, False, COUPLED
+            )
             continue
         if path == "transmission":
-            yield Key(path, "", None, False, None, "", ("FILE",), False, False, "a file in place of the table")
+            yield Key(path, "", None, False, None, "", ("FILE",), False, False, False, "a file in place of the table")
         if isinstance(stated, Section):
             yield from _walk(type(stated), stated, f"{path}.")
         elif inner and not (inner == [LinearParameter] and isinstance(stated, int | float)):
@@ -140,6 +144,7 @@ def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, about: str
         value=", ".join(f"{v:g}" for v in stated) if grid and stated else stated,
         bounds=f"one of {', '.join(map(str, numbers))}" if numbers else _bounds(parts),
         choices=choices,
+        number=numeric,
         integer=float not in parts and (int in parts or bool(numbers)),
         optional=type(None) in parts,
         description=about,
@@ -185,13 +190,12 @@ def parse_value(key: Key, text: str) -> Value:
         return text
     if text == "none" and key.optional:
         return None
-    numeric = key.integer or bool(key.bounds) or not key.choices
     try:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not numeric or not math.isfinite(number):
-        allowed = [*(["a finite number"] if numeric else []), *key.choices, *(["none"] if key.optional else [])]
+    if not key.number or not math.isfinite(number):
+        allowed = [*(["a finite number"] if key.number else []), *key.choices, *(["none"] if key.optional else [])]
         raise InputError(f"{key.path} = {text}: must be {' or '.join(allowed)}")
     return int(number) if key.integer and number == int(number) else number
 
