@@ -20,7 +20,7 @@ from transopt.scene_keys import unit_of
 from transopt.signals import FloatArray
 
 MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
-MOST_WRITTEN = 60  # cells of a heat map with their figures written in
+MOST_WRITTEN = 80  # cells of a heat map with their figures written in
 LEAST_PERCENT = 0.1
 DASHES = ("-", "--", ":", "-.")
 
@@ -110,7 +110,7 @@ def heat_map(
     for axis, set_ticks in ((across, axes.set_xticks), (down, axes.set_yticks)):
         step = max(1, math.ceil(len(axis.labels) / 8))
         shown = range(0, len(axis.labels), step)
-        texts = [f"{axis.values[j]:.3g}" if axis.numeric else axis.labels[j] for j in shown]
+        texts = [f"{float(f'{axis.values[j]:.3g}'):g}" if axis.numeric else axis.labels[j] for j in shown]
         turned = {"rotation": 30, "ha": "right"} if axis is across and not axis.numeric else {}
         set_ticks([j + 0.5 for j in shown], texts, fontsize=SMALL_PT, **turned)
     if written and percent.size <= MOST_WRITTEN:

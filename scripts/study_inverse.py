@@ -180,8 +180,8 @@ class Answer:
         if self.met is None:
             best = min(self.tried, key=lambda tried: tried.excess)
             return [
-                f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest is "
-                f"{label(best.value)} {unit}: {self._entry(best)}."
+                f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest "
+                f"is {label(best.value)} {unit}: {self._entry(best)}."
             ]
         extreme = "greatest" if q.greatest else "least"
         lines = [
@@ -194,8 +194,8 @@ class Answer:
             lines.append(f"At {label(self.missed.value)} {unit} it is missed: {self._entry(self.missed)}.")
         if self.crossings > 1:
             lines.append(
-                f"The scan of {len(q.scan())} values crossed the requirement {self.crossings} times: the error is not "
-                "monotone, and values inside the range beyond this one miss it again."
+                f"The scan of {len(q.scan())} values crossed the requirement {self.crossings} times: the error is "
+                "not monotone, and values inside the range beyond this one miss it again."
             )
         else:
             lines.append(

@@ -74,9 +74,9 @@ def bandwidth_finding(plan: Plan, rows: Sequence[Row]) -> str:
     at = np.unravel_index(int(np.nanargmax(error[0] - error[-1])), error[0].shape)
     return (
         f"From {enough:.0f} Hz on no entry errs by more than one percentage point above an amplifier of "
-        f"{poles[-1]:.0f} Hz: the optimum plans the lag in, and the seed's 1050 Hz costs nothing. At {poles[0]:.0f} Hz "
-        f"the command limit holds it back, most at {plan.speeds_m_s[at[0]]:g} m/s and {plan.grips_N[at[1]]:g} N: "
-        f"{percent(float(error[0][at]))} % against {percent(float(error[-1][at]))} %."
+        f"{poles[-1]:.0f} Hz: the optimum plans the lag in, and the seed's 1050 Hz costs nothing. At "
+        f"{poles[0]:.0f} Hz the command limit holds it back, most at {plan.speeds_m_s[at[0]]:g} m/s and "
+        f"{plan.grips_N[at[1]]:g} N: {percent(float(error[0][at]))} % against {percent(float(error[-1][at]))} %."
     )
 
 
@@ -99,15 +99,15 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
     used = entry_grid(plan, rows, "peak_current_A") / plan.scene.limits.steady_current_A
     error = entry_grid(plan, rows, "nrmse")
     rates = plan.axes[0].values
-    at = np.unravel_index(int(np.nanargmin(used[-1])), used[-1].shape)
+    at = np.unravel_index(int(np.nanargmax(used[0] - used[-1])), used[-1].shape)
     beta, own = used[:, at[0], at[1]], error[:, at[0], at[1]]
     full = [f for f, b in zip(rates, beta, strict=True) if b >= np.nanmax(beta) * (1 - 1e-3)]
     there = np.flatnonzero(np.isfinite(beta))
     last = int(there[-1])
     return (
         f"At {plan.speeds_m_s[at[0]]:g} m/s and {plan.grips_N[at[1]]:g} N the coil lets the optimum use beta = "
-        f"{beta[0]:.2f} up to {full[-1]:g} taps/s and {beta[last]:.2f} at {rates[last]:g} taps/s; the error rises from "
-        f"{percent(float(own[0]))} to {percent(float(own[last]))} %."
+        f"{beta[0]:.2f} up to {full[-1]:g} taps/s and {beta[last]:.2f} at {rates[last]:g} taps/s; the error rises "
+        f"from {percent(float(own[0]))} to {percent(float(own[last]))} %."
     )
 
 

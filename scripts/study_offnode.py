@@ -118,9 +118,9 @@ def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
     ]
     return (
         f"A library for {blind_N:g} N alone errs by up to {100 * worst.nrmse:.0f} % at {worst.played_at_N:g} N "
-        f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by {100 * (worst.nrmse - worst.excess):.1f} %; "
-        f"a grip misread by {abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "
-        f"{100 * max(p.excess for p in near):.1f} percentage points."
+        f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
+        f"{100 * (worst.nrmse - worst.excess):.1f} %; a grip misread by "
+        f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to {100 * max(p.excess for p in near):.1f} percentage points."
     )
 
 
@@ -237,7 +237,7 @@ def spacing_sentence(found: Sequence[Spaced], tolerance: float = 0.02) -> str:
         worst = max((s for s in own if s.spacing == widths[0]), key=lambda s: s.worst)
         kept = f"{meets:g} {unit} keeps" if meets is not None else f"none of {widths[-1]:g} {unit} or wider keeps"
         parts.append(
-            f"along the {axis}s {kept} every blend within {100 * tolerance:g} percentage points, {widths[0]:g} {unit} "
-            f"costs up to {100 * worst.worst:.1f} ({worst.device}, {worst.worst_at:.3g} {unit})"
+            f"along the {axis}s {kept} every blend within {100 * tolerance:g} percentage points, {widths[0]:g} "
+            f"{unit} costs up to {100 * worst.worst:.1f} ({worst.device}, {worst.worst_at:.3g} {unit})"
         )
     return f"{'; '.join(parts)[0].upper()}{'; '.join(parts)[1:]}."

@@ -111,7 +111,7 @@ class Rows:
                 self._keep_others_out()
                 self._check(self._lock.read())
                 self._file = self.path.open("ab")
-                opened.callback(lambda: self._file.close())
+                opened.callback(self._close)
                 self._resume()
             except OSError as error:
                 raise InputError(
@@ -124,6 +124,9 @@ class Rows:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._opened.close()
+
+    def _close(self) -> None:
+        self._file.close()
 
     def _manifest(self) -> BinaryIO:
         """study.json, written if there is none."""

@@ -187,17 +187,25 @@ class _Window:
             except BrokenExecutor:
                 self.again.append(task)
                 self.revive()
+                if self.under_way:
+                    return  # what had finished before that is written first
                 continue
             self.under_way[future] = task
 
     def revive(self) -> None:
-        """Take all that was under way to a new executor."""
+        """Take what was under way to a new executor, but for what has finished."""
         self.deaths += 1
         if not self.pool.revived or self.deaths > MOST_DEATHS:
             died = f"{self.pool.name}: a worker died" + (f" {self.deaths} times in a row" if self.deaths > 1 else "")
             raise InputError(kept(f"{died} (out of memory? fewer --jobs take less)"))
-        self.again += self.under_way.values()
+        finished = {
+            future: task
+            for future, task in self.under_way.items()
+            if future.done() and not future.cancelled() and future.exception() is None
+        }
+        self.again += [task for future, task in self.under_way.items() if future not in finished]
         self.cancel()
+        self.under_way = finished
         self.pool.drop()
 
     def cancel(self) -> None:

@@ -15,6 +15,7 @@ MODULES = (
     "study_motors",
     "study_named",
     "study_offnode",
+    "study_report",
     "study_rows",
     "study_run",
     "study_scale",
