@@ -125,8 +125,8 @@ class Selection:
         return (
             f"On {RAIL_V:g} V, at {AMBIENT_C:g} C and {TAPS_PER_S:g} taps/s for ever, {met} of {len(self.studies)} "
             f"motors bring all entries to {100 * GOAL:g} %; the first, {first.stem.replace('_', ' ')} at "
-            f"{first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the tip and {percent(first.worst)} % at its "
-            f"worst entry, the last, {last.stem.replace('_', ' ')}, {percent(last.worst)} % at best."
+            f"{first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the tip and {percent(first.worst)} % at "
+            f"its worst entry, the last, {last.stem.replace('_', ' ')}, {percent(last.worst)} % at best."
         )
 
     def report(self, figure: str, head: Sequence[str]) -> list[str]:
@@ -167,8 +167,8 @@ class Selection:
             f"Every motor to its own peak current or the amplifier's range, on {RAIL_V:g} V, at {AMBIENT_C:g} C, "
             f"{TAPS_PER_S:g} taps/s for ever with the coil below its limit. The taps are those recorded with the "
             "scene's own device; stiffness, damping and mass of the link are those of its transmission. Ranked by "
-            f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: higher "
-            "ratios err less but make the stylus heavy in the hand.",
+            f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: "
+            "higher ratios err less but make the stylus heavy in the hand.",
             "",
             *table([*columns, "what binds"], cells),
         ]

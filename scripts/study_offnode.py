@@ -120,7 +120,8 @@ def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
         f"A library for {blind_N:g} N alone errs by up to {100 * worst.nrmse:.0f} % at {worst.played_at_N:g} N "
         f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
         f"{100 * (worst.nrmse - worst.excess):.1f} %; a grip misread by "
-        f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to {100 * max(p.excess for p in near):.1f} percentage points."
+        f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "
+        f"{100 * max(p.excess for p in near):.1f} percentage points."
     )
 
 

@@ -20,9 +20,12 @@ pytestmark = [
 ]
 
 
-def test_a_worker_killed_mid_run_loses_and_doubles_nothing(study: Any, scene: Scene, tmp_path: Path) -> None:
+def test_a_worker_killed_mid_run_loses_and_doubles_nothing(
+    study: Any, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study.study_axes, "TOGETHER", 4)  # enough tasks for a middle
     short = short_scene(scene)
-    axis = study.study_axes.parse_axis(short, "--vary", "limits.current_A=1:4:24")
+    axis = study.study_axes.parse_axis(short, "--vary", "limits.current_A=1:4:10")
     plan = study.study_axes.Plan(short, (axis,), (0.3, 0.4), (1.0, 5.0))
     left: list[int] = []
     with study.study_scale.cluster(2) as (address, workers):

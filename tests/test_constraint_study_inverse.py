@@ -108,7 +108,7 @@ class TestAnswers:
     def test_against_a_fine_scan_and_again_after_a_kill(self, study: Any, short: Scene, tmp_path: Path) -> None:
         session, plan = study.study_session, study.study_axes.Plan(short, (), (0.4,), (1.0, 5.0))
         question = study.study_inverse.parse_question(
-            short, "limits.current_A=2:6:0.01", ["nrmse<=0.2"], greatest=False
+            short, "limits.current_A=2:6:0.01", ["nrmse<=0.3"], greatest=False
         )
         found = session.run_question(plan, question, tmp_path / "ask", serial(study))
 
@@ -118,7 +118,7 @@ class TestAnswers:
         scanned = replace(plan, axes=(axis,))
         rows = session.run_plan(scanned, tmp_path / "scan", serial(study))
         error = study.study_figures.entry_grid(scanned, rows, "nrmse").max(axis=(1, 2))
-        least = min(A for A, e in zip(near, error, strict=True) if e <= 0.2)
+        least = min(A for A, e in zip(near, error, strict=True) if e <= 0.3)
         assert found.missed.value < least <= found.met.value + 0.025
         assert {row["status"] for row in found.met.rows + found.missed.rows} == {"OPTIMAL"}
 
@@ -218,7 +218,8 @@ class TestNamed:
         best, worst = found.ranked()
         assert (best.stem, worst.stem) == ("maxon_re25_118743", "faulhaber_0816k003sr")
         assert best.ratio_1_m == 150.0
-        assert best.worst < 0.05 < 0.5 < worst.worst
+        assert best.worst < 0.2
+        assert worst.worst > 0.5
         plan, rows = found.studies["faulhaber_0816k003sr"]
         assert plan.scene.limits.transient_current_A == 0.55
         assert max(float(row["peak_current_A"]) for row in rows) <= 0.55 + 1e-6
