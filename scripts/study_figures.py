@@ -160,7 +160,7 @@ def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
     figure.supxlabel(axis_label(across.key), fontsize=LABEL_PT)
     figure.supylabel(axis_label(down.key), fontsize=LABEL_PT)
     bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
-    bar.set_label("NRMSE [%], grey: refused", fontsize=LABEL_PT)
+    bar.set_label("NRMSE [%], grey: not certified", fontsize=LABEL_PT)
     percent_axis(bar.ax)
     bar.ax.tick_params(labelsize=SMALL_PT)
     return figure

@@ -106,7 +106,7 @@ class Selection:
                 panels[iv, ig].set_title(f"{speed:g} m/s, {grip:g} N", fontsize=LABEL_PT)
         figure.supxlabel("transmission ratio [1/m]", fontsize=LABEL_PT)
         bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
-        bar.set_label("NRMSE [%]; grey: refused", fontsize=LABEL_PT)
+        bar.set_label("NRMSE [%]; grey: not certified", fontsize=LABEL_PT)
         percent_axis(bar.ax)
         bar.ax.tick_params(labelsize=SMALL_PT)
         return figure
