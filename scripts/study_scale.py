@@ -257,6 +257,7 @@ def report(plan: Plan, runs: list[Measured], command: str) -> str:
         "workers",
         "s",
         "entries/s",
+        "CPU ms per entry",
         "efficiency %",
         "time / processes",
         "certified / limit binds",

@@ -2,6 +2,7 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 
 from transopt.scene import Scene
 from transopt.scene_keys import with_values
@@ -26,6 +27,11 @@ MODULES = (
 def short_scene(scene: Scene) -> Scene:
     """8 ms: the pulse of a tap without its ringing."""
     return with_values(scene, {"time.stages": 80})
+
+
+def serial(study: Any) -> Any:
+    """A pool that solves in this process."""
+    return study.study_run.executor_pool("serial", 1)
 
 
 def read(path: Path) -> list[dict[str, str]]:

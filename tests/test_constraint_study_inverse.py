@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from tests.study_bench import plain, short_scene
+from tests.study_bench import plain, serial, short_scene
 from transopt.errors import InputError
 from transopt.scene import Scene
 
@@ -18,10 +18,6 @@ from transopt.scene import Scene
 @pytest.fixture(scope="module")
 def short(scene: Scene) -> Scene:
     return short_scene(scene)
-
-
-def serial(study: Any) -> Any:
-    return study.study_run.executor_pool("serial", 1)
 
 
 class TestSearch:
@@ -239,6 +235,7 @@ def test_scale_in_short(
     assert scale.main(["--points", "2", "--ways", "one,processes", "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr().out
     assert "| one | 1 |" in shown
+    assert len({line.count("|") for line in shown.splitlines() if line.startswith("|")}) == 1
     assert "4 / 4 of 4" in shown
     assert "times apart: 0 of 4" in shown
     assert scale.main(["--ways", "mpi", "--out", str(tmp_path)]) == 2
