@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from controller.bank import Bank, bank
 from controller.settings import Settings
 from problems.simulate import recordings
 from tests.servo_bench import WALL, Bench
+from tests.study_bench import MODULES, SCRIPTS
 from transopt.build import Build, build_library
 from transopt.design import entry_problem, scene_stage
 from transopt.discretise import discretise
@@ -133,6 +134,16 @@ def tables(library: Library) -> Bank:
 @pytest.fixture(scope="session")
 def stated(library: Library) -> Settings:
     return Settings.of(library)
+
+
+@pytest.fixture(scope="module")
+def study() -> Iterator[SimpleNamespace]:
+    """The modules of constraint studies by name, found beside each other as when a script is called by its path."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPTS))
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+            patch.setenv(name, "1")  # which a study would set for good
+        yield SimpleNamespace(**{name: importlib.import_module(name) for name in MODULES})
 
 
 @pytest.fixture

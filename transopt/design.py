@@ -18,6 +18,7 @@ from transopt.scene import Scene
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions
 from transopt.supply import Supply
+from transopt.thermal import CoilModel
 from transopt.transcribe import Size
 from transopt.verify import admit
 from transopt.wall import HandOver
@@ -165,42 +166,48 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     stage = scene_stage(scene, grip_N)
     spread = tuple(scene_stage(scene, grip) for grip in scene.spread_grips_N(grip_N))
     designed = [optimum(entry_problem(scene, stage, reference, spread), options) for reference in references]
-    replays, rivals = _played(scene, stage, designed)
+    replays = replayed(scene.coil(), designed)
+    rivals = rivals_replayed(scene.coil(), scene.limits.steady_current_A, designed)
     return [
         _entry(scene, grip_N, reference, d, played, rivals[4 * j : 4 * (j + 1)], options)
         for j, (reference, d, played) in enumerate(zip(references, designed, replays, strict=True))
     ]
 
 
-def _played(scene: Scene, stage: StageModel, designed: Sequence[Designed]) -> tuple[list[Replay], list[Replay]]:
-    """Replays of the optimum, through the wall if there is one, and of the four baselines of each entry."""
+def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Replay]:
+    """Replays of optima, through the wall if there is one; all of one device, time axis and tap rate."""
     problems = [d.problem for d in designed]
-    grid, coil = problems[0].grid, scene.coil()
     budgets = [p.thermal.budget for p in problems if p.thermal is not None]
-    references = np.stack([problem.reference_m_s2 for problem in problems])
     # A solver that broke down returns NaN, which no integrator needs to see.
     commands = [np.nan_to_num(d.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
     transients = np.stack([p.transient_command(c) for p, c in zip(problems, commands, strict=True)])
     supplies = [p.supply for p in problems if p.supply is not None]
     walls = [p.wall for p in problems if p.wall is not None]
-    replays = replay(
-        stage,
-        grid,
+    return replay(
+        problems[0].stage,
+        problems[0].grid,
         transients,
-        references,
+        np.stack([problem.reference_m_s2 for problem in problems]),
         coil,
         supplies=supplies or None,
         walls=walls or None,
         budgets=budgets or None,
     )
-    limits = (problems[0].limits.current_A, scene.limits.steady_current_A)
-    rivals = np.stack([c for d in designed for limit in limits for c in _rivals(stage, d, limit)])
-    each = [budget for budget in budgets for _ in range(4)]
-    return replays, replay(stage, grid, rivals, np.repeat(references, 4, axis=0), coil, budgets=each or None)
 
 
-def _rivals(stage: StageModel, designed: Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
-    grid, reference = designed.problem.grid, designed.problem.reference_m_s2
+def rivals_replayed(coil: CoilModel | None, steady_current_A: float, designed: Sequence[Designed]) -> list[Replay]:
+    """Replays of the four baselines of each entry: seed and clipped, at its transient limit and at the steady one."""
+    problems = [d.problem for d in designed]
+    rivals = np.stack(
+        [c for d in designed for A in (d.problem.limits.current_A, steady_current_A) for c in _rivals(d, A)]
+    )
+    references = np.repeat([problem.reference_m_s2 for problem in problems], 4, axis=0)
+    each = [p.thermal.budget for p in problems if p.thermal is not None for _ in range(4)]
+    return replay(problems[0].stage, problems[0].grid, rivals, references, coil, budgets=each or None)
+
+
+def _rivals(designed: Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
+    stage, grid, reference = designed.problem.stage, designed.problem.grid, designed.problem.reference_m_s2
     return (
         seed_inversion(stage, grid, reference, limit_A, designed.problem.hand_over_samples),
         clipped_optimum(stage, grid, designed.unlimited_command_A, limit_A),

@@ -131,7 +131,7 @@ def _shares(interval: Interval, value: float) -> list[tuple[float, float]]:
 
 
 @dataclass(frozen=True)
-class _Nodes:
+class Nodes:
     speeds: tuple[float, ...]
     grips: tuple[float, ...]
 
@@ -155,10 +155,10 @@ class _Nodes:
                 points.update(dict.fromkeys(itertools.product(_halved(_halved(speeds)), _halved(_halved(grips)))))
         return list(points)
 
-    def split(self, axis: int, interval: Interval) -> "_Nodes":
+    def split(self, axis: int, interval: Interval) -> "Nodes":
         if axis == 0:
-            return _Nodes(tuple(sorted({*self.speeds, _middle(interval)})), self.grips)
-        return _Nodes(self.speeds, tuple(sorted({*self.grips, _middle(interval)})))
+            return Nodes(tuple(sorted({*self.speeds, _middle(interval)})), self.grips)
+        return Nodes(self.speeds, tuple(sorted({*self.grips, _middle(interval)})))
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class _Optimum:
     nrmse: float
 
 
-class _Errors:
+class Errors:
     """The excess at any point of any grid; optima, stage models, references and results are kept for re-use."""
 
     def __init__(self, scene: Scene, recorded: list[Reference], options: SolverOptions) -> None:
@@ -205,7 +205,7 @@ class _Errors:
             self._optima[point] = _Optimum(solution.command_A, error)
         return self._optima[point]
 
-    def solve(self, nodes: _Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
+    def solve(self, nodes: Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
         """All optima that the excess at some points takes, those of the nodes around them included."""
         corners = itertools.chain.from_iterable(itertools.product(*nodes.cell(point)) for point in points)
         wanted = dict.fromkeys([*corners, *points])
@@ -214,7 +214,7 @@ class _Errors:
             progress(done, len(missing))
             self.optimum(point)
 
-    def blend(self, nodes: _Nodes, point: Point) -> FloatArray:
+    def blend(self, nodes: Nodes, point: Point) -> FloatArray:
         """(N,) bilinear blend of the node commands, as `Library.at` makes it."""
         by_speed, by_grip = (_shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
         blended = np.zeros(self._scene.time.stages)
@@ -222,7 +222,7 @@ class _Errors:
             blended += a * b * self.optimum((v, F)).command_A
         return blended
 
-    def excess(self, nodes: _Nodes, points: Iterable[Point]) -> dict[Point, float]:
+    def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
         """By the stage model, which is exact at the switching instants; known where a cell has not changed."""
         keys = {point: (point, nodes.cell(point)) for point in points}
         for grip, group in _by_grip(p for p, key in keys.items() if key not in self._excess):
@@ -233,7 +233,7 @@ class _Errors:
                 self._excess[keys[point]] = error - self.optimum(point).nrmse
         return {point: self._excess[key] for point, key in keys.items()}
 
-    def replayed(self, points: Sequence[Point], before: _Nodes, after: _Nodes) -> list[OffNode]:
+    def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
         """The final word, by the independent replay: optimum and both blends at every point."""
         grid = self._scene.time_grid()
         found = []
@@ -257,7 +257,7 @@ def _by_grip(points: Iterable[Point]) -> list[tuple[float, list[Point]]]:
     return list(groups.items())
 
 
-def _blame(errors: _Errors, nodes: _Nodes, failing: dict[Point, float]) -> list[tuple[int, Interval]]:
+def _blame(errors: Errors, nodes: Nodes, failing: dict[Point, float]) -> list[tuple[int, Interval]]:
     """Intervals to split as (axis, interval), the worst first; axis 0 is the speed.
 
     A point on an edge of a cell blames the axis along that edge. A point inside is heard if neither of its intervals
@@ -327,10 +327,10 @@ def refine_grid(
     InputError : tolerance or cap that cannot be, recordings that cannot serve, no proven optimum somewhere.
     """
     check_tolerance(scene, tolerance, cap)
-    first = _Nodes(tuple(scene.grid.speeds_m_s), tuple(scene.grid.grips_N))
+    first = Nodes(tuple(scene.grid.speeds_m_s), tuple(scene.grid.grips_N))
     start = time.perf_counter()
     recorded = build_references(recordings, first.speeds, scene.time_grid(), scene.recordings)
-    errors = _Errors(scene, recorded, SolverOptions() if options is None else options)
+    errors = Errors(scene, recorded, SolverOptions() if options is None else options)
     nodes, rounds = first, 0
 
     def excess(points: list[Point]) -> dict[Point, float]:
@@ -362,7 +362,7 @@ def refine_grid(
     )
 
 
-def _shortfall(worst: OffNode, nodes: _Nodes, tolerance: float, cap: int) -> str:
+def _shortfall(worst: OffNode, nodes: Nodes, tolerance: float, cap: int) -> str:
     return (
         f"grid tolerance {100 * tolerance:g} % not met with {nodes.entries} entries ({len(nodes.speeds)} speeds x "
         f"{len(nodes.grips)} grips, --grid-cap {cap}): worst remaining excess {100 * worst.excess_after:.2f} % at "

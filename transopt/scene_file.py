@@ -13,7 +13,7 @@ from transopt.scene import Scene
 from transopt.scene_sections import Section
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -54,8 +54,8 @@ def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
     return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields))
 
 
-def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str:
-    """The first complaint in one line, and how many more keys there are complaints about."""
+def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
+    """The first complaint about a scene's content in one line, and how many more keys there are complaints about."""
     # A misspelt key comes before the one that is missing for it.
     first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = _keys_only(first, content)
@@ -72,7 +72,7 @@ def _explain(path: Path, error: ValidationError, content: dict[str, Any]) -> str
     # Complaints about a table around this key are the other members of a union, not faults of their own.
     elsewhere = [other for other in others if other != keys[: len(other)]]
     more = f" (and {len(elsewhere)} more)" if elsewhere else ""
-    return f"{path}: {text}{more}"
+    return f"{source}: {text}{more}"
 
 
 def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
@@ -85,7 +85,7 @@ def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     ------
     InputError : one line: file, key, value, what is wrong.
     """
-    content = _read_toml(path)
+    content = read_toml(path)
     content.setdefault("name", path.stem)
     for part in ("motor", "transmission"):
         named = content.get(part)
@@ -96,11 +96,11 @@ def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
         if found is None:
             folders = ", ".join(str(place.parent) for place in places)
             raise InputError(f"{path}: {part} = {named!r}: no such file in {folders}")
-        content[part] = _read_toml(found)
+        content[part] = read_toml(found)
     recordings = content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())
     try:
         return Scene.model_validate(content)
     except ValidationError as error:
-        raise InputError(_explain(path, error, content)) from None
+        raise InputError(explain(path, error, content)) from None

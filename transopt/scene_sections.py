@@ -108,6 +108,8 @@ class Recordings(Section):
 
 
 class LinearParameter(Section):
+    """A parameter of the hand, linear in grip force."""
+
     constant: Finite
     per_newton: Finite = 0.0
 
@@ -135,16 +137,22 @@ class HandSection(Section):
 
 
 class SecondOrder(Section):
+    """The whole hand as one mass (seed Fig. 4a)."""
+
     kind: Literal["second_order"]
 
 
 class FourthOrder(Section):
+    """Stylus and hand (seed Fig. 4b)."""
+
     kind: Literal["fourth_order"]
     stylus_mass_kg: Positive
     hand: HandSection
 
 
 class Drive(Section):
+    """Motor, transmission, stylus and hand."""
+
     kind: Literal["drive"]
     stylus_mass_kg: Positive
     hand: HandSection
@@ -187,6 +195,8 @@ class Tip(Section):
 
 
 class AmplifierSection(Section):
+    """Current amplifier: pole, delay beyond the hold, range of the command."""
+
     pole_Hz: Positive
     delay_s: NonNegative
     command_limit_A: Positive = 6.0
@@ -246,6 +256,8 @@ class Feedback(Section):
 
 
 class Weights(Section):
+    """Weight of the command's movement, and by which band the error is weighed."""
+
     rho: NonNegative = 1e-3
     error_filter: Literal["none", "pacinian"] = "none"
 

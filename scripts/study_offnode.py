@@ -1,0 +1,244 @@
+"""What a library is worth off its nodes: a command for one grip played at another, and grids of several spacings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from grid_refinement import soft_hand
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from seed_plots import colours, style
+from study_figures import percent_axis
+
+from problems.simulate import recordings
+from transopt.discretise import StageModel
+from transopt.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.reference import build_references
+from transopt.refine import Errors, Nodes
+from transopt.replay import replay
+from transopt.scene import Scene
+from transopt.solvers import SolverOptions
+
+MISMATCH_SPEEDS_M_S = (0.2, 0.4)
+MISMATCH_GRIPS_N = tuple(float(F) for F in np.arange(1.0, 5.01, 0.5))
+BLIND_GRIPS_N = (1.0, 3.0, 5.0)
+GRIP_SPACINGS_N = (4.0, 2.0, 1.0, 0.5)
+SPEED_SPACINGS_M_S = (0.3, 0.15, 0.1, 0.05, 0.025)
+LEAST_EXCESS_PERCENT = 0.01  # shown
+FINE = 4  # points looked at in every interval of the finest grid
+
+
+def errors_of(scene: Scene) -> Errors:
+    """Optima, blends and replays at any speed and grip of a scene with simulated recordings."""
+    recorded = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    return Errors(scene, recorded, SolverOptions())
+
+
+# ------------------------------------------------------------------------------------------------ grip
+
+
+@dataclass(frozen=True)
+class Played:
+    """A certified command for one grip, played at another. excess: over the optimum made for that one."""
+
+    speed_m_s: float
+    made_for_N: float
+    played_at_N: float
+    nrmse: float
+    excess: float
+
+
+def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
+    commands = np.stack([errors.optimum((speed, F)).command_A for F in grips])
+    wanted = np.tile(errors.reference(speed).motor_m_s2, (len(grips), 1))
+    return [played.nrmse for played in replay(stage, scene.time_grid(), commands, wanted, None)]
+
+
+def mismatch(
+    scene: Scene,
+    speeds_m_s: Sequence[float] = MISMATCH_SPEEDS_M_S,
+    grips_N: Sequence[float] = MISMATCH_GRIPS_N,
+) -> list[Played]:
+    """Every grip's command on every grip's device.
+
+    Raises
+    ------
+    InputError : an optimum that cannot be proven.
+    """
+    errors, found = errors_of(scene), []
+    for speed in speeds_m_s:
+        for grip in grips_N:
+            played = _errors_at(errors, scene, errors.stage(grip), speed, grips_N)
+            own = played[grips_N.index(grip)]
+            found += [Played(speed, F, grip, e, e - own) for F, e in zip(grips_N, played, strict=True)]
+    return found
+
+
+def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GRIPS_N) -> Figure:
+    """NRMSE over the grip of the hand: compensated, and blind with a library for one grip."""
+    speeds = list(dict.fromkeys(p.speed_m_s for p in found))
+    figure = Figure(figsize=(1.0 + 3.1 * len(speeds), 3.5), layout="constrained")
+    panels = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]
+    for axes, speed in zip(panels, speeds, strict=True):
+        style(axes)
+        own = [p for p in found if p.speed_m_s == speed]
+        for grip, colour in zip(blind_N, colours(len(blind_N)), strict=True):
+            line = [p for p in own if p.made_for_N == grip]
+            axes.plot(
+                [p.played_at_N for p in line],
+                [100 * p.nrmse for p in line],
+                color=colour,
+                linewidth=1.2,
+                marker="o",
+                markersize=2.5,
+            )
+        best = [p for p in own if p.made_for_N == p.played_at_N]
+        axes.plot([p.played_at_N for p in best], [100 * p.nrmse for p in best], color=SEED, linewidth=1.6)
+        axes.set_title(f"{speed:g} m/s", fontsize=LABEL_PT)
+        axes.set_xlabel("grip of the hand [N]", fontsize=LABEL_PT)
+        percent_axis(axes)
+    panels[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
+    shades = zip(blind_N, colours(len(blind_N)), strict=True)
+    handles = [Line2D([], [], color=c, linewidth=1.2, label=f"blind, made for {F:g} N") for F, c in shades]
+    handles.append(Line2D([], [], color=SEED, linewidth=1.6, label="made for the grip there is"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, fontsize=SMALL_PT, frameon=False)
+    return figure
+
+
+def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
+    """The finding."""
+    blind = [p for p in found if p.made_for_N == blind_N]
+    worst = max(blind, key=lambda p: p.nrmse)
+    near = [
+        p
+        for p in found
+        if abs(p.made_for_N - p.played_at_N)
+        == min(abs(q.made_for_N - q.played_at_N) for q in found if q.made_for_N != q.played_at_N)
+    ]
+    return (
+        f"A library for {blind_N:g} N alone errs by up to {100 * worst.nrmse:.0f} % at {worst.played_at_N:g} N "
+        f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
+        f"{100 * (worst.nrmse - worst.excess):.1f} %; a grip misread by "
+        f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "
+        f"{100 * max(p.excess for p in near):.1f} percentage points."
+    )
+
+
+# ------------------------------------------------------------------------------------------------ spacing
+
+
+@dataclass(frozen=True)
+class Spaced:
+    """Excess of the blend over the optimum between the nodes of one axis, the other axis held.
+
+    axis : "grip" or "speed". spacing : of the nodes [N or m/s]. held : the other coordinate [m/s or N].
+    nodes : on that axis. worst, median : over the points between them; the worst one is replayed.
+    """
+
+    device: str
+    axis: str
+    spacing: float
+    held: float
+    nodes: int
+    worst: float
+    worst_at: float
+    median: float
+
+
+def _nodes(low: float, high: float, spacing: float) -> tuple[float, ...]:
+    count = round((high - low) / spacing)
+    return tuple(float(f"{v:.10g}") for v in np.linspace(low, high, count + 1))
+
+
+def spacing(
+    device: str,
+    scene: Scene,
+    *,
+    grip_spacings_N: Sequence[float] = GRIP_SPACINGS_N,
+    speed_spacings_m_s: Sequence[float] = SPEED_SPACINGS_M_S,
+    held_speeds_m_s: Sequence[float] = MISMATCH_SPEEDS_M_S,
+    held_grips_N: Sequence[float] = (1.0, 5.0),
+    fine: int = FINE,
+) -> list[Spaced]:
+    """Both axes of one device. The wider grids are seen at the points of the finest.
+
+    Raises
+    ------
+    InputError : an optimum that cannot be proven.
+    """
+    errors, grid, found = errors_of(scene), scene.grid, []
+    cases = [
+        ("grip", held_speeds_m_s, (grid.grips_N[0], grid.grips_N[-1]), grip_spacings_N),
+        ("speed", held_grips_N, (grid.speeds_m_s[0], grid.speeds_m_s[-1]), speed_spacings_m_s),
+    ]
+    for axis, helds, (low, high), spacings in cases:
+        points = _nodes(low, high, min(spacings) / fine)
+        for held in helds:
+            for width in spacings:
+                own = _nodes(low, high, width)
+                between = [x for x in points if x not in own]
+                if axis == "grip":
+                    nodes, at = Nodes((held,), own), [(held, F) for F in between]
+                else:
+                    nodes, at = Nodes(own, (held,)), [(v, held) for v in between]
+                excess = errors.excess(nodes, at)
+                worst = max(excess, key=lambda point: excess[point])
+                [replayed] = errors.replayed([worst], nodes, nodes)
+                place = worst[1] if axis == "grip" else worst[0]
+                middle = float(np.median(list(excess.values())))
+                found.append(Spaced(device, axis, width, held, len(own), replayed.excess_after, place, middle))
+    return found
+
+
+def spacing_study(scene: Scene) -> list[Spaced]:
+    """The device of the scene, and the same in a heavier, softer hand whose resonance moves with grip."""
+    return [*spacing("default", scene), *spacing("soft hand", soft_hand(scene))]
+
+
+def spacing_figure(found: Sequence[Spaced]) -> Figure:
+    """Worst excess between the nodes over their spacing, a panel per axis."""
+    devices = list(dict.fromkeys(s.device for s in found))
+    shade = dict(zip(devices, (OPTIMUM, SEED, CLIPPED), strict=False))
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    for axes, axis, unit, other in zip(panels, ("grip", "speed"), ("N", "m/s"), ("m/s", "N"), strict=True):
+        style(axes)
+        helds = list(dict.fromkeys(s.held for s in found if s.axis == axis))
+        for device in devices:
+            for held, dash in zip(helds, ("-", "--", ":"), strict=False):
+                own = [s for s in found if (s.device, s.axis, s.held) == (device, axis, held)]
+                options: dict[str, Any] = {
+                    "color": shade[device],
+                    "linestyle": dash,
+                    "marker": "o",
+                    "markersize": 3.5,
+                }
+                label = f"{device}, {held:g} {other}"
+                axes.plot(
+                    [s.spacing for s in own], [100 * s.worst for s in own], linewidth=1.2, label=label, **options
+                )
+        axes.axhline(2.0, color=DARK, linewidth=0.8, linestyle=":")
+        percent_axis(axes, x=True)
+        axes.set_xlabel(f"spacing of the {axis} nodes [{unit}]", fontsize=LABEL_PT)
+        percent_axis(axes)
+        axes.set_ylim(bottom=LEAST_EXCESS_PERCENT)
+        axes.legend(fontsize=6.5, frameon=False)
+    panels[0].set_ylabel("worst excess between the nodes\n[percentage points of NRMSE]", fontsize=LABEL_PT)
+    return figure
+
+
+def spacing_sentence(found: Sequence[Spaced], tolerance: float = 0.02) -> str:
+    """The finding: the widest spacing that keeps a tolerance, per axis."""
+    parts = []
+    for axis, unit in (("grip", "N"), ("speed", "m/s")):
+        own = [s for s in found if s.axis == axis]
+        widths = sorted({s.spacing for s in own}, reverse=True)
+        meets = next((w for w in widths if all(s.worst <= tolerance for s in own if s.spacing == w)), None)
+        worst = max((s for s in own if s.spacing == widths[0]), key=lambda s: s.worst)
+        kept = f"{meets:g} {unit} keeps" if meets is not None else f"none of {widths[-1]:g} {unit} or wider keeps"
+        parts.append(
+            f"along the {axis}s {kept} every blend within {100 * tolerance:g} percentage points, {widths[0]:g} "
+            f"{unit} costs up to {100 * worst.worst:.1f} ({worst.device}, {worst.worst_at:.3g} {unit})"
+        )
+    return f"{'; '.join(parts)[0].upper()}{'; '.join(parts)[1:]}."

@@ -1,0 +1,45 @@
+"""What the tests of constraint studies share."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+from transopt.scene import Scene
+from transopt.scene_keys import with_values
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+MODULES = (
+    "constraint_study",
+    "study_axes",
+    "study_figures",
+    "study_inverse",
+    "study_motors",
+    "study_named",
+    "study_offnode",
+    "study_report",
+    "study_rows",
+    "study_run",
+    "study_scale",
+    "study_session",
+)
+
+
+def short_scene(scene: Scene) -> Scene:
+    """8 ms: the pulse of a tap without its ringing."""
+    return with_values(scene, {"time.stages": 80})
+
+
+def serial(study: Any) -> Any:
+    """A pool that solves in this process."""
+    return study.study_run.executor_pool("serial", 1)
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    """Rows of a study."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def plain(path: Path) -> list[dict[str, str]]:
+    """Rows of a study without its times."""
+    return [{name: cell for name, cell in row.items() if not name.endswith("_ms")} for row in read(path)]
