@@ -27,7 +27,6 @@ from transopt.reference import Reference, build_references
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
 IMPACTS = Path(__file__).parents[2] / "shared" / "data" / "impacts"
 
@@ -152,9 +151,6 @@ def bench(stated: Settings, tables: Bank) -> Bench:
     made = Bench(replace(stated, wall=WALL), tables)
     made.servo.arm()
     return made
-
-
-# ------------------------------------------------------------------------------------------------ error and run time
 
 
 class Scripts:
