@@ -50,6 +50,7 @@ from transopt.solvers import (
     casadi_fatrop,
     casadi_ipopt,
     casadi_piqp,
+    riccati,
     riccati_lq,
     solve,
     sparse_kkt,
@@ -259,6 +260,11 @@ def online(library: Library, runs: int) -> Row:
     return row("online", "servo + simulator", "one virtual second of random taps, two steps per tick", ticks, times)
 
 
+def own(case: str, problem: TransientProblem) -> list[Case]:
+    """The project's own method, where it is built."""
+    return [Case(case, problem.grid.stages, project_solver(problem, "riccati"))] if riccati.available else []
+
+
 def measure(runs: int) -> tuple[list[Row], float]:
     scene = load_scene(problems.scene_path("wood_on_foam"))
     rows = [calibration()]
@@ -274,12 +280,15 @@ def measure(runs: int) -> tuple[list[Row], float]:
     hot = replace(saturated, thermal=thermal_limit(coil, scene.amplifier_model(), saturated.grid, budget))
     rows += compare(
         runs,
+        *own("saturated", saturated),
         Case("saturated", 600, project_solver(saturated, "casadi-piqp")),
         Case("saturated", 600, project_solver(saturated, "casadi-ipopt")),
         Case("saturated", 600, opti_ipopt(saturated, proof.objective - proof.duality_gap)),
         Case("saturated", 600, project_solver(saturated, "casadi-fatrop")),
+        *own("thermal", hot),
         Case("thermal", 600, project_solver(hot, "casadi-fatrop")),
         Case("thermal", 600, project_solver(hot, "casadi-ipopt")),
+        *own("horizon", long),
         Case("horizon", 6000, project_solver(long, "casadi-piqp")),
         Case("unsaturated", 600, unlimited_solver("riccati-pass", "judged by its gradient", unlimited.solve, free)),
         Case("unsaturated", 600, unlimited_solver("sparse-kkt", "pattern reused", unlimited.solve_sparse_kkt, free)),
@@ -331,6 +340,13 @@ def main() -> None:
     print(f"casadi-ipopt / casadi-piqp, saturated: {by['saturated', 'casadi-ipopt'] / fast:.1f}")
     print(f"wall clock / virtual time, servo + simulator: {by['online', 'servo + simulator'] / 1e3:.2f}")
     print(f"6000 stages / 600 stages, casadi-piqp: {by['horizon', 'casadi-piqp'] / fast:.1f}")
+    if riccati.available:
+        mine = by["saturated", "riccati"]
+        for peer in ("casadi-piqp", "casadi-fatrop", "casadi-ipopt", "opti-ipopt"):
+            print(f"{peer} / riccati, saturated: {by['saturated', peer] / mine:.1f}")
+        for peer in ("casadi-fatrop", "casadi-ipopt"):
+            print(f"{peer} / riccati, thermal: {by['thermal', peer] / by['thermal', 'riccati']:.1f}")
+        print(f"6000 stages / 600 stages, riccati: {by['horizon', 'riccati'] / mine:.1f}")
     if arguments.json is not None:
         with whole_file(arguments.json) as file:
             file.write(json.dumps(without_nan(result), indent=1).encode())

@@ -17,14 +17,17 @@ from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, solve
+from transopt.solvers import SolverOptions, riccati, solve
 
 SCENES = ("wood_on_foam", "firm_fast", "hot_coil", "stiff_drive")
 AGREEMENT = 1e-7  # of two methods, relative; a tenth of what counts as solved
 SOLVED = 1e-6
 # The tightest that each pair reaches; FATROP asks for no more than 1e-8 where the temperature is limited.
 QP_REFERENCES = (SolverOptions("casadi-piqp", 1e-12), SolverOptions("casadi-ipopt", 1e-12))
-NLP_REFERENCES = (SolverOptions("casadi-ipopt", 1e-12), SolverOptions("casadi-fatrop", 1e-8))
+NLP_REFERENCES = (
+    SolverOptions("casadi-ipopt", 1e-12),
+    SolverOptions("riccati", 1e-12) if riccati.available else SolverOptions("casadi-fatrop", 1e-8),
+)
 
 
 class DisagreementError(Exception):

@@ -39,13 +39,14 @@ LOOKS: dict[str, dict[str, Any]] = {
     "opti-ipopt": {"color": "#000000", "marker": "^"},
 }
 LABELS = {
+    "riccati": "riccati (this project's own)",
     "casadi-piqp": "casadi-piqp (this project)",
     "casadi-fatrop": "casadi-fatrop (this project)",
     "casadi-ipopt": "casadi-ipopt (this project)",
     "opti-ipopt": "Opti + IPOPT, as commonly written",
     "daqp": "daqp, condensed",
 }
-SPARE = ("#D55E00", "#7F3C8D", "#666666")  # for methods that the table above does not know
+SPARE = ("#882255", "#7F3C8D", "#666666")  # for methods that the table above does not know
 POINTS = {Kind.BASELINE.value: "X", Kind.DISCRETISATION.value: "_", Kind.PERIOD.value: "p"}
 POINT_WORDS = {
     Kind.BASELINE.value: "baseline",

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from seed_plots import colours, style
-from seed_report import percent, table
+from seed_report import percent
 from study_axes import Axis, Plan, parse_axis
 from study_figures import entry_grid, heat_map, percent_axis, percent_norm
 from study_report import LEGEND, binding_names, rows_table
 from study_rows import Row, number
 from study_run import Pool
 from study_session import run_plan
+from writing import table
 
 from transopt.plotting import DARK, LABEL_PT, SMALL_PT
 from transopt.scene import Scene

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from seed_plots import colours, style
-from seed_report import percent, table, write_text
+from seed_report import percent
 from study_axes import Plan, parse_axis
 from study_figures import curves, entry_grid, percent_axis
 from study_motors import motor_selection
@@ -27,6 +27,7 @@ from study_report import provenance, refusal_lines, study_markdown, summary
 from study_rows import Row, line
 from study_run import Pool
 from study_session import run_plan
+from writing import table, write_text
 
 from transopt.plotting import LABEL_PT, SMALL_PT, save_figure
 from transopt.problem import AT_FLOOR

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from benchmark import machine
-from seed_report import percent, table, write_text
+from measuring import machine
+from seed_report import percent
 from study_axes import Plan, label
 from study_inverse import Answer
 from study_rows import Row, number, versions
+from writing import table, write_text
 
 from transopt.scene_keys import unit_of
 

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from seed_report import table, write_text
 from study_axes import Plan, parse_axis
 from study_report import provenance
 from study_rows import Row, number
 from study_run import Pool, dask, processes
 from study_session import run_plan
+from writing import table, write_text
 
 import problems
 from transopt.errors import InputError

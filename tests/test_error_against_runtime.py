@@ -101,7 +101,7 @@ class TestServoRates:
         assert (slow.method, fast.method) == ("5 kHz", "10 kHz")
         assert slow.nrmse_excess > fast.nrmse_excess > 0
         assert math.isnan(slow.error)
-        assert slow.options == f"{STAGES // 2} stages, casadi-piqp"
+        assert slow.options == f"{STAGES // 2} stages, {SolverOptions().solver}"
 
 
 class TestSummary:
