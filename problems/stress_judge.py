@@ -20,8 +20,11 @@ from transopt.verify import admit
 CERTIFIED = "certified"
 # Refusals that may stand, by what their remarks must name: a limit with amount, unit and remedy.
 REMARKS = {
-    Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)",
-    Status.HAND_OVER: r"hand-over: .*\d.* A .*(would do)",
+    Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)|"
+    r"coil: no steady state .*; (lower|raise) ",
+    Status.HAND_OVER: r"hand-over: .*\d.* A.* limit .*(would do|lower)",
+    Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick; lower ",
+    Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*; lower time.dt_s",
     Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",
 }
 # A field, its value, and what it must be.

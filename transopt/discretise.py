@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from transopt.amplifier import Amplifier
+from transopt.errors import InputError
 from transopt.models import StateSpace
 from transopt.signals import FloatArray
 
@@ -19,6 +20,15 @@ class TimeGrid:
     stages: int
     lead_s: float
     delay_s: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.dt_s < np.inf:
+            raise InputError(f"time.dt_s = {self.dt_s:g}: must be > 0 and finite")
+        if self.stages < 1:
+            raise InputError(f"time.stages = {self.stages}: must be at least 1")
+        for name in ("lead_s", "delay_s"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"time.{name} = {getattr(self, name):g}: must be >= 0 and finite")
 
     @property
     def issue_times_s(self) -> FloatArray:

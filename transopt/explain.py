@@ -81,7 +81,7 @@ def unavoidable(problem: TransientProblem) -> list[str]:
             )
     if problem.supply is not None:
         start = abs(float(problem.supply.nominal_V[0]))
-        if start > problem.supply.limit_V + Certificate.VIOLATION_TOLERANCE:
+        if start > problem.supply.limit_V + Certificate.tolerated(problem.supply.limit_V):
             found.append(
                 f"supply {start - problem.supply.limit_V:.3g} V over its {problem.supply.limit_V:g} V at "
                 f"{tau_ms[0]:.1f} ms: the back-EMF of the incoming stylus alone; {rounded_up(start):.6g} V at least"

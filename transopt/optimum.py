@@ -7,7 +7,7 @@ import numpy as np
 from transopt import transcribe
 from transopt.certify import inside
 from transopt.explain import infeasibility, unavoidable
-from transopt.parts import leave_out, pressing, reference_course
+from transopt.parts import leave_out, pressing, reference_course, silence
 from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
@@ -47,11 +47,7 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     until both agree.
     """
     if problem.reference_is_zero:
-        answer = solve(problem, options)
-        proof = prove(problem, answer.command_A, answer.multipliers, options)
-        left_out = {"limits": "zero reference: zero waveform"}
-        floor = nrmse(answer.command_A, problem.reference_m_s2)
-        return Designed(problem, answer, proof, answer.command_A, floor, 0.0, left_out, None, [])
+        return _silent(problem, options)
     if problem.wall is None:
         return _solved(problem, options)
     problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
@@ -65,6 +61,28 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
             break
         problem = again
     return replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+
+
+def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """A zero reference: no transient at all, over a wall nothing but its feedback, which has to keep the limits."""
+    problem, command = silence(problem)
+    answer = replace(solve(problem, options), command_A=command)
+    proof = prove(problem, command, answer.multipliers, options)
+    hopeless = unavoidable(problem)
+    if hopeless:
+        answer = replace(answer, status=Status.INFEASIBLE)
+    elif problem.wall is not None and not proof.excess <= 1:
+        wall, limit = problem.wall.wall, problem.limits.current_A
+        answer = replace(answer, status=Status.HAND_OVER)
+        hopeless = [
+            f"hand-over: without any transient the wall alone asks for {np.abs(command).max():.3g} A, limit "
+            f"{limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m "
+            f"({wall.damping_N_s_m:g} N s/m) or the speed"
+        ]
+    left_out = {"limits": "zero reference: zero waveform"}
+    rest = np.zeros(problem.grid.stages)
+    floor = nrmse(rest, problem.reference_m_s2)
+    return Designed(problem, answer, proof, rest, floor, 0.0, left_out, None, hopeless)
 
 
 def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:

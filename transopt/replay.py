@@ -14,7 +14,7 @@ from scipy import special
 
 from transopt.discretise import StageModel, TimeGrid, split_delay
 from transopt.heat import Budget
-from transopt.problem import TransientProblem
+from transopt.problem import Certificate, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.supply import Supply
 from transopt.thermal import CoilModel, effective_square_mean
@@ -25,7 +25,6 @@ STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode
 STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
 AFTER_S = 20e-3  # of free motion after the waveform
-CURRENT_TOLERANCE_A = 1e-6  # what counts as leaving a limit, as in the certificate
 TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
 SUPPLY_TOLERANCE = 1e-3  # of the limit: between switching instants only the back-EMF is left to its own devices
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
@@ -41,6 +40,7 @@ class Replay:
     nrmse : of that acceleration against the reference.
     peak_current_A, peak_command_A : over all t.
     after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
+    after_peak_A : largest |i| there, all of it the wall's feedback.
     peak_voltage_V : largest terminal voltage over all t; NaN without a supply.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
@@ -56,6 +56,7 @@ class Replay:
     peak_current_A: float
     peak_command_A: float
     after_peak_m_s2: float
+    after_peak_A: float
     peak_voltage_V: float
     winding_C: float
     housing_C: float
@@ -69,10 +70,12 @@ class Replay:
         """What speaks against admitting this command (N,), one sentence each; empty if clean."""
         found = []
         limits = problem.limits
-        if not self.peak_current_A <= limits.current_A + CURRENT_TOLERANCE_A:
+        tolerance_A = Certificate.tolerated(limits.current_A)
+        if not self.peak_current_A <= limits.current_A + tolerance_A:
             found.append(f"replayed current {self.peak_current_A:.6f} A, limit {limits.current_A:g} A")
-        if limits.command_A is not None and not self.peak_command_A <= limits.command_A + CURRENT_TOLERANCE_A:
-            found.append(f"command {self.peak_command_A:.6f} A, limit {limits.command_A:g} A")
+        bound = limits.command_bound_A
+        if not self.peak_command_A <= bound + Certificate.tolerated(bound):
+            found.append(f"command {self.peak_command_A:.6f} A, limit {bound:g} A")
         supply, thermal = problem.supply, problem.thermal
         if supply is not None and not self.peak_voltage_V <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
             found.append(f"terminal voltage {self.peak_voltage_V:.4f} V, limit {supply.limit_V:g} V")
@@ -81,7 +84,7 @@ class Replay:
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
         feedback_off = float(np.abs(self.command_A - command_A).max())
-        if not feedback_off <= CURRENT_TOLERANCE_A:
+        if not feedback_off <= tolerance_A:
             found.append(
                 f"with the wall's feedback the command differs from the predicted one by {feedback_off:.1e} A"
             )
@@ -318,7 +321,7 @@ def replay(
         if np.all(step_error <= STEP_ERROR):
             break
     current = run.current_A[:, run.at_switching]
-    M = commands_A.shape[0]
+    M, after = commands_A.shape[0], run.times_s > grid.end_s
     unknown = np.full(M, np.nan)
     winding, housing = (unknown, unknown) if coil is None else _temperatures(run, coil, budgets, grid)
     voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
@@ -329,7 +332,8 @@ def replay(
             nrmse=nrmse(accurate[m], references_m_s2[m]),
             peak_current_A=float(np.abs(run.current_A[m]).max()),
             peak_command_A=float(np.abs(run.command_A[m]).max()),
-            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, run.times_s > grid.end_s]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
+            after_peak_A=float(np.abs(run.current_A[m, after]).max()),
             peak_voltage_V=float(voltage[m]),
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),

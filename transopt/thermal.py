@@ -156,9 +156,16 @@ class CoilModel:
 
         origin = after_period(0.0, 0.0)
         transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
-        stable = np.abs(np.linalg.eigvals(transition)).max(axis=1) < 1
+        m = self.nodes
+        own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
+        # With one node the housing stays where it is, and the winding settles above it.
+        settled = origin[:, :m] + self.start_housing_C * from_housing.sum(axis=2)
+        finite = np.all(np.isfinite(transition), axis=(1, 2))
+        stable = finite.copy()
+        stable[finite] = np.abs(np.linalg.eigvals(own[finite])).max(axis=1) < 1
         steady = np.full((M, 2), np.inf)
-        steady[stable] = np.linalg.solve(np.eye(2) - transition[stable], origin[stable][..., None])[..., 0]
+        steady[stable, m:] = self.start_housing_C
+        steady[stable, :m] = np.linalg.solve(np.eye(m) - own[stable], settled[stable][..., None])[..., 0]
         K = steps_s.size + 1
         winding, housing = (np.full((M, K), np.inf) for _ in range(2))
         courses = self.simulate(heat[stable], steps, steady[stable])

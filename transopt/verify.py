@@ -7,12 +7,14 @@ import numpy as np
 from transopt.certify import binding_limits
 from transopt.library import Library
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
-from transopt.replay import Replay, replay
+from transopt.linear import wall_growth
+from transopt.replay import AFTER_S, SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, prove, unlimited
 
 STORED_TOLERANCE = 1e-6  # relative, to which stored figures agree with recomputed ones
 ROUNDING = 1e-9  # absolute, for figures that are zero
+GROWS = 1e-6  # per tick
 
 
 def admit(
@@ -44,9 +46,58 @@ def admit(
             f"(limit {Certificate.BOUND_TOLERANCE:.0e})"
         ]
     shortfalls = played.shortfalls(problem, command_A, predicted_m_s2)
-    if shortfalls:
+    if not shortfalls:
+        return Status.OPTIMAL, []
+    status, causes = _of_the_wall(played, problem)
+    if not causes:
+        status, causes = _between_instants(played, problem, command_A)
+    # A cause that explains some of it is no cause.
+    if len(causes) < len(shortfalls) and status is not Status.UNSTABLE_WALL:
         return Status.REPLAY_VIOLATION, shortfalls
-    return Status.OPTIMAL, []
+    return status, causes
+
+
+def _of_the_wall(played: Replay, problem: TransientProblem) -> tuple[Status, list[str]]:
+    """What a wall does that no transient can help: it grows by itself, or asks for too much when left alone."""
+    if problem.wall is None:
+        return Status.REPLAY_VIOLATION, []
+    wall, limit = problem.wall.wall, problem.limits.current_A
+    growth = wall_growth(problem)
+    if growth > 1 + GROWS:
+        return Status.UNSTABLE_WALL, [
+            f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower "
+            f"feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} "
+            f"N s/m) or feedback.latency_ticks ({wall.latency_ticks})"
+        ]
+    if played.after_peak_A > limit and played.after_peak_A == played.peak_current_A:
+        return Status.HAND_OVER, [
+            f"hand-over: within {AFTER_S * 1e3:g} ms after the waveform the wall alone asks for "
+            f"{played.after_peak_A:.3g} A, limit {limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} "
+            f"N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} N s/m) or the speed"
+        ]
+    return Status.REPLAY_VIOLATION, []
+
+
+def _between_instants(played: Replay, problem: TransientProblem, command_A: FloatArray) -> tuple[Status, list[str]]:
+    """Limits that hold at the switching instants, as stated, and not between them."""
+    motion, found = problem.stage.motion(command_A), []
+    supply, thermal, dt_ms = problem.supply, problem.thermal, problem.grid.dt_s * 1e3
+    if supply is not None and played.peak_voltage_V > supply.limit_V * (1 + SUPPLY_TOLERANCE):
+        stated = max(float(np.abs(side).max()) for side in supply.voltages_V(motion, command_A))
+        if stated <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
+            found.append(
+                f"supply {played.peak_voltage_V - supply.limit_V:.3g} V over its {supply.limit_V:g} V within a servo "
+                f"period, in which the back-EMF swings; lower time.dt_s ({dt_ms:g} ms)"
+            )
+    if thermal is not None and played.winding_C > thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+        course = thermal.temperatures_C(motion.current_A, command_A)
+        if float(course.max()) <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+            step = float(np.abs(np.diff(course)).max(initial=0.0))
+            found.append(
+                f"coil {played.winding_C - thermal.limit_C:.3g} K over its {thermal.limit_C:g} C within a servo "
+                f"period, in which it warms by up to {step:.3g} K; lower time.dt_s ({dt_ms:g} ms)"
+            )
+    return Status.UNRESOLVED, found
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ REFINEMENTS = 2
 
 
 def tracking(problem: TransientProblem) -> Tracking:
-    """The problem's data without the limits; command in units of the limit current, states in SI.
+    """The problem's data without the limits; command in units of `current_scale_A`, states in SI.
 
     J is in units of 1: outputs and reference by |r|.
     """
@@ -56,7 +56,7 @@ class _Candidate:
 
 
 def _judged(problem: TransientProblem, run: Pass, point: Point, method: str) -> _Candidate:
-    unit, free, data = problem.limits.current_A, problem.free_stages, run.problem
+    unit, free, data = problem.current_scale_A, problem.free_stages, run.problem
     command = np.cumsum(point.movement) * unit
     if problem.wall is None:
         command[free:] = 0.0
@@ -88,7 +88,7 @@ def _by_sparse_kkt(problem: TransientProblem, run: Pass) -> _Candidate:
 
 
 def _solution(problem: TransientProblem, run: Pass, found: _Candidate, start_s: float) -> Solution:
-    hand_over = -2 * run.gradient_under_rule(found.point) / problem.limits.current_A
+    hand_over = -2 * run.gradient_under_rule(found.point) / problem.current_scale_A
     return Solution(
         status=Status.OPTIMAL if np.isfinite(found.gap) else Status.NUMERICAL_FAILURE,
         command_A=found.command_A,
