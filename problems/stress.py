@@ -6,6 +6,8 @@ Anything else, a warning, a NaN, a hang and the death of a worker included, is b
 
 import multiprocessing
 import os
+import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -31,12 +33,26 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]) -> None:
-    while True:
-        try:
-            case = pipe.recv()
-        except (EOFError, KeyboardInterrupt):
-            return
-        pipe.send(judged(case))
+    """Judge cases as they come; what libraries print, past Python's own warnings, is a warning too."""
+    with tempfile.TemporaryFile() as printed:
+        for stream in (1, 2):
+            os.dup2(printed.fileno(), stream)
+        while True:
+            try:
+                case = pipe.recv()
+            except (EOFError, KeyboardInterrupt):
+                return
+            outcome = judged(case)
+            sys.stdout.flush()
+            sys.stderr.flush()
+            if printed.seek(0, os.SEEK_END):
+                printed.seek(0)
+                said = " ".join(printed.read().decode(errors="replace").split())[:200]
+                printed.seek(0)
+                printed.truncate()
+                if not outcome.bad:
+                    outcome = _lost("bad: printed", said, outcome.elapsed_s)
+            pipe.send(outcome)
 
 
 @dataclass

@@ -22,7 +22,7 @@ def _moved(by_movement: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class _Box:
+class Box:
     """One limit along the horizon: |value| <= bound, or value <= bound without `lower`."""
 
     name: str
@@ -52,13 +52,13 @@ class _Box:
         return total if self.lower is None else total + float(self.lower[stated] @ np.abs(bound + value))
 
 
-def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> list[_Box]:
+def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
     """Every limit that the problem has, with what the command does to it."""
     limits, m, N = problem.limits, multipliers, problem.grid.stages
 
-    def box(name: str, unit: str, pair: str, value: FloatArray, bound: float) -> _Box:
+    def box(name: str, unit: str, pair: str, value: FloatArray, bound: float) -> Box:
         lower, upper = getattr(m, f"{pair}_lower"), getattr(m, f"{pair}_upper")
-        return _Box(name, unit, lower, upper, value, np.full(N, bound), bound)
+        return Box(name, unit, lower, upper, value, np.full(N, bound), bound)
 
     found = [box("current", "A", "current", motion.current_A, limits.current_A)]
     if limits.command_A is not None:
@@ -73,7 +73,7 @@ def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, mult
     if problem.thermal is not None:
         winding = problem.thermal.temperatures_C(motion.current_A, command_A)
         limit = problem.thermal.model.headroom_K + problem.thermal.model.unpowered_C
-        found.append(_Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C))
+        found.append(Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C))
     return found
 
 

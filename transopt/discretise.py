@@ -178,6 +178,16 @@ def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bo
         acting = more
 
 
+def exponential(matrix: FloatArray) -> FloatArray:
+    """expm of a matrix whose states are balanced first, by powers of two: exact whatever units they are in.
+
+    Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
+    drown the small ones.
+    """
+    balanced, (scale, _) = linalg.matrix_balance(matrix, permute=False, separate=True)
+    return np.asarray(linalg.expm(balanced) * scale[:, None] / scale)
+
+
 def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, position: bool = False) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
@@ -205,12 +215,12 @@ def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, p
         Ci, Di = np.eye(1, n + 1, n), zero
         # The motor force moves no position and no velocity at once, so neither row sees the current.
         velocity, encoder = np.hstack([velocity, zero]), np.hstack([encoder, zero])
-    hold = linalg.expm(flow * dt_s)
+    hold = exponential(flow * dt_s)
     model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity)
     if not position:
         return model
     late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]
-    until_tick = linalg.expm(flow * (dt_s - late))
+    until_tick = exponential(flow * (dt_s - late))
     return replace(model, Cp=encoder @ until_tick[:-1, :-1], Dp=encoder @ until_tick[:-1, -1:])
 
 

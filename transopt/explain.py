@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from transopt.certify import boxes
-from transopt.problem import Certificate, Multipliers, TransientProblem
+from transopt.certify import Box, boxes, certify
+from transopt.problem import Certificate, Multipliers, Status, TransientProblem
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, is_stationary, solve_certified
+from transopt.solvers import SolverOptions, capable, solve
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
+WIDEST_OF_ALL = 1e6  # together
 MOST_ITERATIONS = 100
+MOST_SOLVERS = 2  # asked whether a limit can be met
 PRECISION = 0.005  # relative, of the least limit that would do
 
 
@@ -90,38 +92,80 @@ def unavoidable(problem: TransientProblem) -> list[str]:
 
 
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
-    answer = solve_certified(problem, replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS)))
-    return answer.command_A if is_stationary(problem, answer) else None
+    """A command inside all limits, optimal or not, from the first solver that finds one or proves that there is none."""
+    briefly = replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS))
+    for name in capable(problem)[:MOST_SOLVERS]:
+        answer = solve(problem, replace(briefly, solver=name))
+        if certify(problem, answer.command_A, answer.multipliers).excess <= 1:
+            return answer.command_A
+        if answer.status is Status.INFEASIBLE:
+            return None
+    return None
 
 
 def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str]:
-    """One sentence for each limit whose widening alone would help; empty if none would.
+    """One sentence for each limit whose widening alone would help or, if none would, for all of them together.
+
+    Empty if even that is not enough.
 
     The least sufficient limit is found by bisection; the command that just meets it tells by how much and when the
     stated limit is missed.
     """
-    found = []
-    for name, widen in widened(problem).items():
-        command = _feasible(widen(WIDEST), options)
-        if command is None:
-            continue
-        low, high = 1.0, WIDEST
-        while high / low > 1 + PRECISION:
-            middle = float(np.sqrt(low * high))
-            tried = _feasible(widen(middle), options)
-            if tried is None:
-                low = middle
-            else:
-                high, command = middle, tried
-        found.append(_sentence(problem, widen(high), name, command))
-    return found
+    found, limits = [], widened(problem)
+    for name, widen in limits.items():
+        least = _least(widen, WIDEST, options)
+        if least is not None:
+            found.append(_sentence(problem, widen(least[0]), name, least[1]))
+    if found or len(limits) == 1:
+        return found
+
+    def all_wider(factor: float) -> TransientProblem:
+        wide = problem
+        for name in limits:
+            wide = widened(wide)[name](factor)
+        return wide
+
+    least = _least(all_wider, WIDEST_OF_ALL, options)
+    if least is None:
+        return []
+    factor, command = least
+    missed = [name for name in limits if _worst(problem, name, command)[1] > 0]
+    return [f"{_sentence(problem, all_wider(factor), name, command)}, all limits wider at once" for name in missed]
+
+
+def _least(
+    widen: Callable[[float], TransientProblem], widest: float, options: SolverOptions
+) -> tuple[float, FloatArray] | None:
+    """The least factor, to `PRECISION`, at which some command meets all limits, and that command; None if none does."""
+    command = _feasible(widen(widest), options)
+    if command is None:
+        return None
+    low, high = 1.0, widest
+    while high / low > 1 + PRECISION:
+        middle = float(np.sqrt(low * high))
+        tried = _feasible(widen(middle), options)
+        if tried is None:
+            low = middle
+        else:
+            high, command = middle, tried
+    return high, command
+
+
+def _worst(problem: TransientProblem, name: str, command_A: FloatArray) -> tuple[Box, float]:
+    """The side of a limit that a command leaves farthest, and how far; negative inside."""
+    motion = problem.stage.motion(command_A)
+    of = [box for box in boxes(problem, command_A, motion, Multipliers.zero(problem)) if box.name == name]
+    worst = max(of, key=lambda box: float(box.excess.max()))
+    return worst, float(worst.excess.max())
 
 
 def _sentence(problem: TransientProblem, wide: TransientProblem, name: str, command_A: FloatArray) -> str:
-    motion = problem.stage.motion(command_A)
-    of = [box for box in boxes(problem, command_A, motion, Multipliers.zero(problem)) if box.name == name]
-    wider = [box for box in boxes(wide, command_A, motion, Multipliers.zero(problem)) if box.name == name]
-    worst = max(of, key=lambda box: float(box.excess.max()))
+    worst, _ = _worst(problem, name, command_A)
+    wider = [
+        box
+        for box in boxes(wide, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
+        if box.name == name
+    ]
     k = int(np.argmax(worst.excess))
     time_ms = problem.grid.switching_times_s[k] * 1e3
     unit = "K" if worst.unit == "C" else worst.unit

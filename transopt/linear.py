@@ -223,7 +223,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
                 feedback[row, first : first + 2] = _demand(problem)
             else:
                 feedback[row, first + 1 + late] = 1.0
-    norm = float(np.linalg.norm(problem.reference_m_s2))
+    norm = float(np.linalg.norm(problem.reference_m_s2)) or 1.0
     return LinearStage(
         A=A * units / units[:, None],
         units=units,

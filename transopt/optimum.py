@@ -7,7 +7,7 @@ import numpy as np
 from transopt import transcribe
 from transopt.certify import inside
 from transopt.explain import infeasibility, unavoidable
-from transopt.parts import leave_out, pressing, reference_course, silence
+from transopt.parts import encoder_course, leave_out, pressing, reference_course, silence
 from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
@@ -44,23 +44,54 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     """Solve one entry, leaving out what it does not need.
 
     With a wall the ticks at which it pushes are first taken from the reference's motion, then from the answer's,
-    until both agree.
+    until both agree; if they do not, once more from the motion under the wall alone.
     """
     if problem.reference_is_zero:
         return _silent(problem, options)
     if problem.wall is None:
-        return _solved(problem, options)
-    problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        return _explained(_solved(problem, options), options)
+    first = None
+    for course in (reference_course(problem.grid, problem.reference_m_s2), encoder_course(*silence(problem))):
+        designed, settled = _settled(pressing(problem, course), options)
+        if settled or designed.remarks:
+            return designed
+        first = designed if first is None else first
+    assert first is not None
+    return _explained(first, options)
+
+
+def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+    """The optimum with the wall pressing where its own answer makes it press, and whether that was found.
+
+    The ticks are taken from the answer again and again; the search ends with an answer that is none, for where an
+    arbitrary command makes the wall press says nothing.
+    """
     spent = 0.0
     for _ in range(MOST_MASKS):
         designed = _solved(problem, options)
         spent += designed.solution.solve_time_s
-        course = problem.encoder_at_ticks(problem.stage.motion(designed.solution.command_A))
-        again = pressing(problem, course)
+        designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+        if not is_stationary(problem, designed.solution):
+            return designed, False
+        again = pressing(problem, encoder_course(problem, designed.solution.command_A))
         if _same_mask(problem, again):
-            break
+            return designed, True
         problem = again
-    return replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+    return designed, False
+
+
+def _explained(designed: Designed, options: SolverOptions) -> Designed:
+    """With the reason, if there is no answer because no command meets all limits."""
+    problem, answer = designed.problem, designed.solution
+    if designed.remarks or is_stationary(problem, answer):
+        return designed
+    small = leave_out(problem).problem
+    if small.wall is None and inside(small, np.zeros(small.grid.stages)):
+        # Doing nothing is a way out, whatever the solver called it.
+        return designed
+    remarks = infeasibility(small, options)
+    answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
+    return replace(designed, solution=answer, remarks=remarks)
 
 
 def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
@@ -133,28 +164,25 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if hopeless:
         return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
     spent = free.solve_time_s
+    answer = solve_certified(replace(small, thermal=None), options)
+    spent += answer.solve_time_s
     if small.thermal is not None:
-        cold = solve_certified(replace(small, thermal=None), options)
-        spent += cold.solve_time_s
-        if cold.status is Status.OPTIMAL and inside(problem, cold.command_A, only="coil"):
-            hottest = float(small.thermal.temperatures_C(*_currents(small, cold.command_A)).max())
+        if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only="coil"):
+            hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
             left_out["temperature"] = (
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
-            answer = replace(cold, solve_time_s=spent)
+            answer = replace(answer, solve_time_s=spent)
             return designed(answer, transcribe.size(replace(small, thermal=None)), [])
-    answer = solve_certified(small, options)
-    answer = replace(answer, solve_time_s=spent + answer.solve_time_s)
-    remarks = []
-    idle = small.wall is None and inside(small, np.zeros(small.grid.stages))
+        # What no command can do in the cold, none can with the temperature on top.
+        if answer.status is not Status.INFEASIBLE:
+            answer = solve_certified(small, options)
+            spent += answer.solve_time_s
+    answer = replace(answer, solve_time_s=spent)
     too_deep = "" if is_stationary(small, answer) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), transcribe.size(small), [too_deep])
-    if not is_stationary(small, answer) and not idle:
-        # Doing nothing is no way out either: perhaps there is none, whatever the solver called it.
-        remarks = infeasibility(small, options)
-        answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
-    return designed(answer, transcribe.size(small), remarks)
+    return designed(answer, transcribe.size(small), [])
 
 
 def _currents(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:

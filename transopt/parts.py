@@ -147,6 +147,11 @@ def without_position(stage: StageModel) -> StageModel:
     return discretise(stage.plant, stage.amplifier, stage.dt_s)
 
 
+def encoder_course(problem: TransientProblem, command_A: FloatArray) -> FloatArray:
+    """(N,) deviation of the encoder at the ticks under a command."""
+    return problem.encoder_at_ticks(problem.stage.motion(command_A))
+
+
 def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientProblem:
     """The same problem with the ticks at which its wall pushes taken from an encoder course (N,) of deviations."""
     wall = problem.wall

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import linalg, special
 
 from transopt.discretise import StageModel, TimeGrid, split_delay
 from transopt.heat import Budget
@@ -207,6 +207,11 @@ def _simulate(
         w = amplifier.rate_rad_s
         A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
         B = np.append(np.zeros((n, 1)), [[w]], axis=0)
+    # In balanced units (powers of two, exact) no state drowns in the rounding of another.
+    A, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    B, inner = B / units[:, None], units[:n]
+    encoder, output, moving = plant.Ce[0] * inner, plant.C[0] * inner, (plant.Ce @ plant.A)[0] * inner
+    current_unit = units[-1]
     segments = _segments(A, B, grid, halvings)
     # With a whole delay the command arrives with the tick, else with the second segment.
     arriving = segments[0] if segments[0].behind == segments[1].behind else segments[1]
@@ -219,7 +224,7 @@ def _simulate(
     states, felt, times, at_switching, starts, count = [], [], [], [], [], 0
     for k in range(periods):
         if loop is not None and feedback is not None:
-            issued[:, k] += feedback.step(loop.read(k, plant.Ce[0] @ x[:n]))
+            issued[:, k] += feedback.step(loop.read(k, encoder @ x[:n]))
         for segment in segments:
             index = k - segment.behind
             u = issued[:, index] if index >= 0 else silence
@@ -233,9 +238,9 @@ def _simulate(
             starts.append(count)
             count += fine.shape[0]
     trajectory, command = np.concatenate(states), np.concatenate(felt)
-    current = command if amplifier is None else trajectory[:, n]
-    acceleration = np.einsum("n,knm->km", plant.C[0], trajectory[:, :n]) + plant.D[0, 0] * current
-    velocity = np.einsum("n,knm->km", (plant.Ce @ plant.A)[0], trajectory[:, :n])
+    current = command if amplifier is None else trajectory[:, n] * current_unit
+    acceleration = np.einsum("n,knm->km", output, trajectory[:, :n]) + plant.D[0, 0] * current
+    velocity = np.einsum("n,knm->km", moving, trajectory[:, :n])
     return _Trajectory(
         times_s=np.concatenate(times),
         acceleration_m_s2=acceleration.T,

@@ -77,7 +77,7 @@ def prove(
 ) -> Certificate:
     """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
     certificate = certify(problem, command_A, multipliers)
-    if np.isfinite(certificate.lower_bound) or not certificate.finite:
+    if np.isfinite(certificate.lower_bound) or not certificate.finite or problem.thermal is None:
         return certificate
     return replace(certificate, lower_bound=global_bound(problem, options))
 
@@ -102,10 +102,13 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
     """
     able = capable(problem)
     first = options.solver if options.solver in able else able[0]
+    hopeless = 0
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
         yield answer
-        if is_stationary(problem, answer):
+        hopeless += int(answer.status is Status.INFEASIBLE)
+        # Two methods that find no feasible command need no third.
+        if hopeless == 2 or is_stationary(problem, answer):
             return
 
 
