@@ -9,9 +9,9 @@ from transopt.certify import Box, boxes, certify
 from transopt.problem import Certificate, Multipliers, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import SolverOptions, capable, solve
+from transopt.solvers.feasibility import least_widening
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
-WIDEST_OF_ALL = 1e6  # together
 MOST_ITERATIONS = 100
 MOST_SOLVERS = 2  # asked whether a limit can be met
 PRECISION = 0.005  # relative, of the least limit that would do
@@ -106,41 +106,41 @@ def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray |
 def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str]:
     """One sentence for each limit whose widening alone would help or, if none would, for all of them together.
 
-    Empty if even that is not enough.
-
-    The least sufficient limit is found by bisection; the command that just meets it tells by how much and when the
-    stated limit is missed.
+    Empty if even that is not enough. What the linear limits lack is found by linear programs; only where they can be
+    met it is the temperature, whose least limit is found by bisection. The command that just meets the wider limit
+    tells by how much and when the stated one is missed.
     """
-    found, limits = [], widened(problem)
-    for name, widen in limits.items():
-        least = _least(widen, WIDEST, options)
-        if least is not None:
-            found.append(_sentence(problem, widen(least[0]), name, least[1]))
-    if found or len(limits) == 1:
-        return found
-
-    def all_wider(factor: float) -> TransientProblem:
-        wide = problem
-        for name in limits:
-            wide = widened(wide)[name](factor)
-        return wide
-
-    least = _least(all_wider, WIDEST_OF_ALL, options)
-    if least is None:
+    by_name = widened(problem)
+    linear = [name for name in by_name if name != "coil"]
+    together = least_widening(problem, linear)
+    if together is None:
         return []
-    factor, command = least
-    missed = [name for name in limits if _worst(problem, name, command)[1] > 0]
-    return [f"{_sentence(problem, all_wider(factor), name, command)}, all limits wider at once" for name in missed]
+    if together[0] > 1:
+        found = []
+        for name in linear:
+            least = least_widening(problem, [name])
+            if least is not None:
+                found.append(_sentence(problem, by_name[name](least[0]), name, least[1]))
+        if found:
+            return found
+        factor, command = together
+        wide = problem
+        for name in linear:
+            wide = widened(wide)[name](factor)
+        missed = [name for name in linear if _worst(problem, name, command)[1] > 0]
+        return [f"{_sentence(problem, wide, name, command)}, all limits wider at once" for name in missed]
+    if problem.thermal is None:
+        return []
+    warmer = _least(by_name["coil"], options)
+    return [] if warmer is None else [_sentence(problem, by_name["coil"](warmer[0]), "coil", warmer[1])]
 
 
-def _least(
-    widen: Callable[[float], TransientProblem], widest: float, options: SolverOptions
-) -> tuple[float, FloatArray] | None:
+def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> tuple[float, FloatArray] | None:
     """The least factor, to `PRECISION`, at which some command meets all limits, and that command; None if none does."""
-    command = _feasible(widen(widest), options)
+    command = _feasible(widen(WIDEST), options)
     if command is None:
         return None
-    low, high = 1.0, widest
+    low, high = 1.0, WIDEST
     while high / low > 1 + PRECISION:
         middle = float(np.sqrt(low * high))
         tried = _feasible(widen(middle), options)

@@ -10,6 +10,7 @@ from transopt.errors import InputError
 from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp
+from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "solve_certified",
 ]
 
+LIMITS = ("current", "command", "slew", "supply")
 SOLVERS = {
     "casadi-piqp": casadi_piqp.solve,
     "casadi-fatrop": casadi_fatrop.solve,
@@ -102,14 +104,20 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
     """
     able = capable(problem)
     first = options.solver if options.solver in able else able[0]
-    hopeless = 0
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
         yield answer
-        hopeless += int(answer.status is Status.INFEASIBLE)
-        # Two methods that find no feasible command need no third.
-        if hopeless == 2 or is_stationary(problem, answer):
+        if is_stationary(problem, answer):
             return
+        if answer.status is Status.INFEASIBLE and problem.thermal is None and not feasible(problem):
+            # The linear program agrees: no other method needs to search.
+            return
+
+
+def feasible(problem: TransientProblem) -> bool:
+    """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
+    found = least_widening(problem, LIMITS)
+    return found is None or found[0] == 1.0
 
 
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:

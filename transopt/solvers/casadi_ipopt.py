@@ -11,7 +11,7 @@ from transopt.problem import Solution, Status, TransientProblem
 from transopt.solvers.options import SolverOptions
 from transopt.statement import state
 
-MOST_TIME_S = 40.0
+LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
 
 STATUS = {
     "Solve_Succeeded": Status.OPTIMAL,
@@ -46,7 +46,7 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
                 "tol": options.tolerance,
                 "max_iter": options.max_iterations,
                 # Far from any feasible point a single iteration may search for minutes.
-                "max_wall_time": MOST_TIME_S,
+                "max_wall_time": LEAST_TIME_S + TIME_PER_STAGE_S * shape.stages,
                 # Otherwise the answer leaves the box by 6e-8 A.
                 "bound_relax_factor": 0.0,
                 # The statement is in physical scale.
