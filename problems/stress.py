@@ -156,7 +156,9 @@ def main(
     seed: Annotated[int, typer.Option(min=0, help="Of the random cases.")] = 1,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
     case: Annotated[int | None, typer.Option(min=0, help="Only the case of this index, in every detail.")] = None,
-    families: Annotated[bool, typer.Option("--directed", help="The directed families in place of random cases.")] = False,
+    families: Annotated[
+        bool, typer.Option("--directed", help="The directed families in place of random cases.")
+    ] = False,
     limit_s: Annotated[float, typer.Option(min=1.0, help="Seconds that one case may take.")] = LIMIT_S,
 ) -> None:
     """Judge hard cases: each ends certified or refused by name, or the exit code is 1."""

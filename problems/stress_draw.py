@@ -7,7 +7,7 @@ import numpy as np
 
 from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
 
-STAGES = ((1, 0.03), (2, 0.04), (10, 0.13), (40, 0.25), (150, 0.3), (600, 0.247), (20000, 0.003))
+STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
 WHEN_LONG = 2000  # stages from which the parts that need a general solver stay out: minutes each
 
 

@@ -23,6 +23,7 @@ REMARKS = {
     Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)|"
     r"coil: no steady state .*; (lower|raise) ",
     Status.HAND_OVER: r"hand-over: .*\d.* A.* limit .*(would do|lower)",
+    Status.PRECISION: r"precision: the gap of .*; lower limits.current_A .* or time.stages",
     Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick; lower ",
     Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*; lower time.dt_s",
     Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",
@@ -95,7 +96,9 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
         difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / peak
         return Outcome(CERTIFIED, solution.solver, proof.relative_gap, difference, 0.0)
     if status not in REMARKS or not re.search(REMARKS[status], said):
-        return Outcome(f"bad: {status.name}", f"{said} ({solution.solver}: {solution.message})", nothing, nothing, 0.0)
+        return Outcome(
+            f"bad: {status.name}", f"{said} ({solution.solver}: {solution.message})", nothing, nothing, 0.0
+        )
     # The other causes are facts of one replay or of the wall alone, not claims about all commands.
     if status is Status.INFEASIBLE or (status is Status.HAND_OVER and "K_p z" in said):
         way_out = admits_a_command(problem)
@@ -121,7 +124,7 @@ def judge(case: StressCase) -> Outcome:
             found = Outcome(kind, str(error), float("nan"), float("nan"), 0.0)
         except Warning as warning:
             found = Outcome(f"bad: {type(warning).__name__}", _where(warning), float("nan"), float("nan"), 0.0)
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             found = Outcome(f"bad: {type(error).__name__}", _where(error), float("nan"), float("nan"), 0.0)
     return replace(found, elapsed_s=time.perf_counter() - start)
 

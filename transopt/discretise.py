@@ -1,6 +1,6 @@
 """Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ class StageModel:
     def _states(self, command_A: FloatArray) -> FloatArray:
         """(N, n, M) states before each of N stages for commands (M, N)."""
         M, N = command_A.shape
-        x = np.zeros((N, self.A.shape[0], M))
+        x = np.zeros((N, self.A.shape[0], M), dtype=np.result_type(self.A, command_A))
         for k in range(N - 1):
             x[k + 1] = self.A @ x[k] + self.B * command_A[:, k]
         return x
@@ -136,6 +136,14 @@ class StageModel:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
         motion = self.motion(command_A)
         return motion.acceleration_m_s2, motion.current_A
+
+    def extended(self) -> "StageModel":
+        """The same matrices in extended precision (64 bits of mantissa where the machine has them, else the same)."""
+        numbers = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("plant", "amplifier", "dt_s")
+        }
+        wide = {name: None if matrix is None else matrix.astype(np.longdouble) for name, matrix in numbers.items()}
+        return replace(self, **wide)
 
     def adjoint(self, gradient: Motion) -> FloatArray:
         """(N,) gradient by the commands of a function whose gradients by the motion are given, (N,) each.

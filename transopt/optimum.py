@@ -5,13 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt import transcribe
-from transopt.certify import inside
+from transopt.certify import certify, inside
 from transopt.explain import infeasibility, unavoidable
 from transopt.parts import encoder_course, leave_out, pressing, reference_course, silence
 from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
 
+NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
+ROUNDED = 0.1  # of a gap: what extended precision changes by more is made of rounding
 MOST_MASKS = 5  # solves until the wall pushes exactly where it was assumed to
 
 
@@ -86,12 +88,37 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
     if designed.remarks or is_stationary(problem, answer):
         return designed
     small = leave_out(problem).problem
+    rounding = _rounding(problem, answer)
+    if rounding:
+        return replace(designed, solution=replace(answer, status=Status.PRECISION), remarks=[rounding])
     if small.wall is None and inside(small, np.zeros(small.grid.stages)):
         # Doing nothing is a way out, whatever the solver called it.
         return designed
     remarks = infeasibility(small, options)
     answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
     return replace(designed, solution=answer, remarks=remarks)
+
+
+def _rounding(problem: TransientProblem, answer: Solution) -> str:
+    """Whether it is rounding that keeps an answer from its proof, as the same proof in extended precision tells."""
+    double = certify(problem, answer.command_A, answer.multipliers)
+    if problem.thermal is not None or not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
+        return ""
+    wide = replace(
+        problem,
+        stage=problem.stage.extended(),
+        spread=tuple(device.extended() for device in problem.spread),
+        reference_m_s2=problem.reference_m_s2.astype(np.longdouble),
+    )
+    extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
+    if not abs(extended.duality_gap - double.duality_gap) > ROUNDED * double.duality_gap:
+        return ""
+    taken = float(np.abs(answer.command_A).max())
+    return (
+        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision, in extended precision "
+        f"{extended.relative_gap:.1e}, limit {double.GAP_TOLERANCE:.0e}; lower limits.current_A ({problem.limits.current_A:.4g} A, the "
+        f"answer takes {taken:.4g} A) or time.stages ({problem.grid.stages})"
+    )
 
 
 def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
@@ -154,7 +181,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
         proof = prove(problem, answer.command_A, answer.multipliers, options)
         return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
 
-    if inside(problem, free.command_A):
+    free_inside = inside(problem, free.command_A)
+    if free_inside and is_stationary(problem, free):
         left_out["limits"] = (
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
@@ -178,6 +206,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
         if answer.status is not Status.INFEASIBLE:
             answer = solve_certified(small, options)
             spent += answer.solve_time_s
+    if free_inside and not is_stationary(small, answer):
+        answer = free
     answer = replace(answer, solve_time_s=spent)
     too_deep = "" if is_stationary(small, answer) else _hand_over_excess(small)
     if too_deep:

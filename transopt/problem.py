@@ -201,6 +201,10 @@ class Status(Enum):
         "the wall's feedback alone exceeds a limit when the transient has to end: lower feedback.stiffness_N_m or "
         "the speed, or shorten time.stages so that the stylus is less deep"
     )
+    PRECISION = (
+        "double precision has no digits left to prove the answer: state the problem with limits nearer to what the "
+        "answer takes, or fewer stages"
+    )
     UNSTABLE_WALL = (
         "the wall's feedback grows by itself on this device: lower feedback.stiffness_N_m, feedback.damping_N_s_m or "
         "feedback.latency_ticks"
@@ -342,11 +346,7 @@ class Certificate:
     def is_stationary(self) -> bool:
         """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
         # Written so that a NaN anywhere rejects.
-        return (
-            self.finite
-            and self.excess <= 1
-            and self.relative_gap <= self.GAP_TOLERANCE
-        )
+        return self.finite and self.excess <= 1 and self.relative_gap <= self.GAP_TOLERANCE
 
     @property
     def accepted(self) -> bool:

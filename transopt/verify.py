@@ -6,8 +6,8 @@ import numpy as np
 
 from transopt.certify import binding_limits
 from transopt.library import Library
-from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
 from transopt.linear import wall_growth
+from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
 from transopt.replay import AFTER_S, SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, prove, unlimited

@@ -12,6 +12,7 @@ from transopt.signals import FloatArray
 from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.polish import polished
 
 __all__ = [
     "SOLVERS",
@@ -109,6 +110,12 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
         yield answer
         if is_stationary(problem, answer):
             return
+        if problem.thermal is None and answer.status is not Status.INFEASIBLE:
+            with np.errstate(all="ignore"):  # an active set that cannot be, which shows in the certificate
+                better = polished(problem, answer)
+            if is_stationary(problem, better):
+                yield better
+                return
         if answer.status is Status.INFEASIBLE and problem.thermal is None and not feasible(problem):
             # The linear program agrees: no other method needs to search.
             return

@@ -42,7 +42,9 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     rows = np.flatnonzero(wide_g)
     equal = lower_g == upper_g
     fixed = np.flatnonzero(~equal & ~wide_g.astype(bool))
-    picked = sparse.csr_array((np.ones(columns.size), (np.arange(columns.size), columns)), shape=(columns.size, A.shape[1]))
+    picked = sparse.csr_array(
+        (np.ones(columns.size), (np.arange(columns.size), columns)), shape=(columns.size, A.shape[1])
+    )
     A_rows = A.tocsr()
     blocks, bounds = [], []
     for matrix, width, upper, lower in (
