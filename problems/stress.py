@@ -183,6 +183,8 @@ def main(
         for index, outcome in run_cases(chosen, jobs, limit_s):
             outcomes[index] = outcome
             progress.advance(task)
+            if outcome.bad:
+                progress.console.print(f"{command} --case {index}: {outcome.kind}", soft_wrap=True)
     table, lines = summary(chosen, outcomes, command)
     console.print(table)
     for line in lines:
