@@ -163,8 +163,8 @@ def _hand_over_excess(problem: TransientProblem) -> str:
         return ""
     allowed = limit * wall.wall.force_per_current_N_A / deepest
     return (
-        f"hand-over: K_p z / k_f = {current:.2f} A at {deepest * 1e3:.2f} mm below the surface, where the reference "
-        f"goes, limit {limit:g} A; {np.floor(allowed):g} N/m would do"
+        f"hand-over: K_p z / k_f = {current:.3g} A at {deepest * 1e3:.3g} mm below the surface, where the reference "
+        f"goes, limit {limit:g} A; {np.floor(allowed) if allowed >= 1 else allowed * 0.999:.6g} N/m would do"
     )
 
 
