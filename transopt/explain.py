@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from transopt.certify import Box, boxes, certify
+from transopt.linear import wall_growth
 from transopt.problem import Certificate, Multipliers, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import SolverOptions, capable, solve
@@ -13,6 +14,7 @@ from transopt.solvers.feasibility import least_widening
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
 MOST_ITERATIONS = 100
+GROWS = 1e-6  # per tick: more than rounding
 MOST_SOLVERS = 2  # asked whether a limit can be met
 PRECISION = 0.005  # relative, of the least limit that would do
 
@@ -60,6 +62,20 @@ def _cooler(problem: TransientProblem) -> str:
     return (
         f"lower thermal.start_winding_C ({coil.start_winding_C:g} C), start_housing_C ({coil.start_housing_C:g} C), "
         f"or ambient_C ({coil.ambient_C:g} C)"
+    )
+
+
+def unstable_wall(problem: TransientProblem) -> str:
+    """Whether the pressing wall grows by itself on this device; empty if it does not."""
+    if problem.wall is None:
+        return ""
+    wall, growth = problem.wall.wall, wall_growth(problem)
+    if growth <= 1 + GROWS:
+        return ""
+    return (
+        f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower "
+        f"feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} "
+        f"N s/m) or feedback.latency_ticks ({wall.latency_ticks})"
     )
 
 

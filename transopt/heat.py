@@ -280,10 +280,11 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         pause = held.copy()
         pause[:m, 0] += inflow * power * COPPER_PER_K
         pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
-        pause_s = 1 / budget.tap_rate_Hz - N * dt
-        if not pause_s > 0:
+        pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
+        if not 1 / budget.tap_rate_Hz > takes_s:
             raise InputError(
-                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {N * dt * 1e3:g} ms: lower it"
+                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
+                "amplifier's delay: lower it"
             )
         paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])

@@ -6,7 +6,7 @@ import numpy as np
 
 from transopt import transcribe
 from transopt.certify import certify, inside
-from transopt.explain import infeasibility, unavoidable
+from transopt.explain import infeasibility, unavoidable, unstable_wall
 from transopt.parts import encoder_course, leave_out, pressing, reference_course, silence
 from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
@@ -53,7 +53,9 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     if problem.wall is None:
         return _explained(_solved(problem, options), options)
     first = None
-    for course in (reference_course(problem.grid, problem.reference_m_s2), encoder_course(*silence(problem))):
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
+        alone = encoder_course(*silence(problem))
+    for course in (reference_course(problem.grid, problem.reference_m_s2), alone):
         designed, settled = _settled(pressing(problem, course), options)
         if settled or designed.remarks:
             return designed
@@ -127,8 +129,11 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
     answer = replace(solve(problem, options), command_A=command)
     proof = prove(problem, command, answer.multipliers, options)
     hopeless = unavoidable(problem)
+    unstable = unstable_wall(problem)
     if hopeless:
         answer = replace(answer, status=Status.INFEASIBLE)
+    elif unstable and not proof.excess <= 1:
+        answer, hopeless = replace(answer, status=Status.UNSTABLE_WALL), [unstable]
     elif problem.wall is not None and not proof.excess <= 1:
         wall, limit = problem.wall.wall, problem.limits.current_A
         answer = replace(answer, status=Status.HAND_OVER)

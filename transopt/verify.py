@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.certify import binding_limits
+from transopt.explain import unstable_wall
 from transopt.library import Library
-from transopt.linear import wall_growth
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
 from transopt.replay import AFTER_S, SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
 from transopt.signals import FloatArray, nrmse
@@ -14,7 +14,6 @@ from transopt.solvers import SolverOptions, prove, unlimited
 
 STORED_TOLERANCE = 1e-6  # relative, to which stored figures agree with recomputed ones
 ROUNDING = 1e-9  # absolute, for figures that are zero
-GROWS = 1e-6  # per tick
 
 
 def admit(
@@ -62,13 +61,9 @@ def _of_the_wall(played: Replay, problem: TransientProblem) -> tuple[Status, lis
     if problem.wall is None:
         return Status.REPLAY_VIOLATION, []
     wall, limit = problem.wall.wall, problem.limits.current_A
-    growth = wall_growth(problem)
-    if growth > 1 + GROWS:
-        return Status.UNSTABLE_WALL, [
-            f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower "
-            f"feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} "
-            f"N s/m) or feedback.latency_ticks ({wall.latency_ticks})"
-        ]
+    unstable = unstable_wall(problem)
+    if unstable:
+        return Status.UNSTABLE_WALL, [unstable]
     if played.after_peak_A > limit and played.after_peak_A == played.peak_current_A:
         return Status.HAND_OVER, [
             f"hand-over: within {AFTER_S * 1e3:g} ms after the waveform the wall alone asks for "
