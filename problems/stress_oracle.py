@@ -1,7 +1,7 @@
 """Whether any command meets all limits, decided by a linear program that shares no code with the solvers."""
 
 import numpy as np
-from scipy import optimize, sparse
+from scipy import optimize
 
 from transopt.certify import inside
 from transopt.problem import TransientProblem
@@ -13,8 +13,8 @@ CLEARLY = 1e-4  # of the limits' width: room that no rounding of either method m
 def admits_a_command(problem: TransientProblem) -> str:
     """What kind of command lies inside all limits; empty if none was found.
 
-    Doing nothing is tried first. Without the temperature, whose limit is no linear one, all commands are then searched
-    for the one that is farthest inside, with every stage's state as the sum of impulse responses.
+    Doing nothing is tried first. Without the temperature, whose limit is no linear one, all commands are then
+    searched for the one that is farthest inside, with every stage's state as the sum of impulse responses.
     """
     if problem.wall is None and inside(problem, np.zeros(problem.grid.stages)):
         return "doing nothing keeps all limits"
@@ -58,11 +58,11 @@ def _room(problem: TransientProblem) -> float:
     rows = (answered + at_zero)[tail] / unit
     found = optimize.linprog(
         c=np.append(np.zeros(N), -1.0),
-        A_ub=sparse.csr_array(np.vstack(blocks)),
+        A_ub=np.vstack(blocks),
         b_ub=np.concatenate(bounds),
-        A_eq=sparse.csr_array(np.hstack([rows, np.zeros((tail.size, 1))])),
+        A_eq=np.hstack([rows, np.zeros((tail.size, 1))]),
         b_eq=asked / unit,
         bounds=[*[(-1.0, 1.0)] * N, (None, 1.0)],
         method="highs",
     )
-    return float(found.x[-1]) if found.status == 0 else -np.inf
+    return float(found.x[-1]) if found.status == 0 and found.x is not None else -np.inf

@@ -1,6 +1,6 @@
 """Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,11 +139,24 @@ class StageModel:
 
     def extended(self) -> "StageModel":
         """The same matrices in extended precision (64 bits of mantissa where the machine has them, else the same)."""
-        numbers = {
-            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("plant", "amplifier", "dt_s")
-        }
-        wide = {name: None if matrix is None else matrix.astype(np.longdouble) for name, matrix in numbers.items()}
-        return replace(self, **wide)
+
+        def wide(matrix: FloatArray) -> FloatArray:
+            return matrix.astype(np.longdouble)
+
+        return StageModel(
+            self.plant,
+            self.amplifier,
+            self.dt_s,
+            wide(self.A),
+            wide(self.B),
+            wide(self.C),
+            wide(self.D),
+            wide(self.Ci),
+            wide(self.Di),
+            wide(self.Cv),
+            None if self.Cp is None else wide(self.Cp),
+            None if self.Dp is None else wide(self.Dp),
+        )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
         """(N,) gradient by the commands of a function whose gradients by the motion are given, (N,) each.

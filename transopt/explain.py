@@ -108,7 +108,7 @@ def unavoidable(problem: TransientProblem) -> list[str]:
 
 
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
-    """A command inside all limits, optimal or not, from the first solver that finds one or proves that there is none."""
+    """A command inside all limits, optimal or not, from the first solver that finds one or says there is none."""
     briefly = replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS))
     for name in capable(problem)[:MOST_SOLVERS]:
         answer = solve(problem, replace(briefly, solver=name))
@@ -152,7 +152,7 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
 
 
 def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> tuple[float, FloatArray] | None:
-    """The least factor, to `PRECISION`, at which some command meets all limits, and that command; None if none does."""
+    """The least factor, to `PRECISION`, at which a command meets all limits, and that command; None if none does."""
     command = _feasible(widen(WIDEST), options)
     if command is None:
         return None

@@ -236,7 +236,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
 
 
 def hand_over_rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of the stage's current."""
+    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
     h, n = problem.hand_over_samples, stage.units.size
     if problem.wall is None:
         return np.zeros((h, n)), np.zeros(h)

@@ -117,8 +117,9 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
         return ""
     taken = float(np.abs(answer.command_A).max())
     return (
-        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision, in extended precision "
-        f"{extended.relative_gap:.1e}, limit {double.GAP_TOLERANCE:.0e}; lower limits.current_A ({problem.limits.current_A:.4g} A, the "
+        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision, in extended "
+        f"precision {extended.relative_gap:.1e}, limit {double.GAP_TOLERANCE:.0e}; lower limits.current_A "
+        f"({problem.limits.current_A:.4g} A, the "
         f"answer takes {taken:.4g} A) or time.stages ({problem.grid.stages})"
     )
 

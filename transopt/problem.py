@@ -92,8 +92,8 @@ class TransientProblem:
         largest = float(np.abs(self.reference_m_s2).max())
         if largest > LARGEST_M_S2:
             raise InputError(
-                f"reference_m_s2 reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares overflow; "
-                "check its unit"
+                f"reference_m_s2 reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
+                "overflow; check its unit"
             )
         if np.any(self.tracking_weights < 0) or not 0 <= self.rho < np.inf:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")

@@ -208,8 +208,8 @@ def _simulate(
         A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
         B = np.append(np.zeros((n, 1)), [[w]], axis=0)
     # In balanced units (powers of two, exact) no state drowns in the rounding of another.
-    A, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
-    B, inner = B / units[:, None], units[:n]
+    balanced, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    A, B, inner = np.asarray(balanced, dtype=float), B / units[:, None], units[:n]
     encoder, output, moving = plant.Ce[0] * inner, plant.C[0] * inner, (plant.Ce @ plant.A)[0] * inner
     current_unit = units[-1]
     segments = _segments(A, B, grid, halvings)

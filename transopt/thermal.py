@@ -128,8 +128,8 @@ class CoilModel:
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
         """What each step adds: T+ - T = p T + s, four and two arrays (M, K).
 
-        dT/dt = m T + c has the increment h phi(h m) (m T + c) with phi(x) = (e^x - 1) / x. A function of a 2 x 2 matrix
-        m with mean eigenvalue a and eigenvalues a +- d is its mean over both, plus its slope times (m - a).
+        dT/dt = m T + c has the increment h phi(h m) (m T + c) with phi(x) = (e^x - 1) / x. A function of a
+        2 x 2 matrix m with eigenvalues a +- d is its mean over both plus its slope between them times (m - a).
         """
         C_w = self.tau_w_s / self.R_wh_K_W
         C_h = self.tau_h_s / self.R_ha_K_W if self.nodes == 2 else np.inf

@@ -6,6 +6,7 @@ one until their iterations run out, and say little; the simplex method decides.
 
 from collections.abc import Collection
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy import optimize, sparse
@@ -46,27 +47,33 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
         (np.ones(columns.size), (np.arange(columns.size), columns)), shape=(columns.size, A.shape[1])
     )
     A_rows = A.tocsr()
-    blocks, bounds = [], []
+    blocks: list[Any] = []  # the stubs know dense matrices only
+    bounds = []
     for matrix, width, upper, lower in (
         (picked, wide_x[columns], upper_x[columns], lower_x[columns]),
         (A_rows[rows], wide_g[rows], upper_g[rows], lower_g[rows]),
         (A_rows[fixed], np.zeros(fixed.size), upper_g[fixed], lower_g[fixed]),
     ):
         if width.size:
-            blocks += [sparse.hstack([matrix, -width[:, None]]), sparse.hstack([-matrix, -width[:, None]])]
+            factor = sparse.csr_array(-width[:, None])
+            blocks += [sparse.hstack([matrix, factor]), sparse.hstack([-matrix, factor])]
             bounds += [upper, -lower]
     lower_x[columns], upper_x[columns] = -np.inf, np.inf
+    inequalities: Any = sparse.vstack(blocks).tocsr() if blocks else None
+    equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
+    box: Any = np.column_stack([np.append(lower_x, 0.0), np.append(upper_x, np.inf)])
+    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
     found = optimize.linprog(
         c=np.append(np.zeros(A.shape[1]), 1.0),
-        A_ub=sparse.vstack(blocks).tocsr() if blocks else None,
+        A_ub=inequalities,
         b_ub=np.concatenate(bounds) if bounds else None,
-        A_eq=sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr(),
+        A_eq=equalities,
         b_eq=lower_g[equal],
-        bounds=np.column_stack([np.append(lower_x, 0.0), np.append(upper_x, np.inf)]),
+        bounds=box,
         method="highs",
-        options={"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S},
+        options=options,
     )
-    if found.status != 0:
+    if found.status != 0 or found.x is None:
         return None
     widened = float(found.x[-1])
     command = found.x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.command]

@@ -1,21 +1,23 @@
-"""Last digits of a nearly solved QP: an active-set method on the Riccati recursion, started from a solver's multipliers.
+"""Last digits of a nearly solved QP: an active-set method on the Riccati recursion, from a solver's multipliers.
 
 An active limit fixes the movement of its stage as an affine function of the state, so the problem with a given active
 set is linear-quadratic, and its solution one backward and one forward sweep with iterative refinement. Limits whose
-multiplier has the wrong sign are dropped, violated ones are added, until the certificate accepts or nothing is gained.
+multiplier has the wrong sign are dropped, violated ones are added, until the certificate accepts or the sets repeat.
 """
 
 import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.certify import certify
 from transopt.linear import hand_over_rows, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 
-MOST_SETS = 25  # active sets tried
+MOST_SETS = 25  # active sets tried,
+MOST_STAGES = 40000  # and stages swept for them, in all
 REFINEMENTS = 2
 FLAT = 1e-14  # of the stage's own terms: curvature that is rounding
 
@@ -82,7 +84,7 @@ class _Sweep:
             found[-kind.at :] = np.nan
         return found
 
-    def solve(self, a: FloatArray, b: FloatArray, v: FloatArray, ruled: FloatArray) -> tuple[FloatArray, ...]:
+    def solve(self, a: FloatArray, b: FloatArray, v: FloatArray, ruled: NDArray[np.bool_]) -> tuple[FloatArray, ...]:
         """z (N, n), u (N,), and the multiplier (N,) of each stage's rule a_k z + b_k u = v_k; zero where free."""
         N, n, A, B, C, E, w, s = v.size, self.B.size, self.A, self.B, self.C, self.E, self.weights, self.s
         K, S, R = np.zeros((N, n)), np.zeros((N, n)), np.zeros(N)
@@ -145,7 +147,7 @@ def polished(problem: TransientProblem, answer: Solution) -> Solution:
             held[take], side[take], strongest[take] = j, sign, mu[take]
     held[free:] = -1
     seen: set[bytes] = set()
-    for _ in range(MOST_SETS):
+    for _ in range(min(MOST_SETS, max(MOST_STAGES // N, 1))):
         key = held.tobytes() + side.tobytes()
         if key in seen:
             break
