@@ -126,8 +126,9 @@ def _stored(
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+    tolerance_A = Certificate.tolerated(problem.limits.current_A)
     bounds = {
-        "primal_violation": (certificate.primal_violation, Certificate.VIOLATION_TOLERANCE),
+        "primal_violation": (certificate.primal_violation, tolerance_A),
         "lower_bound": (
             certificate.lower_bound,
             Certificate.GAP_TOLERANCE * max(certificate.objective, OBJECTIVE_SCALE),
@@ -150,11 +151,11 @@ def _stored(
         library.transient_command_A[iv, ig],
         problem.transient_command(library.command_A[iv, ig]),
         rtol=0,
-        atol=STORED_TOLERANCE,
+        atol=tolerance_A,
     ):
         found.append("transient_command_A is not command_A less the predicted feedback of the wall")
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
-    if not current_off <= STORED_TOLERANCE:
+    if not current_off <= tolerance_A:
         found.append(f"current_A differs from the replay by {current_off:.1e} A")
     return found
 
