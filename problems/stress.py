@@ -29,6 +29,8 @@ from transopt import terminal
 from transopt.errors import InputError
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
+START_S = 120.0  # for a worker to be there
+READY = "ready"
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -37,6 +39,7 @@ def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]
     with tempfile.TemporaryFile() as printed:
         for stream in (1, 2):
             os.dup2(printed.fileno(), stream)
+        pipe.send(READY)
         while True:
             try:
                 case = pipe.recv()
@@ -84,7 +87,9 @@ def run_cases(
         process = context.Process(target=_worker, args=(theirs, judged), daemon=True)
         process.start()
         theirs.close()
-        ours.send(cases[index])
+        # Starting Python is no part of the case.
+        if ours.poll(START_S) and ours.recv() == READY:
+            ours.send(cases[index])
         return _Slot(process, ours, index, monotonic() + limit_s)
 
     try:

@@ -70,7 +70,7 @@ def test_the_same_problem_in_other_units_has_the_same_command(units: float, limi
 
 def test_a_small_limit_is_held_as_exactly_as_a_large_one() -> None:
     """A microampere over a limit of a microampere is twice the limit."""
-    case = StressCase("limit", current=Current(limit_A=1e-6), horizon=Horizon(stages=40))
+    case = StressCase("limit", current=Current(limit_A=1e-6), horizon=Horizon(stages=40), demand=Demand(rho=0.0))
     found = optimum(case.problem(), SolverOptions())
     assert found.certificate.accepted
     over = found.solution.command_A * (1 + 1e-5)

@@ -116,11 +116,12 @@ class CoilModel:
         winding[:, 0], housing[:, 0] = (
             (self.start_winding_C, self.start_housing_C) if start_C is None else (start_C[:, 0], start_C[:, 1])
         )
-        (p11, p12, p21, p22), (s1, s2) = self._steps(effective_square_A2, steps_s)
-        for k in range(K):
-            T_w, T_h = winding[:, k], housing[:, k]
-            winding[:, k + 1] = T_w + p11[:, k] * T_w + p12[:, k] * T_h + s1[:, k]
-            housing[:, k + 1] = T_h + p21[:, k] * T_w + p22[:, k] * T_h + s2[:, k]
+        with np.errstate(over="ignore", invalid="ignore"):  # currents of a wall that grows by itself
+            (p11, p12, p21, p22), (s1, s2) = self._steps(effective_square_A2, steps_s)
+            for k in range(K):
+                T_w, T_h = winding[:, k], housing[:, k]
+                winding[:, k + 1] = T_w + p11[:, k] * T_w + p12[:, k] * T_h + s1[:, k]
+                housing[:, k + 1] = T_h + p21[:, k] * T_w + p22[:, k] * T_h + s2[:, k]
         return winding, housing
 
     def _steps(
