@@ -31,6 +31,7 @@ from transopt.errors import InputError
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
 START_S = 120.0  # for a worker to be there
 READY = "ready"
+LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -188,6 +189,8 @@ def main(
         for index, outcome in run_cases(chosen, jobs, limit_s):
             outcomes[index] = outcome
             progress.advance(task)
+            if not progress.console.is_terminal and len(outcomes) % LOG_EVERY == 0:
+                progress.console.print(f"{len(outcomes)} of {len(chosen)} cases")
             if outcome.bad:
                 progress.console.print(f"{command} --case {index}: {outcome.kind}", soft_wrap=True)
     table, lines = summary(chosen, outcomes, command)
