@@ -31,6 +31,12 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     ----------
     limits : among "current", "command", "slew", "supply"; the others stay as they are.
     """
+    # Just before the first command is felt the nominal motion alone makes the voltage: no row of the program has it.
+    least = 0.0
+    if problem.supply is not None:
+        least = max(abs(float(problem.supply.nominal_V[0])) / problem.supply.limit_V - 1, 0.0)
+        if least > SLACK and "supply" not in limits:
+            return None
     statement = state(replace(problem, thermal=None))
     shape, program = statement.shape, transcribe.state_program(statement.shape)
     data = program.qp_data(p=statement.p)
@@ -61,7 +67,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     lower_x[columns], upper_x[columns] = -np.inf, np.inf
     inequalities: Any = sparse.vstack(blocks).tocsr() if blocks else None
     equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
-    box: Any = np.column_stack([np.append(lower_x, 0.0), np.append(upper_x, np.inf)])
+    box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
     options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
     found = optimize.linprog(
         c=np.append(np.zeros(A.shape[1]), 1.0),
