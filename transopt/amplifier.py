@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
+from transopt.errors import InputError
 from transopt.signals import FloatArray
 
 
@@ -22,6 +23,14 @@ class Amplifier:
     pole_Hz: float
     delay_s: float
     command_limit_A: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.pole_Hz < np.inf:
+            raise InputError(f"amplifier.pole_Hz = {self.pole_Hz:g}: must be > 0 and finite; leave it out if ideal")
+        if not 0 <= self.delay_s < np.inf:
+            raise InputError(f"amplifier.delay_s = {self.delay_s:g}: must be >= 0 and finite")
+        if not 0 < self.command_limit_A < np.inf:
+            raise InputError(f"amplifier.command_limit_A = {self.command_limit_A:g}: must be > 0 and finite")
 
     @property
     def rate_rad_s(self) -> float:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from transopt.amplifier import Amplifier
+from transopt.errors import InputError
 from transopt.models import StateSpace
 from transopt.signals import FloatArray
 
@@ -19,6 +20,15 @@ class TimeGrid:
     stages: int
     lead_s: float
     delay_s: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.dt_s < np.inf:
+            raise InputError(f"time.dt_s = {self.dt_s:g}: must be > 0 and finite")
+        if self.stages < 1:
+            raise InputError(f"time.stages = {self.stages}: must be at least 1")
+        for name in ("lead_s", "delay_s"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"time.{name} = {getattr(self, name):g}: must be >= 0 and finite")
 
     @property
     def issue_times_s(self) -> FloatArray:
@@ -94,7 +104,7 @@ class StageModel:
     def _states(self, command_A: FloatArray) -> FloatArray:
         """(N, n, M) states before each of N stages for commands (M, N)."""
         M, N = command_A.shape
-        x = np.zeros((N, self.A.shape[0], M))
+        x = np.zeros((N, self.A.shape[0], M), dtype=np.result_type(self.A, command_A))
         for k in range(N - 1):
             x[k + 1] = self.A @ x[k] + self.B * command_A[:, k]
         return x
@@ -126,6 +136,27 @@ class StageModel:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
         motion = self.motion(command_A)
         return motion.acceleration_m_s2, motion.current_A
+
+    def extended(self) -> "StageModel":
+        """The same matrices in extended precision (64 bits of mantissa where the machine has them, else the same)."""
+
+        def wide(matrix: FloatArray) -> FloatArray:
+            return matrix.astype(np.longdouble)
+
+        return StageModel(
+            self.plant,
+            self.amplifier,
+            self.dt_s,
+            wide(self.A),
+            wide(self.B),
+            wide(self.C),
+            wide(self.D),
+            wide(self.Ci),
+            wide(self.Di),
+            wide(self.Cv),
+            None if self.Cp is None else wide(self.Cp),
+            None if self.Dp is None else wide(self.Dp),
+        )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
         """(N,) gradient by the commands of a function whose gradients by the motion are given, (N,) each.
@@ -168,6 +199,16 @@ def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bo
         acting = more
 
 
+def exponential(matrix: FloatArray) -> FloatArray:
+    """expm of a matrix whose states are balanced first, by powers of two: exact whatever units they are in.
+
+    Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
+    drown the small ones.
+    """
+    balanced, (scale, _) = linalg.matrix_balance(matrix, permute=False, separate=True)
+    return np.asarray(linalg.expm(balanced) * scale[:, None] / scale)
+
+
 def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, position: bool = False) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
@@ -195,12 +236,12 @@ def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, p
         Ci, Di = np.eye(1, n + 1, n), zero
         # The motor force moves no position and no velocity at once, so neither row sees the current.
         velocity, encoder = np.hstack([velocity, zero]), np.hstack([encoder, zero])
-    hold = linalg.expm(flow * dt_s)
+    hold = exponential(flow * dt_s)
     model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity)
     if not position:
         return model
     late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]
-    until_tick = linalg.expm(flow * (dt_s - late))
+    until_tick = exponential(flow * (dt_s - late))
     return replace(model, Cp=encoder @ until_tick[:-1, :-1], Dp=encoder @ until_tick[:-1, -1:])
 
 

@@ -5,13 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from transopt.certify import boxes
-from transopt.problem import Certificate, Multipliers, TransientProblem
+from transopt.certify import Box, boxes, certify
+from transopt.linear import wall_growth
+from transopt.problem import Certificate, Multipliers, Status, TransientProblem
 from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions, is_stationary, solve_certified
+from transopt.solvers import SolverOptions, capable, solve
+from transopt.solvers.feasibility import least_widening
 
 WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
 MOST_ITERATIONS = 100
+GROWS = 1e-6  # per tick: more than rounding
+MOST_SOLVERS = 2  # asked whether a limit can be met
 PRECISION = 0.005  # relative, of the least limit that would do
 
 
@@ -61,6 +65,20 @@ def _cooler(problem: TransientProblem) -> str:
     )
 
 
+def unstable_wall(problem: TransientProblem) -> str:
+    """Whether the pressing wall grows by itself on this device; empty if it does not."""
+    if problem.wall is None:
+        return ""
+    wall, growth = problem.wall.wall, wall_growth(problem)
+    if growth <= 1 + GROWS:
+        return ""
+    return (
+        f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower "
+        f"feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} "
+        f"N s/m) or feedback.latency_ticks ({wall.latency_ticks})"
+    )
+
+
 def unavoidable(problem: TransientProblem) -> list[str]:
     """Limits that are missed whatever is commanded: known without a solve.
 
@@ -81,7 +99,7 @@ def unavoidable(problem: TransientProblem) -> list[str]:
             )
     if problem.supply is not None:
         start = abs(float(problem.supply.nominal_V[0]))
-        if start > problem.supply.limit_V + Certificate.VIOLATION_TOLERANCE:
+        if start > problem.supply.limit_V + Certificate.tolerated(problem.supply.limit_V):
             found.append(
                 f"supply {start - problem.supply.limit_V:.3g} V over its {problem.supply.limit_V:g} V at "
                 f"{tau_ms[0]:.1f} ms: the back-EMF of the incoming stylus alone; {rounded_up(start):.6g} V at least"
@@ -90,38 +108,80 @@ def unavoidable(problem: TransientProblem) -> list[str]:
 
 
 def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray | None:
-    answer = solve_certified(problem, replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS)))
-    return answer.command_A if is_stationary(problem, answer) else None
+    """A command inside all limits, optimal or not, from the first solver that finds one or says there is none."""
+    briefly = replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS))
+    for name in capable(problem)[:MOST_SOLVERS]:
+        answer = solve(problem, replace(briefly, solver=name))
+        if certify(problem, answer.command_A, answer.multipliers).excess <= 1:
+            return answer.command_A
+        if answer.status is Status.INFEASIBLE:
+            return None
+    return None
 
 
 def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str]:
-    """One sentence for each limit whose widening alone would help; empty if none would.
+    """One sentence for each limit whose widening alone would help or, if none would, for all of them together.
 
-    The least sufficient limit is found by bisection; the command that just meets it tells by how much and when the
-    stated limit is missed.
+    Empty if even that is not enough. What the linear limits lack is found by linear programs; only where they can be
+    met it is the temperature, whose least limit is found by bisection. The command that just meets the wider limit
+    tells by how much and when the stated one is missed.
     """
-    found = []
-    for name, widen in widened(problem).items():
-        command = _feasible(widen(WIDEST), options)
-        if command is None:
-            continue
-        low, high = 1.0, WIDEST
-        while high / low > 1 + PRECISION:
-            middle = float(np.sqrt(low * high))
-            tried = _feasible(widen(middle), options)
-            if tried is None:
-                low = middle
-            else:
-                high, command = middle, tried
-        found.append(_sentence(problem, widen(high), name, command))
-    return found
+    by_name = widened(problem)
+    linear = [name for name in by_name if name != "coil"]
+    together = least_widening(problem, linear)
+    if together is None:
+        return []
+    if together[0] > 1:
+        found = []
+        for name in linear:
+            least = least_widening(problem, [name])
+            if least is not None:
+                found.append(_sentence(problem, by_name[name](least[0]), name, least[1]))
+        if found:
+            return found
+        factor, command = together
+        wide = problem
+        for name in linear:
+            wide = widened(wide)[name](factor)
+        missed = [name for name in linear if _worst(problem, name, command)[1] > 0]
+        return [f"{_sentence(problem, wide, name, command)}, all limits wider at once" for name in missed]
+    if problem.thermal is None:
+        return []
+    warmer = _least(by_name["coil"], options)
+    return [] if warmer is None else [_sentence(problem, by_name["coil"](warmer[0]), "coil", warmer[1])]
+
+
+def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> tuple[float, FloatArray] | None:
+    """The least factor, to `PRECISION`, at which a command meets all limits, and that command; None if none does."""
+    command = _feasible(widen(WIDEST), options)
+    if command is None:
+        return None
+    low, high = 1.0, WIDEST
+    while high / low > 1 + PRECISION:
+        middle = float(np.sqrt(low * high))
+        tried = _feasible(widen(middle), options)
+        if tried is None:
+            low = middle
+        else:
+            high, command = middle, tried
+    return high, command
+
+
+def _worst(problem: TransientProblem, name: str, command_A: FloatArray) -> tuple[Box, float]:
+    """The side of a limit that a command leaves farthest, and how far; negative inside."""
+    motion = problem.stage.motion(command_A)
+    of = [box for box in boxes(problem, command_A, motion, Multipliers.zero(problem)) if box.name == name]
+    worst = max(of, key=lambda box: float(box.excess.max()))
+    return worst, float(worst.excess.max())
 
 
 def _sentence(problem: TransientProblem, wide: TransientProblem, name: str, command_A: FloatArray) -> str:
-    motion = problem.stage.motion(command_A)
-    of = [box for box in boxes(problem, command_A, motion, Multipliers.zero(problem)) if box.name == name]
-    wider = [box for box in boxes(wide, command_A, motion, Multipliers.zero(problem)) if box.name == name]
-    worst = max(of, key=lambda box: float(box.excess.max()))
+    worst, _ = _worst(problem, name, command_A)
+    wider = [
+        box
+        for box in boxes(wide, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
+        if box.name == name
+    ]
     k = int(np.argmax(worst.excess))
     time_ms = problem.grid.switching_times_s[k] * 1e3
     unit = "K" if worst.unit == "C" else worst.unit

@@ -116,11 +116,12 @@ class HeatModel:
             return np.zeros(self.nodes)
         P, s = self._maps(h)
         transition, offset = np.eye(self.nodes), np.zeros(self.nodes)
-        for step, addition in zip(P, s, strict=True):
-            transition, offset = step @ transition, step @ offset + addition
-        F, f = self.closure
-        period = F @ transition
-        if not np.abs(np.linalg.eigvals(period)).max() < 1:
+        with np.errstate(over="ignore", invalid="ignore"):  # a runaway, which the next test sees
+            for step, addition in zip(P, s, strict=True):
+                transition, offset = step @ transition, step @ offset + addition
+            F, f = self.closure
+            period = F @ transition
+        if not (np.all(np.isfinite(period)) and np.abs(np.linalg.eigvals(period)).max() < 1):
             # Thermal runaway: every tap leaves it hotter. The fixed point lies below absolute zero and is never seen.
             return np.full(self.nodes, np.inf)
         return np.asarray(np.linalg.solve(np.eye(self.nodes) - period, F @ offset + f))
@@ -132,8 +133,9 @@ class HeatModel:
         course[0] = self.start(h)
         if not np.all(np.isfinite(course[0])):
             return course
-        for k in range(h.size):
-            course[k + 1] = P[k] @ course[k] + s[k]
+        with np.errstate(over="ignore", invalid="ignore"):  # currents far outside every limit
+            for k in range(h.size):
+                course[k + 1] = P[k] @ course[k] + s[k]
         return course
 
     def adjoint(self, h: FloatArray, by_winding: FloatArray) -> FloatArray:
@@ -278,10 +280,11 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         pause = held.copy()
         pause[:m, 0] += inflow * power * COPPER_PER_K
         pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
-        pause_s = 1 / budget.tap_rate_Hz - N * dt
-        if not pause_s > 0:
+        pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
+        if not 1 / budget.tap_rate_Hz > takes_s:
             raise InputError(
-                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {N * dt * 1e3:g} ms: lower it"
+                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
+                "amplifier's delay: lower it"
             )
         paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])

@@ -5,7 +5,7 @@ velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held 
 the input.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +122,8 @@ class LinearStage:
 
     Attributes
     ----------
-    A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command.
+    A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
+        `problem.current_scale_A`.
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / |r| from x_k and dc_k.
     supply : (n,) terminal voltage just before the switching instant, without that of the nominal motion [V].
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
@@ -196,7 +197,7 @@ def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, Floa
 
 def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
     """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI."""
-    where, current = layout(problem), problem.limits.current_A
+    where, current = layout(problem), problem.current_scale_A
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
     if problem.error_filter is not None:
@@ -222,7 +223,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
                 feedback[row, first : first + 2] = _demand(problem)
             else:
                 feedback[row, first + 1 + late] = 1.0
-    norm = float(np.linalg.norm(problem.reference_m_s2))
+    norm = float(np.linalg.norm(problem.reference_m_s2)) or 1.0
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
@@ -235,7 +236,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
 
 
 def hand_over_rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of the limit current."""
+    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
     h, n = problem.hand_over_samples, stage.units.size
     if problem.wall is None:
         return np.zeros((h, n)), np.zeros(h)
@@ -247,3 +248,16 @@ def hand_over_rows(problem: TransientProblem, stage: LinearStage) -> tuple[Float
     rows = now * pressing[tail, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
     without = problem.hand_over_command(Motion.zero(problem.grid.stages))
     return rows / stage.current_A, without[tail] / stage.current_A
+
+
+def wall_growth(problem: TransientProblem) -> float:
+    """Largest factor per tick by which a motion under the pressing wall alone grows; below 1 it dies out."""
+    assert problem.wall is not None
+    stage = linear_stage(problem, physical_scale=True)
+    everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones(problem.grid.stages, dtype=bool)))
+    rows, _ = hand_over_rows(everywhere, stage)
+    # c_k = rows x_k, so the movement is that less the command held before.
+    held = rows[-1].copy()
+    held[-1] -= 1.0
+    loop = stage.A + np.outer(stage.A[:, -1], held)
+    return float(np.abs(np.linalg.eigvals(loop)).max())

@@ -5,13 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt import transcribe
-from transopt.certify import inside
-from transopt.explain import infeasibility, unavoidable
-from transopt.parts import leave_out, pressing, reference_course
+from transopt.certify import certify, inside
+from transopt.explain import infeasibility, unavoidable, unstable_wall
+from transopt.parts import encoder_course, leave_out, pressing, reference_course, silence
 from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
 
+NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
+ROUNDED = 0.1  # of a gap: what extended precision changes by more is made of rounding
 MOST_MASKS = 5  # solves until the wall pushes exactly where it was assumed to
 
 
@@ -44,27 +46,107 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     """Solve one entry, leaving out what it does not need.
 
     With a wall the ticks at which it pushes are first taken from the reference's motion, then from the answer's,
-    until both agree.
+    until both agree; if they do not, once more from the motion under the wall alone.
     """
     if problem.reference_is_zero:
-        answer = solve(problem, options)
-        proof = prove(problem, answer.command_A, answer.multipliers, options)
-        left_out = {"limits": "zero reference: zero waveform"}
-        floor = nrmse(answer.command_A, problem.reference_m_s2)
-        return Designed(problem, answer, proof, answer.command_A, floor, 0.0, left_out, None, [])
+        return _silent(problem, options)
     if problem.wall is None:
-        return _solved(problem, options)
-    problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        return _explained(_solved(problem, options), options)
+    first = None
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
+        alone = encoder_course(*silence(problem))
+    for course in (reference_course(problem.grid, problem.reference_m_s2), alone):
+        designed, settled = _settled(pressing(problem, course), options)
+        if settled or designed.remarks:
+            return designed
+        first = designed if first is None else first
+    assert first is not None
+    return _explained(first, options)
+
+
+def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+    """The optimum with the wall pressing where its own answer makes it press, and whether that was found.
+
+    The ticks are taken from the answer again and again; the search ends with an answer that is none, for where an
+    arbitrary command makes the wall press says nothing.
+    """
     spent = 0.0
     for _ in range(MOST_MASKS):
         designed = _solved(problem, options)
         spent += designed.solution.solve_time_s
-        course = problem.encoder_at_ticks(problem.stage.motion(designed.solution.command_A))
-        again = pressing(problem, course)
+        designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+        if not is_stationary(problem, designed.solution):
+            return designed, False
+        again = pressing(problem, encoder_course(problem, designed.solution.command_A))
         if _same_mask(problem, again):
-            break
+            return designed, True
         problem = again
-    return replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+    return designed, False
+
+
+def _explained(designed: Designed, options: SolverOptions) -> Designed:
+    """With the reason, if there is no answer because no command meets all limits."""
+    problem, answer = designed.problem, designed.solution
+    if designed.remarks or is_stationary(problem, answer):
+        return designed
+    small = leave_out(problem).problem
+    rounding = _rounding(problem, answer)
+    if rounding:
+        return replace(designed, solution=replace(answer, status=Status.PRECISION), remarks=[rounding])
+    if small.wall is None and inside(small, np.zeros(small.grid.stages)):
+        # Doing nothing is a way out, whatever the solver called it.
+        return designed
+    remarks = infeasibility(small, options)
+    answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
+    return replace(designed, solution=answer, remarks=remarks)
+
+
+def _rounding(problem: TransientProblem, answer: Solution) -> str:
+    """Whether it is rounding that keeps an answer from its proof, as the same proof in extended precision tells."""
+    double = certify(problem, answer.command_A, answer.multipliers)
+    if problem.thermal is not None or not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
+        return ""
+    wide = replace(
+        problem,
+        stage=problem.stage.extended(),
+        spread=tuple(device.extended() for device in problem.spread),
+        reference_m_s2=problem.reference_m_s2.astype(np.longdouble),
+    )
+    extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
+    if not abs(extended.duality_gap - double.duality_gap) > ROUNDED * double.duality_gap:
+        return ""
+    taken = float(np.abs(answer.command_A).max())
+    return (
+        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision, in extended "
+        f"precision {extended.relative_gap:.1e}, limit {double.GAP_TOLERANCE:.0e}; lower limits.current_A "
+        f"({problem.limits.current_A:.4g} A, the "
+        f"answer takes {taken:.4g} A) or time.stages ({problem.grid.stages})"
+    )
+
+
+def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """A zero reference: no transient at all, over a wall nothing but its feedback, which has to keep the limits."""
+    problem, command = silence(problem)
+    answer = replace(solve(problem, options), command_A=command)
+    proof = prove(problem, command, answer.multipliers, options)
+    hopeless = unavoidable(problem)
+    unstable = unstable_wall(problem)
+    if hopeless:
+        answer = replace(answer, status=Status.INFEASIBLE)
+    elif unstable and not proof.excess <= 1:
+        answer, hopeless = replace(answer, status=Status.UNSTABLE_WALL), [unstable]
+    elif problem.wall is not None and not proof.excess <= 1:
+        wall, limit = problem.wall.wall, problem.limits.current_A
+        answer = replace(answer, status=Status.HAND_OVER)
+        hopeless = [
+            f"hand-over: without any transient the wall alone asks for {np.abs(command).max():.3g} A, limit "
+            f"{limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m "
+            f"({wall.damping_N_s_m:g} N s/m) or the speed"
+        ]
+    left_out = {"limits": "zero reference: zero waveform"}
+    rest = np.zeros(problem.grid.stages)
+    floor = nrmse(rest, problem.reference_m_s2)
+    return Designed(problem, answer, proof, rest, floor, 0.0, left_out, None, hopeless)
 
 
 def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:
@@ -87,8 +169,8 @@ def _hand_over_excess(problem: TransientProblem) -> str:
         return ""
     allowed = limit * wall.wall.force_per_current_N_A / deepest
     return (
-        f"hand-over: K_p z / k_f = {current:.2f} A at {deepest * 1e3:.2f} mm below the surface, where the reference "
-        f"goes, limit {limit:g} A; {np.floor(allowed):g} N/m would do"
+        f"hand-over: K_p z / k_f = {current:.3g} A at {deepest * 1e3:.3g} mm below the surface, where the reference "
+        f"goes, limit {limit:g} A; {np.floor(allowed) if allowed >= 1 else allowed * 0.999:.6g} N/m would do"
     )
 
 
@@ -105,7 +187,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
         proof = prove(problem, answer.command_A, answer.multipliers, options)
         return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
 
-    if inside(problem, free.command_A):
+    free_inside = inside(problem, free.command_A)
+    if free_inside and is_stationary(problem, free):
         left_out["limits"] = (
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
@@ -115,28 +198,27 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if hopeless:
         return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
     spent = free.solve_time_s
+    answer = solve_certified(replace(small, thermal=None), options)
+    spent += answer.solve_time_s
     if small.thermal is not None:
-        cold = solve_certified(replace(small, thermal=None), options)
-        spent += cold.solve_time_s
-        if cold.status is Status.OPTIMAL and inside(problem, cold.command_A, only="coil"):
-            hottest = float(small.thermal.temperatures_C(*_currents(small, cold.command_A)).max())
+        if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only="coil"):
+            hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
             left_out["temperature"] = (
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
-            answer = replace(cold, solve_time_s=spent)
+            answer = replace(answer, solve_time_s=spent)
             return designed(answer, transcribe.size(replace(small, thermal=None)), [])
-    answer = solve_certified(small, options)
-    answer = replace(answer, solve_time_s=spent + answer.solve_time_s)
-    remarks = []
-    idle = small.wall is None and inside(small, np.zeros(small.grid.stages))
+        # What no command can do in the cold, none can with the temperature on top.
+        if answer.status is not Status.INFEASIBLE:
+            answer = solve_certified(small, options)
+            spent += answer.solve_time_s
+    if free_inside and not is_stationary(small, answer):
+        answer = free
+    answer = replace(answer, solve_time_s=spent)
     too_deep = "" if is_stationary(small, answer) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), transcribe.size(small), [too_deep])
-    if not is_stationary(small, answer) and not idle:
-        # Doing nothing is no way out either: perhaps there is none, whatever the solver called it.
-        remarks = infeasibility(small, options)
-        answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
-    return designed(answer, transcribe.size(small), remarks)
+    return designed(answer, transcribe.size(small), [])
 
 
 def _currents(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:

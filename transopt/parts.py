@@ -11,7 +11,7 @@ from transopt.heat import Budget, ThermalLimit, thermal_limit
 from transopt.problem import TransientProblem
 from transopt.signals import FloatArray
 from transopt.thermal import CoilModel, effective_square
-from transopt.wall import HandOver
+from transopt.wall import FeedbackLoop, HandOver
 
 
 def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
@@ -40,6 +40,30 @@ def thermal_of(
         leaning = float(wall.feedback(reference_course(grid, reference_m_s2), grid.dt_s)[-1])
         budget = replace(budget, idle_A=leaning)
     return thermal_limit(coil, amplifier, grid, budget)
+
+
+def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
+    """The problem with its wall pressing where it does when no transient plays, and that command (N,); zero without.
+
+    Tick by tick, with the wall's law closed over the stage model.
+    """
+    stage, wall, N = problem.stage, problem.wall, problem.grid.stages
+    command = np.zeros(N)
+    if wall is None:
+        return problem, command
+    assert stage.Cp is not None
+    assert stage.Dp is not None
+    loop = FeedbackLoop(
+        wall.wall, stage.amplifier, problem.grid.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s])
+    )
+    course, late, x = np.zeros(N), stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        for k in range(N):
+            command[k] = loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
+            if k + late < N:
+                course[k + late] = (stage.Cp @ x + stage.Dp * command[k])[0, 0]
+            x = stage.A @ x + stage.B * command[k]
+    return pressing(problem, course), command
 
 
 @dataclass(frozen=True)
@@ -121,6 +145,11 @@ def _cold_proof(problem: TransientProblem, bound_C: float) -> str:
 def without_position(stage: StageModel) -> StageModel:
     """The same device without the encoder's position, and without the states that only it depends on."""
     return discretise(stage.plant, stage.amplifier, stage.dt_s)
+
+
+def encoder_course(problem: TransientProblem, command_A: FloatArray) -> FloatArray:
+    """(N,) deviation of the encoder at the ticks under a command."""
+    return problem.encoder_at_ticks(problem.stage.motion(command_A))
 
 
 def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientProblem:

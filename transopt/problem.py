@@ -17,6 +17,7 @@ OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative compar
 AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
 AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, about 1.8 dB
 ZERO_REFERENCE_M_S2 = 1e-3  # a reference with a smaller rms is zero
+LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
 SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
 
 
@@ -88,6 +89,12 @@ class TransientProblem:
                 raise InputError(f"{name} has shape {array.shape}, expected ({N},)")
             if not np.all(np.isfinite(array)):
                 raise InputError(f"{name} holds a number that is not finite")
+        largest = float(np.abs(self.reference_m_s2).max())
+        if largest > LARGEST_M_S2:
+            raise InputError(
+                f"reference_m_s2 reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
+                "overflow; check its unit"
+            )
         if np.any(self.tracking_weights < 0) or not 0 <= self.rho < np.inf:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")
         if not 1 <= self.hand_over_samples <= N:
@@ -107,6 +114,13 @@ class TransientProblem:
     def free_stages(self) -> int:
         """Number of commands before the hand-over."""
         return self.grid.stages - self.hand_over_samples
+
+    @property
+    def current_scale_A(self) -> float:
+        """Largest current that the limits leave: the unit in which it is of order one."""
+        limits = self.limits
+        reach = np.inf if limits.slew_A_per_s is None else limits.slew_A_per_s * self.grid.dt_s * self.grid.stages
+        return min(limits.current_A, limits.command_bound_A, reach)
 
     @property
     def movement_weight(self) -> float:
@@ -169,7 +183,7 @@ class TransientProblem:
 
 
 class Status(Enum):
-    """How a solve ended; the value is the message and the remedy."""
+    """How an entry ended; the value is the message and the remedy."""
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "the solver stopped at its iteration limit: loosen the tolerance or choose another --solver"
@@ -186,6 +200,18 @@ class Status(Enum):
     HAND_OVER = (
         "the wall's feedback alone exceeds a limit when the transient has to end: lower feedback.stiffness_N_m or "
         "the speed, or shorten time.stages so that the stylus is less deep"
+    )
+    PRECISION = (
+        "double precision has no digits left to prove the answer: state the problem with limits nearer to what the "
+        "answer takes, or fewer stages"
+    )
+    UNSTABLE_WALL = (
+        "the wall's feedback grows by itself on this device: lower feedback.stiffness_N_m, feedback.damping_N_s_m or "
+        "feedback.latency_ticks"
+    )
+    UNRESOLVED = (
+        "a limit is kept at every switching instant, as the problem states it, but left within a servo period: "
+        "shorten time.dt_s"
     )
 
 
@@ -270,6 +296,7 @@ class Certificate:
     objective : J of the rolled-out command.
     primal_violation_A : largest excess over a current, command or slew limit, and at the hand-over [A], 0 if none.
     primal_violation_V, primal_violation_K : the same of the supply and of the temperature.
+    excess : the largest of the violations in units of its tolerance (`tolerated`); at most 1 is accepted.
     dual_residual : largest |reduced gradient of the Lagrangian| over the free commands [1/A].
     duality_gap : bound on J - optimum; rigorous unless the temperature binds, then that of the linearised problem.
     lower_bound : rigorous bound on the optimum from below.
@@ -280,12 +307,13 @@ class Certificate:
     primal_violation_A: float
     primal_violation_V: float
     primal_violation_K: float
+    excess: float
     dual_residual: float
     duality_gap: float
     lower_bound: float
     finite: bool
 
-    VIOLATION_TOLERANCE = 1e-6  # A, V or K
+    VIOLATION_TOLERANCE = 1e-6  # A, V or K; of the limit where that is below 1 A or 1 V
     GAP_TOLERANCE = 1e-6
     BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; trials 0.06 to 0.2 %
 
@@ -293,7 +321,12 @@ class Certificate:
     def nothing(cls) -> "Certificate":
         """Of numbers that are not finite."""
         inf = float("inf")
-        return cls(float("nan"), inf, inf, inf, inf, inf, -inf, finite=False)
+        return cls(float("nan"), inf, inf, inf, inf, inf, inf, -inf, finite=False)
+
+    @classmethod
+    def tolerated(cls, limit: float) -> float:
+        """By how much a limit in A or V may be left: a microampere is nothing at 1 A and everything at 1e-6 A."""
+        return cls.VIOLATION_TOLERANCE * min(limit, 1.0)
 
     @property
     def relative_gap(self) -> float:
@@ -313,13 +346,7 @@ class Certificate:
     def is_stationary(self) -> bool:
         """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
         # Written so that a NaN anywhere rejects.
-        return (
-            self.finite
-            and self.primal_violation_A <= self.VIOLATION_TOLERANCE
-            and self.primal_violation_V <= self.VIOLATION_TOLERANCE
-            and self.primal_violation_K <= self.VIOLATION_TOLERANCE
-            and self.relative_gap <= self.GAP_TOLERANCE
-        )
+        return self.finite and self.excess <= 1 and self.relative_gap <= self.GAP_TOLERANCE
 
     @property
     def accepted(self) -> bool:

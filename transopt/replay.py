@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
+from scipy import linalg, special
 
 from transopt.discretise import StageModel, TimeGrid, split_delay
 from transopt.heat import Budget
-from transopt.problem import TransientProblem
+from transopt.problem import Certificate, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.supply import Supply
 from transopt.thermal import CoilModel, effective_square_mean
@@ -25,7 +25,6 @@ STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode
 STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
 AFTER_S = 20e-3  # of free motion after the waveform
-CURRENT_TOLERANCE_A = 1e-6  # what counts as leaving a limit, as in the certificate
 TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
 SUPPLY_TOLERANCE = 1e-3  # of the limit: between switching instants only the back-EMF is left to its own devices
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
@@ -41,6 +40,7 @@ class Replay:
     nrmse : of that acceleration against the reference.
     peak_current_A, peak_command_A : over all t.
     after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
+    after_peak_A : largest |i| there, all of it the wall's feedback.
     peak_voltage_V : largest terminal voltage over all t; NaN without a supply.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
@@ -56,6 +56,7 @@ class Replay:
     peak_current_A: float
     peak_command_A: float
     after_peak_m_s2: float
+    after_peak_A: float
     peak_voltage_V: float
     winding_C: float
     housing_C: float
@@ -69,10 +70,12 @@ class Replay:
         """What speaks against admitting this command (N,), one sentence each; empty if clean."""
         found = []
         limits = problem.limits
-        if not self.peak_current_A <= limits.current_A + CURRENT_TOLERANCE_A:
+        tolerance_A = Certificate.tolerated(limits.current_A)
+        if not self.peak_current_A <= limits.current_A + tolerance_A:
             found.append(f"replayed current {self.peak_current_A:.6f} A, limit {limits.current_A:g} A")
-        if limits.command_A is not None and not self.peak_command_A <= limits.command_A + CURRENT_TOLERANCE_A:
-            found.append(f"command {self.peak_command_A:.6f} A, limit {limits.command_A:g} A")
+        bound = limits.command_bound_A
+        if not self.peak_command_A <= bound + Certificate.tolerated(bound):
+            found.append(f"command {self.peak_command_A:.6f} A, limit {bound:g} A")
         supply, thermal = problem.supply, problem.thermal
         if supply is not None and not self.peak_voltage_V <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
             found.append(f"terminal voltage {self.peak_voltage_V:.4f} V, limit {supply.limit_V:g} V")
@@ -81,7 +84,7 @@ class Replay:
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
         feedback_off = float(np.abs(self.command_A - command_A).max())
-        if not feedback_off <= CURRENT_TOLERANCE_A:
+        if not feedback_off <= tolerance_A:
             found.append(
                 f"with the wall's feedback the command differs from the predicted one by {feedback_off:.1e} A"
             )
@@ -204,6 +207,11 @@ def _simulate(
         w = amplifier.rate_rad_s
         A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
         B = np.append(np.zeros((n, 1)), [[w]], axis=0)
+    # In balanced units (powers of two, exact) no state drowns in the rounding of another.
+    balanced, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
+    A, B, inner = np.asarray(balanced, dtype=float), B / units[:, None], units[:n]
+    encoder, output, moving = plant.Ce[0] * inner, plant.C[0] * inner, (plant.Ce @ plant.A)[0] * inner
+    current_unit = units[-1]
     segments = _segments(A, B, grid, halvings)
     # With a whole delay the command arrives with the tick, else with the second segment.
     arriving = segments[0] if segments[0].behind == segments[1].behind else segments[1]
@@ -216,7 +224,7 @@ def _simulate(
     states, felt, times, at_switching, starts, count = [], [], [], [], [], 0
     for k in range(periods):
         if loop is not None and feedback is not None:
-            issued[:, k] += feedback.step(loop.read(k, plant.Ce[0] @ x[:n]))
+            issued[:, k] += feedback.step(loop.read(k, encoder @ x[:n]))
         for segment in segments:
             index = k - segment.behind
             u = issued[:, index] if index >= 0 else silence
@@ -230,9 +238,9 @@ def _simulate(
             starts.append(count)
             count += fine.shape[0]
     trajectory, command = np.concatenate(states), np.concatenate(felt)
-    current = command if amplifier is None else trajectory[:, n]
-    acceleration = np.einsum("n,knm->km", plant.C[0], trajectory[:, :n]) + plant.D[0, 0] * current
-    velocity = np.einsum("n,knm->km", (plant.Ce @ plant.A)[0], trajectory[:, :n])
+    current = command if amplifier is None else trajectory[:, n] * current_unit
+    acceleration = np.einsum("n,knm->km", output, trajectory[:, :n]) + plant.D[0, 0] * current
+    velocity = np.einsum("n,knm->km", moving, trajectory[:, :n])
     return _Trajectory(
         times_s=np.concatenate(times),
         acceleration_m_s2=acceleration.T,
@@ -318,7 +326,7 @@ def replay(
         if np.all(step_error <= STEP_ERROR):
             break
     current = run.current_A[:, run.at_switching]
-    M = commands_A.shape[0]
+    M, after = commands_A.shape[0], run.times_s > grid.end_s
     unknown = np.full(M, np.nan)
     winding, housing = (unknown, unknown) if coil is None else _temperatures(run, coil, budgets, grid)
     voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
@@ -329,7 +337,8 @@ def replay(
             nrmse=nrmse(accurate[m], references_m_s2[m]),
             peak_current_A=float(np.abs(run.current_A[m]).max()),
             peak_command_A=float(np.abs(run.command_A[m]).max()),
-            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, run.times_s > grid.end_s]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
+            after_peak_A=float(np.abs(run.current_A[m, after]).max()),
             peak_voltage_V=float(voltage[m]),
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),

@@ -150,15 +150,16 @@ def _variable_bounds(
     if limits.slew_A_per_s is not None:
         upper[:, 0] = limits.slew_A_per_s * problem.grid.dt_s / stage.current_A
     if limits.command_A is None:
-        upper[:, shape.command] = 1.0
+        upper[:, shape.command] = limits.current_A / stage.current_A
     else:
         upper[:, shape.command] = limits.command_A / stage.current_A
         # The current at tau_N follows the hand-over, so the horizon's limits end at the instant before.
-        upper[:-1, shape.controls + where.current] = 1.0
+        upper[:-1, shape.controls + where.current] = limits.current_A / stage.current_A
     lower = -upper
     if problem.thermal is not None:
         # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
-        lower[:, 1], upper[:, 1] = -SIZE_BOUND, SIZE_BOUND
+        size = SIZE_BOUND * limits.current_A / stage.current_A
+        lower[:, 1], upper[:, 1] = -size, size
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
     # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
     front = np.full(shape.first, np.inf)

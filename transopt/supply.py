@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.discretise import Motion
+from transopt.errors import InputError
 from transopt.signals import FloatArray
 
 
@@ -43,6 +44,10 @@ class Supply:
     circuit: Circuit
     pole_rad_s: float
     nominal_m_s: FloatArray
+
+    def __post_init__(self) -> None:
+        if not 0 < self.limit_V < np.inf:
+            raise InputError(f"limits.supply_V = {self.limit_V:g}: must be > 0 and finite")
 
     @property
     def by_current(self) -> float:

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.certify import binding_limits
+from transopt.explain import unstable_wall
 from transopt.library import Library
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
-from transopt.replay import Replay, replay
+from transopt.replay import AFTER_S, SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, prove, unlimited
 
@@ -44,9 +45,54 @@ def admit(
             f"(limit {Certificate.BOUND_TOLERANCE:.0e})"
         ]
     shortfalls = played.shortfalls(problem, command_A, predicted_m_s2)
-    if shortfalls:
+    if not shortfalls:
+        return Status.OPTIMAL, []
+    status, causes = _of_the_wall(played, problem)
+    if not causes:
+        status, causes = _between_instants(played, problem, command_A)
+    # A cause that explains some of it is no cause.
+    if len(causes) < len(shortfalls) and status is not Status.UNSTABLE_WALL:
         return Status.REPLAY_VIOLATION, shortfalls
-    return Status.OPTIMAL, []
+    return status, causes
+
+
+def _of_the_wall(played: Replay, problem: TransientProblem) -> tuple[Status, list[str]]:
+    """What a wall does that no transient can help: it grows by itself, or asks for too much when left alone."""
+    if problem.wall is None:
+        return Status.REPLAY_VIOLATION, []
+    wall, limit = problem.wall.wall, problem.limits.current_A
+    unstable = unstable_wall(problem)
+    if unstable:
+        return Status.UNSTABLE_WALL, [unstable]
+    if played.after_peak_A > limit and played.after_peak_A == played.peak_current_A:
+        return Status.HAND_OVER, [
+            f"hand-over: within {AFTER_S * 1e3:g} ms after the waveform the wall alone asks for "
+            f"{played.after_peak_A:.3g} A, limit {limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} "
+            f"N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} N s/m) or the speed"
+        ]
+    return Status.REPLAY_VIOLATION, []
+
+
+def _between_instants(played: Replay, problem: TransientProblem, command_A: FloatArray) -> tuple[Status, list[str]]:
+    """Limits that hold at the switching instants, as stated, and not between them."""
+    motion, found = problem.stage.motion(command_A), []
+    supply, thermal, dt_ms = problem.supply, problem.thermal, problem.grid.dt_s * 1e3
+    if supply is not None and played.peak_voltage_V > supply.limit_V * (1 + SUPPLY_TOLERANCE):
+        stated = max(float(np.abs(side).max()) for side in supply.voltages_V(motion, command_A))
+        if stated <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
+            found.append(
+                f"supply {played.peak_voltage_V - supply.limit_V:.3g} V over its {supply.limit_V:g} V within a servo "
+                f"period, in which the back-EMF swings; lower time.dt_s ({dt_ms:g} ms)"
+            )
+    if thermal is not None and played.winding_C > thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+        course = thermal.temperatures_C(motion.current_A, command_A)
+        if float(course.max()) <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+            step = float(np.abs(np.diff(course)).max(initial=0.0))
+            found.append(
+                f"coil {played.winding_C - thermal.limit_C:.3g} K over its {thermal.limit_C:g} C within a servo "
+                f"period, in which it warms by up to {step:.3g} K; lower time.dt_s ({dt_ms:g} ms)"
+            )
+    return Status.UNRESOLVED, found
 
 
 @dataclass(frozen=True)
@@ -80,8 +126,9 @@ def _stored(
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+    tolerance_A = Certificate.tolerated(problem.limits.current_A)
     bounds = {
-        "primal_violation": (certificate.primal_violation, Certificate.VIOLATION_TOLERANCE),
+        "primal_violation": (certificate.primal_violation, tolerance_A),
         "lower_bound": (
             certificate.lower_bound,
             Certificate.GAP_TOLERANCE * max(certificate.objective, OBJECTIVE_SCALE),
@@ -104,11 +151,11 @@ def _stored(
         library.transient_command_A[iv, ig],
         problem.transient_command(library.command_A[iv, ig]),
         rtol=0,
-        atol=STORED_TOLERANCE,
+        atol=tolerance_A,
     ):
         found.append("transient_command_A is not command_A less the predicted feedback of the wall")
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
-    if not current_off <= STORED_TOLERANCE:
+    if not current_off <= tolerance_A:
         found.append(f"current_A differs from the replay by {current_off:.1e} A")
     return found
 

@@ -11,6 +11,12 @@ from transopt.errors import InputError
 from transopt.signals import FloatArray
 
 
+def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
+    """(N,) values moved to the front, zeros behind: the transpose of a delay, which may exceed the horizon."""
+    kept = values[ticks:]
+    return np.append(kept, np.zeros(values.size - kept.size))
+
+
 @dataclass(frozen=True)
 class Wall:
     """Spring and damper while the encoder is below the surface; pushes, never pulls.
@@ -77,8 +83,7 @@ class Wall:
 
     def linear_transpose(self, by_wanted: FloatArray, dt_s: float) -> FloatArray:
         """(N,) gradient by the encoder readings for a gradient by `wanted`; the transpose of `linear`."""
-        late = self.latency_ticks
-        g = np.append(by_wanted[late:], np.zeros(late)) / -self.force_per_current_N_A
+        g = earlier_by(self.latency_ticks, by_wanted) / -self.force_per_current_N_A
         a = self.smoothing(dt_s)
         filtered = signal.lfilter([1 - a], [1.0, -a], g[::-1])[::-1] / dt_s
         difference = filtered - np.append(filtered[1:], 0.0)

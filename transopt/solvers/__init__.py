@@ -10,7 +10,9 @@ from transopt.errors import InputError
 from transopt.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati
+from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver
+from transopt.solvers.polish import polished
 
 __all__ = [
     "SOLVERS",
@@ -24,6 +26,7 @@ __all__ = [
     "solve_certified",
 ]
 
+LIMITS = ("current", "command", "slew", "supply")
 SOLVERS = {
     "riccati": riccati.solve,
     "casadi-piqp": casadi_piqp.solve,
@@ -83,7 +86,7 @@ def prove(
 ) -> Certificate:
     """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
     certificate = certify(problem, command_A, multipliers)
-    if np.isfinite(certificate.lower_bound) or not certificate.finite:
+    if np.isfinite(certificate.lower_bound) or not certificate.finite or problem.thermal is None:
         return certificate
     return replace(certificate, lower_bound=global_bound(problem, options))
 
@@ -113,6 +116,23 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
         yield answer
         if is_stationary(problem, answer):
             return
+        if problem.thermal is None and answer.status is not Status.INFEASIBLE:
+            with np.errstate(all="ignore"):  # an active set that cannot be, which shows in the certificate
+                better = polished(problem, answer)
+            if is_stationary(problem, better):
+                yield better
+                return
+        if answer.status is Status.INFEASIBLE and (
+            # Its claim comes with a proof; of any other method's the linear program tells: none needs to search then.
+            answer.solver == "riccati" or (problem.thermal is None and not feasible(problem))
+        ):
+            return
+
+
+def feasible(problem: TransientProblem) -> bool:
+    """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
+    found = least_widening(problem, LIMITS)
+    return found is None or found[0] == 1.0
 
 
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:

@@ -11,11 +11,14 @@ from transopt.problem import Solution, Status, TransientProblem
 from transopt.solvers.options import SolverOptions
 from transopt.statement import state
 
+LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
+
 STATUS = {
     "Solve_Succeeded": Status.OPTIMAL,
     # Rounding in the way of the last digits: whether they matter is for the certificate to say.
     "Solved_To_Acceptable_Level": Status.OPTIMAL,
     "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
+    "Maximum_WallTime_Exceeded": Status.ITERATION_LIMIT,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
 }
 
@@ -42,6 +45,8 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
                 "sb": "yes",
                 "tol": options.tolerance,
                 "max_iter": options.max_iterations,
+                # Far from any feasible point a single iteration may search for minutes.
+                "max_wall_time": LEAST_TIME_S + TIME_PER_STAGE_S * shape.stages,
                 # Otherwise the answer leaves the box by 6e-8 A.
                 "bound_relax_factor": 0.0,
                 # The statement is in physical scale.

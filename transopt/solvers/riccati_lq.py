@@ -212,8 +212,12 @@ class Pass:
         """Values (N - h, ...) of the free stages, stage after stage, behind those before the start."""
         return np.concatenate([np.full((self._filling, *values.shape[1:]), filling), values])
 
-    def factored(self) -> Gains:
-        """The gains of every block; NaN from where the recursion broke down."""
+    def factored(self, damping: float = 0.0) -> Gains:
+        """The gains of every block; NaN from where the recursion broke down.
+
+        With `damping` on top of every movement weight they are no longer exact, but exist where the problem is flat:
+        `improved`, whose gradient stays the undamped one, is then a step of the proximal point method.
+        """
         p, free = self.problem, self.problem.free_stages
         n = p.A.shape[0]
         if self._functions is None:
@@ -222,7 +226,7 @@ class Pass:
         P = (outputs.T * p.weights[free:].ravel()) @ outputs + (movement.T * p.movement_weights[free:]) @ movement
         weights = self._in_blocks(p.weights[:free])
         # A movement of infinite weight is none.
-        movement_weights = self._in_blocks(p.movement_weights[:free], np.inf)
+        movement_weights = self._in_blocks(p.movement_weights[:free] + damping, np.inf)
         _, K, X = _run(self._functions.factor, P, self._A, self._A_T, self._C, self._C_T, weights, movement_weights)
         return Gains(K.reshape(-1, n, BLOCK), X.reshape(-1, BLOCK, BLOCK))
 

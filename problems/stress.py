@@ -1,0 +1,206 @@
+"""The stress suite: `python -m problems.stress --cases 1000 --seed 1`.
+
+Every case has to end in one of two ways: a certified, cleanly replayed optimum, or a refusal that names its cause.
+Anything else, a warning, a NaN, a hang and the death of a worker included, is bad and makes the exit code 1.
+"""
+
+import multiprocessing
+import os
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.process import BaseProcess
+from time import monotonic
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+from rich.table import Table
+
+from problems.stress_cases import StressCase
+from problems.stress_draw import drawn
+from problems.stress_families import directed, long_cases
+from problems.stress_judge import CERTIFIED, Outcome, judge
+from transopt import terminal
+from transopt.errors import InputError
+
+LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
+START_S = 120.0  # for a worker to be there
+READY = "ready"
+LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]) -> None:
+    """Judge cases as they come; what libraries print, past Python's own warnings, is a warning too."""
+    with tempfile.TemporaryFile() as printed:
+        for stream in (1, 2):
+            os.dup2(printed.fileno(), stream)
+        pipe.send(READY)
+        while True:
+            try:
+                case = pipe.recv()
+            except (EOFError, KeyboardInterrupt):
+                return
+            outcome = judged(case)
+            sys.stdout.flush()
+            sys.stderr.flush()
+            if printed.seek(0, os.SEEK_END):
+                printed.seek(0)
+                said = " ".join(printed.read().decode(errors="replace").split())[:200]
+                printed.seek(0)
+                printed.truncate()
+                if not outcome.bad:
+                    outcome = _lost("bad: printed", said, outcome.elapsed_s)
+            pipe.send(outcome)
+
+
+@dataclass
+class _Slot:
+    """One worker process and what it is at."""
+
+    process: BaseProcess
+    pipe: connection.Connection
+    index: int
+    deadline: float
+
+
+def run_cases(
+    cases: Sequence[StressCase],
+    jobs: int,
+    limit_s: float = LIMIT_S,
+    judged: Callable[[StressCase], Outcome] = judge,
+) -> Iterator[tuple[int, Outcome]]:
+    """Judge every case in one of `jobs` processes; index and outcome, in the order in which they end.
+
+    A worker that takes longer than `limit_s` is killed and one that dies is replaced: both are outcomes.
+    """
+    context = multiprocessing.get_context("spawn")
+    waiting = list(range(len(cases)))[::-1]
+    slots: list[_Slot] = []
+
+    def start(index: int) -> _Slot:
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_worker, args=(theirs, judged), daemon=True)
+        process.start()
+        theirs.close()
+        # Starting Python is no part of the case.
+        if ours.poll(START_S) and ours.recv() == READY:
+            ours.send(cases[index])
+        return _Slot(process, ours, index, monotonic() + limit_s)
+
+    try:
+        while waiting or slots:
+            while waiting and len(slots) < jobs:
+                slots.append(start(waiting.pop()))
+            timeout = max(min(slot.deadline for slot in slots) - monotonic(), 0.0)
+            ready = connection.wait([slot.pipe for slot in slots], timeout)
+            for slot in list(slots):
+                index, found = slot.index, None
+                if slot.pipe in ready:
+                    try:
+                        found = slot.pipe.recv()
+                    except (EOFError, OSError):
+                        slot.process.join()
+                        code = slot.process.exitcode
+                        yield index, _lost("bad: worker died", f"exit code {code}", limit_s)
+                elif monotonic() >= slot.deadline:
+                    yield index, _lost("bad: hang", f"no answer within {limit_s:g} s", limit_s)
+                else:
+                    continue
+                if found is None or not waiting:
+                    slots.remove(slot)
+                    _end(slot)
+                else:
+                    slot.index, slot.deadline = waiting.pop(), monotonic() + limit_s
+                    slot.pipe.send(cases[slot.index])
+                if found is not None:
+                    yield index, found
+    finally:
+        for slot in slots:
+            _end(slot)
+
+
+def _end(slot: _Slot) -> None:
+    slot.pipe.close()
+    slot.process.kill()
+    slot.process.join()
+
+
+def _lost(kind: str, detail: str, elapsed_s: float) -> Outcome:
+    return Outcome(kind, detail, float("nan"), float("nan"), elapsed_s)
+
+
+def summary(cases: Sequence[StressCase], outcomes: dict[int, Outcome], command: str) -> tuple[Table, list[str]]:
+    """Counts of each outcome as a table, and the lines below it."""
+    table = Table(title=f"{len(cases)} cases")
+    table.add_column("outcome")
+    table.add_column("cases", justify="right")
+    counts = Counter(outcome.kind for outcome in outcomes.values())
+    for kind, count in sorted(counts.items(), key=lambda item: (item[0].startswith("bad"), item[0])):
+        table.add_row(kind, str(count))
+    certified = [outcome for outcome in outcomes.values() if outcome.kind == CERTIFIED]
+    lines = []
+    if certified:
+        lines.append(f"worst gap {max(o.gap for o in certified):.1e} of max(J, 1e-3)")
+        lines.append(f"worst replay difference {max(o.difference for o in certified):.1e} of the peak")
+    slowest = max(outcomes, key=lambda index: outcomes[index].elapsed_s)
+    lines.append(f"slowest case {slowest}: {outcomes[slowest].elapsed_s:.1f} s, {cases[slowest]}")
+    for index in sorted(index for index, outcome in outcomes.items() if outcome.bad):
+        bad = outcomes[index]
+        lines.append(f"{bad.kind}: {cases[index]}: {bad.detail}")
+        lines.append(f"    {command} --case {index}")
+    return table, lines
+
+
+def main(
+    cases: Annotated[int, typer.Option(min=1, help="Random cases.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random cases.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
+    case: Annotated[int | None, typer.Option(min=0, help="Only the case of this index, in every detail.")] = None,
+    families: Annotated[
+        bool, typer.Option("--directed", help="The directed families in place of random cases.")
+    ] = False,
+    limit_s: Annotated[float, typer.Option(min=1.0, help="Seconds that one case may take.")] = LIMIT_S,
+) -> None:
+    """Judge hard cases: each ends certified or refused by name, or the exit code is 1."""
+    chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(cases)]
+    command = "python -m problems.stress " + ("--directed" if families else f"--seed {seed}")
+    console = terminal.console()
+    if case is not None:
+        one = chosen[case] if families and case < len(chosen) else drawn(seed, case)
+        if families and case >= len(chosen):
+            raise InputError(f"--case {case}: there are {len(chosen)} directed cases, from 0 on")
+        found = judge(one)
+        console.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}", soft_wrap=True)
+        if found.kind == CERTIFIED:
+            console.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
+        raise typer.Exit(int(found.bad))
+    for variable in ONE_THREAD:
+        os.environ.setdefault(variable, "1")
+    outcomes: dict[int, Outcome] = {}
+    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("stress", total=len(chosen))
+        for index, outcome in run_cases(chosen, jobs, limit_s):
+            outcomes[index] = outcome
+            progress.advance(task)
+            if not progress.console.is_terminal and len(outcomes) % LOG_EVERY == 0:
+                progress.console.print(f"{len(outcomes)} of {len(chosen)} cases")
+            if outcome.bad:
+                progress.console.print(f"{command} --case {index}: {outcome.kind}", soft_wrap=True)
+    table, lines = summary(chosen, outcomes, command)
+    console.print(table)
+    for line in lines:
+        console.print(line, soft_wrap=True)
+    raise typer.Exit(int(any(outcome.bad for outcome in outcomes.values())))
+
+
+if __name__ == "__main__":
+    app = typer.Typer(add_completion=False)
+    app.command()(main)
+    terminal.run(app)

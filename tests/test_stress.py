@@ -1,0 +1,194 @@
+"""The stress suite in its short form, and its judge: what is not proven must come out as bad."""
+
+import os
+import time
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from problems.stress import run_cases, summary
+from problems.stress_cases import Current, Demand, Device, Horizon, StressCase
+from problems.stress_draw import drawn
+from problems.stress_families import SMALL_A, directed, rescaled
+from problems.stress_judge import CERTIFIED, Outcome, judge, judge_design, played
+from problems.stress_oracle import admits_a_command
+from transopt.optimum import Designed, optimum
+from transopt.problem import Certificate, Limits, Status
+from transopt.solvers import SolverOptions, prove
+
+SATURATED = StressCase("saturated", current=Current(limit_A=SMALL_A), horizon=Horizon(stages=40))
+SHORT = 40  # stages, of the random cases that run here
+
+
+@pytest.fixture(scope="module")
+def designed() -> Designed:
+    return optimum(SATURATED.problem(), SolverOptions())
+
+
+def families() -> list[str]:
+    return sorted({case.family for case in directed()})
+
+
+@pytest.mark.parametrize("family", families())
+def test_every_named_extreme_is_certified_or_refused_by_name(family: str) -> None:
+    for case in directed():
+        if case.family == family and case.horizon.stages <= 100:
+            outcome = judge(case)
+            assert not outcome.bad, f"{case}: {outcome.kind}: {outcome.detail}"
+            assert family != "input" or outcome.kind.startswith("refused: input")
+            assert not outcome.gap > Certificate.GAP_TOLERANCE
+
+
+def test_random_cases_are_certified_or_refused_by_name() -> None:
+    cases = [case for case in (drawn(0, index) for index in range(60)) if case.horizon.stages <= SHORT]
+    assert len(cases) > 20
+    outcomes = [judge(case) for case in cases]
+    assert not [f"{case}: {outcome}" for case, outcome in zip(cases, outcomes, strict=True) if outcome.bad]
+    assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(cases) / 2
+
+
+def test_a_case_follows_from_seed_and_index_alone() -> None:
+    forwards = [drawn(7, index) for index in range(20)]
+    assert forwards == [drawn(7, index) for index in range(19, -1, -1)][::-1]
+    assert len({str(case) for case in forwards}) == 20
+    assert drawn(8, 3) != drawn(7, 3)
+
+
+@pytest.mark.parametrize("units", [1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("limit_A", [SMALL_A, 1e-6])
+def test_the_same_problem_in_other_units_has_the_same_command(units: float, limit_A: float) -> None:
+    case = StressCase("units", Device(mode_Hz=2e3), Current(limit_A=limit_A), Horizon(stages=60))
+    own, other = (optimum(c.problem(), SolverOptions()) for c in (case, rescaled(case, units)))
+    assert own.certificate.accepted
+    assert other.certificate.accepted
+    off = np.abs(own.solution.command_A - other.solution.command_A).max()
+    assert off <= 1e-6 * limit_A
+    assert other.certificate.objective == pytest.approx(own.certificate.objective, rel=1e-9)
+
+
+def test_a_small_limit_is_held_as_exactly_as_a_large_one() -> None:
+    """A microampere over a limit of a microampere is twice the limit."""
+    case = StressCase("limit", current=Current(limit_A=1e-6), horizon=Horizon(stages=40), demand=Demand(rho=0.0))
+    found = optimum(case.problem(), SolverOptions())
+    assert found.certificate.accepted
+    over = found.solution.command_A * (1 + 1e-5)
+    assert not prove(found.problem, over, found.solution.multipliers, SolverOptions()).accepted
+
+
+class TestJudge:
+    def judged(self, designed: Designed, command_A: np.ndarray) -> Outcome:
+        proof = prove(designed.problem, command_A, designed.solution.multipliers, SolverOptions())
+        changed = replace(designed, solution=replace(designed.solution, command_A=command_A), certificate=proof)
+        return judge_design(changed, played(designed.problem, np.nan_to_num(command_A)))
+
+    def test_accepts_what_is_right(self, designed: Designed) -> None:
+        outcome = self.judged(designed, designed.solution.command_A)
+        assert outcome.kind == CERTIFIED
+        assert outcome.gap <= 1e-6
+        assert outcome.difference <= 1e-6
+
+    def test_a_perturbed_answer_is_bad(self, designed: Designed) -> None:
+        off = designed.solution.command_A.copy()
+        off[10] -= 0.01
+        assert self.judged(designed, off).kind == "bad: NOT_CERTIFIED"
+
+    def test_a_flipped_multiplier_is_bad(self, designed: Designed) -> None:
+        m = designed.solution.multipliers
+        flipped = replace(m, current_lower=m.current_upper, current_upper=m.current_lower)
+        solution = replace(designed.solution, multipliers=flipped)
+        proof = prove(designed.problem, solution.command_A, flipped, SolverOptions())
+        outcome = judge_design(
+            replace(designed, solution=solution, certificate=proof), played(designed.problem, solution.command_A)
+        )
+        assert outcome.kind == "bad: NOT_CERTIFIED"
+
+    def test_a_command_that_is_no_number_is_bad(self, designed: Designed) -> None:
+        off = designed.solution.command_A.copy()
+        off[3] = np.nan
+        assert self.judged(designed, off).bad
+
+    def test_a_figure_that_is_no_number_is_bad(self, designed: Designed) -> None:
+        run = played(designed.problem, designed.solution.command_A)
+        assert judge_design(replace(designed, floor=float("nan")), run).kind == "bad: NaN"
+        assert judge_design(designed, replace(run, peak_current_A=float("nan"))).bad
+
+    def test_another_replay_is_bad(self, designed: Designed) -> None:
+        run = played(designed.problem, designed.solution.command_A)
+        off = replace(run, acceleration_m_s2=run.acceleration_m_s2 * (1 + 1e-5))
+        assert judge_design(designed, off).kind == "bad: REPLAY_VIOLATION"
+
+    @pytest.mark.parametrize("status", [Status.NUMERICAL_FAILURE, Status.ITERATION_LIMIT, Status.INFEASIBLE])
+    def test_a_refusal_without_a_cause_is_bad(self, designed: Designed, status: Status) -> None:
+        refused = replace(designed, solution=replace(designed.solution, status=status))
+        outcome = judge_design(refused, played(designed.problem, designed.solution.command_A))
+        assert outcome.kind == f"bad: {status.name}"
+
+    def test_a_false_claim_that_nothing_is_feasible_is_bad(self, designed: Designed) -> None:
+        refused = replace(
+            designed,
+            solution=replace(designed.solution, status=Status.INFEASIBLE),
+            remarks=["current 0.5 A over its 0.3 A at 1.0 ms at the least; 0.8 A would do"],
+        )
+        outcome = judge_design(refused, played(designed.problem, designed.solution.command_A))
+        assert outcome.kind == "bad: feasible after all"
+
+    def test_warnings_and_exceptions_are_bad(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def divides(*_: object) -> None:
+            np.ones(1) / np.zeros(1)
+
+        def breaks(*_: object) -> None:
+            raise KeyError("x")
+
+        for broken, kind in ((divides, "bad: RuntimeWarning"), (breaks, "bad: KeyError")):
+            monkeypatch.setattr("problems.stress_judge.optimum", broken)
+            assert judge(SATURATED).kind == kind
+
+    def test_the_oracle_sees_both_ways(self) -> None:
+        problem = SATURATED.problem()
+        assert admits_a_command(problem)
+        tight = StressCase("wall", current=Current(supply=0.01, limit_A=1.0), demand=Demand(speed_m_s=0.4))
+        assert not admits_a_command(tight.problem())
+
+
+def hangs(case: StressCase) -> Outcome:
+    while case.family == "hang":
+        time.sleep(0.1)
+    return fine(case)
+
+
+def dies(case: StressCase) -> Outcome:
+    if case.family == "die":
+        os._exit(3)
+    return fine(case)
+
+
+def prints(case: StressCase) -> Outcome:
+    if case.family == "print":
+        os.write(2, b"a library says so\n")
+    return fine(case)
+
+
+def fine(_: StressCase) -> Outcome:
+    return Outcome(CERTIFIED, "", 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("judged", "family", "kind"),
+    [(hangs, "hang", "bad: hang"), (dies, "die", "bad: worker died"), (prints, "print", "bad: printed")],
+)
+def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: str, kind: str) -> None:
+    cases = [StressCase(name) for name in ("one", family, "two", "three")]
+    limit_s = 8.0 if family == "hang" else 100.0
+    outcomes = dict(run_cases(cases, 1, limit_s, judged))  # type: ignore[arg-type]
+    assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
+    _, lines = summary(cases, outcomes, "python -m problems.stress")
+    assert any("--case 1" in line for line in lines)
+
+
+def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:
+    for name in ("current_A", "command_A", "slew_A_per_s"):
+        make = partial(Limits, **{"current_A": 1.0, "command_A": 1.0, name: float("nan")})
+        with pytest.raises(ValueError, match=f"limits.{name} = nan"):
+            make()

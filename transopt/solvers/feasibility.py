@@ -1,0 +1,109 @@
+"""Whether any command meets all limits, and by what factor they would have to be wider: a linear program.
+
+Feasibility is asked of HiGHS and not of the interior-point methods: where there is no feasible point these search for
+one until their iterations run out, and say little; the simplex method decides.
+"""
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy import optimize, sparse
+
+from transopt import transcribe
+from transopt.problem import TransientProblem
+from transopt.signals import FloatArray
+from transopt.solvers.sparse_kkt import pattern
+from transopt.statement import state
+
+SLACK = 1e-9  # relative, of limits that are as good as met
+TOLERANCE = 1e-9  # of the method
+MOST_TIME_S = 30.0
+
+
+def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
+    """Least factor >= 1 by which the named limits have to be wider together, and a command (N,) that then meets all.
+
+    The temperature is left out. None if no factor is enough, or none was found in time.
+
+    Parameters
+    ----------
+    limits : among "current", "command", "slew", "supply"; the others stay as they are.
+    """
+    # Just before the first command is felt the nominal motion alone makes the voltage: no row of the program has it.
+    least = 0.0
+    if problem.supply is not None:
+        least = max(abs(float(problem.supply.nominal_V[0])) / problem.supply.limit_V - 1, 0.0)
+        if least > SLACK and "supply" not in limits:
+            return None
+    statement = state(replace(problem, thermal=None))
+    shape, program = statement.shape, transcribe.state_program(statement.shape)
+    data = program.qp_data(p=statement.p)
+    A = sparse.csc_array((np.asarray(data["A"].nonzeros()), *pattern(shape, "A")), shape=data["A"].shape)
+    wide_x, wide_g = _widths(statement.problem, shape, statement.upper_x, statement.upper_g.size, limits)
+    lower_x, upper_x, lower_g, upper_g = (
+        np.array(bound) for bound in (statement.lower_x, statement.upper_x, statement.lower_g, statement.upper_g)
+    )
+    columns = np.flatnonzero(wide_x)
+    rows = np.flatnonzero(wide_g)
+    equal = lower_g == upper_g
+    fixed = np.flatnonzero(~equal & ~wide_g.astype(bool))
+    picked = sparse.csr_array(
+        (np.ones(columns.size), (np.arange(columns.size), columns)), shape=(columns.size, A.shape[1])
+    )
+    A_rows = A.tocsr()
+    blocks: list[Any] = []  # the stubs know dense matrices only
+    bounds = []
+    for matrix, width, upper, lower in (
+        (picked, wide_x[columns], upper_x[columns], lower_x[columns]),
+        (A_rows[rows], wide_g[rows], upper_g[rows], lower_g[rows]),
+        (A_rows[fixed], np.zeros(fixed.size), upper_g[fixed], lower_g[fixed]),
+    ):
+        if width.size:
+            factor = sparse.csr_array(-width[:, None])
+            blocks += [sparse.hstack([matrix, factor]), sparse.hstack([-matrix, factor])]
+            bounds += [upper, -lower]
+    lower_x[columns], upper_x[columns] = -np.inf, np.inf
+    inequalities: Any = sparse.vstack(blocks).tocsr() if blocks else None
+    equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
+    box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
+    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
+    found = optimize.linprog(
+        c=np.append(np.zeros(A.shape[1]), 1.0),
+        A_ub=inequalities,
+        b_ub=np.concatenate(bounds) if bounds else None,
+        A_eq=equalities,
+        b_eq=lower_g[equal],
+        bounds=box,
+        method="highs",
+        options=options,
+    )
+    if found.status != 0 or found.x is None:
+        return None
+    widened = float(found.x[-1])
+    command = found.x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.command]
+    command = np.asarray(command * statement.stage.current_A)
+    if problem.wall is None:
+        command[problem.free_stages :] = 0.0
+    return 1.0 + (widened if widened > SLACK else 0.0), command
+
+
+def _widths(
+    problem: TransientProblem, shape: transcribe.Shape, upper_x: FloatArray, rows: int, limits: Collection[str]
+) -> tuple[FloatArray, FloatArray]:
+    """What one unit of widening adds to each bound of the variables and of the rows; zero where it stays."""
+    wide_x, wide_g = np.zeros((shape.stages, shape.variables)), np.zeros(rows)
+    upper = upper_x[shape.first :].reshape(shape.stages, shape.variables)
+    own = {"slew": 0, "command": shape.command}
+    if problem.limits.command_A is None:
+        own = {"slew": 0, "current": shape.command}
+    else:
+        own["current"] = shape.controls + shape.layout.current
+    for name in set(limits) & set(own):
+        column = upper[:, own[name]]
+        wide_x[:, own[name]] = np.where(np.isfinite(column), column, 0.0)
+    if "supply" in limits and problem.supply is not None:
+        for kind in ("supply_before", "supply_after"):
+            wide_g[transcribe.state_program(shape).rows[kind]] = 1.0
+    return np.append(np.zeros(shape.first), wide_x.ravel()), wide_g
