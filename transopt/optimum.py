@@ -96,9 +96,10 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
     if small.wall is None and inside(small, np.zeros(small.grid.stages)):
         # Doing nothing is a way out, whatever the solver called it.
         return designed
-    remarks = infeasibility(small, options)
-    answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
-    return replace(designed, solution=answer, remarks=remarks)
+    remarks, status = infeasibility(small, options), Status.INFEASIBLE
+    if not remarks and unstable_wall(problem):
+        remarks, status = [unstable_wall(problem)], Status.UNSTABLE_WALL
+    return replace(designed, solution=replace(answer, status=status) if remarks else answer, remarks=remarks)
 
 
 def _rounding(problem: TransientProblem, answer: Solution) -> str:

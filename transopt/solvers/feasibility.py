@@ -20,6 +20,8 @@ from transopt.statement import state
 SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method
 MOST_TIME_S = 30.0
+BROKE_DOWN = 4  # status of numerical difficulties, which another variant often has not
+ATTEMPTS = (("highs", True), ("highs-ds", False), ("highs-ipm", True))
 
 
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
@@ -68,17 +70,20 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     inequalities: Any = sparse.vstack(blocks).tocsr() if blocks else None
     equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
     box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
-    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
-    found = optimize.linprog(
-        c=np.append(np.zeros(A.shape[1]), 1.0),
-        A_ub=inequalities,
-        b_ub=np.concatenate(bounds) if bounds else None,
-        A_eq=equalities,
-        b_eq=lower_g[equal],
-        bounds=box,
-        method="highs",
-        options=options,
-    )
+    for method, presolve in ATTEMPTS:
+        options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S, "presolve": presolve}
+        found = optimize.linprog(
+            c=np.append(np.zeros(A.shape[1]), 1.0),
+            A_ub=inequalities,
+            b_ub=np.concatenate(bounds) if bounds else None,
+            A_eq=equalities,
+            b_eq=lower_g[equal],
+            bounds=box,
+            method=method,
+            options=options,
+        )
+        if found.status != BROKE_DOWN:
+            break
     if found.status != 0 or found.x is None:
         return None
     widened = float(found.x[-1])
