@@ -52,7 +52,9 @@ def compiler() -> Compiler:
         if not command or shutil.which(command[0]) is None:
             continue
         try:
-            said = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=BUILD_S, check=True)
+            said = subprocess.run(
+                [*command, "--version"], capture_output=True, text=True, timeout=BUILD_S, check=True
+            )
         except (OSError, subprocess.SubprocessError):
             continue
         return Compiler(command, said.stdout)
@@ -73,7 +75,12 @@ def sources(*folders: Path) -> list[Path]:
 
 
 def build(
-    name: str, files: Iterable[Path], *, flags: Iterable[str] = (), shared: bool = False, with_: Compiler | None = None
+    name: str,
+    files: Iterable[Path],
+    *,
+    flags: Iterable[str] = (),
+    shared: bool = False,
+    with_: Compiler | None = None,
 ) -> Path:
     """An executable, or a shared library, of these C files; compiled only if it is not there yet.
 
@@ -119,7 +126,9 @@ def _compile(chosen: Compiler, options: list[str], files: list[Path], target: Pa
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S, check=False)
     except (OSError, subprocess.SubprocessError) as error:
-        raise NoCompilerError(f"{chosen.command[0]}: does not run ({error}); name another in the variable CC") from None
+        raise NoCompilerError(
+            f"{chosen.command[0]}: does not run ({error}); name another in the variable CC"
+        ) from None
     if done.returncode:
         complaint = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
         raise NoCompilerError(f"{chosen.command[0]}: cannot compile the device: {complaint.strip()}")

@@ -130,9 +130,21 @@ def _library(flags: tuple[str, ...]) -> ctypes.CDLL:
     library = ctypes.CDLL(str(build("replay", files, flags=flags, shared=True)))
     library.td_replay_size.restype = ctypes.c_size_t
     library.td_replay_start.restype = ctypes.c_bool
-    library.td_replay_start.argtypes = [ctypes.c_void_p, *[ctypes.c_char_p, ctypes.c_size_t] * 2]
+    library.td_replay_start.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_char_p,
+        ctypes.c_size_t,
+        ctypes.c_char_p,
+        ctypes.c_size_t,
+    ]
     library.td_replay_run.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p]
-    library.td_replay_heat.argtypes = [ctypes.c_void_p, ctypes.c_void_p, *[ctypes.c_size_t] * 2, ctypes.c_void_p]
+    library.td_replay_heat.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_void_p,
+        ctypes.c_size_t,
+        ctypes.c_size_t,
+        ctypes.c_void_p,
+    ]
     return library
 
 

@@ -117,7 +117,7 @@ bool td_config_unpack(td_config *config, const uint8_t *bytes, size_t size)
     config->command_limit_A = narrow(&from, TD_CFG_COMMAND_LIMIT_A);
     config->has_slew = flag(&from, TD_CFG_HAS_SLEW_LIMIT_A_PER_S);
     config->slew_A = narrow(&from, TD_CFG_SLEW_A);
-    config->gain_step = narrow(&from, TD_CFG_GAIN_STEP);
+    config->gain_step = number(&from, TD_CFG_GAIN_STEP);
     config->has_grip = !flag(&from, TD_CFG_HAS_ASSUMED_GRIP_N);
     config->assumed_grip_N = narrow(&from, TD_CFG_ASSUMED_GRIP_N);
     config->new_grip = narrow(&from, TD_CFG_GRIP_NEW_PART);

@@ -42,7 +42,7 @@ typedef struct {
     td_real current_limit_A, command_limit_A;
     bool has_slew;
     td_real slew_A; /* per tick */
-    td_real gain_step;
+    td_wide gain_step;
     td_wall wall;
     /* grip */
     bool has_grip;

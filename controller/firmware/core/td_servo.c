@@ -65,7 +65,7 @@ bool td_servo_reset(td_servo *servo)
     return true;
 }
 
-void td_servo_set_gain(td_servo *servo, td_real gain)
+void td_servo_set_gain(td_servo *servo, td_wide gain)
 {
     servo->wanted_gain = gain > 0 ? (gain > 1 ? 1 : gain) : 0;
 }
@@ -231,7 +231,7 @@ static td_real next_sample(td_servo *servo, bool *ended)
         return 0;
     servo->sample_A = j < servo->last ? td_bank_sample(servo->bank, &servo->play, j) : 0;
     servo->index = j + 1;
-    return servo->scale * servo->gain * ((1 - part) * servo->sample_A + part * before);
+    return servo->scale * (td_real)servo->gain * ((1 - part) * servo->sample_A + part * before);
 }
 
 /* The nearest command inside the slew limit, the command's range and, above all, the current limit.
@@ -262,6 +262,14 @@ static void expect(td_servo *servo, td_real command_A)
     servo->least_A = least * servo->least_A + (1 - least) * command_A;
 }
 
+static void follow_gain(td_servo *servo)
+{
+    const td_wide low = servo->gain - servo->config->gain_step, high = servo->gain + servo->config->gain_step;
+    const td_wide wanted = servo->wanted_gain;
+
+    servo->gain = wanted < low ? low : (wanted > high ? high : wanted);
+}
+
 /* Tell once per run of cut ticks. */
 static void saturation(td_servo *servo, td_output *output, uint32_t tick, td_real cut_A)
 {
@@ -283,8 +291,8 @@ static void drive(td_servo *servo, uint32_t tick, td_output *output)
     bool ended = false;
 
     touch(servo, output, tick);
-    servo->gain = td_within(servo->wanted_gain, servo->gain - config->gain_step, servo->gain + config->gain_step);
-    wanted = servo->gain * law(servo);
+    follow_gain(servo);
+    wanted = (td_real)servo->gain * law(servo);
     output->feedback_A = config->now * wanted + config->before * servo->earlier_A;
     if (servo->state == TD_STATE_PLAYING) {
         output->transient_A = next_sample(servo, &ended);

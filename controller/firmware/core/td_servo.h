@@ -26,7 +26,7 @@ typedef struct {
     uint32_t latched;              /* all that tripped, see td_fault_bit */
     uint32_t counts[TD_NOTICES];   /* how often each notice was given, modulo 2^32 */
     uint32_t saturated_ticks;      /* in how many ticks the sum was cut, modulo 2^32 */
-    td_real gain, wanted_gain;     /* in force; it follows the wanted one */
+    td_wide gain, wanted_gain;     /* in force; it follows the wanted one, in steps that would add up their rounding */
     td_real scale;                 /* how much of the transient the heat allowed */
     td_real expected_A;            /* current of the amplifier model at the coming switching instant */
     td_real least_A, most_A;       /* between these it is, for every amplifier within the tolerance */
@@ -62,7 +62,7 @@ void td_servo_disarm(td_servo *servo);
 bool td_servo_reset(td_servo *servo);
 
 /* Scale of transient and feedback together, 0 to 1; anything else goes to the nearer end, NaN to 0. */
-void td_servo_set_gain(td_servo *servo, td_real gain);
+void td_servo_set_gain(td_servo *servo, td_wide gain);
 
 /* One servo period: the command that answers one tick's readings. */
 void td_servo_step(td_servo *servo, const td_readings *readings, td_output *output);

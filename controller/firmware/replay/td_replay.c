@@ -21,7 +21,7 @@ bool td_replay_start(
     return true;
 }
 
-static uint8_t grant(td_servo *servo, uint8_t wishes, td_real gain)
+static uint8_t grant(td_servo *servo, uint8_t wishes, td_wide gain)
 {
     uint8_t answers = 0;
 
@@ -51,7 +51,7 @@ void td_replay_run(td_replay *replay, const uint8_t *input, size_t ticks, uint8_
         readings.current_A = (td_real)td_get_f64(input + 24);
         readings.acceleration_m_s2 = 0;
         memset(output, 0, TD_REPLAY_OUT);
-        output[49] = grant(&replay->servo, input[0], (td_real)td_get_f64(input + 8));
+        output[49] = grant(&replay->servo, input[0], td_get_f64(input + 8));
         td_servo_step(&replay->servo, &readings, &answer);
         td_put_f64(output, (double)answer.command_A);
         td_put_f64(output + 8, (double)answer.transient_A);
