@@ -124,6 +124,7 @@ def header_text() -> str:
         _define("TD_PULSE_LIMIT_S", limits.PULSE_LIMIT_S),
         _define("TD_LEASE_LEAST_MS", limits.LEASE_LEAST_MS),
         _define("TD_LEASE_MOST_MS", limits.LEASE_MOST_MS),
+        _define("TD_TRIAL_GAIN", limits.TRIAL_GAIN),
         _define("TD_REST_SPEED_M_S", limits.REST_SPEED_M_S),
         _define("TD_LINK_SILENCE_MS", limits.LINK_SILENCE_MS),
         _define("TD_EVENT_REPEAT_MS", limits.EVENT_REPEAT_MS),

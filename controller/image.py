@@ -127,6 +127,34 @@ def _fields(image: bytes) -> dict[str, Any]:
     return head
 
 
+def too_large(image: bytes, capacity: Capacity) -> str | None:
+    """Why an image does not fit a device, with the grid and the rate that would; None if it fits.
+
+    Raises
+    ------
+    ImageError : not an image.
+    """
+    head = _fields(image)
+    nv, ng, N, dt_s = head["speeds"], head["grips"], head["samples"], head["dt_s"]
+    axes_fit = nv <= capacity.speeds and ng <= capacity.grips
+    if axes_fit and capacity.waveform_samples >= N and nv * ng * N <= capacity.samples:
+        return None
+    advice = []
+    # A grid of the same proportions, then the same grid at a lower rate or over a shorter time.
+    shrink = min(1.0, (capacity.samples / (N * nv * ng)) ** 0.5)
+    speeds, grips = (max(1, min(int(n * shrink), most)) for n, most in ((nv, capacity.speeds), (ng, capacity.grips)))
+    if capacity.waveform_samples >= N and speeds * grips * N <= capacity.samples:
+        advice.append(f"a grid of {speeds} speeds x {grips} grips")
+    samples = min(capacity.waveform_samples, capacity.samples // (nv * ng))
+    if axes_fit and samples:
+        advice.append(f"{samples} samples ({samples * dt_s * 1e3:.3g} ms, or {samples / (N * dt_s) / 1e3:.3g} kHz)")
+    return (
+        f"library: {nv} speeds x {ng} grips x {N} samples: the device holds {capacity.speeds} x {capacity.grips}, "
+        f"{capacity.waveform_samples} samples each, {capacity.samples} in all: "
+        + (f"{' or '.join(advice)} would fit" if advice else "use a device with more memory")
+    )
+
+
 def bank_of(image: bytes) -> tuple[Bank, dict[str, Any]]:
     """The table that an image holds, commands count * scale_A, and its header.
 

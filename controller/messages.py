@@ -97,6 +97,9 @@ class Commit(Packed):
 @laid_out
 @dataclass(frozen=True, slots=True)
 class Arm(Packed):
+    """trial 1: the bring-up check's own tap, before it has passed, at a gain of at most `limits.TRIAL_GAIN`."""
+
+    trial: U8
     lease_ms: U16
     gain: F64
     configuration_sha256: Hash

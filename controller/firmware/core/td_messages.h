@@ -133,11 +133,12 @@ enum {
 
 #define TD_COMMIT_BYTES 0
 
-#define TD_ARM_LEASE_MS 0 /* u16 */
-#define TD_ARM_GAIN 2 /* f64 */
-#define TD_ARM_CONFIGURATION_SHA256 10 /* 32 bytes */
-#define TD_ARM_LIBRARY_SHA256 42 /* 32 bytes */
-#define TD_ARM_BYTES 74
+#define TD_ARM_TRIAL 0 /* u8 */
+#define TD_ARM_LEASE_MS 1 /* u16 */
+#define TD_ARM_GAIN 3 /* f64 */
+#define TD_ARM_CONFIGURATION_SHA256 11 /* 32 bytes */
+#define TD_ARM_LIBRARY_SHA256 43 /* 32 bytes */
+#define TD_ARM_BYTES 75
 
 #define TD_LEASE_HOST_US 0 /* u64 */
 #define TD_LEASE_BYTES 8
@@ -394,6 +395,7 @@ enum {
 #define TD_PULSE_LIMIT_S 0.02
 #define TD_LEASE_LEAST_MS 50
 #define TD_LEASE_MOST_MS 1000
+#define TD_TRIAL_GAIN 0.1
 #define TD_REST_SPEED_M_S 0.05
 #define TD_LINK_SILENCE_MS 1000
 #define TD_EVENT_REPEAT_MS 50
