@@ -131,6 +131,7 @@ def header_text() -> str:
         _define("TD_EVENT_WINDOW", limits.EVENT_WINDOW),
         _define("TD_EVENT_QUEUE", limits.EVENT_QUEUE),
         _define("TD_TELEMETRY_HOLD_MS", limits.TELEMETRY_HOLD_MS),
+        _define("TD_LONGEST_S", limits.LONGEST_S),
         _define("TD_ENCODER_MOST_COUNTS", limits.ENCODER_MOST_COUNTS),
         "",
         "#endif",

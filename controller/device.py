@@ -139,7 +139,8 @@ class Device:
             self._stop_wanted = True
         elif isinstance(message, m.Hello):
             self._hello(frame, message.nonce)
-        elif frame.session != self._session:
+        elif frame.session != self._session or kind >= Kind.HELLO_REPLY:
+            # What only devices send is no sign of a host.
             self.dropped_frames += 1
         else:
             self._silent_ticks = 0

@@ -12,6 +12,7 @@ LINK_SILENCE_MS = 1000  # a host that was silent for so long gets no telemetry a
 EVENT_REPEAT_MS = 50  # an event that is not acknowledged is sent again after this
 EVENT_WINDOW, EVENT_QUEUE = 8, 64  # events in flight, events kept
 TELEMETRY_HOLD_MS = 10  # no record waits longer for its batch to fill
+LONGEST_S = 3600.0  # of any duration in a configuration: ticks are counted in 32 bits
 ENCODER_MOST_COUNTS = 1 << 29  # further out the sums of the approach's fit would overflow 64 bits
 
 

@@ -17,7 +17,7 @@
 
 /* What the sensors say at one tick. */
 typedef struct {
-    uint32_t tick;
+    uint64_t tick;
     int32_t encoder_counts;    /* grow with z, out of the object; TD_NO_COUNTS if there is no number */
     td_real grip_N;            /* after its calibration; NaN if the sensor gives nothing */
     td_real current_A;         /* measured by the amplifier */
@@ -27,7 +27,7 @@ typedef struct {
 
 /* Something that happened at a tick; speed and grip where a contact is meant, else NaN. */
 typedef struct {
-    uint32_t tick;
+    uint64_t tick;
     uint8_t what; /* TD_WHAT_... */
     td_real speed_m_s;
     td_real grip_N;

@@ -70,7 +70,7 @@ void td_servo_set_gain(td_servo *servo, td_wide gain)
     servo->wanted_gain = gain > 0 ? (gain > 1 ? 1 : gain) : 0;
 }
 
-static void tell(td_output *output, uint32_t tick, int what, td_real speed_m_s, td_real grip_N)
+static void tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
 {
     td_event *event;
 
@@ -83,14 +83,14 @@ static void tell(td_output *output, uint32_t tick, int what, td_real speed_m_s, 
     event->grip_N = grip_N;
 }
 
-static void note(td_servo *servo, td_output *output, uint32_t tick, int notice, td_real speed_m_s, td_real grip_N)
+static void note(td_servo *servo, td_output *output, uint64_t tick, int notice, td_real speed_m_s, td_real grip_N)
 {
     servo->counts[notice - TD_FIRST_NOTICE]++;
     tell(output, tick, notice, speed_m_s, grip_N);
 }
 
 /* Latch these faults, and tell each. The first of the list is the servo's. */
-static void latch(td_servo *servo, td_output *output, uint32_t tick, uint32_t faults)
+static void latch(td_servo *servo, td_output *output, uint64_t tick, uint32_t faults)
 {
     static const uint8_t order[TD_FAULTS] = {
         TD_WHAT_EMERGENCY_STOP, TD_WHAT_BAD_SENSOR, TD_WHAT_OVER_CURRENT, TD_WHAT_OVER_TEMPERATURE,
@@ -181,7 +181,7 @@ static void start(td_servo *servo, td_wide phase)
 }
 
 /* Look for a contact, and start a transient if there is one to play. */
-static void touch(td_servo *servo, td_output *output, uint32_t tick)
+static void touch(td_servo *servo, td_output *output, uint64_t tick)
 {
     const td_config *config = servo->config;
     const td_approach *approach = &servo->approach;
@@ -271,7 +271,7 @@ static void follow_gain(td_servo *servo)
 }
 
 /* Tell once per run of cut ticks. */
-static void saturation(td_servo *servo, td_output *output, uint32_t tick, td_real cut_A)
+static void saturation(td_servo *servo, td_output *output, uint64_t tick, td_real cut_A)
 {
     const bool saturated = td_size(cut_A) > (td_real)SATURATED_A;
 
@@ -284,7 +284,7 @@ static void saturation(td_servo *servo, td_output *output, uint32_t tick, td_rea
 }
 
 /* Command of a tick in ARMED or PLAYING, inside every limit. */
-static void drive(td_servo *servo, uint32_t tick, td_output *output)
+static void drive(td_servo *servo, uint64_t tick, td_output *output)
 {
     const td_config *config = servo->config;
     td_real wanted, inside, cut;

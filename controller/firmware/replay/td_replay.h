@@ -24,7 +24,7 @@ typedef struct {
     td_config config;
     td_bank bank;
     td_servo servo;
-    uint32_t tick;
+    uint64_t tick;
 } td_replay;
 
 /* For callers that do not know the struct. */
