@@ -154,7 +154,7 @@ def test_sanitizers_find_nothing(played: list[Recorder], tmp_path: Path, flags: 
     write_runs(tmp_path / "runs", [recorder.run_bytes() for recorder in (*played, *map(random_recorder, SEEDS))])
     files = [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"]
     plain = build("replay", files, flags=flags)
-    checks = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+    checks = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
     try:
         checked = build("replay-checked", files, flags=(*flags, *checks))
     except NoCompilerError as refused:

@@ -60,6 +60,10 @@ def sha256(data: bytes) -> bytes:
     return digest.raw
 
 
+def crc32(data: bytes) -> int:
+    return int(_probe(()).td_crc32(0, data, len(data)))
+
+
 class Decoder:
     """`wire.Decoder` by the core."""
 
@@ -111,7 +115,7 @@ class CoreDevice:
 
     def step(self, readings: Readings) -> Output:
         r, self.tick = readings, readings.tick
-        self._in[:] = (r.grip_N, r.current_A, r.acceleration_m_s2)
+        self._in[:] = [r.grip_N, r.current_A, r.acceleration_m_s2]
         pointers = (self._in, self._answer, self._events, self._contacts)
         counts = counts_of(r.encoder_counts)
         state = self._library.td_probe_step(self._device.at, r.tick, counts, r.emergency_stop, *pointers)
