@@ -157,6 +157,8 @@ def settings_of(data: bytes) -> Settings:
     try:
         settings = Settings(**_arguments(values))
         again = np.array(list(numbers(settings).values()))
+    except ConfigurationError:
+        raise
     except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         raise ConfigurationError(Reason.BAD_CONFIGURATION) from error
     came = np.array(list(values.values()))

@@ -25,7 +25,7 @@ CONFIGURATION = configuration_of(SETTINGS)
 def table(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.0) -> Bank:
     """A bank of smooth pulses that end in 10 zeros."""
     shape = np.zeros(samples)
-    shape[: samples - 10] = np.sin(np.linspace(0, 3 * np.pi, samples - 10)) * np.linspace(1, 0, samples - 10)
+    shape[: samples - 10] = np.sin(np.linspace(0, 3 * np.pi, samples - 10)) * np.linspace(1, 0.2, samples - 10) + 0.01
     size = np.linspace(0.5, 1.0, speeds * grips).reshape(speeds, grips, 1)
     norms = np.linalg.norm(shape) * size[..., 0] * peak_A
     return Bank(
@@ -42,7 +42,7 @@ def table(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.
 
 
 def image(**sizes: int) -> bytes:
-    return image_of(table(**sizes), DT_S, 3 * DT_S, 10)
+    return image_of(table(**sizes), DT_S, SETTINGS.lead_s, 10)
 
 
 IMAGE = image()
