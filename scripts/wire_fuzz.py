@@ -2,10 +2,10 @@
 
     python scripts/wire_fuzz.py [--frames 1000000] [--seed 0] [--endpoints]
 
-Frames of random length and content are hit in 2 to 4 bytes, cut, lengthened, or merged with the next, and given to the
-decoder in pieces of random size. Whatever it then takes for a sound frame must be one that was sent. `--endpoints` puts
-the damaged frames to a device and a session as well: neither may fail, and the device must stay without a command.
-Exit code 1 if a frame was accepted wrongly or a frame after the damage was lost.
+Frames of random length and content are hit in 2 to 4 bytes, cut, lengthened, or merged with the next, and given to
+the decoder in pieces of random size. Whatever it then takes for a sound frame must be one that was sent.
+`--endpoints` puts the damaged frames to a device and a session as well: neither may fail, and the device must stay
+without a command. Exit code 1 if a frame was accepted wrongly or a frame after the damage was lost.
 """
 
 import argparse

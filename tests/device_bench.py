@@ -70,11 +70,13 @@ class World:
         hardware: Hardware | None = None,
     ) -> None:
         self.link = Link(trouble, seed)
-        self.session = Session(tokens())
+        self._tokens = tokens()
+        self.session = Session(self._tokens)
         self._boots = count(100)
         self._capacity, self._hardware = capacity, hardware
         self.device = Device(next(self._boots), capacity, hardware)
         self.now_s, self.ticks, self.device_tick = 0.0, 0, 0
+        self.last_arrival_s = 0.0  # when the device last got a byte
         self.told: list[Told] = []
         self.told_s: list[float] = []
         self.host_alive = True
@@ -87,7 +89,10 @@ class World:
         self.device_tick = 0
 
     def step(self) -> None:
-        self.device.receive(self.link.to_device.arrived(self.now_s))
+        data = self.link.to_device.arrived(self.now_s)
+        if data:
+            self.last_arrival_s = self.now_s
+        self.device.receive(data)
         self.output = self.device.step(self.readings(self.device_tick))
         self.link.device_sends(self.device.bytes_to_send(), self.now_s)
         self.ticks += 1
@@ -117,6 +122,11 @@ class World:
 
     def of(self, kind: type[Told]) -> list[Told]:
         return [news for news in self.told if isinstance(news, kind)]
+
+    def restart_host(self) -> None:
+        """Another process, which knows nothing of the one before."""
+        self.session, self.host_alive = Session(self._tokens), True
+        self.told, self.told_s = [], []
 
     def connected(self) -> "World":
         self.session.connect(self.now_s)
