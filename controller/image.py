@@ -124,6 +124,9 @@ def _fields(image: bytes) -> dict[str, Any]:
     sizes = head["speeds"], head["grips"], head["samples"]
     if min(sizes) < 1 or head["reserved"] or image_bytes(*sizes) != len(image):
         raise ImageError(Reason.BAD_FORMAT, len(image))
+    for name in ("scale_A", "grip_min_N"):
+        if not 0 <= head[name] < np.inf:
+            raise ImageError(Reason.BAD_VALUE, head[name])
     return head
 
 
@@ -160,7 +163,7 @@ def bank_of(image: bytes) -> tuple[Bank, dict[str, Any]]:
 
     Raises
     ------
-    ImageError : not an image of this version, or not as long as it says.
+    ImageError : not an image of this version, not as long as it says, or a scale that is no number.
     """
     head = _fields(image)
     nv, ng, N = head["speeds"], head["grips"], head["samples"]
@@ -211,8 +214,7 @@ def check(image: bytes, configuration: Configuration, capacity: Capacity) -> Ban
     if not all(np.all(np.isfinite(axis)) and axis[0] >= 0 and np.all(np.diff(axis) > 0) for axis in axes):
         raise ImageError(Reason.BAD_AXES)
     norms = np.asarray([table.transient_A, table.feedback_A])
-    numbers = (head["scale_A"], head["grip_min_N"])
-    if not (np.all(np.isfinite(norms)) and np.all(norms >= 0) and all(0 <= x < np.inf for x in numbers)):
+    if not (np.all(np.isfinite(norms)) and np.all(norms >= 0)):
         raise ImageError(Reason.BAD_VALUE)
     settings = configuration.settings
     if head["dt_s"] != settings.dt_s or head["lead_s"] != settings.lead_s:

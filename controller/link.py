@@ -4,10 +4,10 @@ Bytes stay in order. Faults strike whole frames as they are sent, by a seeded ge
 """
 
 import random
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 
-from controller.wire import DELIMITER
+from controller.wire import DELIMITER, decode
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +43,16 @@ def damaged(frame: bytes, chance: random.Random) -> bytes:
 
 
 class Direction:
-    """One way."""
+    """One way.
+
+    Attributes
+    ----------
+    frames : put in so far. kinds : of these, as far as they are sound.
+    """
 
     def __init__(self, trouble: Trouble, chance: random.Random) -> None:
         self.trouble, self._chance = trouble, chance
+        self.frames, self.kinds = 0, Counter[int]()
         self._under_way: deque[tuple[float, bytes]] = deque()
         self._last_s = 0.0
 
@@ -56,6 +62,9 @@ class Direction:
         t, chance = self.trouble, self._chance
         for piece in data.split(DELIMITER)[:-1]:
             frame = piece + DELIMITER
+            self.frames += 1
+            payload = decode(piece)
+            self.kinds[payload[0] if payload else 0] += 1
             if chance.random() < t.loss:
                 continue
             if chance.random() < t.corruption:

@@ -35,7 +35,9 @@ def stuff(raw: bytes) -> bytes:
 
 
 def unstuff(stuffed: bytes) -> bytes | None:
-    """The inverse of `stuff`; None if a code byte points beyond the end."""
+    """The inverse of `stuff`; None if there is a zero, or if a code byte points beyond the end."""
+    if DELIMITER in stuffed:
+        return None
     out, place, size = bytearray(stuffed), 0, len(stuffed)
     full = []  # code bytes of full runs: no zero stands there
     while place < size:

@@ -25,7 +25,7 @@ CONFIGURATION = configuration_of(SETTINGS)
 def table(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.0) -> Bank:
     """A bank of smooth pulses that end in 10 zeros."""
     shape = np.zeros(samples)
-    shape[: samples - 10] = np.sin(np.linspace(0, 3 * np.pi, samples - 10)) * np.linspace(1, 0, samples - 10)
+    shape[: samples - 10] = np.sin(np.linspace(0, 3 * np.pi, samples - 10)) * np.linspace(1, 0.2, samples - 10) + 0.01
     size = np.linspace(0.5, 1.0, speeds * grips).reshape(speeds, grips, 1)
     norms = np.linalg.norm(shape) * size[..., 0] * peak_A
     return Bank(
@@ -42,7 +42,7 @@ def table(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.
 
 
 def image(**sizes: int) -> bytes:
-    return image_of(table(**sizes), DT_S, 3 * DT_S, 10)
+    return image_of(table(**sizes), DT_S, SETTINGS.lead_s, 10)
 
 
 IMAGE = image()
@@ -70,11 +70,13 @@ class World:
         hardware: Hardware | None = None,
     ) -> None:
         self.link = Link(trouble, seed)
-        self.session = Session(tokens())
+        self._tokens = tokens()
+        self.session = Session(self._tokens)
         self._boots = count(100)
         self._capacity, self._hardware = capacity, hardware
         self.device = Device(next(self._boots), capacity, hardware)
         self.now_s, self.ticks, self.device_tick = 0.0, 0, 0
+        self.last_arrival_s = 0.0  # when the device last got a byte
         self.told: list[Told] = []
         self.told_s: list[float] = []
         self.host_alive = True
@@ -87,7 +89,10 @@ class World:
         self.device_tick = 0
 
     def step(self) -> None:
-        self.device.receive(self.link.to_device.arrived(self.now_s))
+        data = self.link.to_device.arrived(self.now_s)
+        if data:
+            self.last_arrival_s = self.now_s
+        self.device.receive(data)
         self.output = self.device.step(self.readings(self.device_tick))
         self.link.device_sends(self.device.bytes_to_send(), self.now_s)
         self.ticks += 1
@@ -117,6 +122,11 @@ class World:
 
     def of(self, kind: type[Told]) -> list[Told]:
         return [news for news in self.told if isinstance(news, kind)]
+
+    def restart_host(self) -> None:
+        """Another process, which knows nothing of the one before."""
+        self.session, self.host_alive = Session(self._tokens), True
+        self.told, self.told_s = [], []
 
     def connected(self) -> "World":
         self.session.connect(self.now_s)
