@@ -174,8 +174,9 @@ static bool obey(const options *said)
     static char line[LINE];
     static size_t size;
     char one;
+    ssize_t got;
 
-    while (read(STDIN_FILENO, &one, 1) == 1) {
+    while ((got = read(STDIN_FILENO, &one, 1)) == 1) {
         if (one != '\n') {
             if (size + 1 < sizeof line)
                 line[size++] = one;
@@ -188,7 +189,8 @@ static bool obey(const options *said)
         if (strcmp(line, "reset") == 0)
             start_device(said);
     }
-    return true;
+    /* It does not outlive who started it. */
+    return got < 0;
 }
 
 /* Bytes both ways, through the line's troubles. */
