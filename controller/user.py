@@ -266,7 +266,7 @@ class TapsInTurn:
     Parameters
     ----------
     taps : (speed [m/s], grip [N]) of each; the grip changes during the retreat.
-    period_s : of a whole round; the hand rests at its start height for what is left. None: no longer than the taps take.
+    period_s : of a whole round; the hand rests at its start height for what is left. Without it, of the taps alone.
 
     Raises
     ------

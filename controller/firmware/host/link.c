@@ -50,10 +50,12 @@ const char *link_listen(port_link *link, const char *address, char *name)
     socklen_t size = sizeof bound;
     char host[LINK_NAME - 32];
     const int yes = 1;
+    char *rest;
 
     link->open = link->kept = link->listening = -1;
     link->terminal = false;
-    if (colon == NULL || (size_t)(colon - address) >= sizeof host)
+    if (colon == NULL || colon[1] == '\0' || (size_t)(colon - address) >= sizeof host ||
+        strtoul(colon + 1, &rest, 10) > 65535 || *rest != '\0')
         return "--listen wants HOST:PORT";
     memcpy(host, address, (size_t)(colon - address));
     host[colon - address] = '\0';
