@@ -3,7 +3,6 @@
 import hashlib
 import subprocess
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -137,16 +136,15 @@ def test_sanitizers_find_nothing(talk: Talk, tmp_path: Path) -> None:
     assert said[0].stdout == said[1].stdout
 
 
-@pytest.fixture
-def world() -> Iterator[World]:
-    made = World()
-    made.device = CoreDevice(100)  # type: ignore[assignment]
-    yield made
-    assert made.device.counts()[3] == 0  # type: ignore[attr-defined]
-
-
-def test_the_host_session_brings_the_core_up_and_arms_it(world: World) -> None:
+@pytest.mark.parametrize(("flags", "real_bytes"), [((), 8), (("-DTD_REAL_FLOAT",), 4)], ids=["double", "single"])
+def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...], real_bytes: int) -> None:
+    """And the core goes safe within its lease when the host falls silent."""
+    world, core = World(), CoreDevice(100, flags=flags)
+    world.device = core  # type: ignore[assignment]
     world.armed()
+    assert world.session.device is not None
+    assert world.session.device.real_bytes == real_bytes
     assert world.output.state is State.ARMED
     world.host_alive = False
     world.until(lambda: world.output.state is State.IDLE, 0.21)
+    assert core.counts()[3] == 0

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller import device_cli
 from controller import messages as m
 from controller.bank import Bank
 from controller.configuration import configuration_of
@@ -309,12 +310,16 @@ def test_without_a_compiler_it_says_so_and_serves_the_python_device() -> None:
         (["--python", "--listen", "nowhere"], "--listen nowhere: must be HOST:PORT"),
     ],
 )
-def test_bad_options_are_told_in_one_line(options: list[str], message: str) -> None:
-    command = [sys.executable, "-m", "controller.device_cli", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=WAIT_S)
-    assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {message}")
-    assert done.stderr.count("\n") == 1
+def test_bad_options_are_told_in_one_line(
+    options: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["transopt-device", *options])
+    with pytest.raises(SystemExit) as ended:
+        device_cli.main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.startswith(f"error: {message}")
+    assert said.count("\n") == 1
 
 
 def test_a_librarys_device_is_served(library: Library, tmp_path: Path) -> None:
