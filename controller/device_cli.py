@@ -176,6 +176,8 @@ def _serve_python(
         serve(lambda: Device(_boot()), simulator, DT_S, port, link, reset_every_s=reset_every_s)
     except KeyboardInterrupt:
         return
+    finally:
+        port.close()
 
 
 def main() -> None:

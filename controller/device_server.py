@@ -39,6 +39,9 @@ class Port:
         """How much of it went out; without a host all of it, to nobody."""
         raise NotImplementedError
 
+    def close(self) -> None:
+        raise NotImplementedError
+
 
 class Terminal(Port):
     """A pseudo-terminal.
@@ -72,6 +75,10 @@ class Terminal(Port):
             return os.write(self._ours, data)
         return 0
 
+    def close(self) -> None:
+        os.close(self._ours)
+        os.close(self._theirs)
+
 
 class Listener(Port):
     """A TCP socket; a host that comes while another is there waits.
@@ -83,11 +90,11 @@ class Listener(Port):
 
     def __init__(self, address: str) -> None:
         host, colon, port = address.rpartition(":")
-        if not colon or not port.isdigit():
+        if not colon or not port.isdigit() or int(port) > 65535:
             raise InputError(f"--listen {address}: must be HOST:PORT")
         try:
             self._server = socket.create_server((host, int(port)))
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             raise InputError(f"--listen {address}: cannot be had ({error}); choose another port") from None
         self._server.setblocking(False)
         self._client: socket.socket | None = None
@@ -123,6 +130,11 @@ class Listener(Port):
         except OSError:
             self._drop()
             return len(data)
+
+    def close(self) -> None:
+        if self._client is not None:
+            self._drop()
+        self._server.close()
 
     def _drop(self) -> None:
         assert self._client is not None
