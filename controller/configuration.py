@@ -50,7 +50,8 @@ class ConfigurationError(ValueError):
         self.reason, self.value = reason, value
 
 
-def _stated(settings: Settings) -> dict[str, float]:
+def stated_numbers(settings: Settings) -> dict[str, float]:
+    """The first part of the table, by name: the settings as they are."""
     values = {name: float(getattr(settings, name)) for name in PLAIN}
     for name in OPTIONAL:
         value = getattr(settings, name)
@@ -110,7 +111,7 @@ GUARD = {
 
 def numbers(settings: Settings) -> dict[str, float]:
     """Every number of the table, by name and in order."""
-    return {**_stated(settings), **_derived(settings)}
+    return {**stated_numbers(settings), **_derived(settings)}
 
 
 NAMES = tuple(numbers(Settings(1e-4, 0.0, 1.0)))

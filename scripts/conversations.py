@@ -4,17 +4,24 @@ import hashlib
 import math
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from controller import messages as m
+from controller.bank import Bank, Method
 from controller.codes import Kind
-from controller.configuration import CONFIGURATION_BYTES, HEADER, NAMES, configuration_of
+from controller.configuration import CONFIGURATION_BYTES, HEADER, NAMES, configuration_of, stated_numbers
 from controller.image import IMAGE_FIELDS, image_of
 from controller.interface import Readings
 from controller.packed import Packed
+from controller.settings import Settings
 from controller.wire import encode
 from scripts.parity_runs import COUNT_M, DT_S, TAIL, Random, draw_amplifier, draw_bank, draw_settings, falsified
+from transopt.amplifier import Amplifier
+from transopt.wall import Wall
 
 NUMBERS = (math.nan, math.inf, -1.0, 0.0, -0.0, 0.5, 1.0, 2.0, 33.0, 1e5, 1e300, -1e300, 5e-324)
 CHUNK = 300  # bytes of a configuration in one frame
@@ -51,7 +58,7 @@ def damaged_image(random: Random, data: bytes) -> bytes:
     if kind < 0.9:
         at = len(data) - 2 * int(random.integers(1, 30))
         return data[:at] + struct.pack("<h", int(random.choice([1, -32768, 32767]))) + data[at + 2 :]
-    return data[: -int(random.integers(1, len(data)))]
+    return data[: int(random.choice([0, 40, 55, 56, len(data) - 1]))]
 
 
 def damaged_frame(random: Random, frame: bytes) -> bytes:
@@ -70,12 +77,57 @@ def damaged_frame(random: Random, frame: bytes) -> bytes:
     return bytes(data)
 
 
+def odd_settings(random: Random, settings: Settings) -> Settings:
+    """Sound ones, some of which ask for more than a device has."""
+    wall = Wall(100.0, 0.0, 1.25, int(random.choice([31, 32, 10**6])), 100.0)
+    changes: tuple[dict[str, Any], ...] = (
+        {"window_ticks": int(random.choice([4, 256, 257, 10**6]))},
+        {"encoder_limit_counts": int(random.choice([1, 1 << 29, (1 << 29) + 1, 10**12]))},
+        {"current_limit_A": float(random.choice([1e-3, 10.0, 10.001, 1e9]))},
+        {"amplifier": Amplifier(float(random.choice([1e-12, 1.0, 1e9])), 0.0, float(random.choice([6.0, 11.0])))},
+        {"amplifier": None},
+        {"wall": wall},
+        {"coil": None},
+        {"stuck_s": float(random.choice([1e-9, 3600.0, 3601.0]))},
+        {"rearm_s": 1e300},
+        {"no_current_s": 1.5 * DT_S},
+        {"dt_s": 2 * DT_S},
+        {"lead_s": float(random.choice([0.0, 1.0, 1e200]))},
+        {"over_current": 1e308},
+        {"grip_filter_s": float(random.choice([DT_S, 0.5 * DT_S, 1.0]))},
+    )
+    return replace(settings, **changes[int(random.integers(len(changes)))])
+
+
+def table_of(settings: Settings) -> bytes:
+    """The settings' numbers; those that follow are zero where they cannot be had for what the settings ask."""
+    if settings.window_ticks <= 1000 and (settings.wall is None or settings.wall.latency_ticks <= 1000):
+        with np.errstate(all="ignore"), suppress(ArithmeticError):
+            return configuration_of(settings)
+    stated = {**dict.fromkeys(NAMES, 0.0), **stated_numbers(settings)}
+    return configuration_of(Settings(DT_S, 0.0, 1.0))[: HEADER.size] + struct.pack(
+        f"<{len(NAMES)}d", *stated.values()
+    )
+
+
+def odd_image(random: Random, settings: Settings) -> bytes:
+    """Sound ones, of sizes at the edge of what a device holds."""
+    nv, ng, N = ((1, 1, 20_000), (1, 1, 20_001), (64, 1, 12), (65, 1, 12), (1, 65, 12), (14, 1, 19_000))[
+        int(random.integers(6))
+    ]
+    norms = np.zeros((nv, ng)).tolist()
+    axes = np.linspace(0.1, 1.0, nv).tolist(), np.linspace(0.5, 5.0, ng).tolist()
+    table = Bank(Method.BILINEAR, *axes, np.zeros((nv, ng, N)), norms, norms, 0.5, True, False)
+    return image_of(table, settings.dt_s, settings.lead_s, TAIL)
+
+
 class Host:
     """Says one thing after the other; what it says depends on nothing but the random numbers."""
 
     def __init__(self, random: Random) -> None:
         self.random = random
         self.session, self.sequence = 1, 0
+        self.acknowledges = bool(random.uniform() < 0.7)
         amplifier = draw_amplifier(random)
         self.settings = draw_settings(random, amplifier, free=False)
         table = draw_bank(random, amplifier, free=False)
@@ -153,13 +205,17 @@ class Host:
         """One thing, as frames."""
         random, frame = self.random, self.frame
         number = float(random.choice([*NUMBERS, 0.05, -0.1, 0.101]))
+        acknowledges = 2.0 if self.acknowledges else 0.0
         things: tuple[tuple[float, Callable[[], list[bytes]]], ...] = (
             (8, lambda: [frame(m.Lease(int(random.integers(1 << 40))))]),
-            (2, lambda: [frame(m.EventAck(int(random.integers(40))))]),
+            (acknowledges, lambda: [frame(m.EventAck(int(random.integers(40))))]),
             (1.0, self.bring_up),
             (0.5, self.hello),
             (0.7, lambda: self.configure(damaged_configuration(random, self.configuration))),
+            (0.5, lambda: self.configure(table_of(odd_settings(random, self.settings)))),
+            (0.02, lambda: self.upload(odd_image(random, self.settings))),
             (0.4, lambda: self.configure(self.configuration)),
+            (0.3, lambda: [frame(m.Hello(m.MAGIC, m.PROTOCOL, 1), sequence=self.sequence + int(random.integers(2)))]),
             (0.7, lambda: self.upload(damaged_image(random, self.image))),
             (0.4, lambda: self.upload(self.image)),
             (0.3, lambda: [frame(m.UploadBegin(int(random.choice([0, 10, 10**6, 2**32 - 1])), random.bytes(32)))]),
@@ -171,7 +227,7 @@ class Host:
             (0.4, lambda: [frame(m.Disarm())]),
             (2, lambda: [frame(m.Reset())]),
             (0.7, lambda: [frame(m.Gain(number))]),
-            (0.5, lambda: [frame(m.Telemetry(int(random.choice([0, 1, 2, 7, 100, 65535]))))]),
+            (0.8, lambda: [frame(m.Telemetry(int(random.choice([0, 1, 1, 2, 7, 100, 65535]))))]),
             (1, lambda: [frame(m.Pulse(number, int(random.choice([0, 1, 50, 200, 201]))))]),
             (
                 0.3,

@@ -30,6 +30,7 @@ from transopt.errors import InputError
 
 TICKS = 4000  # of one conversation
 DAMAGES = (0.0, 0.02, 0.3)  # parts of the frames that arrive damaged, in turn
+FETCHES = (1, 1, 1, 40, 2500)  # ticks from one look at what the device said to the next, in turn
 ANOTHER_DEVICE = b"\xff\xff\xff\xff"
 BOOT = 1
 
@@ -58,7 +59,8 @@ class Talk:
             python.receive(data)
             core.receive(data)
             outputs = python.step(readings), core.step(readings)
-            said = python.bytes_to_send(), core.bytes_to_send()
+            fetched = readings.tick % FETCHES[seed % len(FETCHES)] == 0
+            said = (python.bytes_to_send(), core.bytes_to_send()) if fetched else (b"", b"")
             self.ticks += 1
             self._count(listener.feed(said[0]), outputs[0])
             if said[0] != said[1] or not same(*outputs):

@@ -15,7 +15,7 @@
 #define READINGS_BYTES 32
 #define ANOTHER_DEVICE 0xffffffffu
 
-static td_device device;
+static td_probe probe;
 static uint8_t arrived[MOST_BYTES], out[TD_OUTPUT_BYTES];
 
 static void add(uint64_t *hash, const uint8_t *bytes, size_t size)
@@ -30,10 +30,10 @@ static void step(uint64_t tick, const uint8_t *readings, uint64_t *hash)
     double answer[4], contacts[2 * TD_MAX_EVENTS];
     uint8_t events[TD_MAX_EVENTS], command[8];
 
-    td_probe_step(&device, tick, td_get_i32(readings), td_get_u32(readings + 4) != 0, said, answer, events, contacts);
+    td_probe_step(&probe.device, tick, td_get_i32(readings), td_get_u32(readings + 4) != 0, said, answer, events, contacts);
     td_put_f64(command, answer[0]);
     add(hash, command, sizeof command);
-    add(hash, out, td_device_send(&device, out, sizeof out));
+    add(hash, out, td_device_send(&probe.device, out, sizeof out));
 }
 
 int main(int argc, char **argv)
@@ -43,12 +43,12 @@ int main(int argc, char **argv)
     uint8_t head[4], readings[READINGS_BYTES];
     int failed = file == NULL;
 
-    td_probe_start(&device, 1, 10.0, 10.0, 1e-4);
+    td_probe_start(&probe, 1, 10.0, 10.0, 1e-4);
     while (!failed && fread(head, 1, sizeof head, file) == sizeof head) {
         const uint32_t size = td_get_u32(head);
 
         if (size == ANOTHER_DEVICE) {
-            td_probe_start(&device, 1, 10.0, 10.0, 1e-4);
+            td_probe_start(&probe, 1, 10.0, 10.0, 1e-4);
             tick = 0;
             continue;
         }
@@ -56,7 +56,7 @@ int main(int argc, char **argv)
                  fread(readings, 1, sizeof readings, file) != sizeof readings;
         if (failed)
             break;
-        td_device_receive(&device, arrived, size);
+        td_device_receive(&probe.device, arrived, size);
         step(tick++, readings, &hash);
     }
     if (file != NULL)

@@ -1,10 +1,12 @@
 #include "td_probe.h"
 
+#include <stdlib.h>
+
 #include "td_bytes.h"
 
 size_t td_probe_device_size(void)
 {
-    return sizeof(td_device);
+    return sizeof(td_probe);
 }
 
 size_t td_probe_decoder_size(void)
@@ -12,11 +14,21 @@ size_t td_probe_decoder_size(void)
     return sizeof(td_decoder);
 }
 
-void td_probe_start(td_device *device, uint32_t boot, double current_A, double command_A, double dt_s)
+static void hold(void *context, bool held)
 {
-    td_port port = {boot, {current_A, command_A, dt_s}, NULL, NULL};
+    td_probe *probe = context;
 
-    td_device_start(device, &port);
+    probe->held += held ? 1 : -1;
+    if (probe->held != (held ? 1 : 0))
+        abort();
+}
+
+void td_probe_start(td_probe *probe, uint32_t boot, double current_A, double command_A, double dt_s)
+{
+    const td_port port = {boot, {current_A, command_A, dt_s}, hold, probe};
+
+    probe->held = 0;
+    td_device_start(&probe->device, &port);
 }
 
 uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, bool emergency_stop,

@@ -4,10 +4,16 @@
 
 #include "td_device.h"
 
+/* What step and receive both touch is held once at a time, else the program ends. */
+typedef struct {
+    td_device device;
+    int32_t held;
+} td_probe;
+
 size_t td_probe_device_size(void);
 size_t td_probe_decoder_size(void);
 
-void td_probe_start(td_device *device, uint32_t boot, double current_A, double command_A, double dt_s);
+void td_probe_start(td_probe *probe, uint32_t boot, double current_A, double command_A, double dt_s);
 
 /* One period: what the sensors say in; command, transient, feedback, temperature out, and the state. */
 uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, bool emergency_stop,
