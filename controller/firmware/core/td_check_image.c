@@ -17,11 +17,17 @@ static double number(const uint8_t *configuration, int place)
     return td_get_f64(configuration + TD_CONFIGURATION_VALUES + 8 * place);
 }
 
+static bool is_size(double value)
+{
+    return isfinite(value) && value >= 0;
+}
+
 /* Header and length: whether it is an image at all, and fits in here. */
 static td_refusal check_size(const uint8_t *image, size_t size)
 {
     uint64_t nodes, samples;
     uint32_t speeds, grips;
+    int j;
 
     if (size < TD_IMAGE_BYTES)
         return refuse(TD_REASON_BAD_FORMAT, (double)size);
@@ -36,6 +42,12 @@ static td_refusal check_size(const uint8_t *image, size_t size)
     if (nodes < 1 || samples < 1 || td_get_u32(image + TD_IMAGE_RESERVED) != 0 ||
         TD_IMAGE_BYTES + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples != size)
         return refuse(TD_REASON_BAD_FORMAT, (double)size);
+    for (j = 0; j < 2; j++) {
+        const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_SCALE_A : TD_IMAGE_GRIP_MIN_N));
+
+        if (!is_size(value))
+            return refuse(TD_REASON_BAD_VALUE, value);
+    }
     if (speeds > TD_MAX_SPEEDS)
         return refuse(TD_REASON_TOO_LARGE, speeds);
     if (grips > TD_MAX_GRIPS)
@@ -58,13 +70,8 @@ static bool is_axis(const td_wide *nodes, int32_t count)
     return true;
 }
 
-static bool is_size(double value)
-{
-    return isfinite(value) && value >= 0;
-}
-
-/* Norms, scale and least grip: finite, none negative. */
-static bool are_sizes(const uint8_t *image, const td_bank *bank)
+/* Norms: finite, none negative. */
+static bool are_sizes(const td_bank *bank)
 {
     int32_t j;
 
@@ -72,7 +79,7 @@ static bool are_sizes(const uint8_t *image, const td_bank *bank)
         if (!is_size(td_get_f64(bank->transient_A + 8 * j)) || !is_size(td_get_f64(bank->feedback_A + 8 * j)))
             return false;
     }
-    return is_size(td_get_f64(image + TD_IMAGE_SCALE_A)) && is_size(bank->grip_min_N);
+    return true;
 }
 
 /* Largest |command| and largest |current| that commands make from rest, over all waveforms; whether each ends in
@@ -114,7 +121,7 @@ td_refusal td_check_image(const uint8_t *image, size_t size, const uint8_t *byte
         return refuse(TD_REASON_BAD_FORMAT, (double)size);
     if (!is_axis(bank->speed_m_s, bank->speeds) || !is_axis(bank->grip_N, bank->grips))
         return refuse(TD_REASON_BAD_AXES, (double)NAN);
-    if (!are_sizes(image, bank))
+    if (!are_sizes(bank))
         return refuse(TD_REASON_BAD_VALUE, (double)NAN);
     for (j = 0; j < 2; j++) {
         const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_DT_S : TD_IMAGE_LEAD_S));

@@ -201,26 +201,6 @@ static td_refusal begin(td_device *device, const uint8_t *body)
     return found;
 }
 
-bool td_is_request(uint8_t kind)
-{
-    switch (kind) {
-    case TD_KIND_CONFIGURE:
-    case TD_KIND_CONFIGURE_COMMIT:
-    case TD_KIND_UPLOAD_BEGIN:
-    case TD_KIND_COMMIT:
-    case TD_KIND_ARM:
-    case TD_KIND_DISARM:
-    case TD_KIND_RESET:
-    case TD_KIND_GAIN:
-    case TD_KIND_TELEMETRY:
-    case TD_KIND_PULSE:
-    case TD_KIND_CHECKED:
-        return true;
-    default:
-        return false;
-    }
-}
-
 td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size_t size)
 {
     switch (kind) {
@@ -249,9 +229,7 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
         return granted;
     case TD_KIND_PULSE:
         return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS));
-    case TD_KIND_CHECKED:
+    default: /* TD_KIND_CHECKED: nothing else comes here */
         return note_check(device, body + TD_CHECKED_CONFIGURATION_SHA256);
-    default:
-        return granted;
     }
 }

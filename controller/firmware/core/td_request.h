@@ -4,10 +4,7 @@
 
 #include "td_device.h"
 
-/* Whether a kind of frame is such a question. */
-bool td_is_request(uint8_t kind);
-
-/* Carry it out, with a body of a length that has been checked. */
+/* Carry out a request, of a kind that a host may send and with a body of the length that it has. */
 td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size_t size);
 
 #endif
