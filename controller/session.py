@@ -191,6 +191,11 @@ class Session:
         """Whether everything asked for has been answered."""
         return self._requests.empty and self._upload is None
 
+    @property
+    def arming(self) -> bool:
+        """Whether an ARM waits or is not answered yet."""
+        return self._requests.holds(m.Arm)
+
     def _ask(self, message: Packed, trigger: Trigger = Trigger.ASK) -> None:
         self._go(trigger)
         self._requests.add(message)
