@@ -66,7 +66,7 @@ class Device:
 
     Attributes
     ----------
-    session : for everything beside the calls here (clock, counters, state). listeners : called with all news, in order.
+    session : for everything beside the calls here: clock, counters, state. listeners : called with all news.
 
     Raises
     ------

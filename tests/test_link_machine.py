@@ -142,16 +142,13 @@ class Trials(RuleBasedStateMachine):
         self.stop = pressed
 
     @precondition(lambda self: self.world.host_alive)
-    @rule(data=st.sampled_from(sorted(IMAGES.values(), key=len)), duration_s=st.sampled_from([0.0, 0.02, 0.3]))
+    @rule(data=st.sampled_from(sorted(IMAGES.values(), key=len)), duration_s=st.sampled_from([0.0, 0.1, 0.5]))
     def user_sets_out_to_tap(self, data: bytes, duration_s: float) -> None:
         """From wherever things stand, as far as they go."""
         session = self.world.session
         if session.state in OVER:
             session.connect(self.world.now_s)
             self.run_for(0.1)
-        if session.state is SessionState.ARMED:
-            session.disarm()
-            self.run_for(0.05)
         if session.state is SessionState.FAULTED:
             session.reset()
             self.run_for(0.05)
@@ -159,8 +156,12 @@ class Trials(RuleBasedStateMachine):
             session.configure(CONFIGURATION)
             session.upload(data)
             session.checked()
-            session.arm(1.0, LEASE_MS)
-            self.arms_allowed = 1
+            # The stylus may be moving just now: a user would try again.
+            for _ in range(4):
+                self.run_for(0.05)
+                if session.idle and session.state is SessionState.READY:
+                    session.arm(1.0, LEASE_MS)
+                    self.arms_allowed = 1
         self.run_for(duration_s)
 
     @precondition(lambda self: self.world.host_alive and self.world.session.state in OPEN)
