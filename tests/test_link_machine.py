@@ -141,6 +141,12 @@ class Trials(RuleBasedStateMachine):
     def stop_button(self, pressed: bool) -> None:
         self.stop = pressed
 
+    @precondition(lambda self: self.world.host_alive and self.world.session.state in OVER)
+    @rule()
+    def user_connects(self) -> None:
+        self.world.session.connect(self.world.now_s)
+        self.run_for(0.15)
+
     @precondition(lambda self: self.world.host_alive)
     @rule(data=st.sampled_from(sorted(IMAGES.values(), key=len)), duration_s=st.sampled_from([0.0, 0.1, 0.5]))
     def user_sets_out_to_tap(self, data: bytes, duration_s: float) -> None:
