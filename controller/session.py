@@ -28,7 +28,7 @@ from controller.upload import BadAckError, Patience, Upload
 from controller.wire import Decoder, encode
 from transopt.errors import InputError
 
-SILENCE_S = 0.6  # without any frame the link is dead
+SILENCE_S = 0.6  # without any frame, though asked, the link is dead
 HEARTBEAT_S = 0.1  # at rest; armed, a quarter of the lease
 LEASES_PER_TERM = 4
 LEAST_BODY = 128  # bytes; every request but those with data has to fit
@@ -45,7 +45,8 @@ class Session:
     ----------
     state : of the session, see `states`. device : who answered HELLO last, None before.
     device_state, fault : as the device last reported.
-    events, records : what it tells on its own. dropped_frames : sound ones of another session or of no meaning.
+    decoder : of this connection, with its counts. events, records : what the device tells on its own.
+    dropped_frames : sound ones of another session or of no meaning.
     """
 
     def __init__(self, token: Callable[[], int] = lambda: secrets.randbits(31) + 1) -> None:
@@ -62,15 +63,15 @@ class Session:
 
     def _begin(self, session: int) -> None:
         """Forget everything that belongs to one connection."""
-        self._session, self._decoder, self._patience = session, Decoder(), Patience()
+        self._session, self.decoder, self._patience = session, Decoder(), Patience()
         self._requests = Requests(session, self._patience)
         self._upload: Upload | None = None
         self._image = b""
         self._configuration_sha256 = self._library_sha256 = m.NO_HASH  # asked for in this connection
         self._configuration_there = self._library_there = m.NO_HASH  # what the device is known to have
         self._clock: ClockRegression | None = None
-        self._greeted = False
-        self._bytes_seen, self._last_heard_s, self._connect_until_s = 0, 0.0, 0.0
+        self._bytes_seen, self._connect_until_s = 0, 0.0
+        self._unanswered_s: float | None = None  # since when nothing came though something was asked
         self._lease_ms, self._next_lease_s, self._lease_number = LEASE_DEFAULT_MS, 0.0, 0
 
     # What the user asks for.
@@ -79,7 +80,7 @@ class Session:
         """Say HELLO; Connected or Ended is told within `timeout_s`."""
         self._go(Trigger.CONNECT)
         self._begin(self._token())
-        self._connect_until_s, self._last_heard_s = now_s + timeout_s, now_s
+        self._connect_until_s = now_s + timeout_s
         self._requests.add(m.Hello(m.MAGIC, m.PROTOCOL, self._token()))
 
     def configure(self, configuration: bytes) -> None:
@@ -93,9 +94,8 @@ class Session:
         # Nothing is certain until it is done; and the device drops a library that does not fit.
         self._configuration_there = self._library_there = m.NO_HASH
         chunk = device.body_limit - m.Configure.FORMAT.size
-        for offset in range(0, len(configuration), chunk):
-            self._requests.add(m.Configure(offset, configuration[offset : offset + chunk]))
-        self._requests.add(m.ConfigureCommit(self._configuration_sha256))
+        parts = [m.Configure(at, configuration[at : at + chunk]) for at in range(0, len(configuration), chunk)]
+        self._requests.add(*parts, m.ConfigureCommit(self._configuration_sha256))
 
     def upload(self, image: bytes) -> None:
         """Put a library (`image.image_of`) in force, unless it is there already.
@@ -182,24 +182,22 @@ class Session:
         return None if self._clock is None else self._clock.fit()
 
     @property
-    def bad_frames(self) -> int:
-        """Of this connection."""
-        return self._decoder.bad_frames
-
-    @property
     def idle(self) -> bool:
         """Whether everything asked for has been answered."""
         return self._requests.empty and self._upload is None
+
+    @property
+    def arming(self) -> bool:
+        """Whether an ARM waits or is not answered yet."""
+        return self._requests.holds(m.Arm)
 
     def _ask(self, message: Packed, trigger: Trigger = Trigger.ASK) -> None:
         self._go(trigger)
         self._requests.add(message)
 
     def _known(self) -> m.HelloReply:
-        assert self.device is not None, "every state that asks is behind a HELLO_REPLY"
+        assert self.device is not None  # every state that asks is behind a HELLO_REPLY
         return self.device
-
-    # State.
 
     def _go(self, trigger: Trigger) -> None:
         after = TRANSITIONS.get((self.state, trigger))
@@ -215,9 +213,9 @@ class Session:
         raise MisuseError(detail)
 
     def _end(self, cause: Cause, detail: str = "", trigger: Trigger = Trigger.END) -> None:
-        over = self.state in OVER
+        before = self.state
         self._go(trigger)
-        if not over:
+        if before not in OVER:
             self._requests.clear()
             self._upload = None
             self._stops.until_fault = False
@@ -242,7 +240,7 @@ class Session:
         if self.state not in OVER:
             self._bytes_seen += len(data)
             try:
-                for payload in self._decoder.feed(data):
+                for payload in self.decoder.feed(data):
                     self._payload(payload, now_s)
                     if self.state in OVER:
                         break
@@ -263,10 +261,10 @@ class Session:
         except BadBodyError:
             self.dropped_frames += 1
             return
-        if frame.session != self._session or (not self._greeted and not isinstance(frame.message, m.HelloReply)):
+        if frame.session != self._session or (self._clock is None and not isinstance(frame.message, m.HelloReply)):
             self.dropped_frames += 1
             return
-        self._last_heard_s = now_s
+        self._unanswered_s = None
         match frame.message:
             case m.HelloReply() | m.Done() | m.Refused() | m.UploadReady() as answer:
                 request = self._requests.answered(frame.sequence, now_s)
@@ -318,8 +316,7 @@ class Session:
     def _hello_reply(self, reply: m.HelloReply, now_s: float) -> None:
         if reply.body_limit < LEAST_BODY or not 0 < reply.dt_s < 1:
             raise BreachError(f"body limit {reply.body_limit}, period {reply.dt_s:g} s")
-        restarted = self.device is not None and self.device.boot != reply.boot
-        self.device, self._greeted = reply, True
+        restarted, self.device = self.device is not None and self.device.boot != reply.boot, reply
         self._configuration_there, self._library_there = reply.configuration_sha256, reply.library_sha256
         self.events.connected(reply.boot, reply.event)
         self._clock = ClockRegression(reply.dt_s)
@@ -336,13 +333,13 @@ class Session:
         """What time alone brings about."""
         if self.state is SessionState.CONNECTING:
             if now_s >= self._connect_until_s:
-                self._end(
-                    Cause.NOT_OURS if self._bytes_seen else Cause.NO_ANSWER,
-                    f"{self._bytes_seen} bytes, none of them a reply" if self._bytes_seen else "",
-                )
+                if self._bytes_seen:
+                    self._end(Cause.NOT_OURS, f"{self._bytes_seen} bytes, none of them a reply")
+                else:
+                    self._end(Cause.NO_ANSWER)
         elif self.state in OPEN:
-            if now_s - self._last_heard_s >= SILENCE_S:
-                self._end(Cause.SILENT, f"for {now_s - self._last_heard_s:.2f} s")
+            if self._unanswered_s is not None and now_s - self._unanswered_s >= SILENCE_S:
+                self._end(Cause.SILENT, f"for {now_s - self._unanswered_s:.2f} s")
             elif self._requests.overdue(now_s) or (self._upload is not None and self._upload.stalled(now_s)):
                 name = "Data" if self._upload is not None else type(self._requests.open).__name__
                 self._end(Cause.BROKE_PROTOCOL, f"no answer to {name}", Trigger.BREACH)
@@ -365,10 +362,15 @@ class Session:
                 asked = self._requests.frame(now_s)
                 frames += [] if asked is None else [asked]
             if self._leasing and now_s >= self._next_lease_s:
-                self._next_lease_s = now_s + self._lease_interval_s
+                armed = self.state is SessionState.ARMED or isinstance(self._requests.open, m.Arm)
+                self._next_lease_s = now_s + min(
+                    self._lease_ms * 1e-3 / LEASES_PER_TERM if armed else 1.0, HEARTBEAT_S
+                )
                 self._lease_number = (self._lease_number + 1) % 0x10000
                 lease = m.Lease(max(int(now_s * 1e6), 0))
                 frames.append(m.Frame(self._lease_number, self._session, lease))
+            if frames and self._unanswered_s is None:
+                self._unanswered_s = now_s
         return b"".join(encode(frame.payload()) for frame in frames)
 
     def _loose(self, message: Packed) -> m.Frame:
@@ -377,20 +379,15 @@ class Session:
     @property
     def _leasing(self) -> bool:
         # A device that shall come to rest gets no more lease, whatever happens to the words that tell it so.
-        return self._greeted and not isinstance(self._requests.open, m.Disarm)
-
-    @property
-    def _lease_interval_s(self) -> float:
-        armed = self.state is SessionState.ARMED or isinstance(self._requests.open, m.Arm)
-        return min(self._lease_ms * 1e-3 / LEASES_PER_TERM, HEARTBEAT_S) if armed else HEARTBEAT_S
+        return self._clock is not None and not isinstance(self._requests.open, m.Disarm)
 
     def next_deadline_s(self) -> float:
         """When `receive` and `bytes_to_send` are wanted next; infinity if only bytes can bring anything."""
         deadlines = [self._stops.deadline_s]
         if self.state is SessionState.CONNECTING:
             deadlines.append(self._connect_until_s)
-        elif self.state in OPEN:
-            deadlines.append(self._last_heard_s + SILENCE_S)
+        elif self.state in OPEN and self._unanswered_s is not None:
+            deadlines.append(self._unanswered_s + SILENCE_S)
         if self.state not in OVER:
             upload = self._upload
             due = self._requests.deadline_s() if upload is None else upload.deadline_s

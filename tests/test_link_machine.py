@@ -42,18 +42,17 @@ def tapping(k: int, stop: bool) -> Readings:
 class Trials(RuleBasedStateMachine):
     """One world; each rule is one thing that may happen."""
 
-    @initialize(trouble=st.sampled_from(TROUBLES), seed=st.integers(0, 1000), prepared=st.booleans())
-    def begin(self, trouble: Trouble, seed: int, prepared: bool) -> None:
+    @initialize(trouble=st.sampled_from(TROUBLES), seed=st.integers(0, 1000))
+    def begin(self, trouble: Trouble, seed: int) -> None:
         self.world = World(seed=seed)
         self.stop = False
         self.world.readings = lambda k: tapping(k, self.stop)
         self.arms_allowed = 0
-        self.was_active = False
         self.cut_since_s: float | None = None
         self.numbers: dict[int, set[int]] = {}  # by boot: told by any process so far
         self.told = 0
-        if prepared:
-            self.world.ready()
+        self.world.armed(LEASE_MS)
+        self.was_active = True
         self.world.link.set_trouble(trouble)
 
     def run_for(self, duration_s: float) -> None:
@@ -94,8 +93,6 @@ class Trials(RuleBasedStateMachine):
                 self.numbers_here.add(news.number)
                 told.add(news.number)
         self.told = len(world.told)
-
-    numbers_here: set[int]
 
     def __init__(self) -> None:
         super().__init__()
@@ -148,20 +145,30 @@ class Trials(RuleBasedStateMachine):
     @rule()
     def user_connects(self) -> None:
         self.world.session.connect(self.world.now_s)
-        self.run_for(0.1)
+        self.run_for(0.15)
 
-    @precondition(lambda self: self.world.host_alive and self.world.session.state is SessionState.READY)
-    @rule(data=st.sampled_from(sorted(IMAGES.values(), key=len)), arms=st.booleans())
-    def user_uploads(self, data: bytes, arms: bool) -> None:
+    @precondition(lambda self: self.world.host_alive)
+    @rule(data=st.sampled_from(sorted(IMAGES.values(), key=len)), duration_s=st.sampled_from([0.0, 0.1, 0.5]))
+    def user_sets_out_to_tap(self, data: bytes, duration_s: float) -> None:
+        """From wherever things stand, as far as they go."""
         session = self.world.session
-        if not session.idle:
-            return
-        session.configure(CONFIGURATION)
-        session.upload(data)
-        session.checked()
-        if arms:
-            session.arm(1.0, LEASE_MS)
-            self.arms_allowed = 1
+        if session.state in OVER:
+            session.connect(self.world.now_s)
+            self.run_for(0.1)
+        if session.state is SessionState.FAULTED:
+            session.reset()
+            self.run_for(0.05)
+        if session.state is SessionState.READY and session.idle:
+            session.configure(CONFIGURATION)
+            session.upload(data)
+            session.checked()
+            # The stylus may be moving just now: a user would try again.
+            for _ in range(4):
+                self.run_for(0.05)
+                if session.idle and session.state is SessionState.READY:
+                    session.arm(1.0, LEASE_MS)
+                    self.arms_allowed = 1
+        self.run_for(duration_s)
 
     @precondition(lambda self: self.world.host_alive and self.world.session.state in OPEN)
     @rule(what=st.sampled_from(["disarm", "reset", "telemetry", "stop", "close"]))
@@ -208,8 +215,8 @@ class Trials(RuleBasedStateMachine):
 
 
 Trials.TestCase.settings = settings(
-    max_examples=25,
-    stateful_step_count=25,
+    max_examples=30,
+    stateful_step_count=15,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
