@@ -57,7 +57,7 @@ class SensorBench:
     """
 
     def __init__(self, sensors: Sensors, dt_s: float, seed: int, held_N: float) -> None:
-        self._sensors = sensors
+        self.sensors = sensors
         noises = [_normal(np.random.default_rng([seed, stream])) for stream in range(3)]
         self._acceleration, self._grip, self._current = noises
         self._keep = math.exp(-2 * math.pi * sensors.accelerometer_bandwidth_Hz * dt_s)
@@ -65,19 +65,24 @@ class SensorBench:
         self._wander_m_s2 = sensors.accelerometer_noise_m_s2 * next(self._acceleration)
         self._felt_N = held_N
 
+    @property
+    def accelerometer_pole(self) -> tuple[float, float]:
+        """What of the accelerometer's noise stays from tick to tick, and what is new [m/s^2]."""
+        return self._keep, self._fresh_m_s2
+
     def counts(self, position_m: float) -> int:
-        return math.floor(position_m / self._sensors.count_m + 0.5)
+        return math.floor(position_m / self.sensors.count_m + 0.5)
 
     def acceleration_m_s2(self, filtered_m_s2: float) -> float:
         """Of the stylus's acceleration behind the accelerometer's pole; its noise runs through the same pole."""
         self._wander_m_s2 = self._keep * self._wander_m_s2 + self._fresh_m_s2 * next(self._acceleration)
-        limit = self._sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2
+        limit = self.sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2
         return min(max(filtered_m_s2 + self._wander_m_s2, -limit), limit)
 
     def grip_N(self, held_N: float) -> float:
-        slack = self._sensors.grip_hysteresis * held_N
+        slack = self.sensors.grip_hysteresis * held_N
         self._felt_N = min(max(self._felt_N, held_N - slack), held_N + slack)
-        return max(self._felt_N + self._sensors.grip_noise_N * next(self._grip), 0.0)
+        return max(self._felt_N + self.sensors.grip_noise_N * next(self._grip), 0.0)
 
     def current_A(self, current_A: float) -> float:
-        return current_A + self._sensors.current_noise_A * next(self._current)
+        return current_A + self.sensors.current_noise_A * next(self._current)

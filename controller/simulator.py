@@ -152,7 +152,7 @@ class Simulator:
         self.peak_current_A = 0.0
         self._rows: list[tuple[float, ...]] | None = [] if trace else None
         self._grip_N, self._ahead_m = user.grip_N(0.0), 0.0
-        self._flow = self._flow_at(self._grip_N)
+        self._flow = self.flow_at(self._grip_N)
         self._x = self._start()
         self._intention_m = user.intention_m(0.0) + self._ahead_m
         if self._rows is not None:
@@ -231,10 +231,51 @@ class Simulator:
         ground = self.device.ground.stiffness_N_m * z[0] ** 2
         return float((masses @ v**2 + stiffness @ elongation**2 + ground) / 2)
 
-    # ------------------------------------------------------------------------------------------------ inside
+    # ------------------------------------------------------------------------------------------------ as numbers
 
-    def _flow_at(self, grip_N: float) -> Flow:
+    @property
+    def dt_s(self) -> float:
+        return self._dt_s
+
+    @property
+    def sensors(self) -> Sensors:
+        return self._bench.sensors
+
+    @property
+    def accelerometer_pole(self) -> tuple[float, float]:
+        """What of the noise behind the accelerometer's pole stays from tick to tick, and what is new [m/s^2]."""
+        return self._bench.accelerometer_pole
+
+    @property
+    def behind(self) -> tuple[int, ...]:
+        """Of each segment of a servo period: by how many periods its command is older than the newest."""
+        return self._behind
+
+    @property
+    def steps(self) -> int:
+        """Integration steps per segment."""
+        return self._steps
+
+    @property
+    def step_s(self) -> tuple[float, ...]:
+        """Their length, by segment."""
+        return self._step_s
+
+    @property
+    def state(self) -> FloatArray:
+        """(S + U,) positions, velocities, current, accelerometer, object and inputs, see `truth.Layout`."""
+        return self._x.copy()
+
+    @property
+    def ahead_m(self) -> float:
+        """How far the hand aims ahead of its intention, to balance friction."""
+        return self._ahead_m
+
+    def flow_at(self, grip_N: float) -> Flow:
+        """The exact linear motion at a grip, over the steps of each segment."""
         return flow(self.device, self._target, self._bandwidth_Hz, grip_N, self._step_s)
+
+    # ------------------------------------------------------------------------------------------------ inside
 
     def _start(self) -> FloatArray:
         """All masses moving with the intention, friction balanced by the springs, nothing else.
@@ -264,7 +305,7 @@ class Simulator:
             self._x[skin + 1 : n] = self._x[skin]
             self._x[n + skin + 1 : 2 * n] = self._x[n + skin]
         self._grip_N = round(grip_N / GRIP_STEP_N) * GRIP_STEP_N
-        self._flow = self._flow_at(self._grip_N)
+        self._flow = self.flow_at(self._grip_N)
 
     def _felt(self, command_A: float) -> float:
         """What the amplifier's pole follows: the command cut at its range, less the crossover's dead band."""

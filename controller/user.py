@@ -258,3 +258,50 @@ class RepeatedTaps:
 
     def grip_N(self, time_s: float) -> float:
         return self.cycle(time_s).held_N(time_s)
+
+
+class TapsInTurn:
+    """The given taps one after the other, over and over, the hand yielding to each and retreating.
+
+    Parameters
+    ----------
+    taps : (speed [m/s], grip [N]) of each; the grip changes during the retreat.
+    period_s : of a whole round; the hand rests at its start height for what is left. Without it, of the taps alone.
+
+    Raises
+    ------
+    ValueError : no taps, or a period too short for them.
+    """
+
+    def __init__(self, taps: list[tuple[float, float]], period_s: float | None = None) -> None:
+        if not taps:
+            raise ValueError("taps: give at least one")
+        self._cycles: list[_Cycle] = []
+        start = 0.0
+        for (speed, grip), (next_speed, next_grip) in zip(taps, [*taps[1:], taps[0]], strict=True):
+            self._cycles.append(_Cycle(start, speed, grip, _height_m(speed), _height_m(next_speed), next_grip))
+            start = self._cycles[-1].end_s
+        self.period_s = start if period_s is None else period_s
+        if self.period_s < start:
+            raise ValueError(f"period_s = {self.period_s:g}: these taps take {start:g} s")
+        self._starts = [cycle.start_s for cycle in self._cycles]
+
+    def _at(self, time_s: float) -> tuple[_Cycle, float]:
+        """The tap that is on, and the time in its round."""
+        into = time_s % self.period_s
+        return self._cycles[bisect_right(self._starts, into) - 1], into
+
+    def contacts_s(self) -> list[float]:
+        """When the hand means to reach the surface in the first round."""
+        return [cycle.contact_s for cycle in self._cycles]
+
+    def intention_m(self, time_s: float) -> float:
+        cycle, into = self._at(time_s)
+        return cycle.intention_m(into)
+
+    def carried_m_s2(self, time_s: float) -> float:
+        return 0.0
+
+    def grip_N(self, time_s: float) -> float:
+        cycle, into = self._at(time_s)
+        return cycle.held_N(into)

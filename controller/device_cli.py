@@ -1,0 +1,189 @@
+"""`transopt-device`: a device with a simulated stylus in a simulated hand, to be opened like one on a serial port.
+
+The C core with the compiled plant where there is a C compiler, the Python device where there is none.
+"""
+
+import math
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.limits import checked
+from transopt import terminal
+from transopt.errors import InputError
+
+if TYPE_CHECKING:
+    from controller.simulator import Simulator
+    from controller.user import TapsInTurn
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+DT_S = 1e-4
+TAPS = ("0.1,3", "0.2,3", "0.3,3", "0.4,3")
+
+
+def _taps(said: list[str]) -> list[tuple[float, float]]:
+    taps = []
+    for words in said:
+        speed, _, grip = words.partition(",")
+        try:
+            taps.append((float(speed), float(grip)))
+        except ValueError:
+            raise InputError(f"--tap {words}: must be SPEED,GRIP in m/s and N, like 0.2,3") from None
+        checked("--tap", taps[-1][0], 0.02, 2.0, " m/s")
+        checked("--tap", taps[-1][1], 0.0, 50.0, " N")
+    return taps
+
+
+def simulated(
+    like: Path | None, taps: list[tuple[float, float]], rest_s: float, mismatch: float, seed: int
+) -> "tuple[Simulator, TapsInTurn]":
+    """The device of a library or a scene, DESIGN's default without, in the hand of a user who taps in turn.
+
+    Between two rounds the hand rests for `rest_s`, so that the device can be armed.
+
+    Raises
+    ------
+    InputError : the file is none of these.
+    """
+    from controller.default_device import DEFAULT_DEVICE
+    from controller.prediction import scene_of
+    from controller.simulator import Imperfections, Simulator
+    from controller.truth import device_of
+    from controller.user import TapsInTurn
+    from transopt.library_file import load_library
+    from transopt.scene_file import load_scene
+
+    device = DEFAULT_DEVICE
+    if like is not None:
+        device = device_of(load_scene(like) if like.suffix == ".toml" else scene_of(load_library(like)))
+    round_s = TapsInTurn(taps).period_s + rest_s
+    user = TapsInTurn(taps, math.ceil(round_s / DT_S) * DT_S)
+    return Simulator(device, user, DT_S, imperfections=Imperfections(mismatch=mismatch), seed=seed), user
+
+
+def _run_compiled(program: Path, options: list[str], plant: bytes) -> int:
+    """Start the compiled device, pass the user's lines on to it and wait for its end."""
+    with tempfile.TemporaryDirectory(prefix="transopt-device-") as folder:
+        path = Path(folder) / "plant"
+        path.write_bytes(plant)
+        running = subprocess.Popen([str(program), "--plant", str(path), *options], stdin=subprocess.PIPE, text=True)
+        assert running.stdin is not None
+        given = running.stdin
+
+        def pass_on() -> None:
+            for line in sys.stdin:
+                try:
+                    given.write(line)
+                    given.flush()
+                except OSError:
+                    return
+
+        threading.Thread(target=pass_on, daemon=True).start()
+        try:
+            return running.wait()
+        except KeyboardInterrupt:
+            return 0
+        finally:
+            running.terminate()
+            running.wait()
+
+
+@app.command()
+def device(
+    listen: Annotated[str | None, typer.Option(help="HOST:PORT of a socket instead of a pseudo-terminal.")] = None,
+    like: Annotated[Path | None, typer.Option(help="library.npz or scene.toml whose device it is.")] = None,
+    tap: Annotated[
+        list[str] | None, typer.Option(help="SPEED,GRIP in m/s and N; give several, done in turn.")
+    ] = None,
+    rest: Annotated[float, typer.Option(help="How long the hand is still after each round of taps, in s.")] = 2.0,
+    mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part.")] = 0.0,
+    delay_ms: Annotated[float, typer.Option(help="Of the line, each way.")] = 0.0,
+    loss: Annotated[float, typer.Option(help="Part of the frames that get lost.")] = 0.0,
+    corruption: Annotated[float, typer.Option(help="Part of the frames that get damaged.")] = 0.0,
+    reset_every: Annotated[float, typer.Option(help="Power off and on so often, in s; 0 never.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Of noise, mismatch and the line's troubles.")] = 0,
+    python: Annotated[
+        bool, typer.Option("--python", help="The Python device, also where there is a compiler.")
+    ] = False,
+) -> None:
+    """Serve a simulated device; the first line says where. While it runs: reset, quit."""
+    from controller.firmware.build import CORE, FIRMWARE, NoCompilerError, build, sources
+    from controller.plant_file import plant_bytes
+
+    for name, value, high in (("mismatch", mismatch, 0.5), ("loss", loss, 1.0), ("corruption", corruption, 1.0)):
+        checked(f"--{name}", value, 0.0, high)
+    checked("--delay-ms", delay_ms, 0.0, 1e4, " ms")
+    checked("--rest", rest, 0.0, 600.0, " s")
+    checked("--reset-every", reset_every, 0.0, 1e6, " s")
+    checked("--seed", seed, 0, 2**31 - 1)
+    simulator, user = simulated(like, _taps(list(tap or TAPS)), rest, mismatch, seed)
+    program = None
+    if not python:
+        try:
+            program = build("transopt-device", [*sources(CORE), *sources(FIRMWARE / "host")])
+        except NoCompilerError as missing:
+            typer.echo(f"{missing}; serving the Python device instead, more slowly than real time", err=True)
+    if program is None:
+        _serve_python(simulator, listen, delay_ms, loss, corruption, reset_every, seed)
+        return
+    numbers = {
+        "--delay-ms": delay_ms,
+        "--loss": loss,
+        "--corruption": corruption,
+        "--reset-every": reset_every,
+        "--seed": seed,
+        "--boot": _boot(),
+    }
+    options = [word for name, value in numbers.items() for word in (name, repr(value))]
+    done = _run_compiled(
+        program,
+        [*options, *([] if listen is None else ["--listen", listen])],
+        plant_bytes(simulator, user, user.period_s),
+    )
+    if done > 0:
+        raise typer.Exit(2)
+
+
+def _boot() -> int:
+    """Another number at every start."""
+    import secrets
+
+    return secrets.randbelow(1 << 31)
+
+
+def _serve_python(
+    simulator: "Simulator",
+    listen: str | None,
+    delay_ms: float,
+    loss: float,
+    corruption: float,
+    reset_every_s: float,
+    seed: int,
+) -> None:
+    from controller.device import Device
+    from controller.device_server import Listener, Terminal, serve
+    from controller.link import Link, Trouble
+
+    port = Terminal() if listen is None else Listener(listen)
+    typer.echo(port.name)
+    link = Link(Trouble(latency_s=1e-3 * delay_ms, loss=loss, corruption=corruption), seed)
+    try:
+        serve(lambda: Device(_boot()), simulator, DT_S, port, link, reset_every_s=reset_every_s)
+    except KeyboardInterrupt:
+        return
+    finally:
+        port.close()
+
+
+def main() -> None:
+    """Entry point."""
+    terminal.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+#include "td_bank.h"
+
+#include "td_bytes.h"
+
+bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
+{
+    const uint8_t *axes = image + TD_IMAGE_BYTES;
+    uint32_t flags, speeds, grips, samples, j;
+    size_t nodes;
+
+    if (size < TD_IMAGE_BYTES || td_get_u32(image + TD_IMAGE_MAGIC) != TD_IMAGE_MAGIC_VALUE ||
+        td_get_u16(image + TD_IMAGE_VERSION) != TD_IMAGE_VERSION_VALUE ||
+        td_get_u32(image + TD_IMAGE_RESERVED) != 0)
+        return false;
+    flags = td_get_u16(image + TD_IMAGE_FLAGS);
+    speeds = td_get_u16(image + TD_IMAGE_SPEEDS);
+    grips = td_get_u16(image + TD_IMAGE_GRIPS);
+    samples = td_get_u32(image + TD_IMAGE_SAMPLES);
+    if (flags > (TD_IMAGE_BY_GRIP | TD_IMAGE_NEAREST) || speeds < 1 || speeds > TD_MAX_SPEEDS || grips < 1 ||
+        grips > TD_MAX_GRIPS || samples < 1 || samples > TD_MAX_SAMPLES ||
+        samples > TD_MAX_LIBRARY_SAMPLES / (speeds * grips))
+        return false;
+    nodes = (size_t)speeds * grips;
+    if (size != TD_IMAGE_BYTES + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples)
+        return false;
+    bank->speeds = (int32_t)speeds;
+    bank->grips = (int32_t)grips;
+    bank->samples = (int32_t)samples;
+    for (j = 0; j < speeds; j++)
+        bank->speed_m_s[j] = td_get_f64(axes + 8 * j);
+    for (j = 0; j < grips; j++)
+        bank->grip_N[j] = td_get_f64(axes + 8 * (speeds + j));
+    bank->grip_min_N = td_get_f64(image + TD_IMAGE_GRIP_MIN_N);
+    bank->scale_A = (td_real)td_get_f64(image + TD_IMAGE_SCALE_A);
+    bank->by_grip = (flags & TD_IMAGE_BY_GRIP) != 0;
+    bank->nearest = (flags & TD_IMAGE_NEAREST) != 0;
+    bank->transient_A = axes + 8 * ((size_t)speeds + grips);
+    bank->feedback_A = bank->transient_A + 8 * nodes;
+    bank->counts = bank->feedback_A + 8 * nodes;
+    return true;
+}
+
+typedef struct {
+    int32_t first;
+    td_wide place; /* 0 to 1 between the first node and the next */
+    bool outside;
+} interval;
+
+/* Interval of increasing nodes that `value` lies in. */
+static interval find(const td_wide *nodes, int32_t count, td_wide value, bool nearest)
+{
+    interval found = {0, 0, false};
+    td_wide place;
+
+    if (count == 1) {
+        found.outside = value < nodes[0] || value > nodes[0];
+        return found;
+    }
+    while (found.first + 2 < count && value >= nodes[found.first + 1])
+        found.first++;
+    place = (value - nodes[found.first]) / (nodes[found.first + 1] - nodes[found.first]);
+    found.outside = place < 0 || place > 1;
+    found.place = place < 0 ? 0 : (place > 1 ? 1 : place);
+    if (nearest)
+        found.place = found.place < 0.5 ? 0 : 1;
+    return found;
+}
+
+void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play *play)
+{
+    const bool sound = speed_m_s > 0 && grip_N >= bank->grip_min_N;
+    interval v, g;
+    td_wide w[4], x, y;
+    int32_t node[4], j, next_v, next_g;
+
+    play->silent = !sound;
+    if (play->silent)
+        return;
+    v = find(bank->speed_m_s, bank->speeds, speed_m_s, bank->nearest);
+    g = find(bank->grip_N, bank->grips, grip_N, bank->nearest);
+    y = v.place;
+    x = g.place;
+    next_v = v.first + 1 < bank->speeds ? v.first + 1 : v.first;
+    next_g = g.first + 1 < bank->grips ? g.first + 1 : g.first;
+    w[0] = (1 - y) * (1 - x);
+    w[1] = (1 - y) * x;
+    w[2] = y * (1 - x);
+    w[3] = y * x;
+    node[0] = v.first * bank->grips + g.first;
+    node[1] = v.first * bank->grips + next_g;
+    node[2] = next_v * bank->grips + g.first;
+    node[3] = next_v * bank->grips + next_g;
+    for (j = 0; j < 4; j++) {
+        play->weight[j] = (td_real)w[j];
+        play->corner[j] = bank->counts + (size_t)node[j] * (size_t)bank->samples * sizeof(int16_t);
+    }
+    play->out_of_grid = v.outside || (g.outside && bank->by_grip);
+    /* Norms are convex, so the corners' bound the blend's. */
+    play->transient_A = w[0] * td_get_f64(bank->transient_A + 8 * node[0]) +
+                        w[1] * td_get_f64(bank->transient_A + 8 * node[1]) +
+                        w[2] * td_get_f64(bank->transient_A + 8 * node[2]) +
+                        w[3] * td_get_f64(bank->transient_A + 8 * node[3]);
+    play->feedback_A = w[0] * td_get_f64(bank->feedback_A + 8 * node[0]) +
+                       w[1] * td_get_f64(bank->feedback_A + 8 * node[1]) +
+                       w[2] * td_get_f64(bank->feedback_A + 8 * node[2]) +
+                       w[3] * td_get_f64(bank->feedback_A + 8 * node[3]);
+}
+
+td_real td_bank_sample(const td_bank *bank, const td_play *play, int32_t j)
+{
+    td_real corner[4];
+    int32_t c;
+
+    for (c = 0; c < 4; c++)
+        corner[c] = (td_real)td_get_i16(play->corner[c] + sizeof(int16_t) * (size_t)j) * bank->scale_A;
+    return play->weight[0] * corner[0] + play->weight[1] * corner[1] + play->weight[2] * corner[2] +
+           play->weight[3] * corner[3];
+}

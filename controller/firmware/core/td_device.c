@@ -1,0 +1,305 @@
+#include "td_device.h"
+
+#include <math.h>
+
+#include "td_bytes.h"
+#include "td_request.h"
+
+#define GREETING_BYTES (TD_HELLO_PROTOCOL + 2) /* what HELLO and its reply begin with in every version */
+
+void td_device_start(td_device *device, const td_port *port)
+{
+    memset(device, 0, sizeof *device);
+    device->port = *port;
+    td_decoder_start(&device->decoder);
+    td_events_start(&device->events, td_device_ticks(device, TD_EVENT_REPEAT_MS));
+    device->records.hold_ticks = td_device_ticks(device, TD_TELEMETRY_HOLD_MS);
+}
+
+uint8_t td_device_state(const td_device *device)
+{
+    if (device->store.configured)
+        return device->servo.state;
+    return device->stop_latched ? TD_STATE_FAULT : TD_STATE_IDLE;
+}
+
+uint8_t td_device_fault(const td_device *device)
+{
+    if (device->store.configured)
+        return device->servo.fault;
+    return device->stop_latched ? TD_WHAT_EMERGENCY_STOP : TD_NO_FAULT;
+}
+
+int32_t td_device_ticks(const td_device *device, double duration_ms)
+{
+    return (int32_t)floor(duration_ms * 1e-3 / device->port.hardware.dt_s + 0.5);
+}
+
+bool td_device_is_active(const td_device *device)
+{
+    const uint8_t state = td_device_state(device);
+
+    return state == TD_STATE_ARMED || state == TD_STATE_PLAYING;
+}
+
+/* ------------------------------------------------------------------------------------------------ bytes out */
+
+size_t td_device_put(td_device *device, uint8_t kind, uint16_t sequence, uint32_t session, size_t body_size)
+{
+    uint8_t *header = device->payload;
+    size_t size;
+
+    header[TD_HEADER_KIND] = kind;
+    header[TD_HEADER_FLAGS] = 0;
+    td_put_u16(header + TD_HEADER_SEQUENCE, sequence);
+    td_put_u32(header + TD_HEADER_SESSION, session);
+    size = td_wire_encode(device->payload, TD_HEADER_BYTES + body_size, device->frame);
+    td_output_put(&device->output, device->frame, size);
+    return size;
+}
+
+/* An answer that is given again if its request is repeated. */
+static void answer(td_device *device, uint8_t kind, uint16_t sequence, size_t body_size)
+{
+    device->reply_size = td_device_put(device, kind, sequence, device->session, body_size);
+    memcpy(device->reply, device->frame, device->reply_size);
+}
+
+static void write_hello_reply(td_device *device, uint32_t nonce)
+{
+    const td_port *port = &device->port;
+    const td_store *store = &device->store;
+    uint8_t *body = td_device_body(device);
+
+    td_put_u32(body + TD_HELLO_REPLY_MAGIC, TD_MAGIC);
+    td_put_u16(body + TD_HELLO_REPLY_PROTOCOL, TD_PROTOCOL);
+    body[TD_HELLO_REPLY_REAL_BYTES] = sizeof(td_real);
+    body[TD_HELLO_REPLY_STATE] = td_device_state(device);
+    body[TD_HELLO_REPLY_FAULT] = td_device_fault(device);
+    td_put_u16(body + TD_HELLO_REPLY_BODY_LIMIT, TD_BODY_LIMIT);
+    td_put_u16(body + TD_HELLO_REPLY_UPLOAD_FRAMES, TD_UPLOAD_FRAMES);
+    td_put_u32(body + TD_HELLO_REPLY_FIRMWARE, TD_FIRMWARE);
+    td_put_u32(body + TD_HELLO_REPLY_BOOT, port->boot);
+    td_put_u32(body + TD_HELLO_REPLY_NONCE, nonce);
+    td_put_u32(body + TD_HELLO_REPLY_EVENT, td_events_oldest(&device->events));
+    td_put_u32(body + TD_HELLO_REPLY_CAPACITY_SAMPLES, TD_MAX_LIBRARY_SAMPLES);
+    td_put_u32(body + TD_HELLO_REPLY_CAPACITY_WAVEFORM_SAMPLES, TD_MAX_SAMPLES);
+    td_put_u16(body + TD_HELLO_REPLY_CAPACITY_SPEEDS, TD_MAX_SPEEDS);
+    td_put_u16(body + TD_HELLO_REPLY_CAPACITY_GRIPS, TD_MAX_GRIPS);
+    td_put_u16(body + TD_HELLO_REPLY_CAPACITY_APPROACH_TICKS, TD_MAX_WINDOW_TICKS);
+    td_put_u16(body + TD_HELLO_REPLY_CAPACITY_LATENCY_TICKS, TD_MAX_LATENCY_TICKS);
+    td_put_u64(body + TD_HELLO_REPLY_TICK, device->tick);
+    td_put_f64(body + TD_HELLO_REPLY_DT_S, port->hardware.dt_s);
+    td_put_f64(body + TD_HELLO_REPLY_CURRENT_LIMIT_A, port->hardware.current_A);
+    td_put_f64(body + TD_HELLO_REPLY_COMMAND_LIMIT_A, port->hardware.command_A);
+    memcpy(body + TD_HELLO_REPLY_CONFIGURATION_SHA256, store->configuration_sha256, TD_HASH_BYTES);
+    memcpy(body + TD_HELLO_REPLY_LIBRARY_SHA256, store->library_sha256, TD_HASH_BYTES);
+    memcpy(body + TD_HELLO_REPLY_CHECKED_SHA256, device->checked_sha256, TD_HASH_BYTES);
+}
+
+size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
+{
+    size_t size;
+
+    if (device->port.hold != NULL)
+        device->port.hold(device->port.context, true);
+    size = td_output_take(&device->output, bytes, room);
+    if (device->port.hold != NULL)
+        device->port.hold(device->port.context, false);
+    return size;
+}
+
+/* ------------------------------------------------------------------------------------------------ bytes in */
+
+/* Whether a body of a host's frame may be that long. */
+static bool fits(uint8_t kind, size_t size)
+{
+    static const struct {
+        uint8_t kind, open; /* open: the length is the least */
+        uint16_t bytes;
+    } kinds[] = {
+        {TD_KIND_HELLO, 0, TD_HELLO_BYTES},
+        {TD_KIND_CONFIGURE, 1, TD_CONFIGURE_BYTES},
+        {TD_KIND_CONFIGURE_COMMIT, 0, TD_CONFIGURE_COMMIT_BYTES},
+        {TD_KIND_UPLOAD_BEGIN, 0, TD_UPLOAD_BEGIN_BYTES},
+        {TD_KIND_DATA, 1, TD_DATA_BYTES},
+        {TD_KIND_COMMIT, 0, TD_COMMIT_BYTES},
+        {TD_KIND_ARM, 0, TD_ARM_BYTES},
+        {TD_KIND_LEASE, 0, TD_LEASE_BYTES},
+        {TD_KIND_DISARM, 0, TD_DISARM_BYTES},
+        {TD_KIND_RESET, 0, TD_RESET_BYTES},
+        {TD_KIND_GAIN, 0, TD_GAIN_BYTES},
+        {TD_KIND_TELEMETRY, 0, TD_TELEMETRY_BYTES},
+        {TD_KIND_PULSE, 0, TD_PULSE_BYTES},
+        {TD_KIND_CHECKED, 0, TD_CHECKED_BYTES},
+        {TD_KIND_EVENT_ACK, 0, TD_EVENT_ACK_BYTES},
+        {TD_KIND_EMERGENCY_STOP, 0, TD_EMERGENCY_STOP_BYTES},
+    };
+    size_t j;
+
+    for (j = 0; j < sizeof kinds / sizeof kinds[0]; j++) {
+        if (kinds[j].kind == kind)
+            return kinds[j].open ? size >= kinds[j].bytes : size == kinds[j].bytes;
+    }
+    return false;
+}
+
+static void greet(td_device *device, uint16_t sequence, uint32_t session, uint32_t nonce)
+{
+    if (device->open && session == device->session) {
+        /* The one that opened this session, once more, or late. */
+        if (sequence == device->sequence)
+            td_output_put(&device->output, device->reply, device->reply_size);
+        return;
+    }
+    /* The lease was the other session's. */
+    td_device_give_up(device);
+    device->open = true;
+    device->session = session;
+    device->sequence = sequence;
+    device->silent_ticks = 0;
+    td_events_restart(&device->events);
+    td_records_restart(&device->records, 0);
+    write_hello_reply(device, nonce);
+    answer(device, TD_KIND_HELLO_REPLY, sequence, TD_HELLO_REPLY_BYTES);
+}
+
+static void write_done(td_device *device, uint8_t kind)
+{
+    uint8_t *body = td_device_body(device);
+
+    body[TD_DONE_REQUEST] = kind;
+    body[TD_DONE_STATE] = td_device_state(device);
+    body[TD_DONE_FAULT] = td_device_fault(device);
+}
+
+static void write_refused(td_device *device, uint8_t kind, const td_refusal *refusal)
+{
+    uint8_t *body = td_device_body(device);
+
+    body[TD_REFUSED_REQUEST] = kind;
+    body[TD_REFUSED_REASON] = refusal->reason;
+    body[TD_REFUSED_STATE] = td_device_state(device);
+    body[TD_REFUSED_FAULT] = td_device_fault(device);
+    td_put_f64(body + TD_REFUSED_VALUE, refusal->value);
+}
+
+static void request(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
+{
+    const uint16_t newer = (uint16_t)(sequence - device->sequence);
+    td_refusal refusal;
+
+    if (newer == 0) {
+        td_output_put(&device->output, device->reply, device->reply_size);
+        return;
+    }
+    if (newer >= 0x8000u) {
+        device->dropped_frames++;
+        return;
+    }
+    refusal = td_request(device, kind, body, size);
+    device->sequence = sequence;
+    if (refusal.reason != 0) {
+        write_refused(device, kind, &refusal);
+        answer(device, TD_KIND_REFUSED, sequence, TD_REFUSED_BYTES);
+    } else if (kind == TD_KIND_UPLOAD_BEGIN) {
+        td_put_u32(td_device_body(device) + TD_UPLOAD_READY_OFFSET, (uint32_t)device->store.arrived);
+        answer(device, TD_KIND_UPLOAD_READY, sequence, TD_UPLOAD_READY_BYTES);
+    } else {
+        write_done(device, kind);
+        answer(device, TD_KIND_DONE, sequence, TD_DONE_BYTES);
+    }
+}
+
+static void take_data(td_device *device, const uint8_t *body, size_t size)
+{
+    if (!td_device_is_active(device))
+        td_store_take(&device->store, td_get_u32(body + TD_DATA_OFFSET), body + TD_DATA_DATA, size - TD_DATA_BYTES);
+    td_put_u32(td_device_body(device) + TD_ACK_WANTED, (uint32_t)device->store.arrived);
+    td_device_put(device, TD_KIND_ACK, 0, device->session, TD_ACK_BYTES);
+}
+
+static void renew_lease(td_device *device, uint16_t sequence, const uint8_t *body)
+{
+    uint8_t *reply = td_device_body(device);
+
+    device->lease_left = device->lease_ticks;
+    td_put_u64(reply + TD_LEASE_REPLY_HOST_US, td_get_u64(body + TD_LEASE_HOST_US));
+    td_put_u64(reply + TD_LEASE_REPLY_TICK, device->tick);
+    reply[TD_LEASE_REPLY_STATE] = td_device_state(device);
+    reply[TD_LEASE_REPLY_FAULT] = td_device_fault(device);
+    td_device_put(device, TD_KIND_LEASE_REPLY, sequence, device->session, TD_LEASE_REPLY_BYTES);
+}
+
+/* A sound frame for this session, of the length that its kind has. */
+static void handle(td_device *device, uint8_t kind, uint16_t sequence, const uint8_t *body, size_t size)
+{
+    device->silent_ticks = 0;
+    if (kind == TD_KIND_LEASE)
+        renew_lease(device, sequence, body);
+    else if (kind == TD_KIND_DATA)
+        take_data(device, body, size);
+    else if (kind == TD_KIND_EVENT_ACK)
+        td_events_acknowledge(&device->events, td_get_u32(body + TD_EVENT_ACK_WANTED));
+    else
+        request(device, kind, sequence, body, size);
+}
+
+/* Whether a greeting is of another protocol. Another version of ours learns which this is, others nothing. */
+static bool other_protocol(td_device *device, const uint8_t *payload, size_t size)
+{
+    const uint8_t kind = payload[TD_HEADER_KIND], *body = payload + TD_HEADER_BYTES;
+
+    if ((kind != TD_KIND_HELLO && kind != TD_KIND_HELLO_REPLY) || size < GREETING_BYTES)
+        return false;
+    if (td_get_u32(body + TD_HELLO_MAGIC) == TD_MAGIC && td_get_u16(body + TD_HELLO_PROTOCOL) == TD_PROTOCOL)
+        return false;
+    if (td_get_u32(body + TD_HELLO_MAGIC) != TD_MAGIC || kind != TD_KIND_HELLO)
+        return true;
+    write_hello_reply(device, 0);
+    td_device_put(device, TD_KIND_HELLO_REPLY, td_get_u16(payload + TD_HEADER_SEQUENCE),
+                  td_get_u32(payload + TD_HEADER_SESSION), TD_HELLO_REPLY_BYTES);
+    return true;
+}
+
+static void take_payload(td_device *device, const uint8_t *payload, size_t size)
+{
+    const uint8_t kind = payload[TD_HEADER_KIND], *body = payload + TD_HEADER_BYTES;
+    uint16_t sequence;
+    uint32_t session;
+
+    if (size < TD_HEADER_BYTES || payload[TD_HEADER_FLAGS] != 0) {
+        device->dropped_frames++;
+        return;
+    }
+    size -= TD_HEADER_BYTES;
+    sequence = td_get_u16(payload + TD_HEADER_SEQUENCE);
+    session = td_get_u32(payload + TD_HEADER_SESSION);
+    if (other_protocol(device, payload, size))
+        return;
+    if (!fits(kind, size))
+        device->dropped_frames++;
+    else if (kind == TD_KIND_EMERGENCY_STOP)
+        device->stop_wanted = true;
+    else if (kind == TD_KIND_HELLO)
+        greet(device, sequence, session, td_get_u32(body + TD_HELLO_NONCE));
+    else if (!device->open || session != device->session)
+        device->dropped_frames++;
+    else
+        handle(device, kind, sequence, body, size);
+}
+
+void td_device_receive(td_device *device, const uint8_t *bytes, size_t size)
+{
+    for (; size > 0; size--, bytes++) {
+        const size_t payload_size = td_decoder_take(&device->decoder, *bytes);
+
+        if (payload_size == 0)
+            continue;
+        if (device->port.hold != NULL)
+            device->port.hold(device->port.context, true);
+        take_payload(device, device->decoder.held, payload_size);
+        if (device->port.hold != NULL)
+            device->port.hold(device->port.context, false);
+    }
+}

@@ -1,0 +1,81 @@
+#include "td_guard.h"
+
+#include <math.h>
+
+#define COPPER_PER_K 0.0039 /* temperature coefficient of resistance */
+#define PWM_RIPPLE_A 0.02   /* seed Eq. 7 */
+#define CEILING_C 1000.0    /* an estimate that ran off to infinity could not be cooled down again */
+#define DYING_TICKS 4       /* of the present current: until the answer is felt, and what is left then */
+
+void td_guard_start(td_guard *guard, const td_coil *coil)
+{
+    guard->winding_C = coil->start_winding_C;
+    guard->housing_C = coil->start_housing_C;
+    guard->sum = guard->square = 0;
+    guard->count = 0;
+}
+
+/* Implicit midpoint: T_m = T + h/2 f(T_m) is linear in both temperatures, then T + 2 (T_m - T). */
+static void update(td_guard *guard, const td_coil *coil, td_wide power_W)
+{
+    const td_wide a11 = coil->a11 - coil->by_w * COPPER_PER_K * power_W;
+    const td_wide b1 = guard->winding_C + coil->by_w * power_W * coil->cold;
+    const td_wide b2 = guard->housing_C + coil->inflow_C;
+    const td_wide determinant = a11 * coil->a22 - coil->a12 * coil->a21;
+    const td_wide winding = 2 * (b1 * coil->a22 - coil->a12 * b2) / determinant - guard->winding_C;
+    const td_wide housing = 2 * (a11 * b2 - coil->a21 * b1) / determinant - guard->housing_C;
+    /* Copper that doubles its resistance within one update is beyond the midpoint rule, and beyond any coil. */
+    const bool sound = a11 > 0.5;
+
+    guard->winding_C = sound && winding <= CEILING_C ? winding : CEILING_C;
+    guard->housing_C = sound && housing <= CEILING_C ? housing : CEILING_C;
+}
+
+void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A)
+{
+    const td_real effective = td_size(current_A) + (td_real)PWM_RIPPLE_A;
+
+    guard->square = effective * effective;
+    guard->sum += guard->square;
+    guard->count++;
+    if (guard->count >= coil->ticks) {
+        update(guard, coil, coil->R_ohm * ((td_wide)guard->sum / guard->count));
+        guard->sum = 0;
+        guard->count = 0;
+    }
+}
+
+bool td_guard_too_hot(const td_guard *guard, const td_coil *coil)
+{
+    const td_wide coming_K = coil->rise_K * (td_wide)(guard->sum + DYING_TICKS * guard->square);
+
+    /* Written so that a NaN is too hot. */
+    return !(guard->winding_C + coming_K <= coil->limit_C);
+}
+
+/* Bound on the winding's rise over a transient played at `scale` [K]. */
+static td_wide rise_K(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A,
+                      int32_t ticks, td_wide scale)
+{
+    const td_wide norm = scale * transient_A + feedback_A + PWM_RIPPLE_A * sqrt((td_wide)ticks);
+    const td_wide warmer = guard->housing_C - guard->winding_C;
+
+    return coil->rise_K * norm * norm + (warmer > 0 ? (td_wide)ticks * coil->from_housing * warmer : 0);
+}
+
+td_wide td_guard_scale(
+    const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks)
+{
+    const td_wide left = coil->play_limit_C - guard->winding_C;
+    td_wide without, steady, allowed;
+
+    if (rise_K(guard, coil, transient_A, feedback_A, ticks, 1) <= left)
+        return 1;
+    without = rise_K(guard, coil, 0, feedback_A, ticks, 0);
+    if (!(without < left && transient_A > 0))
+        return 0;
+    /* rise = a (s n_t + m)^2 + h with a m^2 + h = `without` */
+    steady = feedback_A + PWM_RIPPLE_A * sqrt((td_wide)ticks);
+    allowed = (sqrt(steady * steady + (left - without) / coil->rise_K) - steady) / transient_A;
+    return allowed >= coil->least_scale ? allowed : 0;
+}

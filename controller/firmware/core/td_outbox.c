@@ -1,0 +1,154 @@
+#include "td_outbox.h"
+
+#include <float.h>
+#include <math.h>
+
+#include "td_bytes.h"
+
+void td_output_put(td_output_bytes *output, const uint8_t *bytes, size_t size)
+{
+    size_t last, until_end;
+
+    if (size > sizeof output->bytes - output->size) {
+        output->lost++;
+        return;
+    }
+    last = (output->first + output->size) % sizeof output->bytes;
+    until_end = sizeof output->bytes - last;
+    if (size <= until_end) {
+        memcpy(output->bytes + last, bytes, size);
+    } else {
+        memcpy(output->bytes + last, bytes, until_end);
+        memcpy(output->bytes, bytes + until_end, size - until_end);
+    }
+    output->size += size;
+}
+
+size_t td_output_take(td_output_bytes *output, uint8_t *bytes, size_t room)
+{
+    const size_t size = output->size < room ? output->size : room, until_end = sizeof output->bytes - output->first;
+
+    if (size <= until_end) {
+        memcpy(bytes, output->bytes + output->first, size);
+    } else {
+        memcpy(bytes, output->bytes + output->first, until_end);
+        memcpy(bytes + until_end, output->bytes, size - until_end);
+    }
+    output->first = (output->first + size) % sizeof output->bytes;
+    output->size -= size;
+    return size;
+}
+
+void td_events_start(td_events *events, int32_t repeat_ticks)
+{
+    memset(events, 0, sizeof *events);
+    events->repeat_ticks = repeat_ticks;
+}
+
+void td_events_put(td_events *events, const td_event *event)
+{
+    td_told *told;
+
+    if (events->size == TD_EVENT_QUEUE) {
+        if (events->lost < UINT16_MAX)
+            events->lost++;
+        return;
+    }
+    told = &events->queue[(events->first + events->size++) % TD_EVENT_QUEUE];
+    told->number = events->number++;
+    told->lost = events->lost;
+    told->event = *event;
+}
+
+void td_events_acknowledge(td_events *events, uint32_t wanted)
+{
+    while (events->size > 0 && events->queue[events->first].number < wanted && wanted <= events->number) {
+        events->first = (events->first + 1) % TD_EVENT_QUEUE;
+        events->size--;
+        if (events->sent > 0)
+            events->sent--;
+        events->age = 0;
+    }
+}
+
+void td_events_restart(td_events *events)
+{
+    events->sent = events->age = 0;
+}
+
+uint32_t td_events_oldest(const td_events *events)
+{
+    return events->size > 0 ? events->queue[events->first].number : events->number;
+}
+
+void td_events_tick(td_events *events)
+{
+    if (events->sent > 0) {
+        events->age++;
+        if (events->age >= events->repeat_ticks)
+            td_events_restart(events);
+    }
+}
+
+const td_told *td_events_due(td_events *events)
+{
+    if (events->sent >= events->size || events->sent >= TD_EVENT_WINDOW)
+        return NULL;
+    return &events->queue[(events->first + events->sent++) % TD_EVENT_QUEUE];
+}
+
+void td_records_restart(td_records *records, uint16_t every)
+{
+    records->every = every;
+    records->skip = 0;
+    records->size = records->age = 0;
+    records->first = 0;
+    records->tick = 0;
+}
+
+/* For a float32: what is beyond its range is infinite. */
+static float narrow(td_real value)
+{
+    if ((td_wide)value > (td_wide)FLT_MAX)
+        return (float)INFINITY;
+    if ((td_wide)value < -(td_wide)FLT_MAX)
+        return -(float)INFINITY;
+    return (float)value;
+}
+
+static void write_record(uint8_t *at, const td_readings *readings, const td_output *output)
+{
+    td_put_u32(at + TD_RECORD_ENCODER_COUNTS, (uint32_t)readings->encoder_counts);
+    td_put_f32(at + TD_RECORD_GRIP_N, narrow(readings->grip_N));
+    td_put_f32(at + TD_RECORD_MEASURED_CURRENT_A, narrow(readings->current_A));
+    td_put_f32(at + TD_RECORD_ACCELERATION_M_S2, narrow(readings->acceleration_m_s2));
+    td_put_f32(at + TD_RECORD_COMMAND_A, narrow(output->command_A));
+    td_put_f32(at + TD_RECORD_TRANSIENT_A, narrow(output->transient_A));
+    td_put_f32(at + TD_RECORD_FEEDBACK_A, narrow(output->feedback_A));
+    td_put_f32(at + TD_RECORD_WINDING_C, narrow(output->winding_C));
+    at[TD_RECORD_STATE] = output->state;
+    at[TD_RECORD_FLAGS] = readings->emergency_stop;
+}
+
+bool td_records_step(td_records *records, const td_readings *readings, const td_output *output)
+{
+    if (records->every == 0)
+        return false;
+    if (records->skip == 0) {
+        if (records->size == 0) {
+            records->tick = readings->tick;
+            records->age = 0;
+        }
+        write_record(records->records + TD_RECORD_BYTES * records->size++, readings, output);
+        records->skip = records->every;
+    }
+    records->skip--;
+    records->age++;
+    return records->size > 0 && (records->size >= TD_RECORDS_LIMIT || records->age >= records->hold_ticks);
+}
+
+void td_records_sent(td_records *records)
+{
+    records->first += (uint32_t)records->size;
+    records->size = 0;
+}

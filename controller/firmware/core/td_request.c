@@ -1,0 +1,235 @@
+#include "td_request.h"
+
+#include <math.h>
+
+#include "td_bytes.h"
+
+static const td_refusal granted = {0, 0};
+
+static td_refusal refuse(int reason, double value)
+{
+    td_refusal refusal;
+
+    refusal.reason = (uint8_t)reason;
+    refusal.value = value;
+    return refusal;
+}
+
+static void hold(const td_device *device, bool held)
+{
+    if (device->port.hold != NULL)
+        device->port.hold(device->port.context, held);
+}
+
+static bool same_hash(const uint8_t *one, const uint8_t *other)
+{
+    return memcmp(one, other, TD_HASH_BYTES) == 0;
+}
+
+static td_refusal need_silent(const td_device *device)
+{
+    return td_device_is_active(device) ? refuse(TD_REASON_NOT_IDLE, (double)NAN) : granted;
+}
+
+static td_refusal need_idle(const td_device *device)
+{
+    td_refusal found;
+
+    if (td_device_state(device) == TD_STATE_FAULT)
+        return refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
+    found = need_silent(device);
+    if (found.reason == 0 && device->pulse_left > 0)
+        return refuse(TD_REASON_PULSING, (double)NAN);
+    return found;
+}
+
+static td_refusal need_gain(const td_device *device, double gain)
+{
+    const double most = device->trial ? TD_TRIAL_GAIN : 1;
+
+    return gain >= 0 && gain <= most ? granted : refuse(TD_REASON_BAD_VALUE, gain);
+}
+
+static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
+{
+    td_refusal found = need_idle(device);
+    const bool was = device->store.configured && device->store.config.coil.present;
+    const td_guard before = device->servo.guard;
+    td_config config;
+    td_guard *guard = &device->servo.guard;
+    bool fits = false;
+
+    if (found.reason != 0)
+        return found;
+    hold(device, false);
+    found = td_store_check_config(&device->store, sha256, &device->port.hardware, &config, &fits);
+    hold(device, true);
+    /* A stop may have come meanwhile. */
+    if (found.reason == 0)
+        found = need_idle(device);
+    if (found.reason != 0)
+        return found;
+    td_store_configured(&device->store, sha256, &config, fits);
+    td_servo_start(&device->servo, &device->store.config, td_store_bank(&device->store));
+    if (was && config.coil.present) {
+        /* The coil has not cooled because somebody sent numbers. */
+        guard->winding_C = guard->winding_C > before.winding_C ? guard->winding_C : before.winding_C;
+        guard->housing_C = guard->housing_C > before.housing_C ? guard->housing_C : before.housing_C;
+    }
+    return granted;
+}
+
+static td_refusal commit(td_device *device)
+{
+    td_refusal found = need_silent(device);
+
+    if (found.reason != 0)
+        return found;
+    hold(device, false);
+    found = td_store_check_image(&device->store);
+    hold(device, true);
+    if (found.reason != 0)
+        return found;
+    td_store_committed(&device->store);
+    device->servo.bank = td_store_bank(&device->store);
+    return granted;
+}
+
+static td_refusal arm(td_device *device, const uint8_t *body)
+{
+    td_servo *servo = &device->servo;
+    const td_store *store = &device->store;
+    const uint8_t none[TD_HASH_BYTES] = {0}, trial = body[TD_ARM_TRIAL];
+    const uint16_t lease_ms = td_get_u16(body + TD_ARM_LEASE_MS);
+    const double gain = td_get_f64(body + TD_ARM_GAIN);
+    td_refusal found = need_idle(device);
+
+    if (found.reason != 0)
+        return found;
+    if (!store->configured)
+        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+    if (!same_hash(body + TD_ARM_CONFIGURATION_SHA256, store->configuration_sha256))
+        return refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
+    if (same_hash(store->library_sha256, none))
+        return refuse(TD_REASON_NO_LIBRARY, (double)NAN);
+    if (!same_hash(body + TD_ARM_LIBRARY_SHA256, store->library_sha256))
+        return refuse(TD_REASON_WRONG_LIBRARY, (double)NAN);
+    if (!same_hash(device->checked_sha256, store->configuration_sha256) && trial != 1)
+        return refuse(TD_REASON_NOT_CHECKED, (double)NAN);
+    if (lease_ms < TD_LEASE_LEAST_MS || lease_ms > TD_LEASE_MOST_MS)
+        return refuse(TD_REASON_BAD_LEASE, lease_ms);
+    if (trial > 1)
+        return refuse(TD_REASON_BAD_VALUE, trial);
+    device->trial = trial == 1;
+    found = need_gain(device, gain);
+    if (found.reason != 0)
+        return found;
+    if (servo->config->coil.present && !(servo->guard.winding_C <= servo->config->coil.play_limit_C))
+        return refuse(TD_REASON_TOO_HOT, servo->guard.winding_C);
+    if (!(fabs(servo->approach.speed_m_s) <= TD_REST_SPEED_M_S))
+        return refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
+    td_servo_set_gain(servo, gain);
+    td_servo_arm(servo);
+    device->lease_ticks = device->lease_left = td_device_ticks(device, lease_ms);
+    return granted;
+}
+
+static td_refusal reset(td_device *device)
+{
+    if (device->store.configured) {
+        if (device->stop_wanted || !td_servo_reset(&device->servo))
+            return refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
+        return granted;
+    }
+    if (device->stop_pressed || device->stop_wanted)
+        return refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
+    device->stop_latched = false;
+    return granted;
+}
+
+static td_refusal change_gain(td_device *device, double gain)
+{
+    td_refusal found;
+
+    if (!device->store.configured)
+        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+    if (need_silent(device).reason == 0)
+        device->trial = false;
+    found = need_gain(device, gain);
+    if (found.reason == 0)
+        td_servo_set_gain(&device->servo, gain);
+    return found;
+}
+
+static td_refusal pulse(td_device *device, double current_A, uint16_t ticks)
+{
+    const td_refusal found = need_idle(device);
+
+    if (found.reason != 0)
+        return found;
+    if (!device->store.configured)
+        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+    if (!(fabs(current_A) <= TD_PULSE_LIMIT_A))
+        return refuse(TD_REASON_BAD_VALUE, current_A);
+    if (ticks == 0 || ticks > td_device_ticks(device, 1e3 * TD_PULSE_LIMIT_S))
+        return refuse(TD_REASON_BAD_VALUE, ticks);
+    device->pulse_A = (td_real)current_A;
+    device->pulse_left = ticks;
+    return granted;
+}
+
+static td_refusal note_check(td_device *device, const uint8_t *sha256)
+{
+    if (!device->store.configured)
+        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+    if (!same_hash(sha256, device->store.configuration_sha256))
+        return refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
+    memcpy(device->checked_sha256, sha256, sizeof device->checked_sha256);
+    return granted;
+}
+
+static td_refusal begin(td_device *device, const uint8_t *body)
+{
+    td_refusal found = need_silent(device);
+
+    if (found.reason != 0)
+        return found;
+    /* The servo knows nothing of what is arriving, and it may be long. */
+    hold(device, false);
+    found = td_store_begin(&device->store, td_get_u32(body + TD_UPLOAD_BEGIN_LENGTH), body + TD_UPLOAD_BEGIN_SHA256);
+    hold(device, true);
+    return found;
+}
+
+td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size_t size)
+{
+    switch (kind) {
+    case TD_KIND_CONFIGURE:
+        return td_store_configure(&device->store, td_get_u32(body + TD_CONFIGURE_OFFSET), body + TD_CONFIGURE_DATA,
+                                  size - TD_CONFIGURE_BYTES);
+    case TD_KIND_CONFIGURE_COMMIT:
+        return configure_commit(device, body + TD_CONFIGURE_COMMIT_SHA256);
+    case TD_KIND_UPLOAD_BEGIN:
+        return begin(device, body);
+    case TD_KIND_COMMIT:
+        return commit(device);
+    case TD_KIND_ARM:
+        return arm(device, body);
+    case TD_KIND_DISARM:
+        if (device->store.configured)
+            td_servo_disarm(&device->servo);
+        td_device_cut_pulse(device);
+        return granted;
+    case TD_KIND_RESET:
+        return reset(device);
+    case TD_KIND_GAIN:
+        return change_gain(device, td_get_f64(body + TD_GAIN_GAIN));
+    case TD_KIND_TELEMETRY:
+        td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY));
+        return granted;
+    case TD_KIND_PULSE:
+        return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS));
+    default: /* TD_KIND_CHECKED: nothing else comes here */
+        return note_check(device, body + TD_CHECKED_CONFIGURATION_SHA256);
+    }
+}

@@ -1,0 +1,99 @@
+#include "td_watch.h"
+
+void td_watch_forget(td_watch *watch)
+{
+    watch->missing_ticks = watch->still_ticks = 0;
+    watch->still_A_s = 0;
+}
+
+void td_watch_start(td_watch *watch, const td_config *config)
+{
+    watch->counts = 0;
+    watch->grip_N = config->assumed_grip_N;
+    watch->raw_grip_N = watch->current_A = watch->step_m_s = 0;
+    watch->seen = watch->gripped = false;
+    watch->emergency_stop = watch->bad_encoder = watch->bad_current = watch->playing = false;
+    td_watch_forget(watch);
+}
+
+void td_watch_step(td_watch *watch, const td_config *config, const td_readings *readings, td_real expected_A,
+                   td_real transient_A, bool playing)
+{
+    const int32_t counts = readings->encoder_counts;
+    const td_real current = readings->current_A, grip = readings->grip_N;
+    td_real size, expected;
+    int32_t moved = 0;
+
+    watch->emergency_stop = readings->emergency_stop;
+    watch->playing = playing;
+    /* Comparisons with NaN are false: written so that NaN is bad. TD_NO_COUNTS is below any limit. */
+    watch->bad_encoder = !(-config->encoder_limit_counts <= counts && counts <= config->encoder_limit_counts);
+    watch->bad_current = !(-config->current_range_A <= current && current <= config->current_range_A);
+    if (!watch->bad_encoder) {
+        moved = watch->seen ? counts - watch->counts : 0;
+        watch->counts = counts;
+        watch->seen = true;
+    }
+    watch->step_m_s = (td_real)((td_wide)moved * config->encoder_m_s);
+    watch->current_A = watch->bad_current ? expected_A : current;
+    watch->raw_grip_N = grip;
+    if (config->has_grip && config->grip_open_N <= grip && grip <= config->grip_short_N) {
+        watch->grip_N += (watch->gripped ? config->new_grip : 1) * (grip - watch->grip_N);
+        watch->gripped = true;
+    }
+    size = td_size(watch->current_A);
+    expected = td_size(expected_A);
+    if (!(expected >= config->no_current_A && size < config->no_current_part * expected))
+        watch->missing_ticks = 0;
+    else if (watch->missing_ticks < config->missing_limit)
+        watch->missing_ticks++;
+    if (moved != 0) {
+        watch->still_ticks = 0;
+        watch->still_A_s = 0;
+        return;
+    }
+    if (!(size >= config->stuck_A))
+        watch->still_ticks = 0;
+    else if (watch->still_ticks < config->still_limit)
+        watch->still_ticks++;
+    /* A slow tail of the transient may well be held still by the hand; its strokes cannot. */
+    if (td_size(transient_A) >= config->stuck_A)
+        watch->still_A_s += transient_A * (td_real)config->dt_s;
+}
+
+static uint32_t bit(int what, bool set)
+{
+    return set ? td_fault_bit(what) : 0;
+}
+
+static uint32_t alike(const td_watch *w, const td_config *c)
+{
+    const bool moves = -c->fastest_m_s <= w->step_m_s && w->step_m_s <= c->fastest_m_s;
+    const bool flows = -c->over_current_A <= w->current_A && w->current_A <= c->over_current_A;
+
+    return bit(TD_WHAT_EMERGENCY_STOP, w->emergency_stop) | bit(TD_WHAT_BAD_SENSOR, w->bad_encoder || w->bad_current) |
+           bit(TD_WHAT_OVER_CURRENT, !flows) | bit(TD_WHAT_ENCODER_JUMP, !moves) |
+           bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s) |
+           bit(TD_WHAT_NO_CURRENT, w->missing_ticks >= c->missing_limit) |
+           bit(TD_WHAT_GRIP_OPEN, c->has_grip && !(w->raw_grip_N >= c->grip_open_N)) |
+           bit(TD_WHAT_GRIP_SHORT, c->has_grip && w->raw_grip_N > c->grip_short_N);
+}
+
+static bool loose(const td_watch *w, const td_config *c)
+{
+    return c->has_grip && !(w->raw_grip_N >= c->grip_min_N);
+}
+
+uint32_t td_watch_trips(const td_watch *watch, const td_config *config, const td_guard *guard)
+{
+    return alike(watch, config) |
+           bit(TD_WHAT_OVER_TEMPERATURE, config->coil.present && td_guard_too_hot(guard, &config->coil)) |
+           bit(TD_WHAT_GRIP_LOST, watch->playing && loose(watch, config));
+}
+
+uint32_t td_watch_remains(const td_watch *watch, const td_config *config, const td_guard *guard)
+{
+    const bool hot = config->coil.present && !(guard->winding_C <= config->coil.play_limit_C);
+
+    return alike(watch, config) | bit(TD_WHAT_OVER_TEMPERATURE, hot) | bit(TD_WHAT_GRIP_LOST, loose(watch, config));
+}

@@ -1,0 +1,134 @@
+"""The compiled core behind the interface of `controller.device.Device`, for comparing the two byte by byte."""
+
+import ctypes
+import functools
+from collections.abc import Iterator
+
+from controller.codes import EVENTS, STATES
+from controller.firmware.build import CORE, build, sources
+from controller.firmware.replay import MOST_EVENTS, REPLAY, counts_of
+from controller.interface import Event, Output, Readings
+from controller.limits import Hardware
+from controller.wire import ENCODED_LIMIT, PAYLOAD_LIMIT
+
+
+@functools.cache
+def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
+    library = ctypes.CDLL(str(build("probe", [*sources(CORE), REPLAY / "td_probe.c"], flags=flags, shared=True)))
+    pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
+    for name in (
+        "td_probe_device_size",
+        "td_probe_decoder_size",
+        "td_probe_decode",
+        "td_wire_encode",
+        "td_device_send",
+    ):
+        getattr(library, name).restype = size
+    library.td_probe_step.restype = ctypes.c_uint8
+    library.td_probe_start.argtypes = [pointer, ctypes.c_uint32, number, number, number]
+    library.td_probe_step.argtypes = [pointer, ctypes.c_uint64, ctypes.c_int32, ctypes.c_bool, *4 * (pointer,)]
+    library.td_probe_decode.argtypes = [pointer, ctypes.c_char_p, size, pointer]
+    library.td_probe_counts.argtypes = [pointer, pointer]
+    library.td_device_receive.argtypes = [pointer, ctypes.c_char_p, size]
+    library.td_device_send.argtypes = [pointer, pointer, size]
+    library.td_decoder_start.argtypes = [pointer]
+    library.td_wire_encode.argtypes = [ctypes.c_char_p, size, pointer]
+    library.td_sha256_of.argtypes = [ctypes.c_char_p, size, pointer]
+    library.td_crc32.argtypes = [ctypes.c_uint32, ctypes.c_char_p, size]
+    library.td_crc32.restype = ctypes.c_uint32
+    return library
+
+
+class _Aligned:
+    """Zeroed memory for one struct."""
+
+    def __init__(self, size: int) -> None:
+        self._memory = ctypes.create_string_buffer(size + 16)
+        self.at = (ctypes.addressof(self._memory) + 15) & ~15
+
+
+def encode(payload: bytes) -> bytes:
+    """`wire.encode` by the core."""
+    frame = ctypes.create_string_buffer(ENCODED_LIMIT + 1)
+    size = _probe(()).td_wire_encode(payload, len(payload), frame)
+    return frame.raw[:size]
+
+
+def sha256(data: bytes) -> bytes:
+    digest = ctypes.create_string_buffer(32)
+    _probe(()).td_sha256_of(data, len(data), digest)
+    return digest.raw
+
+
+def crc32(data: bytes) -> int:
+    return int(_probe(()).td_crc32(0, data, len(data)))
+
+
+class Decoder:
+    """`wire.Decoder` by the core."""
+
+    def __init__(self) -> None:
+        self._library = _probe(())
+        self._decoder = _Aligned(self._library.td_probe_decoder_size())
+        self._library.td_decoder_start(self._decoder.at)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        # A payload of a frame that began in an earlier piece may be longer than this piece.
+        out = ctypes.create_string_buffer(2 * len(data) + PAYLOAD_LIMIT + 2)
+        size = self._library.td_probe_decode(self._decoder.at, data, len(data), out)
+        return list(_pieces(out.raw[:size]))
+
+
+def _pieces(data: bytes) -> Iterator[bytes]:
+    at = 0
+    while at < len(data):
+        size = int.from_bytes(data[at : at + 2], "little")
+        yield data[at + 2 : at + 2 + size]
+        at += 2 + size
+
+
+class CoreDevice:
+    """One device from one start to the next.
+
+    Raises
+    ------
+    NoCompilerError : it cannot be compiled here.
+    """
+
+    ROOM_BYTES = 1 << 17
+
+    def __init__(self, boot: int, hardware: Hardware | None = None, flags: tuple[str, ...] = ()) -> None:
+        self._library, self.tick = _probe(flags), 0
+        self._device = _Aligned(self._library.td_probe_device_size())
+        limits = Hardware() if hardware is None else hardware
+        self._library.td_probe_start(self._device.at, boot, limits.current_A, limits.command_A, limits.dt_s)
+        self._out = ctypes.create_string_buffer(self.ROOM_BYTES)
+        self._in, self._answer = (ctypes.c_double * 3)(), (ctypes.c_double * 4)()
+        self._events, self._contacts = (ctypes.c_uint8 * MOST_EVENTS)(), (ctypes.c_double * (2 * MOST_EVENTS))()
+
+    def receive(self, data: bytes) -> None:
+        self._library.td_device_receive(self._device.at, data, len(data))
+
+    def bytes_to_send(self) -> bytes:
+        size = self._library.td_device_send(self._device.at, self._out, self.ROOM_BYTES)
+        return self._out.raw[:size]
+
+    def step(self, readings: Readings) -> Output:
+        r, self.tick = readings, readings.tick
+        self._in[:] = [r.grip_N, r.current_A, r.acceleration_m_s2]
+        pointers = (self._in, self._answer, self._events, self._contacts)
+        counts = counts_of(r.encoder_counts)
+        state = self._library.td_probe_step(self._device.at, r.tick, counts, r.emergency_stop, *pointers)
+        events = tuple(
+            Event(r.tick, EVENTS[code], self._contacts[2 * j], self._contacts[2 * j + 1])  # type: ignore[arg-type]
+            for j, code in enumerate(self._events)
+            if code
+        )
+        command, transient, feedback, winding = self._answer
+        return Output(command, STATES[state], transient, feedback, winding, events)
+
+    def counts(self) -> tuple[int, ...]:
+        """Dropped frames, frames, bad frames, frames that found no room to go out."""
+        counts = (ctypes.c_uint32 * 4)()
+        self._library.td_probe_counts(self._device.at, counts)
+        return tuple(counts)

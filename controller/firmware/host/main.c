@@ -1,0 +1,281 @@
+/* The device's core with a compiled plant, on a pseudo-terminal or a socket in real time, or in lock-step.
+ *
+ * The program that `transopt-device` builds and starts. Its first line on standard output says where it can be
+ * opened. While it runs it obeys lines on standard input: reset (power gone and back), quit.
+ *
+ * In lock-step time passes only when asked for: standard input brings u32 ticks, u32 size and so many bytes that have
+ * arrived, standard output u32 size and the bytes that the device said, u32 little-endian.
+ */
+#define _XOPEN_SOURCE 700
+
+#include <errno.h>
+#include <fcntl.h>
+#include <math.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "link.h"
+#include "plant.h"
+#include "td_bytes.h"
+#include "td_device.h"
+#include "trouble.h"
+
+#define CHUNK 8192
+#define BEHIND_MOST_S 0.25 /* after a longer sleep of the machine time is not caught up */
+#define LINE 128
+
+typedef struct {
+    const char *listen, *plant;
+    double dt_s, current_A, command_A, delay_ms, loss, corruption, reset_s;
+    long seed, boot;
+    bool lock_step;
+} options;
+
+static td_device device;
+static plant body;
+static trouble to_device, to_host;
+static uint32_t boots;
+static uint64_t tick;
+static volatile sig_atomic_t ended;
+
+static void end(int signal_number)
+{
+    (void)signal_number;
+    ended = 1;
+}
+
+static int fail(const char *what, const char *why)
+{
+    fprintf(stderr, "%s: %s\n", what, why);
+    return 2;
+}
+
+static bool number_of(const char *name, const char *given, const char *text, double *value)
+{
+    char *rest;
+
+    if (strcmp(name, given) != 0)
+        return false;
+    *value = strtod(text, &rest);
+    if (*rest != '\0' || rest == text || !(*value >= 0) || !(*value < 1e12)) {
+        fail(name, "wants a number >= 0");
+        exit(2);
+    }
+    return true;
+}
+
+static bool parse(int argc, char **argv, options *said)
+{
+    double seed = 0, boot = 1;
+    int j;
+
+    for (j = 1; j < argc; j++) {
+        const char *name = argv[j], *text = j + 1 < argc ? argv[j + 1] : "";
+
+        if (strcmp(name, "--lock-step") == 0) {
+            said->lock_step = true;
+            continue;
+        }
+        j++;
+        if (strcmp(name, "--listen") == 0)
+            said->listen = text;
+        else if (strcmp(name, "--plant") == 0)
+            said->plant = text;
+        else if (!number_of(name, "--dt", text, &said->dt_s) && !number_of(name, "--current", text, &said->current_A) &&
+                 !number_of(name, "--command", text, &said->command_A) &&
+                 !number_of(name, "--delay-ms", text, &said->delay_ms) &&
+                 !number_of(name, "--loss", text, &said->loss) &&
+                 !number_of(name, "--corruption", text, &said->corruption) &&
+                 !number_of(name, "--reset-every", text, &said->reset_s) && !number_of(name, "--seed", text, &seed) &&
+                 !number_of(name, "--boot", text, &boot)) {
+            fail(name, "no such option");
+            return false;
+        }
+    }
+    said->seed = (long)seed;
+    said->boot = (long)boot;
+    return true;
+}
+
+/* Power gone and back: what it knew is lost, the hand and the stylus go on. */
+static void start_device(const options *said)
+{
+    td_port port = {0, {0, 0, 0}, NULL, NULL};
+
+    port.boot = (uint32_t)said->boot + boots++;
+    port.hardware.current_A = said->current_A;
+    port.hardware.command_A = said->command_A;
+    port.hardware.dt_s = said->dt_s;
+    td_device_start(&device, &port);
+    tick = 0;
+}
+
+static void one_tick(void)
+{
+    td_readings readings;
+    td_output output;
+
+    plant_read(&body, tick++, &readings);
+    td_device_step(&device, &readings, &output);
+    plant_advance(&body, (double)output.command_A);
+}
+
+/* ------------------------------------------------------------------------------------------------ lock-step */
+
+static bool read_all(uint8_t *bytes, size_t size)
+{
+    return fread(bytes, 1, size, stdin) == size;
+}
+
+static int run_lock_step(void)
+{
+    static uint8_t bytes[TD_OUTPUT_BYTES];
+    uint8_t head[8];
+
+    while (read_all(head, sizeof head)) {
+        uint32_t ticks = td_get_u32(head), size = td_get_u32(head + 4);
+
+        while (size > 0) {
+            const uint32_t part = size < sizeof bytes ? size : (uint32_t)sizeof bytes;
+
+            if (!read_all(bytes, part))
+                return 0;
+            td_device_receive(&device, bytes, part);
+            size -= part;
+        }
+        for (; ticks > 0; ticks--)
+            one_tick();
+        size = (uint32_t)td_device_send(&device, bytes, sizeof bytes);
+        td_put_u32(head, size);
+        fwrite(head, 1, 4, stdout);
+        fwrite(bytes, 1, size, stdout);
+        fflush(stdout);
+    }
+    return 0;
+}
+
+/* ------------------------------------------------------------------------------------------------ real time */
+
+static double now_s(void)
+{
+    struct timespec now;
+
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* Lines on standard input; whether to go on. */
+static bool obey(const options *said)
+{
+    static char line[LINE];
+    static size_t size;
+    char one;
+    ssize_t got;
+
+    while ((got = read(STDIN_FILENO, &one, 1)) == 1) {
+        if (one != '\n') {
+            if (size + 1 < sizeof line)
+                line[size++] = one;
+            continue;
+        }
+        line[size] = '\0';
+        size = 0;
+        if (strcmp(line, "quit") == 0)
+            return false;
+        if (strcmp(line, "reset") == 0)
+            start_device(said);
+    }
+    /* It does not outlive who started it. */
+    return got < 0;
+}
+
+/* Bytes both ways, through the line's troubles. */
+static void exchange(port_link *link)
+{
+    static uint8_t bytes[CHUNK], leaving[CHUNK];
+    static size_t leaving_size, left;
+    size_t size;
+
+    while ((size = link_receive(link, bytes, sizeof bytes)) > 0)
+        trouble_enter(&to_device, bytes, size, now_s());
+    while ((size = trouble_leave(&to_device, bytes, sizeof bytes, now_s())) > 0)
+        td_device_receive(&device, bytes, size);
+    for (;;) {
+        if (left == leaving_size) {
+            while ((size = td_device_send(&device, bytes, sizeof bytes)) > 0)
+                trouble_enter(&to_host, bytes, size, now_s());
+            leaving_size = trouble_leave(&to_host, leaving, sizeof leaving, now_s());
+            left = 0;
+        }
+        size = link_send(link, leaving + left, leaving_size - left);
+        if (size == 0)
+            return;
+        left += size;
+    }
+}
+
+static int run_real_time(const options *said, port_link *link)
+{
+    double started_s = now_s(), reset_at_s = said->reset_s > 0 ? started_s + said->reset_s : (double)INFINITY;
+    uint64_t passed = 0;
+
+    fcntl(STDIN_FILENO, F_SETFL, fcntl(STDIN_FILENO, F_GETFL, 0) | O_NONBLOCK);
+    while (!ended && obey(said)) {
+        double time_s = now_s();
+
+        if (time_s - started_s - (double)passed * said->dt_s > BEHIND_MOST_S)
+            started_s = time_s - (double)passed * said->dt_s;
+        if (time_s >= reset_at_s) {
+            start_device(said);
+            reset_at_s = time_s + said->reset_s;
+        }
+        exchange(link);
+        for (; (double)(passed + 1) * said->dt_s <= time_s - started_s; passed++)
+            one_tick();
+        exchange(link);
+        link_wait(link, 1);
+    }
+    return 0;
+}
+
+int main(int argc, char **argv)
+{
+    options said = {NULL, NULL, 1e-4, 10.0, 10.0, 0, 0, 0, 0, 0, 1, false};
+    static port_link link = {-1, -1, -1, false};
+    char name[LINK_NAME];
+    const char *wrong;
+    struct sigaction action;
+    int result;
+
+    if (!parse(argc, argv, &said))
+        return 2;
+    if (said.plant == NULL)
+        return fail("--plant FILE", "is missing");
+    wrong = plant_load(&body, said.plant, (uint64_t)said.seed);
+    if (wrong != NULL)
+        return fail(said.plant, wrong);
+    memset(&action, 0, sizeof action);
+    action.sa_handler = end;
+    sigaction(SIGTERM, &action, NULL);
+    sigaction(SIGINT, &action, NULL);
+    trouble_start(&to_device, 1e-3 * said.delay_ms, said.loss, said.corruption, 2 * (uint64_t)said.seed);
+    trouble_start(&to_host, 1e-3 * said.delay_ms, said.loss, said.corruption, 2 * (uint64_t)said.seed + 1);
+    start_device(&said);
+    if (said.lock_step) {
+        result = run_lock_step();
+    } else {
+        wrong = said.listen != NULL ? link_listen(&link, said.listen, name) : link_open_terminal(&link, name);
+        if (wrong != NULL)
+            return fail("device", wrong);
+        printf("%s\n", name);
+        fflush(stdout);
+        result = run_real_time(&said, &link);
+        link_close(&link);
+    }
+    plant_free(&body);
+    return result;
+}

@@ -1,0 +1,83 @@
+#include "td_probe.h"
+
+#include <stdlib.h>
+
+#include "td_bytes.h"
+
+size_t td_probe_device_size(void)
+{
+    return sizeof(td_probe);
+}
+
+size_t td_probe_decoder_size(void)
+{
+    return sizeof(td_decoder);
+}
+
+static void hold(void *context, bool held)
+{
+    td_probe *probe = context;
+
+    probe->held += held ? 1 : -1;
+    if (probe->held != (held ? 1 : 0))
+        abort();
+}
+
+void td_probe_start(td_probe *probe, uint32_t boot, double current_A, double command_A, double dt_s)
+{
+    const td_port port = {boot, {current_A, command_A, dt_s}, hold, probe};
+
+    probe->held = 0;
+    td_device_start(&probe->device, &port);
+}
+
+uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, bool emergency_stop,
+                      const double *grip_current_acceleration, double *answer, uint8_t *events, double *contacts)
+{
+    td_readings readings;
+    td_output output;
+    int32_t j;
+
+    readings.tick = tick;
+    readings.encoder_counts = encoder_counts;
+    readings.grip_N = (td_real)grip_current_acceleration[0];
+    readings.current_A = (td_real)grip_current_acceleration[1];
+    readings.acceleration_m_s2 = (td_real)grip_current_acceleration[2];
+    readings.emergency_stop = emergency_stop;
+    td_device_step(device, &readings, &output);
+    answer[0] = (double)output.command_A;
+    answer[1] = (double)output.transient_A;
+    answer[2] = (double)output.feedback_A;
+    answer[3] = (double)output.winding_C;
+    memset(events, 0, TD_MAX_EVENTS);
+    for (j = 0; j < output.event_count; j++) {
+        events[j] = output.events[j].what;
+        contacts[2 * j] = (double)output.events[j].speed_m_s;
+        contacts[2 * j + 1] = (double)output.events[j].grip_N;
+    }
+    return output.state;
+}
+
+size_t td_probe_decode(td_decoder *decoder, const uint8_t *bytes, size_t size, uint8_t *payloads)
+{
+    uint8_t *at = payloads;
+
+    for (; size > 0; size--, bytes++) {
+        const size_t length = td_decoder_take(decoder, *bytes);
+
+        if (length == 0)
+            continue;
+        td_put_u16(at, (uint16_t)length);
+        memcpy(at + 2, decoder->held, length);
+        at += 2 + length;
+    }
+    return (size_t)(at - payloads);
+}
+
+void td_probe_counts(const td_device *device, uint32_t *counts)
+{
+    counts[0] = device->dropped_frames;
+    counts[1] = device->decoder.frames;
+    counts[2] = device->decoder.bad_frames;
+    counts[3] = device->output.lost;
+}

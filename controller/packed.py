@@ -1,0 +1,75 @@
+"""Dataclasses whose annotations say how they lie in a message: little-endian, without padding."""
+
+import struct
+from dataclasses import fields
+from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
+
+HASH_BYTES = 32
+OPEN_END = "*"
+
+U8 = Annotated[int, "B"]
+U16 = Annotated[int, "H"]
+U32 = Annotated[int, "I"]
+I32 = Annotated[int, "i"]
+U64 = Annotated[int, "Q"]
+F32 = Annotated[float, "f"]
+F64 = Annotated[float, "d"]
+Hash = Annotated[bytes, f"{HASH_BYTES}s"]
+Tail = Annotated[bytes, OPEN_END]
+
+
+class BadBodyError(ValueError):
+    """A frame that is sound but means nothing here."""
+
+
+class Packed:
+    """Base of such a dataclass; a last field of type `Tail` takes whatever is left.
+
+    Attributes
+    ----------
+    FORMAT : of everything but the tail. OPEN : whether there is a tail.
+    """
+
+    __slots__ = ()
+    FORMAT: ClassVar[struct.Struct]
+    OPEN: ClassVar[bool]
+    NAMES: ClassVar[tuple[str, ...]]
+
+    @classmethod
+    def layout(cls) -> list[tuple[str, str]]:
+        """(field, struct format) in order."""
+        hints = get_type_hints(cls, include_extras=True)
+        return [(field.name, hints[field.name].__metadata__[0]) for field in fields(cls)]  # type: ignore[arg-type]
+
+    def pack(self) -> bytes:
+        values = [getattr(self, name) for name in self.NAMES]
+        if self.OPEN:
+            tail: bytes = values.pop()
+            return self.FORMAT.pack(*values) + tail
+        return self.FORMAT.pack(*values)
+
+    @classmethod
+    def unpack(cls, body: bytes) -> Any:
+        """
+        Raises
+        ------
+        BadBodyError : not as long as this message is.
+        """
+        size = cls.FORMAT.size
+        if len(body) < size or (len(body) > size and not cls.OPEN):
+            raise BadBodyError(f"{cls.__name__}: {len(body)} bytes, expected {size}")
+        values = cls.FORMAT.unpack_from(body)
+        return cls(*values, *([body[size:]] if cls.OPEN else []))
+
+
+Message = TypeVar("Message", bound=type[Packed])
+
+
+def laid_out(cls: Message) -> Message:
+    """Class decorator, above `dataclass`."""
+    layout = cls.layout()
+    formats = [form for _, form in layout]
+    cls.OPEN = formats[-1:] == [OPEN_END]
+    cls.FORMAT = struct.Struct("<" + "".join(formats[:-1] if cls.OPEN else formats))
+    cls.NAMES = tuple(name for name, _ in layout)
+    return cls

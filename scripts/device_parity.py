@@ -1,0 +1,166 @@
+"""The C core against the Python servo: random ticks, scenarios on the simulator, an hour of heat.
+
+    python scripts/device_parity.py LIBRARY [--ticks 1000000] [--scenarios 200] [--seed 0] [--write FILE]
+
+In double precision every command, state, event and temperature must be the same, bit for bit. In single precision
+states and events are compared tick by tick, commands wherever both are in the same state. Exit code 1 if something is
+off. --write keeps all runs in a file for `controller/firmware/replay/replay_main.c`.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from controller.codes import EVENTS
+from controller.firmware.replay import Core, Recorder, Rows, write_runs
+from controller.guard import Guard
+from controller.image import image_of
+from controller.settings import Settings
+from scripts.parity_runs import TAIL, draw_bank, random_run, tap_run
+from transopt.errors import InputError
+from transopt.library_file import load_library
+from transopt.thermal import CoilModel
+
+DOUBLE: tuple[str, ...] = ()
+FLOAT = ("-DTD_REAL_FLOAT",)
+RUN_TICKS = 20_000
+COMMAND_A, WINDING_K = 1e-5, 0.1  # what single precision may be off by
+NUMBERS = ("command_A", "transient_A", "feedback_A", "winding_C", "speed_m_s", "grip_N")
+WHOLE = ("state", "answers", "events", "what")
+
+
+@dataclass
+class Difference:
+    """Between the two over some runs.
+
+    Attributes
+    ----------
+    other_bits : numbers that are not the same bits. other_state, other_events : ticks in which these differ.
+    runs_apart : runs in which any such tick is. command_A, winding_K : largest difference, commands only where
+    states agree.
+    """
+
+    ticks: int = 0
+    runs: int = 0
+    other_bits: int = 0
+    other_state: int = 0
+    other_events: int = 0
+    runs_apart: int = 0
+    command_A: float = 0.0
+    winding_K: float = 0.0
+
+    def add(self, recorder: Recorder, flags: tuple[str, ...]) -> None:
+        """One run more, played through the core."""
+        wanted = recorder.output_rows()
+        found = Core(recorder.settings, recorder.image, flags).run(recorder.input_rows())
+        self.count(wanted, found)
+
+    def count(self, wanted: Rows, found: Rows) -> None:
+        self.ticks += wanted.size
+        self.runs += 1
+        self.other_bits += sum(_other_bits(wanted[name], found[name]) for name in NUMBERS)
+        other_state = wanted["state"] != found["state"]
+        events = np.any(wanted["what"] != found["what"], axis=1) | (wanted["answers"] != found["answers"])
+        self.other_state += int(np.sum(other_state))
+        self.other_events += int(np.sum(events))
+        self.runs_apart += bool(np.any(other_state | events))
+        alike = ~other_state
+        self.command_A = max(self.command_A, _most(wanted["command_A"], found["command_A"], alike))
+        self.winding_K = max(self.winding_K, _most(wanted["winding_C"], found["winding_C"], alike))
+
+    def __str__(self) -> str:
+        return ", ".join(f"{field.name} {getattr(self, field.name):.4g}" for field in fields(self))
+
+
+def _other_bits(wanted: Rows, found: Rows) -> int:
+    """Numbers that differ; any NaN is like any other."""
+    both = np.isnan(wanted) & np.isnan(found)
+    return int(np.sum((wanted.view("<u8") != found.view("<u8")) & ~both))
+
+
+def _most(wanted: Rows, found: Rows, where: Rows) -> float:
+    off = np.abs(wanted - found)[where & ~np.isnan(wanted)]
+    return float(np.max(off, initial=0.0))
+
+
+def heat_differences_K(duration_s: float, seed: int) -> dict[tuple[str, ...], float]:
+    """Largest difference of the coil's temperatures, by flags of the core, while currents come and go for so long.
+
+    Noise whose size swells and fades over ten minutes, so that the coil warms and cools; compared every half second.
+    """
+    random = np.random.default_rng([seed, 14])
+    settings = Settings(1e-4, 3e-4, 4.0, coil=CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0))
+    assert settings.coil is not None
+    guard = Guard(settings.coil, settings.dt_s, settings.withhold_K, settings.least_scale)
+    image = image_of(draw_bank(random, None, free=False), settings.dt_s, settings.lead_s, TAIL)
+    cores = {flags: Core(settings, image, flags) for flags in (DOUBLE, FLOAT)}
+    worst, ticks = dict.fromkeys(cores, 0.0), 5000
+    for block in range(round(duration_s / (ticks * settings.dt_s))):
+        size = np.abs(random.standard_normal(ticks)) * (1.0 + np.sin(2 * np.pi * block / 1200))
+        for current in size.tolist():
+            guard.step(current)
+        for flags, core in cores.items():
+            worst[flags] = max(worst[flags], abs(float(core.heat(size, ticks)[-1]) - guard.winding_C))
+    return worst
+
+
+def random_runs(ticks: int, seed: int) -> Iterator[Recorder]:
+    for j in range(-(-ticks // RUN_TICKS)):
+        yield random_run(1000 * seed + j, min(RUN_TICKS, ticks))
+
+
+def report(name: str, runs: Iterable[Recorder], kept: list[bytes] | None) -> bool:
+    """Play the runs through both builds and print what came out; whether all is as it must be."""
+    exact, single, seen = Difference(), Difference(), Counter[str]()
+    for recorder in runs:
+        what = recorder.output_rows()["what"]
+        seen.update(EVENTS[int(code)].name.lower() for code in what[what > 0])
+        exact.add(recorder, DOUBLE)
+        single.add(recorder, FLOAT)
+        if kept is not None:
+            kept.append(recorder.run_bytes())
+    print(f"{name}, double: {exact}\n{name}, single: {single}")
+    print(f"{name}, events: {', '.join(f'{what} {count}' for what, count in seen.most_common())}", flush=True)
+    return (
+        exact.other_bits + exact.other_state + exact.other_events == 0
+        and single.command_A <= COMMAND_A
+        and single.winding_K <= WINDING_K
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("library", type=Path, help="library.npz of a simulated scene")
+    parser.add_argument("--ticks", type=int, default=1_000_000, help="random ones")
+    parser.add_argument("--scenarios", type=int, default=200)
+    parser.add_argument(
+        "--heat", type=float, default=3600.0, metavar="S", help="virtual time of the coil's comparison"
+    )
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", type=Path, metavar="FILE", help="keep the runs for replay_main.c")
+    arguments = parser.parse_args()
+    if min(arguments.ticks, arguments.scenarios, arguments.seed) < 0:
+        parser.error("--ticks, --scenarios and --seed must be at least 0")
+    kept: list[bytes] | None = None if arguments.write is None else []
+    try:
+        library = load_library(arguments.library)
+        good = report("random ticks", random_runs(arguments.ticks, arguments.seed), kept)
+        first = 1000 * arguments.seed
+        taps = (tap_run(library, first + j) for j in range(arguments.scenarios))
+        good &= report("scenarios", taps, kept)
+        worst = heat_differences_K(arguments.heat, arguments.seed)
+    except InputError as error:
+        parser.error(str(error))
+    print(f"coil over {arguments.heat:g} s: double {worst[DOUBLE]:.2g} K, single {worst[FLOAT]:.2g} K")
+    if kept is not None:
+        write_runs(arguments.write, kept)
+    return 0 if good and worst[DOUBLE] == 0.0 and worst[FLOAT] <= WINDING_K else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,182 @@
+"""Damaged frames by the million: none is taken for another one, none makes the decoder fail.
+
+    python scripts/wire_fuzz.py [--frames 1000000] [--seed 0] [--endpoints]
+
+Frames of random length and content are hit in 2 to 4 bytes, cut, lengthened, or merged with the next, and given to
+the decoder in pieces of random size. Whatever it then takes for a sound frame must be one that was sent.
+`--endpoints` puts the damaged frames to a device and a session as well: neither may fail, and the device must stay
+without a command. Exit code 1 if a frame was accepted wrongly or a frame after the damage was lost.
+"""
+
+import argparse
+import random
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from itertools import cycle
+
+from controller import messages as m
+from controller.codes import Kind
+from controller.device import Device
+from controller.interface import Readings
+from controller.session import Session
+from controller.states import OVER
+from controller.wire import DELIMITER, PAYLOAD_LIMIT, Decoder, encode
+
+Damage = Callable[[bytes, bytes, random.Random], bytes]
+BATCH = 200  # frames between two that must come through
+
+
+def hit(frame: bytes, following: bytes, chance: random.Random) -> bytes:
+    """2 to 4 bytes changed, delimiters among them."""
+    data = bytearray(frame)
+    for _ in range(chance.randint(2, 4)):
+        data[chance.randrange(len(data))] ^= chance.randint(1, 255)
+    return bytes(data)
+
+
+def cut(frame: bytes, following: bytes, chance: random.Random) -> bytes:
+    """Some bytes missing."""
+    first = chance.randrange(len(frame))
+    return frame[:first] + frame[first + chance.randint(1, 8) :]
+
+
+def lengthen(frame: bytes, following: bytes, chance: random.Random) -> bytes:
+    """Some bytes put in."""
+    place = chance.randrange(len(frame))
+    return frame[:place] + chance.randbytes(chance.randint(1, 8)) + frame[place:]
+
+
+def merge(frame: bytes, following: bytes, chance: random.Random) -> bytes:
+    """The beginning of one frame and the end of another."""
+    return frame[: chance.randrange(len(frame))] + following[chance.randrange(len(following)) :]
+
+
+DAMAGES: tuple[Damage, ...] = (hit, cut, lengthen, merge)
+
+
+def random_payload(chance: random.Random) -> bytes:
+    """Short ones as most are, long ones as an upload's, many zeros as in a waveform's tail."""
+    size = chance.choice((1, chance.randint(1, 40), chance.randint(1, PAYLOAD_LIMIT), 254, PAYLOAD_LIMIT))
+    if chance.random() < 0.3:
+        return bytes(chance.choice((0, 0, 0, 1, 255)) for _ in range(min(size, 64)))
+    return chance.randbytes(size)
+
+
+def random_frame(chance: random.Random) -> bytes:
+    """A message of a random kind with a random body, of one of few sessions."""
+    kind = chance.choice(list(Kind))
+    message = m.MESSAGES[kind]
+    body = chance.randbytes(message.FORMAT.size + (chance.randint(0, 30) if message.OPEN else 0))
+    return m.HEADER.pack(kind, 0, chance.randint(0, 3), chance.randint(0, 2)) + body
+
+
+def pieces(stream: bytes, chance: random.Random) -> Iterator[bytes]:
+    """As a port hands them out."""
+    place = 0
+    while place < len(stream):
+        size = chance.choice((1, chance.randint(1, 64), chance.randint(1, 4096)))
+        yield stream[place : place + size]
+        place += size
+
+
+def fuzz(
+    frames: int,
+    seed: int,
+    payload: Callable[[random.Random], bytes] = random_payload,
+    ends: tuple[Callable[[bytes], object], ...] = (),
+) -> Counter[str]:
+    """Counts of frames sent damaged, passed unharmed all the same, taken wrongly, and of sound ones lost.
+
+    Parameters
+    ----------
+    payload : what is sent. ends : more places to put the damaged stream.
+    """
+    chance, decoder, counts = random.Random(seed), Decoder(), Counter[str]()
+    while counts["damaged"] < frames:
+        batch = min(BATCH, frames - counts["damaged"])
+        sent = [payload(chance) for _ in range(batch + 1)]
+        encoded = [encode(x) for x in sent]
+        damages = [chance.choice(DAMAGES) for _ in range(batch)]
+        stream = b"".join(
+            damage(frame, following, chance)
+            for damage, frame, following in zip(damages, encoded[:-1], encoded[1:], strict=True)
+        )
+        # After whatever came, a delimiter and a sound frame: that one must come through.
+        stream += DELIMITER + encoded[-1]
+        taken = []
+        for piece in pieces(stream, chance):
+            taken += decoder.feed(piece)
+            for end in ends:
+                end(piece)
+        counts["damaged"] += batch
+        counts["unharmed"] += len(taken) - 1
+        counts["lost"] += not taken or taken[-1] != sent[-1]
+        known = set(sent)
+        counts["wrong"] += sum(x not in known for x in taken)
+    counts["rejected"] = decoder.bad_frames
+    return counts
+
+
+class Ends:
+    """A device and a session, connected with each other, that get what is left of the frames.
+
+    Attributes
+    ----------
+    greetings : how often the session had to connect anew. driven : ticks with a command.
+    """
+
+    def __init__(self) -> None:
+        sessions = cycle((1, 2))
+        self.device, self.session = Device(1), Session(lambda: next(sessions))
+        self.tick = self.greetings = self.driven = 0
+        self._greet()
+
+    def __call__(self, data: bytes) -> None:
+        self._step(data)
+        self.session.receive(data, self._now_s)
+        if self.session.state in OVER:
+            self._greet()
+        self.session.bytes_to_send(self._now_s)
+
+    @property
+    def _now_s(self) -> float:
+        return self.tick * 1e-4
+
+    def _step(self, data: bytes) -> bytes:
+        self.device.receive(data)
+        self.driven += self.device.step(Readings(self.tick, 200, 3.0, 0.0, 0.0)).command_A != 0.0
+        self.tick += 1
+        return self.device.bytes_to_send()
+
+    def _greet(self) -> None:
+        self.session.connect(self._now_s)
+        reply = self._step(DELIMITER + self.session.bytes_to_send(self._now_s))
+        self.session.receive(reply, self._now_s)
+        self.greetings += 1
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--endpoints", action="store_true", help="put them to a device and a session, too")
+    arguments = parser.parse_args()
+    if arguments.frames < 1 or arguments.seed < 0:
+        parser.error("--frames must be at least 1, --seed at least 0")
+    ends = Ends()
+    started = time.perf_counter()
+    if arguments.endpoints:
+        counts = fuzz(arguments.frames, arguments.seed, random_frame, (ends,))
+    else:
+        counts = fuzz(arguments.frames, arguments.seed)
+    took_s = time.perf_counter() - started
+    print(f"{counts['damaged']} damaged frames in {took_s:.0f} s: {counts['rejected']} pieces rejected,")
+    print(f"{counts['unharmed']} frames unharmed all the same, {counts['wrong']} accepted wrongly,")
+    print(f"{counts['lost']} sound frames lost after damage, {ends.driven} ticks with a command")
+    return 1 if counts["wrong"] or counts["lost"] or ends.driven else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
