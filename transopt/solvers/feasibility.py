@@ -21,7 +21,7 @@ SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method
 MOST_TIME_S = 30.0
 BROKE_DOWN = 4  # status of numerical difficulties, which another variant often has not
-ATTEMPTS = (("highs", True), ("highs-ds", False), ("highs-ipm", True))
+ATTEMPTS: tuple[tuple[Any, bool], ...] = (("highs", True), ("highs-ds", False), ("highs-ipm", True))
 
 
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
