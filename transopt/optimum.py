@@ -96,6 +96,10 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
     if small.wall is None and inside(small, np.zeros(small.grid.stages)):
         # Doing nothing is a way out, whatever the solver called it.
         return designed
+    unstable = unstable_wall(small)
+    if unstable:
+        # Feasible or not, an end that has to follow a wall which grows by itself is no end.
+        return replace(designed, solution=replace(answer, status=Status.UNSTABLE_WALL), remarks=[unstable])
     remarks = infeasibility(small, options)
     answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
     return replace(designed, solution=answer, remarks=remarks)

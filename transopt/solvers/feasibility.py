@@ -6,7 +6,7 @@ one until their iterations run out, and say little; the simplex method decides.
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import optimize, sparse
@@ -20,6 +20,8 @@ from transopt.statement import state
 SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method
 MOST_TIME_S = 30.0
+METHODS: tuple[Literal["highs", "highs-ipm"], ...] = ("highs", "highs-ipm")  # where the simplex loses its way
+DECIDED = (0, 2)  # an optimum, or proof that there is none
 
 
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
@@ -69,16 +71,19 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
     box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
     options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
-    found = optimize.linprog(
-        c=np.append(np.zeros(A.shape[1]), 1.0),
-        A_ub=inequalities,
-        b_ub=np.concatenate(bounds) if bounds else None,
-        A_eq=equalities,
-        b_eq=lower_g[equal],
-        bounds=box,
-        method="highs",
-        options=options,
-    )
+    for method in METHODS:
+        found = optimize.linprog(
+            c=np.append(np.zeros(A.shape[1]), 1.0),
+            A_ub=inequalities,
+            b_ub=np.concatenate(bounds) if bounds else None,
+            A_eq=equalities,
+            b_eq=lower_g[equal],
+            bounds=box,
+            method=method,
+            options=options,
+        )
+        if found.status in DECIDED:
+            break
     if found.status != 0 or found.x is None:
         return None
     widened = float(found.x[-1])
