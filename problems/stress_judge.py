@@ -84,7 +84,8 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     status, shortfalls = admit(solution.status, proof, run, problem, solution.command_A, predicted)
     said = "; ".join([*designed.remarks, *shortfalls])
     if status is Status.OPTIMAL:
-        unknown = ("peak_voltage_V", "winding_C", "housing_C")
+        # Beside a zero reference any motion is infinitely wrong: that of the wall alone.
+        unknown = ("peak_voltage_V", "winding_C", "housing_C", *(["nrmse"] if problem.reference_is_zero else []))
         whole = _numbers(designed) and _numbers(proof) and _numbers(solution.multipliers) and _numbers(run, unknown)
         if not (whole and np.all(np.isfinite(solution.command_A))):
             return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)

@@ -96,10 +96,13 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
     if small.wall is None and inside(small, np.zeros(small.grid.stages)):
         # Doing nothing is a way out, whatever the solver called it.
         return designed
-    remarks, status = infeasibility(small, options), Status.INFEASIBLE
-    if not remarks and unstable_wall(problem):
-        remarks, status = [unstable_wall(problem)], Status.UNSTABLE_WALL
-    return replace(designed, solution=replace(answer, status=status) if remarks else answer, remarks=remarks)
+    unstable = unstable_wall(small)
+    if unstable:
+        # Feasible or not, an end that has to follow a wall which grows by itself is no end.
+        return replace(designed, solution=replace(answer, status=Status.UNSTABLE_WALL), remarks=[unstable])
+    remarks = infeasibility(small, options)
+    answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
+    return replace(designed, solution=answer, remarks=remarks)
 
 
 def _rounding(problem: TransientProblem, answer: Solution) -> str:

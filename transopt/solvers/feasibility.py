@@ -6,7 +6,7 @@ one until their iterations run out, and say little; the simplex method decides.
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import optimize, sparse
@@ -20,8 +20,8 @@ from transopt.statement import state
 SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method
 MOST_TIME_S = 30.0
-BROKE_DOWN = 4  # status of numerical difficulties, which another variant often has not
-ATTEMPTS: tuple[tuple[Any, bool], ...] = (("highs", True), ("highs-ds", False), ("highs-ipm", True))
+METHODS: tuple[Literal["highs", "highs-ipm"], ...] = ("highs", "highs-ipm")  # where the simplex loses its way
+DECIDED = (0, 2)  # an optimum, or proof that there is none
 
 
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
@@ -70,8 +70,8 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     inequalities: Any = sparse.vstack(blocks).tocsr() if blocks else None
     equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
     box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
-    for method, presolve in ATTEMPTS:
-        options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S, "presolve": presolve}
+    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
+    for method in METHODS:
         found = optimize.linprog(
             c=np.append(np.zeros(A.shape[1]), 1.0),
             A_ub=inequalities,
@@ -82,7 +82,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
             method=method,
             options=options,
         )
-        if found.status != BROKE_DOWN:
+        if found.status in DECIDED:
             break
     if found.status != 0 or found.x is None:
         return None

@@ -3,6 +3,8 @@
 An active limit fixes the movement of its stage as an affine function of the state, so the problem with a given active
 set is linear-quadratic, and its solution one backward and one forward sweep with iterative refinement. Limits whose
 multiplier has the wrong sign are dropped, violated ones are added, until the certificate accepts or the sets repeat.
+One stage can hold one limit: a slew that binds on the way into the hand-over, whose own stages are ruled already, is
+left as the solver found it.
 """
 
 import time
