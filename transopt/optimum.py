@@ -41,6 +41,11 @@ class Designed:
     size: transcribe.Size | None
     remarks: list[str]
 
+    @property
+    def is_proven(self) -> bool:
+        """Certified, but for the global bound where the temperature binds."""
+        return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary
+
 
 def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     """Solve one entry, leaving out what it does not need.
@@ -75,7 +80,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
         designed = _solved(problem, options)
         spent += designed.solution.solve_time_s
         designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
-        if not is_stationary(problem, designed.solution):
+        if not designed.is_proven:
             return designed, False
         again = pressing(problem, encoder_course(problem, designed.solution.command_A))
         if _same_mask(problem, again):
@@ -87,7 +92,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
 def _explained(designed: Designed, options: SolverOptions) -> Designed:
     """With the reason, if there is no answer because no command meets all limits."""
     problem, answer = designed.problem, designed.solution
-    if designed.remarks or is_stationary(problem, answer):
+    if designed.remarks or designed.is_proven:
         return designed
     small = leave_out(problem).problem
     rounding = _rounding(problem, answer)
@@ -216,10 +221,11 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
         if answer.status is not Status.INFEASIBLE:
             answer = solve_certified(small, options)
             spent += answer.solve_time_s
-    if free_inside and not is_stationary(small, answer):
+    proven = is_stationary(small, answer)
+    if free_inside and not proven:
         answer = free
     answer = replace(answer, solve_time_s=spent)
-    too_deep = "" if is_stationary(small, answer) else _hand_over_excess(small)
+    too_deep = "" if proven else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), transcribe.size(small), [too_deep])
     return designed(answer, transcribe.size(small), [])

@@ -99,13 +99,13 @@ def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
     assert problem.thermal is not None
     relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
     return max(
-        (certify(relaxed, answer.command_A, answer.multipliers).lower_bound for answer in _answers(relaxed, options)),
+        (proof.lower_bound for _, proof in _answers(relaxed, options)),
         default=-np.inf,
     )
 
 
-def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solution]:
-    """Answers until one is proven: the wanted solver's first, then those of the other capable ones.
+def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tuple[Solution, Certificate]]:
+    """Answers and certificates until one is proven, which is the last: the wanted solver first, then the others.
 
     On stiff and extreme problems the methods fail on different cases; the certificate tells.
     """
@@ -113,17 +113,18 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[Solu
     first = options.solver if options.solver in able else able[0]
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
-        if certify(problem, answer.command_A, answer.multipliers).is_stationary:
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        if proof.is_stationary:
             # What is proven is proven, though the method ran on for digits that it does not have.
-            answer = replace(answer, status=Status.OPTIMAL)
-        yield answer
-        if is_stationary(problem, answer):
+            yield replace(answer, status=Status.OPTIMAL), proof
             return
+        yield answer, proof
         if problem.thermal is None and answer.status is not Status.INFEASIBLE:
             with np.errstate(all="ignore"):  # an active set that cannot be, which shows in the certificate
                 better = polished(problem, answer)
-            if is_stationary(problem, better):
-                yield better
+            proof = certify(problem, better.command_A, better.multipliers)
+            if better.status is Status.OPTIMAL and proof.is_stationary:
+                yield better, proof
                 return
         if answer.status is Status.INFEASIBLE and (
             # Its claim comes with a proof; of any other method's the linear program tells: none needs to search then.
@@ -147,4 +148,5 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
 def solve_certified(problem: TransientProblem, options: SolverOptions) -> Solution:
     """The first answer that is certified or, if none is, the wanted solver's."""
     answers = list(_answers(problem, options))
-    return answers[-1] if is_stationary(problem, answers[-1]) else answers[0]
+    last, proof = answers[-1]
+    return last if proof.is_stationary else answers[0][0]
