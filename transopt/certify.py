@@ -125,7 +125,16 @@ def reduced_gradient(
     return np.asarray(gradient)
 
 
-def _kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
+def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
+    """The same >= 0, and zero where there is no limit to bear them: a headroom may be infinite at some instants."""
+    clipped = multipliers.clipped()
+    if problem.thermal is None:
+        return clipped
+    bears = np.isfinite(problem.thermal.model.headroom_K)
+    return replace(clipped, temperature_upper=np.where(bears, clipped.temperature_upper, 0.0))
+
+
+def kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
     """What the tangent at |mean i| with the stated slope lies below it; zero where the slope is its sign."""
     if problem.thermal is None or not np.any(multipliers.temperature_upper):
         return 0.0
@@ -164,7 +173,7 @@ def certify(
     if [a.shape for a in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays):
         return Certificate.nothing()
 
-    motion, clipped = problem.stage.motion(command_A), multipliers.clipped()
+    motion, clipped = problem.stage.motion(command_A), admissible(problem, multipliers)
     limits = boxes(problem, command_A, motion, clipped)
     objective = 0.0
     if not problem.reference_is_zero:
@@ -201,7 +210,7 @@ def certify(
     g = reduced_gradient(problem, command_A, motion, clipped)
     c_max = problem.limits.command_bound_A
     gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
-    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(problem, command_A, motion, clipped)
+    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + kink_gap(problem, command_A, motion, clipped)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.temperature_upper.any()
     return replace(
         found,

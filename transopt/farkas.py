@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from transopt.certify import boxes, reduced_gradient
+from transopt.certify import admissible, boxes, kink_gap, reduced_gradient
 from transopt.problem import Multipliers, TransientProblem
 from transopt.signals import FloatArray
 
@@ -19,8 +19,8 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     sum_k |g_k| (c_max + |c_k|), g its gradient by the adjoint recursion. If that is positive, there is none. As a
     solver runs into infeasibility its multipliers grow along such a ray; nothing else of it is used here.
 
-    Heat is convex in the commands only while copper keeps its resistance: with multipliers on a temperature that
-    warms the copper nothing is proven.
+    What the stated slope of |mean i| leaves below it counts as in the certificate. Heat is convex in the commands only
+    keeps its resistance: with multipliers on a temperature that warms the copper nothing is proven.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     largest = max(sizes)
     if not 0 < largest < np.inf or not np.all(np.isfinite(command_A)):
         return False
-    clipped = multipliers.clipped()
+    clipped = admissible(problem, multipliers)
     ray = replace(
         clipped, **{f.name: getattr(clipped, f.name) / largest for f in fields(clipped) if f.name != "current_sign"}
     )
@@ -53,5 +53,6 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     total += float(ray.hand_over @ tail)
     g = reduced_gradient(limits_alone, command_A, motion, ray)
     loss = float(np.abs(g) @ (problem.limits.command_bound_A + np.abs(command_A)))
+    loss += kink_gap(problem, command_A, motion, ray)
     # Written so that a NaN proves nothing. The gradient's rounding counts in `loss` itself.
     return bool(total - loss > MARGIN * (size + float(np.abs(ray.hand_over) @ np.abs(tail))))

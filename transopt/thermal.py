@@ -90,7 +90,8 @@ class CoilModel:
         hottest = max(self.start_winding_C, self.start_housing_C, self.ambient_C)
         heating = self.R_ohm * float(effective_square(np.asarray(current_A))) * self.R_wh_K_W / self.tau_w_s
         above = hottest - RESISTANCE_REFERENCE_C
-        growth = np.expm1(COPPER_PER_K * heating * duration_s)
+        with np.errstate(over="ignore"):  # a bound of infinity is one
+            growth = np.expm1(COPPER_PER_K * heating * duration_s)
         return float(hottest + (above + 1 / COPPER_PER_K) * growth)
 
     def simulate(

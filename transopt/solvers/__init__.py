@@ -54,7 +54,7 @@ def capable(problem: TransientProblem) -> list[str]:
     That is the project's own method where it is built. Of the others IPOPT takes the NLP: FATROP is twice as fast,
     but loses its last digits on tight budgets and then runs on.
     """
-    own = ["riccati"] if riccati.available else []
+    own = ["riccati"] if riccati.can_solve(problem) else []
     quadratic = ["casadi-piqp"] if problem.thermal is None else []
     stagewise = ["casadi-fatrop"] if casadi_fatrop.can_solve(problem) else []
     return [*own, *quadratic, "casadi-ipopt", *stagewise]

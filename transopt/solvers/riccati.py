@@ -16,9 +16,10 @@ from transopt.problem import OBJECTIVE_SCALE, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers.options import EXTENSION, SolverOptions
 from transopt.statement import Statement, state
-from transopt.transcribe import stage_data, stage_shape, state_program
+from transopt.transcribe import program_shape, stage_data, stage_shape, state_program
 
 DOUBLES = ct.POINTER(ct.c_double)
+MOST_STATES = 48  # of riccati.c
 NEEDED_DIGITS = 10.0  # the residuals of slacks are asked for this much more loosely than the gap
 
 
@@ -220,6 +221,12 @@ def stages(problem: TransientProblem) -> Stages:
         },
         arrays={name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},
     )
+
+
+def can_solve(problem: TransientProblem) -> bool:
+    """Whether the extension is there and the problem small enough: many devices in a spread are too many states."""
+    shape = program_shape(problem)
+    return available and shape.layout.states + shape.nodes <= MOST_STATES
 
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
