@@ -19,8 +19,8 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     sum_k |g_k| (c_max + |c_k|), g its gradient by the adjoint recursion. If that is positive, there is none. As a
     solver runs into infeasibility its multipliers grow along such a ray; nothing else of it is used here.
 
-    What the stated slope of |mean i| leaves below it counts as in the certificate. Heat is convex in the commands only
-    keeps its resistance: with multipliers on a temperature that warms the copper nothing is proven.
+    What the stated slope of |mean i| leaves below it counts as in the certificate. Heat is convex in the commands
+    only while copper keeps its resistance: with multipliers on a temperature that warms it nothing is proven.
 
     Parameters
     ----------

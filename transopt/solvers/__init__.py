@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 LIMITS = ("current", "command", "slew", "supply")
+MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
 SOLVERS = {
     "riccati": riccati.solve,
     "casadi-piqp": casadi_piqp.solve,
@@ -111,6 +112,7 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
     """
     able = capable(problem)
     first = options.solver if options.solver in able else able[0]
+    asked = False
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
         proof = certify(problem, answer.command_A, answer.multipliers)
@@ -119,6 +121,8 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
             yield replace(answer, status=Status.OPTIMAL), proof
             return
         yield answer, proof
+        if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
+            return  # its claim comes with a proof
         if problem.thermal is None and answer.status is not Status.INFEASIBLE:
             with np.errstate(all="ignore"):  # an active set that cannot be, which shows in the certificate
                 better = polished(problem, answer)
@@ -126,11 +130,10 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
             if better.status is Status.OPTIMAL and proof.is_stationary:
                 yield better, proof
                 return
-        if answer.status is Status.INFEASIBLE and (
-            # Its claim comes with a proof; of any other method's the linear program tells: none needs to search then.
-            answer.solver == "riccati" or (problem.thermal is None and not feasible(problem))
-        ):
-            return
+        if not asked and problem.grid.stages <= MOST_ASKED_STAGES:
+            asked = True
+            if not feasible(problem):
+                return  # the linear program tells: no other method needs to search
 
 
 def feasible(problem: TransientProblem) -> bool:
