@@ -87,8 +87,8 @@ class Found:
     Attributes
     ----------
     hashes : by program, (target's, host's). counts : by what was called, (calls, instructions on average, at most).
-    text_bytes : code and constants of the core alone, without the compiler's and newlib's routines.
-    device_bytes : one td_device, the core's only memory beside the stack. stack_bytes : at most, test program included.
+    text_bytes : code and constants of the core alone, without the compiler's and newlib's routines. device_bytes : one
+    td_device, the core's only memory beside the stack. stack_bytes : at most, test program included.
     """
 
     hashes: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -122,7 +122,9 @@ def _run(command: Sequence[str | Path], folder: Path) -> str:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise InputError(f"{words[0]}: {error}") from None
     if done.returncode:
-        said = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message")
+        said = next(
+            (line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message"
+        )
         raise InputError(f"{words[0]}: ended with {done.returncode}: {said[:300]}")
     return done.stdout
 
@@ -203,8 +205,8 @@ def record(folder: Path, seed: int, library: Path | None, *, runs: int = 6, tick
 def table(found: dict[Target, Found]) -> str:
     """Markdown, one row a target."""
     lines = [
-        "| target | precision | text B | td_device B | stack B | servo tick: mean / worst | device tick: mean / worst "
-        "| interrupt held | hash equal |",
+        "| target | precision | text B | td_device B | stack B | servo tick: mean / worst "
+        "| device tick: mean / worst | interrupt held | hash equal |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for target, f in found.items():

@@ -21,7 +21,7 @@
 #define COMMAND_BY_DAC 1 /* 1: MCP4921 on SPI, which follows at once. 0: PWM, which follows one PWM period later */
 #endif
 
-const float PERIOD_US = 100.0f; /* servo period; the host refuses a library of another */
+const double PERIOD_S = 1e-4; /* servo period; a library of another is refused */
 
 /* What amplifier and motor are good for: no host can ask for more. */
 const double MOST_CURRENT_A = 4.0;
@@ -198,16 +198,16 @@ void setup()
     encoder.setInitConfig();
     encoder.init();
 
-    const td_port port = {next_boot(), {MOST_CURRENT_A, MOST_COMMAND_A, PERIOD_US * 1e-6}, hold, nullptr};
+    const td_port port = {next_boot(), {MOST_CURRENT_A, MOST_COMMAND_A, PERIOD_S}, hold, nullptr};
 
     td_device_start(&device, &port);
     Serial.begin(115200); /* USB: as fast as it goes, whatever is asked for */
-    late_cycles = (uint32_t)(1.5f * PERIOD_US * 1e-6f * (float)F_CPU_ACTUAL);
+    late_cycles = (uint32_t)(1.5 * PERIOD_S * F_CPU_ACTUAL);
     timings.timeout = WATCHDOG_S;
     timings.trigger = 0;
     watchdog.begin(timings);
     timer.priority(TIMER_PRIORITY);
-    if (!timer.begin(tick, PERIOD_US))
+    if (!timer.begin(tick, (float)(1e6 * PERIOD_S)))
         give_up();
 }
 
