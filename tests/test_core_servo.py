@@ -19,6 +19,8 @@ from scripts.parity_runs import random_run, tap_run
 from transopt.library import Library
 from transopt.wall import Wall
 
+# exp and fmod only where a configuration is checked, never in a servo period.
+MAY_CALL = {"memcpy", "memset", "memcmp", "memmove", "sqrt", "floor", "exp", "fmod"}
 SEEDS = (2, 5, 7, 12, 16, 23, 24)
 
 
@@ -58,7 +60,7 @@ def test_the_core_keeps_no_state_of_its_own_and_calls_next_to_nothing(tmp_path: 
     assert not kinds & set("bBdDcCgGsS"), "variables outside any struct"
     defined = {name for kind, name in symbols if kind == "T"}
     called = {name for kind, name in symbols if kind == "U"} - defined
-    assert called - {"_GLOBAL_OFFSET_TABLE_"} <= {"memcpy", "memset", "memcmp", "memmove", "sqrt", "sqrtf"}
+    assert called - {"_GLOBAL_OFFSET_TABLE_"} <= MAY_CALL
 
 
 @pytest.mark.parametrize("seed", SEEDS)
