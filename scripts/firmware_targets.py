@@ -1,6 +1,6 @@
 """The C core for the processors of real devices, compiled with Debian's toolchain and run under QEMU.
 
-    python scripts/firmware_targets.py [LIBRARY] [--seed 0]
+    python -m scripts.firmware_targets [LIBRARY] [--seed 0]
 
 Recorded runs of the servo and recorded conversations with the device, random ones and with LIBRARY taps on the
 simulator too, are played by the core for Cortex-M4F (single precision) and Cortex-M7 (double), by its Arduino library
@@ -87,8 +87,8 @@ class Found:
     Attributes
     ----------
     hashes : by program, (target's, host's). counts : by what was called, (calls, instructions on average, at most).
-    text_bytes : code and constants of the core alone, without the compiler's and newlib's routines. device_bytes : one
-    td_device, the core's only memory beside the stack. stack_bytes : at most, test program included.
+    text_bytes : code and constants of the core alone, without the compiler's and newlib's routines.
+    device_bytes : one td_device, the core's only memory beside the stack. stack_bytes : at most, with test program.
     """
 
     hashes: dict[str, tuple[str, str]] = field(default_factory=dict)
