@@ -33,7 +33,7 @@ const uint8_t PIN_ENCODER_B = 1;
 const uint8_t PIN_STOP = 9;    /* emergency stop: contact to ground, opens when pressed; a broken wire is a stop */
 const uint8_t PIN_ENABLE = 6;  /* the amplifier's enable, high: on; wants 10 kOhm to ground for the time of booting */
 const uint8_t PIN_ALIVE = 8;   /* changes every tick: for a retriggerable monostable of 1 ms in the enable's line */
-const uint8_t PIN_DAC_CS = 10; /* SPI: 11 data, 13 clock */
+const uint8_t PIN_DAC_CS = 10; /* SPI: 11 data, 13 clock; its LDAC to ground */
 const uint8_t PIN_PWM = 22;    /* if COMMAND_BY_DAC is 0 */
 
 /* +1, or -1 where counts fall while the stylus moves out of the object. */
