@@ -66,9 +66,9 @@ def build_sketch(folder: Path, by_dac: int, extra: tuple[str, ...] = ()) -> Path
     except NoCompilerError as missing:
         pytest.skip(str(missing))
     folder.mkdir(parents=True)
-    defines = ("-D__IMXRT1062__", "-fPIC", "-O1", f"-I{SRC}")
+    defines = ("-D__IMXRT1062__", "-fPIC", f"-I{SRC}")
     subprocess.run([*cc, *defines, "-c", *map(str, sources(SRC))], cwd=folder, check=True)
-    include = ("-fPIC", "-O1", f"-I{STUB}", f"-I{SRC}", "-include", "Arduino.h", f"-DCOMMAND_BY_DAC={by_dac}")
+    include = ("-fPIC", f"-I{STUB}", f"-I{SRC}", "-include", "Arduino.h", f"-DCOMMAND_BY_DAC={by_dac}")
     subprocess.run(["g++", *CPP, *include, *extra, "-x", "c++", "-c", str(SKETCH)], cwd=folder, check=True)
     objects = sorted(map(str, folder.glob("*.o")))
     made = folder / "sketch.so"
