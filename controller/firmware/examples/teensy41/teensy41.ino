@@ -1,0 +1,232 @@
+/* transopt on a Teensy 4.1: one motor with a current amplifier, an encoder, an accelerometer, a grip sensor.
+ *
+ * No silicon has run this sketch yet; it is compiled and run against stubs of what it uses. Bring a device up as
+ * port/BRINGUP.md says, motor power off first.
+ *
+ * The timer's interrupt runs once per servo period: readings, td_device_step, command. Everything else happens outside
+ * of it: bytes from and to the host, hashing and checking of libraries.
+ *
+ * Libraries: QuadEncoder (mjs513/Teensy-4.x-Quad-Encoder-Library), Watchdog_t4 (tonton81/WDT_T4); EEPROM and SPI come
+ * with Teensyduino.
+ */
+#include <EEPROM.h>
+#include <QuadEncoder.h>
+#include <SPI.h>
+#include <Watchdog_t4.h>
+#include <transopt_device.h>
+
+/* ==================================== the one block to change: wiring, scales, limits =========================== */
+
+#ifndef COMMAND_BY_DAC
+#define COMMAND_BY_DAC 1 /* 1: MCP4921 on SPI, which follows at once. 0: PWM, which follows one PWM period later */
+#endif
+
+const double PERIOD_S = 1e-4; /* servo period; a library of another is refused */
+
+/* What amplifier and motor are good for: no host can ask for more. */
+const double MOST_CURRENT_A = 4.0;
+const double MOST_COMMAND_A = 6.0;
+
+/* Digital pins. */
+const uint8_t PIN_ENCODER_A = 0; /* of the hardware decoder: 0 to 5, 7, 30, 31, 33 */
+const uint8_t PIN_ENCODER_B = 1;
+const uint8_t PIN_STOP = 9;    /* emergency stop: contact to ground, opens when pressed; a broken wire is a stop */
+const uint8_t PIN_ENABLE = 6;  /* the amplifier's enable, high: on; wants 10 kOhm to ground for the time of booting */
+const uint8_t PIN_ALIVE = 8;   /* changes every tick: for a retriggerable monostable of 1 ms in the enable's line */
+const uint8_t PIN_DAC_CS = 10; /* SPI: 11 data, 13 clock; its LDAC to ground */
+const uint8_t PIN_PWM = 22;    /* if COMMAND_BY_DAC is 0 */
+
+/* +1, or -1 where counts fall while the stylus moves out of the object. */
+const int32_t ENCODER_SIGN = +1;
+
+/* An analogue input, 12 bits of 3.3 V: value = (counts - zero_counts) * per_count; outside least..most counts there is
+ * no number, since a sensor at the rail is a broken wire or a short. A negative per_count turns the sign. */
+struct Input {
+    uint8_t pin;
+    float per_count, zero_counts;
+    int least, most;
+};
+/* ADXL321 at 3.3 V: 63 mV per g about half the supply; + out of the object. */
+const Input ACCELERATION_M_S2 = {A0, 0.1254f, 2048.0f, 8, 4087};
+/* Grip sensor with an amplifier that shows 200 counts at 0 N, so that an open wire reads below -1 N: a fault. */
+const Input GRIP_N = {A1, 0.015f, 200.0f, 0, 4087};
+/* The amplifier's current monitor, +-10 A over the range; + pushes the stylus out. */
+const Input CURRENT_A = {A2, 0.00488f, 2048.0f, 8, 4087};
+
+/* The command as 12 bits: counts = OUTPUT_ZERO + A * OUTPUT_PER_A. Polarity: `transopt-play check`. */
+const float OUTPUT_ZERO = 2048.0f;
+const float OUTPUT_PER_A = 204.8f; /* +-10 A over the range */
+
+/* ============================================================================================================== */
+
+const uint32_t SAFE_TICKS = 1000;  /* from the first tick until the amplifier is enabled */
+const float WATCHDOG_S = 0.5f;     /* its shortest */
+const uint8_t TIMER_PRIORITY = 16; /* above USB and everything else but faults */
+const float PWM_HZ = 36621.09f;    /* 12 bits at 150 MHz */
+
+DMAMEM static td_device device; /* RAM2: td_device_start sets every byte */
+static QuadEncoder encoder(1, PIN_ENCODER_A, PIN_ENCODER_B, 1);
+static WDT_T4<WDT1> watchdog;
+static IntervalTimer timer;
+static uint64_t ticks;
+static uint32_t tick_began, late_cycles;
+static bool broken; /* a command that is none, or a tick that came late: for good, until a reset of the processor */
+
+static void put_counts(float counts)
+{
+    const uint16_t whole = (uint16_t)(counts < 0.0f ? 0.0f : (counts > 4095.0f ? 4095.0f : counts + 0.5f));
+#if COMMAND_BY_DAC
+    digitalWriteFast(PIN_DAC_CS, LOW);
+    SPI.transfer16(0x3000 | whole); /* gain 1, on */
+    digitalWriteFast(PIN_DAC_CS, HIGH);
+#else
+    analogWrite(PIN_PWM, whole);
+#endif
+}
+
+static void put_nothing()
+{
+    digitalWriteFast(PIN_ENABLE, LOW);
+    put_counts(OUTPUT_ZERO);
+}
+
+static void put_command(float command_A)
+{
+    /* Written so that NaN is caught too. */
+    if (!(command_A >= -(float)MOST_COMMAND_A && command_A <= (float)MOST_COMMAND_A)) {
+        broken = true;
+        put_nothing();
+        return;
+    }
+    put_counts(OUTPUT_ZERO + command_A * OUTPUT_PER_A);
+}
+
+static float value_of(const Input &input)
+{
+    const int counts = analogRead(input.pin);
+
+    return counts < input.least || counts > input.most ? NAN : ((float)counts - input.zero_counts) * input.per_count;
+}
+
+/* The servo period. */
+static void tick()
+{
+    const uint32_t now = ARM_DWT_CYCCNT;
+    td_readings readings;
+    td_output output;
+
+    watchdog.feed();
+    digitalWriteFast(PIN_ALIVE, ticks & 1);
+    /* While a current may flow a lost tick is a fault: commands would be held too long. */
+    if (ticks > 0 && now - tick_began > late_cycles && td_device_is_active(&device))
+        broken = true;
+    tick_began = now;
+    readings.tick = ticks++;
+    readings.encoder_counts = ENCODER_SIGN * encoder.read();
+    readings.current_A = value_of(CURRENT_A);
+    readings.grip_N = value_of(GRIP_N);
+    readings.acceleration_m_s2 = value_of(ACCELERATION_M_S2);
+    readings.emergency_stop = broken || digitalReadFast(PIN_STOP) == HIGH;
+    td_device_step(&device, &readings, &output);
+    if (readings.emergency_stop || output.state == TD_STATE_FAULT) {
+        put_nothing();
+        return;
+    }
+    put_command((float)output.command_A);
+    digitalWriteFast(PIN_ENABLE, !broken && ticks > SAFE_TICKS ? HIGH : LOW);
+}
+
+/* Keep the tick out while what it shares is changed. */
+static void hold(void *, bool held)
+{
+    if (held)
+        NVIC_DISABLE_IRQ(IRQ_PIT);
+    else
+        NVIC_ENABLE_IRQ(IRQ_PIT);
+#ifdef __arm__
+    asm volatile("dsb\n\tisb" ::: "memory"); /* from the very next instruction on */
+#endif
+}
+
+/* What analogRead does while it waits: nothing, since in the tick nothing else may run. */
+void yield()
+{
+}
+
+/* Another number at every start, by which the host sees that there was one. */
+static uint32_t next_boot()
+{
+    uint32_t boot;
+
+    EEPROM.get(0, boot);
+    boot++;
+    EEPROM.put(0, boot);
+    return boot;
+}
+
+/* Nothing runs: outputs stay safe, and the host finds no device. */
+static void give_up()
+{
+    put_nothing();
+    for (;;)
+        delay(1000);
+}
+
+void setup()
+{
+    WDT_timings_t timings;
+
+    /* Outputs first, the level before the direction. */
+    digitalWriteFast(PIN_ENABLE, LOW);
+    pinMode(PIN_ENABLE, OUTPUT);
+#if COMMAND_BY_DAC
+    digitalWriteFast(PIN_DAC_CS, HIGH);
+    pinMode(PIN_DAC_CS, OUTPUT);
+    SPI.begin();
+    SPI.beginTransaction(SPISettings(20000000, MSBFIRST, SPI_MODE0)); /* nobody else is on this bus */
+#else
+    analogWriteFrequency(PIN_PWM, PWM_HZ);
+    analogWriteResolution(12);
+#endif
+    put_nothing();
+    pinMode(PIN_ALIVE, OUTPUT);
+    pinMode(PIN_STOP, INPUT_PULLUP);
+    if (transopt_device_bytes() != sizeof(td_device))
+        give_up();
+    analogReadResolution(12);
+    analogReadAveraging(1);
+    encoder.setInitConfig();
+    encoder.init();
+
+    const td_port port = {next_boot(), {MOST_CURRENT_A, MOST_COMMAND_A, PERIOD_S}, hold, nullptr};
+
+    td_device_start(&device, &port);
+    Serial.begin(115200); /* USB: as fast as it goes, whatever is asked for */
+    late_cycles = (uint32_t)(1.5 * PERIOD_S * F_CPU_ACTUAL);
+    timings.timeout = WATCHDOG_S;
+    timings.trigger = 0;
+    watchdog.begin(timings);
+    timer.priority(TIMER_PRIORITY);
+    if (!timer.begin(tick, (float)(1e6 * PERIOD_S)))
+        give_up();
+}
+
+void loop()
+{
+    static uint8_t bytes[512]; /* as much as one USB packet, and a short hold */
+    const int waiting = Serial.available(), room = Serial.availableForWrite();
+
+    if (waiting > 0) {
+        const size_t wanted = (size_t)waiting < sizeof bytes ? (size_t)waiting : sizeof bytes;
+
+        td_device_receive(&device, bytes, Serial.readBytes((char *)bytes, wanted));
+    }
+    if (room > 0) {
+        const size_t size = td_device_send(&device, bytes, (size_t)room < sizeof bytes ? (size_t)room : sizeof bytes);
+
+        if (size > 0) {
+            Serial.write(bytes, size);
+            Serial.send_now();
+        }
+    }
+}

@@ -1,0 +1,3 @@
+#include "transopt_port.h"
+
+#include "../core/td_request.c"

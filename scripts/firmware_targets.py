@@ -1,0 +1,251 @@
+"""The C core for the processors of real devices, compiled with Debian's toolchain and run under QEMU.
+
+    python -m scripts.firmware_targets [LIBRARY] [--seed 0]
+
+Recorded runs of the servo and recorded conversations with the device, random ones and with LIBRARY taps on the
+simulator too, are played by the core for Cortex-M4F (single precision) and Cortex-M7 (double), by its Arduino library
+with that tool's flags as well. The hash of all answers must be that of the host's build. Instructions are those that
+QEMU counts (-icount): not cycles, and no silicon. Needs arm-none-eabi-gcc with newlib, and qemu-system-arm (Debian:
+gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm). Exit code 1 if a hash is another, 3 without these tools.
+"""
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from controller.firmware.build import CORE, FIRMWARE, FLAGS, STRICT, build, sources
+from controller.firmware.replay import REPLAY, write_runs
+from scripts.device_differential import DAMAGES, Talk
+from scripts.parity_runs import random_run, tap_run
+from transopt.errors import InputError
+from transopt.library_file import load_library
+
+EMULATOR = FIRMWARE / "port" / "emulator"
+LIBRARY = FIRMWARE / "src"
+ARM, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
+RUN_S = 120.0
+WRAPPED = ("main", "td_servo_step", "td_device_step", "td_device_start", "td_device_receive")
+SECTIONS = ("-O2", "-ffunction-sections", "-fdata-sections")
+PROGRAMS = {"runs": ("td_replay.c", "replay_main.c"), "talks": ("td_probe.c", "talk_main.c")}
+M4F = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16")
+M7 = ("-mcpu=cortex-m7", "-mfpu=fpv5-d16")
+
+
+class MissingToolError(InputError):
+    """A tool that is not on this machine."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A processor, and how the core is compiled for it.
+
+    Attributes
+    ----------
+    flags : beside those of the processor. host : what makes the host's build the same device.
+    library : the sources as an Arduino tool finds and compiles them, without -std and -ffp-contract.
+    """
+
+    name: str
+    machine: str
+    processor: tuple[str, ...]
+    precision: str
+    flags: tuple[str, ...] = ()
+    host: tuple[str, ...] = ()
+    library: bool = False
+
+
+def _capacities(samples: int, speeds: int, grips: int, output_bytes: int) -> tuple[str, ...]:
+    """Of src/transopt_port.h, which the hash of a conversation tells from all others."""
+    return (
+        f"-DTD_MAX_LIBRARY_SAMPLES={samples}",
+        f"-DTD_MAX_SPEEDS={speeds}",
+        f"-DTD_MAX_GRIPS={grips}",
+        f"-DTD_OUTPUT_LIMIT_BYTES={output_bytes}",
+    )
+
+
+SINGLE = ("-DTD_REAL_FLOAT",)
+TEENSY = ("-D__IMXRT1062__",)
+TARGETS = (
+    Target("Cortex-M4F", "mps2-an386", M4F, "single", SINGLE, SINGLE),
+    Target("Cortex-M7", "mps2-an500", M7, "double"),
+    Target("Arduino, Cortex-M4F", "mps2-an386", M4F, "single", (), (*SINGLE, *_capacities(16384, 16, 8, 4096)), True),
+    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(98304, 32, 16, 16384), True),
+)
+
+
+@dataclass
+class Found:
+    """What came of one target.
+
+    Attributes
+    ----------
+    hashes : by program, (target's, host's). counts : by what was called, (calls, instructions on average, at most).
+    text_bytes : code and constants of the core alone, without the compiler's and newlib's routines.
+    device_bytes : one td_device, the core's only memory beside the stack. stack_bytes : at most, with test program.
+    """
+
+    hashes: dict[str, tuple[str, str]] = field(default_factory=dict)
+    counts: dict[str, tuple[int, float, int]] = field(default_factory=dict)
+    text_bytes: int = 0
+    device_bytes: int = 0
+    stack_bytes: int = 0
+
+    def alike(self) -> bool:
+        return all(target == host for target, host in self.hashes.values())
+
+
+def need_tools() -> None:
+    """Raises
+    ------
+    MissingToolError : which, and the package that has it.
+    """
+    packages = {ARM: "gcc-arm-none-eabi", QEMU: "qemu-system-arm"}
+    for tool, package in packages.items():
+        if shutil.which(tool) is None:
+            raise MissingToolError(f"{tool}: not found; install {package} (Debian)")
+    done = subprocess.run([ARM, "-print-file-name=rdimon.specs"], capture_output=True, text=True, check=True)
+    if not Path(done.stdout.strip()).is_absolute():
+        raise MissingToolError(f"{ARM}: has no newlib; install libnewlib-arm-none-eabi (Debian)")
+
+
+def _run(command: Sequence[str | Path], folder: Path) -> str:
+    words = [str(word) for word in command]
+    try:
+        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=RUN_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise InputError(f"{words[0]}: {error}") from None
+    if done.returncode:
+        said = next(
+            (line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip() or "no message"
+        )
+        raise InputError(f"{words[0]}: ended with {done.returncode}: {said[:300]}")
+    return done.stdout
+
+
+def compiler_flags(target: Target) -> list[str]:
+    """All but what is compiled."""
+    own = [] if target.library else FLAGS
+    headers = [f"-I{LIBRARY}", "-include", "transopt_port.h"] if target.library else []
+    return ["-mthumb", *target.processor, "-mfloat-abi=hard", *own, *SECTIONS, *STRICT, *target.flags, *headers]
+
+
+def compile_core(target: Target, folder: Path) -> list[Path]:
+    """Object files of the core, or of the Arduino library, in this folder."""
+    files = sources(LIBRARY if target.library else CORE)
+    _run([ARM, *compiler_flags(target), "-c", *files], folder)
+    return [folder / f"{path.stem}.o" for path in files]
+
+
+def play(target: Target, records: dict[str, Path], folder: Path) -> Found:
+    """Compile and run everything for one target.
+
+    Parameters
+    ----------
+    records : file by name of the program that reads it, see `PROGRAMS`. folder : for what is built, empty.
+
+    Raises
+    ------
+    InputError : what does not compile or does not run to its end.
+    """
+    found, objects = Found(), compile_core(target, folder)
+    sizes = _run([ARM.replace("gcc", "size"), *objects], folder).splitlines()[1:]
+    found.text_bytes = sum(int(line.split()[0]) for line in sizes)
+    if any(line.split()[1:3] != ["0", "0"] for line in sizes):
+        raise InputError("the core has variables outside of td_device")
+    wrap = ",".join(f"--wrap={name}" for name in WRAPPED)
+    for name, record in records.items():
+        own = [REPLAY / file for file in PROGRAMS[name]]
+        link = ["--specs=rdimon.specs", "-T", EMULATOR / "mps2.ld", f"-Wl,--gc-sections,{wrap}", "-lm"]
+        include = [f"-I{CORE}", f"-I{REPLAY}"]
+        everything = [*include, *own, *sources(EMULATOR), *objects]
+        _run([ARM, *compiler_flags(target), *everything, *link, "-o", f"{name}.elf"], folder)
+        said = _run(
+            [
+                QEMU,
+                *("-machine", target.machine, "-nographic", "-monitor", "none", "-serial", "none"),
+                *("-semihosting-config", f"enable=on,target=native,arg={name},arg={record}"),
+                *("-icount", "shift=0", "-kernel", folder / f"{name}.elf"),
+            ],
+            folder,
+        )
+        host = build(f"target-{name}", [*sources(CORE), *own], flags=target.host)
+        found.hashes[name] = said.split()[0], _run([host, record], folder).strip()
+        for what, calls, average, most in re.findall(
+            r"^(\w+) (\d+) calls, ([\d.]+) instructions on average, (\d+) at most", said, re.MULTILINE
+        ):
+            found.counts[f"{name} {what}"] = int(calls), float(average), int(most)
+        found.device_bytes = int(re.findall(r"^device (\d+) bytes", said, re.MULTILINE)[0])
+        found.stack_bytes = max(found.stack_bytes, int(re.findall(r"^stack (\d+) bytes", said, re.MULTILINE)[0]))
+    return found
+
+
+def record(folder: Path, seed: int, library: Path | None, *, runs: int = 6, ticks: int = 4000) -> dict[str, Path]:
+    """Files of random runs and conversations, of taps too where there is a library to play."""
+    recorded = [random_run(1000 * seed + j, ticks).run_bytes() for j in range(runs)]
+    if library is not None:
+        loaded = load_library(library)
+        recorded += [tap_run(loaded, 1000 * seed + j).run_bytes() for j in range(runs)]
+    write_runs(folder / "runs", recorded)
+    talk = Talk()
+    for j in range(runs):
+        talk.hold(1000 * seed + j, ticks, DAMAGES[j % len(DAMAGES)])
+    if talk.different:
+        raise InputError(f"the host's core is not the Python device: {talk.different[0][:200]}")
+    (folder / "talks").write_bytes(bytes(talk.record))
+    return {name: folder / name for name in PROGRAMS}
+
+
+def table(found: dict[Target, Found]) -> str:
+    """Markdown, one row a target."""
+    lines = [
+        "| target | precision | text B | td_device B | stack B | servo tick: mean / worst "
+        "| device tick: mean / worst | interrupt held | hash equal |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for target, f in found.items():
+        servo, device = f.counts["runs servo"], f.counts["talks device"]
+        lines.append(
+            f"| {target.name} | {target.precision} | {f.text_bytes} | {f.device_bytes} | {f.stack_bytes} | "
+            f"{servo[1]:.0f} / {servo[2]} | {device[1]:.0f} / {device[2]} | {f.counts['talks held'][2]} | "
+            f"{'yes' if f.alike() else 'NO'} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("library", type=Path, nargs="?", help="library.npz of a simulated scene, for taps")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    if arguments.seed < 0:
+        parser.error("--seed must be at least 0")
+    found = {}
+    try:
+        need_tools()
+        with tempfile.TemporaryDirectory() as scratch:
+            records = record(Path(scratch), arguments.seed, arguments.library)
+            for j, target in enumerate(TARGETS):
+                folder = Path(scratch) / str(j)
+                folder.mkdir()
+                found[target] = play(target, records, folder)
+    except MissingToolError as missing:
+        print(f"firmware_targets: skipped, {missing}", file=sys.stderr)
+        return 3
+    except InputError as error:
+        parser.error(str(error))
+    print(table(found))
+    print("instructions as QEMU counts them, in steps of 40; no silicon was tested")
+    ticks = {name: next(iter(found.values())).counts[name][0] for name in ("runs servo", "talks device")}
+    print(f"{ticks['runs servo']} ticks of the servo, {ticks['talks device']} of the device, each target")
+    return 0 if all(f.alike() for f in found.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,11 @@
+#pragma once
+
+#include "Arduino.h"
+
+class QuadEncoder {
+public:
+    QuadEncoder(uint8_t channel, uint8_t pin_a, uint8_t pin_b, uint8_t pullups);
+    void setInitConfig();
+    void init();
+    int32_t read();
+};
