@@ -138,8 +138,12 @@ class Configuration:
         return np.asarray(signal.lfilter([1 - self.decay], [1.0, -self.decay], command_A, axis=-1))
 
 
-def settings_of(data: bytes) -> Settings:
+def settings_of(data: bytes, capacity: Capacity) -> Settings:
     """The settings in a configuration's bytes.
+
+    Parameters
+    ----------
+    capacity : of the device; what is larger is refused before anything of that size is built.
 
     Raises
     ------
@@ -154,15 +158,24 @@ def settings_of(data: bytes) -> Settings:
         flag = name.startswith("has_")
         if not np.isfinite(value) or (flag and value not in (0.0, 1.0)):
             raise ConfigurationError(Reason.BAD_VALUE, value)
+    sizes = {
+        "window_ticks": capacity.approach_ticks,
+        "wall_latency_ticks": capacity.latency_ticks,
+        "encoder_limit_counts": ENCODER_MOST_COUNTS,
+    }
+    for name, most in sizes.items():
+        if values[name] > most:
+            raise ConfigurationError(Reason.BEYOND_HARDWARE, values[name])
     try:
-        settings = Settings(**_arguments(values))
-        again = np.array(list(numbers(settings).values()))
+        with np.errstate(all="ignore"):  # absurd numbers give infinities, which agree with nothing
+            settings = Settings(**_arguments(values))
+            again = np.array(list(numbers(settings).values()))
     except ConfigurationError:
         raise
     except (InputError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         raise ConfigurationError(Reason.BAD_CONFIGURATION) from error
     came = np.array(list(values.values()))
-    off = ~(np.abs(came - again) <= AGREEMENT * np.abs(again))
+    off = ~(np.isfinite(again) & (np.abs(came - again) <= AGREEMENT * np.abs(again)))
     if np.any(off):
         raise ConfigurationError(Reason.BAD_CONFIGURATION, float(came[off][0]))
     return settings
@@ -192,13 +205,10 @@ def accept(data: bytes, capacity: Capacity, hardware: Hardware) -> Configuration
     ------
     ConfigurationError : as `settings_of`, or more than this device can do.
     """
-    settings = settings_of(data)
+    settings = settings_of(data, capacity)
     if settings.dt_s != hardware.dt_s:
         raise ConfigurationError(Reason.BAD_TIMING, settings.dt_s)
     asked = (
-        (settings.window_ticks, capacity.approach_ticks),
-        (settings.encoder_limit_counts, ENCODER_MOST_COUNTS),
-        (0 if settings.wall is None else settings.wall.latency_ticks, capacity.latency_ticks),
         (settings.current_limit_A, hardware.current_A),
         (settings.command_limit_A, hardware.command_A),
     )
