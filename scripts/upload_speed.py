@@ -3,7 +3,7 @@
     python scripts/upload_speed.py [--runs 5] [--json FILE]
 
 From the first byte asked for to the device's word that the library is in force, its checks included; each run another
-library, so that none is skipped. As it is, with 16 ms each way, and with one frame in twenty lost each way. Exit code 1
+library, so that none is skipped. As it is, with 16 ms each way, with one frame in twenty lost each way. Exit code 1
 if a median is above its bound, or an upload did not complete.
 """
 
