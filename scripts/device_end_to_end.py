@@ -49,9 +49,7 @@ from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
 
 MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03
-IDEAL = Sensors(
-    accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=1e6, grip_hysteresis=0.0, grip_noise_N=0.0
-)
+IDEAL = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=1e6, grip_hysteresis=0.0, grip_noise_N=0.0)
 FIRST_REST_S = 3.0  # the device is configured, loaded and armed in this time
 REST_S, STARTING_S, STRAIGHT_S, ONWARD_S, RETREAT_S = 0.1, 0.03, 0.25, 0.11, 0.3
 FITTED_S = 0.04  # of the approach, to the tick at which the waveform begins
@@ -157,7 +155,12 @@ class Condition:
     def noise(self) -> float:
         """What the accelerometer's noise alone makes of the NRMSE of one tap."""
         return float(
-            np.mean([tap.noise_m_s2 * tap.predicted_m_s2.size**0.5 / np.linalg.norm(tap.predicted_m_s2) for tap in self.taps])
+            np.mean(
+                [
+                    tap.noise_m_s2 * tap.predicted_m_s2.size**0.5 / np.linalg.norm(tap.predicted_m_s2)
+                    for tap in self.taps
+                ]
+            )
         )
 
 
@@ -203,7 +206,9 @@ def compare(library: Library, recording: Recording, bandwidth_Hz: float) -> Tap:
     )
 
 
-def recorded(library: Library, hand: StraightTaps, sensors: Sensors, rounds: int, seed: int, folder: Path) -> Recorder:
+def recorded(
+    library: Library, hand: StraightTaps, sensors: Sensors, rounds: int, seed: int, folder: Path
+) -> Recorder:
     """Upload, arm, let the hand go round so often, and record it all into the folder.
 
     Raises
@@ -246,11 +251,15 @@ def imported(
         into_s = (contact.tick % period) * dt_s
         node = min(found, key=lambda j: abs(hand.contact_s(j) - into_s))
         if contact.path is None:
-            raise InputError(f"tap {contact.number}: {contact.missed} records were lost: run again on a quieter machine")
+            raise InputError(
+                f"tap {contact.number}: {contact.missed} records were lost: run again on a quieter machine"
+            )
         found[node].append(compare(library, load_recording(contact.path), bandwidth_Hz))
     for (speed, grip), taps in zip(hand.taps, found.values(), strict=True):
         if len(taps) != rounds:
-            raise InputError(f"{speed:g} m/s, {grip:g} N: {len(taps)} taps were played and recorded instead of {rounds}")
+            raise InputError(
+                f"{speed:g} m/s, {grip:g} N: {len(taps)} taps were played and recorded instead of {rounds}"
+            )
     return [Condition(v, F, tuple(taps)) for (v, F), taps in zip(hand.taps, found.values(), strict=True)]
 
 
