@@ -44,9 +44,7 @@ class Rehearsal(Generic[D]):
     output : of the running device, the last. readings : what the device sees at a tick.
     """
 
-    def __init__(
-        self, start: Callable[[int], D], dt_s: float, trouble: Trouble | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, start: Callable[[int], D], dt_s: float, trouble: Trouble | None = None, seed: int = 0) -> None:
         self.link, self.dt_s = Link(trouble, seed), dt_s
         tokens = count(1)
         self._token: Callable[[], int] = lambda: next(tokens)

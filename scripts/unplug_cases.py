@@ -173,7 +173,10 @@ class Case:
         """Everything before this phase, and its beginning."""
         world, session = self._world, self._world.session
         steps: dict[str, tuple[Callable[[], None], Callable[[], bool]]] = {
-            "connect": (lambda: session.connect(world.now_s, CONNECT_S), lambda: session.state in OPEN and session.idle),
+            "connect": (
+                lambda: session.connect(world.now_s, CONNECT_S),
+                lambda: session.state in OPEN and session.idle,
+            ),
             "configure": (self._configure, lambda: session.idle),
             "upload": (lambda: session.upload(IMAGE), lambda: session.idle),
             "check pending": (lambda: None, lambda: True),
@@ -237,14 +240,21 @@ class Case:
     def _agreed(self) -> bool:
         """The session is over, or host and device mean the same state."""
         session, device = self._world.session, self._world.device
-        return self._ended() or (session.state in OPEN and (session.device_state in ACTIVE) == (device.state in ACTIVE))
+        return self._ended() or (
+            session.state in OPEN and (session.device_state in ACTIVE) == (device.state in ACTIVE)
+        )
 
     def _watch(self, met: Callable[[], bool], began_s: float, active: bool) -> None:
         """Run until it is so, and note when the device is at rest."""
         world, out = self._world, self.outcome
 
         def seen() -> bool:
-            if active and math.isnan(out.safe_s) and world.device.state not in ACTIVE and world.output.command_A == 0.0:
+            if (
+                active
+                and math.isnan(out.safe_s)
+                and world.device.state not in ACTIVE
+                and world.output.command_A == 0.0
+            ):
                 out.safe_s = world.now_s - began_s
             return met()
 

@@ -71,6 +71,7 @@ class Line:
         self.leases: list[int] = []
         self.records: dict[int, m.Record] = {}
         self._decoder, self._stop, self._cut, self._pull = Decoder(), threading.Event(), False, False
+        self._to_device = self._to_host = b""
         self._thread = threading.Thread(target=self._carry)
         self._thread.start()
 
@@ -99,6 +100,8 @@ class Line:
 
     def _carry(self) -> None:
         while not self._stop.is_set():
+            self._to_device = self._sent(self._device, self._to_device)
+            self._to_host = self._sent(self._host, self._to_host)
             if self._pull:
                 self._drop_host()
             waiting = self._listener if self._listener is not None and self._host < 0 and not self._pull else None
@@ -109,8 +112,7 @@ class Line:
             if self._host >= 0 and self._host in ready:
                 data = self._read(self._host)
                 if data and not self._cut:
-                    with suppress(OSError):
-                        os.write(self._device, data)
+                    self._to_device += data
                 elif not data and self._listener is not None:
                     self._drop_host()
                     self._pull = True
@@ -122,8 +124,16 @@ class Line:
                     return
                 self._hear(data)
                 if self._host >= 0 and not self._cut:
-                    with suppress(OSError):
-                        os.write(self._host, data)
+                    self._to_host += data
+
+    @staticmethod
+    def _sent(end: int, data: bytes) -> bytes:
+        """What could not be written yet; nobody reads from a dead host's port."""
+        if data and end >= 0:
+            with suppress(OSError):
+                os.set_blocking(end, False)
+                return data[os.write(end, data) :]
+        return data[-CHUNK:]
 
     @staticmethod
     def _read(end: int) -> bytes:
