@@ -278,8 +278,8 @@ def table(conditions: list[Condition], real: bool) -> bool:
         )
     late = np.array([tap.latency_s for c in conditions for tap in c.taps])
     print(
-        f"all: latency {1e6 * np.sqrt(np.mean(late**2)):.1f} us rms, {1e6 * np.abs(late).max():.1f} us at most; NRMSE "
-        f"{100 * max(c.nrmse for c in conditions):.2f} % at most, of the means "
+        f"all: latency {1e6 * np.sqrt(np.mean(late**2)):.1f} us rms, {1e6 * np.abs(late).max():.1f} us at most; "
+        f"NRMSE {100 * max(c.nrmse for c in conditions):.2f} % at most, of the means "
         f"{100 * max(c.nrmse_mean for c in conditions):.2f} %",
         flush=True,
     )

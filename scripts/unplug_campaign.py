@@ -4,8 +4,8 @@
 
 In virtual time (`unplug_cases`), and with real processes, killed by SIGKILL, on pseudo-terminals and sockets
 (`unplug_processes`). Of each case is asked: the command is zero within the lease after the last heartbeat that
-arrived, by the device's own ticks; the host says so within 1 s (where it was still connecting, and nothing but silence
-tells it, at the end of the time it connects for); nothing hangs; nothing arms again by itself, also not after
+arrived, by the device's own ticks; the host says so within 1 s (where it was still connecting, and nothing but
+silence tells it, at the end of the time it connects for); nothing hangs; nothing arms again by itself, also not after
 connecting again; each line of the recording is what the device did in that tick. Exit code 1 if anything is off.
 """
 
@@ -46,7 +46,7 @@ def real(cases: int, seed: int, folder: Path) -> list[Ended]:
 
 def worst(values: Iterable[float]) -> str:
     """The largest of those that are numbers."""
-    known = [value for value in values if value == value]
+    known = [value for value in values if not np.isnan(value)]
     return f"{np.max(known):8.3f}" if known else "       -"
 
 

@@ -1,7 +1,7 @@
 """One session in virtual time that something happens to at a random instant, and whether all stayed as it must.
 
-The device is the compiled core; beside it stands a judge that reads what arrives at the device and sees every command,
-so that "within the lease" is counted in the device's own ticks from the last heartbeat that it got.
+The device is the compiled core; beside it stands a judge that reads what arrives at the device and sees every
+command, so that "within the lease" is counted in the device's own ticks from the last heartbeat that it got.
 """
 
 import math
@@ -99,15 +99,19 @@ class Judged:
     def step(self, readings: Readings) -> Output:
         output = self._core.step(readings)
         self._hand.command_A, self.state = output.command_A, output.state
-        since = readings.tick - self._last
-        if output.command_A != 0.0:
-            self.held_ticks = max(self.held_ticks, since)
-        if (output.command_A != 0.0 or output.state in ACTIVE) and since >= self.lease_ticks:
-            if not self.breaches:
-                self.breaches.append(f"{output.state.value}, {output.command_A:g} A {since} ticks after a heartbeat")
+        self._hold(readings.tick, output)
         self.history[readings.tick] = (readings.encoder_counts, output.command_A, output.state.value)
         self._tick = readings.tick + 1
         return output
+
+    def _hold(self, tick: int, output: Output) -> None:
+        """Against the lease."""
+        since = tick - self._last
+        if output.command_A != 0.0:
+            self.held_ticks = max(self.held_ticks, since)
+        active = output.command_A != 0.0 or output.state in ACTIVE
+        if active and since >= self.lease_ticks and not self.breaches:
+            self.breaches.append(f"{output.state.value}, {output.command_A:g} A {since} ticks after a heartbeat")
 
     def bytes_to_send(self) -> bytes:
         return self._core.bytes_to_send()
@@ -146,6 +150,7 @@ class Case:
         self._world.readings = self._hand.readings
         self._lease_ms, self._every = chance.choice(LEASES_MS), chance.choice(EVERY)
         self.outcome = Outcome(chance.choice(list(PHASES)), chance.choice(KINDS), lease_ms=self._lease_ms)
+        self._struck = self._world.device
         self._recorder = Recorder(folder, DT_S, SETTINGS.count_m)
         self._world.listeners += [self._recorder.take, self._count]
 
@@ -306,6 +311,7 @@ class Case:
         world.connected().run(AFTER_S).until(lambda: self._hand.at_rest, 1.0)
         if world.device.state in ACTIVE or world.link.to_device.kinds[Kind.ARM] != arms:
             out.breaches.append(f"armed by itself after connecting again: {world.device.state.value}")
+            return
         faults = [news.what for news in world.told if isinstance(news, Happened) and isinstance(news.what, Fault)]
         if faults or world.device.state is State.FAULT:
             out.breaches.append(f"fault: {faults}")
