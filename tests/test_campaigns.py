@@ -17,7 +17,7 @@ from scripts.unplug_processes import play
 from scripts.upload_speed import LINES, Line, images, measure
 from transopt.library import Library
 
-CASES = 18
+CASES = 12
 
 
 @pytest.fixture(scope="module", autouse=True)
