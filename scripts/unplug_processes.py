@@ -24,6 +24,7 @@ from controller.codes import STATES
 from controller.driver import Device, DeviceError
 from controller.interface import State
 from controller.telemetry import CSV_NAME, read_csv
+from controller.transport import PortError
 from controller.user import TapsInTurn
 from controller.wire import Decoder
 from scripts.compiled_device import DT_S, CompiledDevice, plant_of
@@ -36,6 +37,7 @@ LEASES_MS = (200, 500)
 WORD_S, ENDS_S, REPORT_S, AFTER_S = 30.0, 10.0, 1.0, 0.3
 SETTLED_S = 0.3  # beyond the lease, until the line is no longer listened to
 CHUNK = 65_536
+TRIES = 10
 
 
 def tapping_plant() -> bytes:
@@ -294,14 +296,23 @@ def _recording(out: Ended, line: Line, folder: Path) -> None:
             break
 
 
+def _connected(name: str) -> Device:
+    """A socket's device turns a second host away until it has noticed that the first is gone."""
+    for _ in range(TRIES):
+        with suppress(DeviceError, PortError):
+            return Device(name)
+        time.sleep(0.1)
+    return Device(name)
+
+
 def _again(out: Ended, name: str) -> None:
     """Another host comes; it arms nothing, and finds nothing armed."""
     try:
-        with Device(name) as device:
+        with _connected(name) as device:
             found = [STATES[device.hello.state]]
             device.listen(AFTER_S)
             found.append(device.state)
-    except DeviceError as error:
+    except (DeviceError, PortError) as error:
         out.breaches.append(f"connecting again: {error}")
         return
     if found != [State.IDLE] * 2:
