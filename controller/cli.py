@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from controller import port_commands
 from transopt import terminal
 from transopt.errors import InputError
 
@@ -22,6 +23,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Play a library of transients.",
 )
+app.command()(port_commands.ports)
+app.command()(port_commands.upload)
+app.command()(port_commands.monitor)
+app.command()(port_commands.check)
+app.add_typer(port_commands.record_app, name="record")
+ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "crossover", "user", "real_time")
+ONLY_ON_PORT = ("taps", "seconds", "accelerometer_hz", "reset")
 
 
 @app.callback()
@@ -42,22 +50,57 @@ def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -
     return speed, float(grips[grips.size // 2]) if grip_N is None else grip_N
 
 
+def _refuse(context: typer.Context, names: tuple[str, ...], why: str) -> None:
+    """An option that means nothing here is an error, not a wish."""
+    for name in names:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            option = "for" if name == "seconds" else name.replace("_", "-")
+            raise InputError(f"--{option}: {why}")
+
+
 @app.command()
 def tap(
+    context: typer.Context,
     library: Annotated[Path, typer.Argument(help="library.npz")],
     simulate: Annotated[bool, typer.Option("--simulate", help="On the simulator, in virtual time.")] = False,
+    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
     speed: Annotated[float | None, typer.Option(help="Incoming speed in m/s; default the grid's middle.")] = None,
     grip: Annotated[float | None, typer.Option(help="Grip in N; default the grid's middle.")] = None,
-    gain: Annotated[float, typer.Option(help="Scale of what is played, 0 to 1.")] = 1.0,
+    gain: Annotated[
+        float | None,
+        typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
+    ] = None,
     method: Annotated[str, typer.Option(help="How taps are rendered.")] = "bilinear",
     seed: Annotated[int, typer.Option(help="Of phase, noise and mismatch.")] = 0,
     mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
     crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
     user: Annotated[str, typer.Option(help="mild, yielding, stopping or recorded.")] = "mild",
     real_time: Annotated[bool, typer.Option("--real-time", help="Paced by the clock, to watch telemetry.")] = False,
+    taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default on Ctrl-C.")] = None,
+    seconds: port_commands.Seconds = None,
+    accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
+    reset: port_commands.Reset = False,
     out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
 ) -> None:
-    """Play one tap and say how well: latency, error, peak, spectrum, rate-hardness, temperature."""
+    """Play taps and say how well: latency, error, peak, on the simulator also spectrum, hardness, temperature."""
+    if simulate == (port is not None):
+        raise InputError("tap: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
+    if port is not None:
+        _refuse(context, ONLY_SIMULATED, "on a device that is up to its user: only with --simulate")
+        port_commands.tap_on_port(
+            library,
+            port,
+            gain=gain,
+            out=out,
+            taps=taps,
+            seconds=seconds,
+            accelerometer_Hz=accelerometer_hz,
+            reset=reset,
+        )
+        return
+    _refuse(context, ONLY_ON_PORT, "only with --port")
+    gain = 1.0 if gain is None else gain
     from controller.bank import Method, bank
     from controller.experiment import Tap, play_tap
     from controller.interface import Notice
@@ -70,8 +113,6 @@ def tap(
     from controller.user import Habit
     from transopt.library_file import load_library
 
-    if not simulate:
-        raise InputError("tap: no device named: give --simulate")
     methods, habits = [choice.value for choice in Method], [choice.value for choice in Habit]
     if method not in methods:
         raise InputError(f"--method {method}: must be one of {', '.join(methods)}")

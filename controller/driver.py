@@ -96,6 +96,10 @@ class Device:
         self.session.connect(self._clock(), timeout_s)
         self._wait(lambda news: isinstance(news, Connected), timeout_s + 1.0, "connect")
 
+    def now_s(self) -> float:
+        """Of the clock by which all waits here are measured."""
+        return self._clock()
+
     @property
     def hello(self) -> HelloReply:
         """What the device said of itself at the last connect."""

@@ -65,6 +65,11 @@ def _line(record: Record) -> str:
     return ",".join(repr(value) if isinstance(value, float) else str(value) for value in record) + "\n"
 
 
+def line_of(readings: Readings, output: Output, dt_s: float) -> str:
+    """One line of the CSV."""
+    return _line(_record(readings, output, dt_s))
+
+
 def _columns(records: Iterable[Record]) -> dict[str, NDArray[Any]]:
     by_column = list(zip(*records, strict=True)) or [()] * len(COLUMNS)
     kinds: dict[str, type] = {**dict.fromkeys(WHOLE_NUMBERS, np.int64), **dict.fromkeys(TEXTS, np.str_)}

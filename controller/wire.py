@@ -2,7 +2,10 @@
 
 COBS (Cheshire and Baker 1999) removes every zero byte, so that a zero ends a frame and nothing else does: after any
 damage the next zero is a place to start afresh. CRC-32 is zlib's (IEEE 802.3), over the payload, little-endian behind
-it. Nothing here knows what a payload means, and nothing here raises, whatever comes in.
+it. Nothing here knows what a payload means, and nothing that comes in makes anything here raise.
+
+A payload never begins with a zero byte: behind a whole frame and its CRC the register stands where four zeros take it
+from the start, so a frame whose delimiter was lost, followed by a frame without its four leading zeros, would pass.
 """
 
 import zlib
@@ -55,7 +58,14 @@ def unstuff(stuffed: bytes) -> bytes | None:
 
 
 def encode(payload: bytes) -> bytes:
-    """One frame, delimiter included."""
+    """One frame, delimiter included.
+
+    Raises
+    ------
+    ValueError : the payload is empty or begins with a zero.
+    """
+    if not payload or payload[0] == 0:
+        raise ValueError("a payload begins with its kind, which is not 0")
     return stuff(payload + zlib.crc32(payload).to_bytes(CRC_BYTES, "little")) + DELIMITER
 
 

@@ -96,7 +96,7 @@ def corrupted(frames: int, seed: int) -> tuple[int, int]:
     accepted = different = 0
     sound = encode(b"12345678sound")
     for _ in range(frames):
-        payload = random.bytes(int(random.integers(8, 80)))
+        payload = b"\1" + random.bytes(int(random.integers(7, 79)))  # a kind is not 0
         frame = encode(payload)
         damaged = damaged_frame(random, frame)
         # A delimiter first ends whatever the damage has left open.

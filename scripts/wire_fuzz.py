@@ -57,11 +57,12 @@ DAMAGES: tuple[Damage, ...] = (hit, cut, lengthen, merge)
 
 
 def random_payload(chance: random.Random) -> bytes:
-    """Short ones as most are, long ones as an upload's, many zeros as in a waveform's tail."""
+    """Short ones as most are, long ones as an upload's, many zeros as in a waveform's tail; the first is a kind's."""
+    first = bytes([chance.randint(1, 255)])
     size = chance.choice((1, chance.randint(1, 40), chance.randint(1, PAYLOAD_LIMIT), 254, PAYLOAD_LIMIT))
     if chance.random() < 0.3:
-        return bytes(chance.choice((0, 0, 0, 1, 255)) for _ in range(min(size, 64)))
-    return chance.randbytes(size)
+        return first + bytes(chance.choice((0, 0, 0, 1, 255)) for _ in range(min(size, 64)))
+    return first + chance.randbytes(size - 1)
 
 
 def random_frame(chance: random.Random) -> bytes:

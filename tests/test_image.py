@@ -218,12 +218,12 @@ def test_the_advised_grid_fits(speeds: int, grips: int, samples: int, room: int)
 def test_settings_come_back(settings: Settings) -> None:
     data = configuration_of(settings)
     assert len(data) == CONFIGURATION_BYTES
-    assert settings_of(data) == settings
+    assert settings_of(data, CAPACITY) == settings
 
 
 def test_the_librarys_own_settings_come_back(library: Library) -> None:
     settings = Settings.of(library)
-    assert settings_of(configuration_of(settings)) == settings
+    assert settings_of(configuration_of(settings), CAPACITY) == settings
 
 
 def configuration_with(name: str, value: float) -> bytes:
@@ -243,6 +243,8 @@ def configuration_with(name: str, value: float) -> bytes:
         ("has_coil", 1.0, Reason.BAD_CONFIGURATION),
         ("current_limit_A", -1.0, Reason.BAD_CONFIGURATION),
         ("current_limit_A", 5.0, Reason.BAD_CONFIGURATION),  # over_current_A does not follow
+        ("dt_s", 5e-324, Reason.BAD_CONFIGURATION),
+        ("window_ticks", 1e15, Reason.BEYOND_HARDWARE),  # refused before anything of that size is built
         ("decay", 0.1, Reason.BAD_CONFIGURATION),
         ("approach_slope_1", 0.0, Reason.BAD_CONFIGURATION),
         ("guard_rise_K", 1.0, Reason.BAD_CONFIGURATION),
@@ -250,23 +252,23 @@ def configuration_with(name: str, value: float) -> bytes:
 )
 def test_numbers_that_do_not_belong_together_are_refused(name: str, value: float, reason: Reason) -> None:
     with pytest.raises(ConfigurationError) as error:
-        settings_of(configuration_with(name, value))
+        settings_of(configuration_with(name, value), CAPACITY)
     assert error.value.reason is reason
 
 
 @given(st.integers(0, len(NAMES) - 1), st.floats())
 def test_any_number_in_any_place_is_refused_or_harmless(place: int, value: float) -> None:
     try:
-        settings = settings_of(configuration_with(NAMES[place], value))
+        settings = settings_of(configuration_with(NAMES[place], value), CAPACITY)
     except ConfigurationError:
         return
-    assert settings_of(configuration_of(settings)) == settings
+    assert settings_of(configuration_of(settings), CAPACITY) == settings
 
 
 @pytest.mark.parametrize("data", [b"", CONFIGURATION[:-1], CONFIGURATION + b"\0", b"\0" + CONFIGURATION[1:]])
 def test_other_formats_are_refused(data: bytes) -> None:
     with pytest.raises(ConfigurationError) as error:
-        settings_of(data)
+        settings_of(data, CAPACITY)
     assert error.value.reason is Reason.BAD_FORMAT
 
 

@@ -215,7 +215,7 @@ class Trials(RuleBasedStateMachine):
 
 
 Trials.TestCase.settings = settings(
-    max_examples=30,
+    max_examples=15,
     stateful_step_count=15,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],

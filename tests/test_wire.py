@@ -1,6 +1,7 @@
 """Frames: round trips, resynchronisation, bounded memory, and damage that is never taken for a frame."""
 
 import random
+import zlib
 
 import pytest
 from hypothesis import given
@@ -15,7 +16,7 @@ RAW = st.one_of(
     st.integers(250, 260).map(lambda n: b"\x07" * n),
     st.integers(250, 260).map(lambda n: b"\x07" * n + b"\0"),
 )
-PAYLOAD = st.binary(min_size=1, max_size=PAYLOAD_LIMIT)
+PAYLOAD = st.binary(min_size=1, max_size=PAYLOAD_LIMIT).filter(lambda payload: payload[0] != 0)
 
 
 def reference_stuff(raw: bytes) -> bytes:
@@ -84,9 +85,20 @@ def test_the_largest_payload_fits_and_no_larger() -> None:
     assert len(encode(most[:PAYLOAD_LIMIT])) == ENCODED_LIMIT + 1
     assert decode(encode(most[:PAYLOAD_LIMIT])[:-1]) == most[:PAYLOAD_LIMIT]
     assert decode(encode(most[: PAYLOAD_LIMIT + 1])[:-1]) is None
-    zeros = bytes(PAYLOAD_LIMIT + 1)
+    zeros = b"\x01" + bytes(PAYLOAD_LIMIT)
     assert decode(encode(zeros)[:-1]) is None
-    assert decode(encode(b"")[:-1]) is None
+    assert decode(stuff(zlib.crc32(b"").to_bytes(4, "little"))) is None
+    for payload in (b"", b"\0", b"\0kind"):
+        with pytest.raises(ValueError, match="begins with its kind"):
+            encode(payload)
+
+
+@given(PAYLOAD, st.binary(max_size=50))
+def test_why_no_payload_begins_with_a_zero(payload: bytes, rest: bytes) -> None:
+    """A whole frame and the rest of one that began with four zeros: CRC-32 alone takes them for one."""
+    zeros = bytes(4) + rest
+    whole = payload + zlib.crc32(payload).to_bytes(4, "little")
+    assert zlib.crc32(whole + rest) == zlib.crc32(zeros)
 
 
 @pytest.mark.parametrize("piece", [1, 7, 4096])

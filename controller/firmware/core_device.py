@@ -111,7 +111,7 @@ class CoreDevice:
 
     def bytes_to_send(self) -> bytes:
         size = self._library.td_device_send(self._device.at, self._out, self.ROOM_BYTES)
-        return self._out.raw[:size]
+        return ctypes.string_at(self._out, size)
 
     def step(self, readings: Readings) -> Output:
         r, self.tick = readings, readings.tick

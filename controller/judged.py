@@ -1,0 +1,112 @@
+"""How well a device played a tap, from its own sensors (DESIGN 7): latency and NRMSE after it.
+
+The simulator's truth is not to be had here, so both sides are brought to what can be measured. Contact is where the
+approach, a parabola through the encoder's counts, would have met the surface. The prediction is passed through the
+accelerometer's own pole. Both are low-passed as recordings are, and compared until the hand can react, since what it
+does of its own accord afterwards nobody predicts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from controller.metrics import MOST_SHIFT_S, align
+from controller.prediction import predict
+from controller.recorder import Contact
+from controller.sensors import SEED_SENSORS
+from controller.settings import Settings
+from controller.user import REACTION_S
+from transopt.library import Library
+from transopt.signals import FloatArray, Signal, lowpass
+
+FIT_S = 0.03  # of straight approach that the parabola is laid through
+REST_S = 0.02  # before the waveform: what the accelerometer reads there is gravity and offset
+CUTOFF_HZ = 1000.0  # as recordings are prepared
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One tap; figures are NaN where `why` says why there are none.
+
+    Attributes
+    ----------
+    latency_s : positive if played late. nrmse : after it, against the prediction. peak_m_s2, predicted_peak_m_s2 :
+        largest |acceleration|, low-passed alike.
+    """
+
+    contact: Contact
+    latency_s: float
+    nrmse: float
+    peak_m_s2: float
+    predicted_peak_m_s2: float
+    why: str = ""
+
+
+def contact_s(contact: Contact, settings: Settings) -> float:
+    """When the stylus would have met the surface undriven, after the tick at which the waveform began [s].
+
+    The tangent at `lead` after that tick of a parabola through the counts up to it; nothing has moved before. NaN if
+    the stylus was not coming in.
+    """
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    seen = (times <= 0) & (times > -FIT_S)
+    z = (contact.counts[seen] - settings.surface_counts) * settings.count_m
+    a, b, c = np.polynomial.polynomial.polyfit(times[seen], z, 2)
+    lead = settings.lead_s
+    slope = b + 2 * c * lead
+    return float(lead - (a + b * lead + c * lead**2) / slope) if slope < 0 else float("nan")
+
+
+def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
+    """(N,) samples of a signal from rest behind one pole, the signal joined by straight lines between them."""
+    pole = 2 * np.pi * bandwidth_Hz * dt_s
+    kept = np.exp(-pole)
+    # x' = p (u - x) over one step with u going straight from u_0 to u_1.
+    mean = (1 - kept) / pole
+    return np.asarray(signal.lfilter([1 - mean, mean - kept], [1.0, -kept], values))
+
+
+def judge(
+    contact: Contact,
+    library: Library,
+    settings: Settings,
+    gain: float,
+    bandwidth_Hz: float = SEED_SENSORS.accelerometer_bandwidth_Hz,
+) -> Judged:
+    """Compare a recorded contact with what the library says of it.
+
+    Parameters
+    ----------
+    gain : of the device. bandwidth_Hz : of the accelerometer, one pole.
+    """
+    nan = float("nan")
+
+    def none(why: str) -> Judged:
+        return Judged(contact, nan, nan, nan, nan, why)
+
+    if contact.missed:
+        return none(f"{contact.missed} records were lost")
+    if gain == 0:
+        return none("nothing is played at gain 0")
+    prediction = predict(library, contact.speed_m_s, contact.grip_N, gain)
+    if prediction.silent or not np.any(prediction.acceleration_m_s2):
+        return none("the library is silent there")
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    step = times[1] - times[0] if times.size > 1 else nan
+    if not step <= 1.5 * contact.dt_s:
+        return none("telemetry of every tick is needed")
+    until = prediction.times_s <= REACTION_S
+    first, last = times[0] + MOST_SHIFT_S, times[-1] - MOST_SHIFT_S
+    begin = contact_s(contact, settings)
+    at = prediction.times_s[until] + begin
+    if not (np.isfinite(begin) and first <= at[0] and at[-1] <= last):
+        return none("not all of it was recorded")
+    resting = (times < 0) & (times >= -REST_S)
+    measured = contact.acceleration_m_s2 - contact.acceleration_m_s2[resting].mean()
+    played = lowpass(Signal(float(times[0]), step, measured), CUTOFF_HZ)
+    sensed = through_pole(prediction.acceleration_m_s2, contact.dt_s, bandwidth_Hz)
+    expected = lowpass(Signal(float(prediction.times_s[0]), contact.dt_s, sensed), CUTOFF_HZ).values[until]
+    aligned = align(played.times_s - begin, played.values, prediction.times_s[until], expected)
+    peak = float(np.abs(aligned.played_m_s2).max())
+    return Judged(contact, aligned.latency_s, aligned.nrmse, peak, float(np.abs(expected).max()))

@@ -1,0 +1,370 @@
+"""`transopt-play` for a device on a port: ports, upload, monitor, record, check, and tap's half with --port.
+
+Heavy imports stand inside the commands, so that help and errors come at once.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from transopt import terminal
+from transopt.errors import InputError
+
+if TYPE_CHECKING:
+    from controller.driver import Device
+    from controller.live import Monitor
+    from controller.messages import HelloReply
+    from controller.payload import Payload
+    from controller.recorder import Recorder
+
+LISTEN_S = 0.05  # between two looks at whether to end
+STOPPED = "stopped; the device is disarmed"
+Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://HOST:PORT.")]
+Reset = Annotated[bool, typer.Option("--reset", help="Leave a latched fault first; its cause must be gone.")]
+Seconds = Annotated[float | None, typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.")]
+LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
+
+record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
+
+
+def open_device(port: str) -> "Device":
+    """Connect; what the commands do is the same for any device that speaks the protocol."""
+    from controller.driver import Device
+
+    return Device(port)
+
+
+def _load(device: "Device", given: "Payload") -> None:
+    """Configuration and library in force, with a progress bar where there is a terminal."""
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+
+    console = terminal.console()
+    device.configure(given.configuration)
+    began_s = time.monotonic()
+    columns = (TextColumn("upload"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("upload", total=len(given.image))
+        sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
+    took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.2f} s"
+    words = f"uploaded {took}" if sent else "the device has this library already"
+    console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
+
+
+class StoppedError(Exception):
+    """Ctrl-C while a device was looked after; it is disarmed."""
+
+
+@contextmanager
+def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
+    """The first Ctrl-C disarms; at another one meanwhile the driver stops the device for good.
+
+    Raises
+    ------
+    StoppedError : that happened.
+    """
+    from controller.interface import State
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if device.state is not State.FAULT:
+            device.disarm()
+        raise StoppedError from None
+
+
+@contextmanager
+def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
+    """A device for the length of a block; a fault is left only where the user says so, None does not look.
+
+    Raises
+    ------
+    InputError : no device, or a fault is latched.
+    """
+    from controller.interface import State
+
+    try:
+        with open_device(port) as device, _disarmed_by_ctrl_c(device):
+            if device.state is State.FAULT and reset is not None:
+                why = "" if device.fault is None else f": {device.fault.value}"
+                if not reset:
+                    raise InputError(f"{port}: a fault is latched{why} (--reset)")
+                device.reset()
+            yield device
+    except StoppedError:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130) from None
+    except KeyboardInterrupt:
+        typer.echo("stopped; a device that was armed has had an emergency stop", err=True)
+        raise typer.Exit(130) from None
+
+
+def _number(option: str, value: float, low: float, high: float, unit: str = "") -> float:
+    if not low <= value <= high:
+        raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
+    return value
+
+
+def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, until_fault: bool) -> None:
+    """Until it is so, or a fault, or for so long, or for ever."""
+    from controller.interface import State
+
+    end_s = float("inf") if duration_s is None else device.now_s() + duration_s
+    while not ended() and device.now_s() < end_s:
+        device.listen(min(LISTEN_S, end_s - device.now_s()))
+        if until_fault and device.state is State.FAULT:
+            # The event that says why may come after the state.
+            device.listen(2 * LISTEN_S)
+            return
+
+
+def ports() -> None:
+    """List the serial ports there are."""
+    from controller.transport import port_names
+
+    found = port_names()
+    console = terminal.console()
+    for name, description in found:
+        console.print(f"{name}  {description}", highlight=False)
+    if not found:
+        console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
+
+
+def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
+    """Put a library into a device, whole or not at all; goes on where an upload was cut off."""
+    from controller.payload import payload
+
+    given = payload(library)
+    with _connected(port, reset) as device:
+        _load(device, given)
+
+
+def monitor(
+    port: Port,
+    every: Annotated[int, typer.Option(help="One record every so many ticks.")] = 100,
+    seconds: Seconds = None,
+) -> None:
+    """Watch a device; it is neither configured nor armed."""
+    from controller.live import Monitor
+    from controller.settings import Settings
+
+    _number("every", every, 1, 65535, " ticks")
+    console = terminal.console()
+    with _connected(port) as device:
+        hello = device.hello
+        console.print(_who(port, hello), highlight=False, soft_wrap=True)
+        with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
+            device.listeners.append(shown.take)
+            device.set_telemetry(every)
+            try:
+                _listen(device, seconds, lambda: False, until_fault=False)
+            finally:
+                console.print(shown.table())
+
+
+def _who(port: str, hello: "HelloReply") -> str:
+    """One line about a device."""
+    version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
+    there, known = any(hello.configuration_sha256), any(hello.library_sha256)
+    checked = "checked" if hello.checked_sha256 == hello.configuration_sha256 else "not checked"
+    return (
+        f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
+        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_limit_A:g} A and {hello.command_limit_A:g} A, "
+        + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
+        + (f"library {hello.library_sha256.hex()[:8]}" if known else "no library")
+    )
+
+
+def _run(
+    device: "Device",
+    recorder: "Recorder",
+    shown: "Monitor",
+    ended: Callable[[], bool],
+    seconds: float | None,
+    gain: float | None,
+) -> bool:
+    """Arm unless the gain is None, and take telemetry of every tick to screen and files; whether Ctrl-C ended it.
+
+    Raises
+    ------
+    LinkLostError : the device is gone; the files are whole as far as they go.
+    """
+    from controller.driver import LinkLostError
+    from controller.interface import State
+
+    stopped = False
+    with recorder, shown:
+        device.listeners += [recorder.take, shown.take]
+        try:
+            device.set_telemetry(1)
+            if gain is not None:
+                device.arm(gain)
+            with _disarmed_by_ctrl_c(device):
+                _listen(device, seconds, ended, until_fault=True)
+                if device.state is not State.FAULT:
+                    device.disarm()
+        except StoppedError:
+            stopped = True
+        except LinkLostError as lost:
+            raise LinkLostError(f"{lost}{recorder.in_words()}") from None
+        finally:
+            device.listeners.remove(recorder.take)
+            device.listeners.remove(shown.take)
+    return stopped
+
+
+@record_app.callback()
+def record() -> None:
+    """Record what a device's sensors say; nothing is played."""
+
+
+@record_app.command("tap")
+def record_tap(
+    port: Port,
+    out: Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")],
+    taps: Annotated[int | None, typer.Option(help="End after so many; default: on Ctrl-C.")] = None,
+    seconds: Seconds = None,
+    trigger: Annotated[float, typer.Option(help="Acceleration in g that is taken for a contact.")] = 1.0,
+    count_um: Annotated[float, typer.Option(help="One encoder count at the tip, in um.")] = 24.5,
+) -> None:
+    """Record taps on a real object, device idle: one file each, which `transopt taps` and scenes read."""
+    from controller.live import Monitor
+    from controller.recorder import Recorder, make_room
+    from transopt.signals import STANDARD_GRAVITY_M_S2
+
+    _number("trigger", trigger, 0.05, 100.0, " g")
+    _number("count-um", count_um, 1e-3, 1e4, " um")
+    _at_least_one(taps)
+    make_room(out)
+    console = terminal.console()
+    with _connected(port) as device:
+        dt_s, count_m = device.hello.dt_s, 1e-6 * count_um
+        recorder = Recorder(out, dt_s, count_m, trigger_m_s2=trigger * STANDARD_GRAVITY_M_S2)
+        shown = Monitor(console, f"recording on {port}", dt_s, count_m)
+        stopped = _run(
+            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
+        )
+    console.print(recorder.in_words().removeprefix("; "), highlight=False, soft_wrap=True)
+    if stopped:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130)
+    if not recorder.contacts:
+        raise typer.Exit(1)
+
+
+class ConsolePerson:
+    """Whoever reads the terminal."""
+
+    def asked(self, what: str) -> None:
+        terminal.console().print(f"  please {what}", highlight=False)
+
+
+def check(
+    port: Port,
+    library: Annotated[Path | None, typer.Argument(help="library.npz; without it only the sensors.")] = None,
+    rest_g: Annotated[float, typer.Option(help="Accelerometer at rest in g: 1 level, 0 upright surface.")] = 1.0,
+    skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
+    patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
+    reset: Reset = False,
+) -> None:
+    """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
+    from controller.bringup import Check, Result, check_skipped, passed, run_steps
+    from controller.device_tables import VERDICTS, check_table
+    from controller.payload import payload
+    from controller.settings import Settings
+
+    _number("rest-g", rest_g, -1.0, 1.0, " g")
+    _number("patience", patience, 0.1, 3600.0, " s")
+    skipped = check_skipped(skip or ())
+    given = None if library is None else payload(library)
+    console = terminal.console()
+
+    def told(result: Result) -> None:
+        console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
+
+    with _connected(port, reset) as device:
+        if given is not None:
+            _load(device, given)
+        settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
+        device.set_telemetry(1)
+        bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
+        results = run_steps(bench, skipped, told)
+        good = passed(results, skipped)
+        if good:
+            device.checked()
+    console.print(check_table(results, f"{port}: bring-up check"))
+    if any(result.passed is False for result in results):
+        words = "failed: put right what is wrong, then check again; until then the device does not arm"
+        console.print(words, style="red", highlight=False)
+        raise typer.Exit(1)
+    without = f" without {', '.join(skipped)}" if skipped else ""
+    console.print(
+        f"passed{without}: this configuration may be armed until the device starts anew"
+        if good
+        else "the sensors are as they should be; give a library for the rest of the check",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _at_least_one(taps: int | None) -> None:
+    if taps is not None:
+        _number("taps", taps, 1, 1_000_000)
+
+
+def tap_on_port(
+    library: Path,
+    port: str,
+    *,
+    gain: float | None,
+    out: Path | None,
+    taps: int | None,
+    seconds: float | None,
+    accelerometer_Hz: float,
+    reset: bool,
+) -> None:
+    """Arm, let the user tap, record, and say of each tap how well it was played."""
+    from controller.device_tables import played_table
+    from controller.first_run import default_gain, remember
+    from controller.image import sha256
+    from controller.interface import Notice
+    from controller.judged import judge
+    from controller.live import Monitor
+    from controller.payload import payload
+    from controller.recorder import Recorder, make_room
+
+    if gain is not None:
+        _number("gain", gain, 0.0, 1.0)
+    _number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
+    _at_least_one(taps)
+    given = payload(library)
+    if out is not None:
+        make_room(out)
+    settings, configuration = given.settings, sha256(given.configuration)
+    console = terminal.console()
+    with _connected(port, reset) as device:
+        _load(device, given)
+        hello = device.hello
+        played_at = default_gain(hello.boot, configuration) if gain is None else gain
+        title = f"{library} on {port}, gain {played_at:g}"
+        recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts)
+        shown = Monitor(console, title, hello.dt_s, settings.count_m)
+        stopped = _run(
+            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, played_at
+        )
+    judged = [judge(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts]
+    console.print(played_table(judged, shown.events, title))
+    if out is not None:
+        console.print(recorder.in_words().removeprefix("; "), highlight=False, soft_wrap=True)
+    if shown.events[Notice.FINISHED] and not shown.faults and played_at > 0:
+        remember(hello.boot, configuration)
+    if shown.faults:
+        console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
+    if stopped:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130)
+    if shown.faults or not shown.events[Notice.FINISHED]:
+        raise typer.Exit(1)

@@ -1,0 +1,105 @@
+"""Unplugs, resets, kills and hangs at random instants of a session with the compiled device.
+
+    python scripts/unplug_campaign.py [--cases 1000] [--processes 12] [--seed 0]
+
+In virtual time (`unplug_cases`), and with real processes, killed by SIGKILL, on pseudo-terminals and sockets
+(`unplug_processes`). Of each case is asked: the command is zero within the lease after the last heartbeat that
+arrived, by the device's own ticks; the host says so within 1 s (where it was still connecting, and nothing but
+silence tells it, at the end of the time it connects for); nothing hangs; nothing arms again by itself, also not after
+connecting again; each line of the recording is what the device did in that tick. Exit code 1 if anything is off.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from scripts.unplug_cases import KINDS, PHASES, Case, Outcome
+from scripts.unplug_processes import KINDS as PROCESS_KINDS
+from scripts.unplug_processes import Ended, play
+from transopt.errors import InputError
+
+
+def virtual(cases: int, seed: int, folder: Path) -> list[Outcome]:
+    """So many cases, each of its own seed."""
+    return [Case(1_000_000 * seed + j, folder / f"virtual{j}").play() for j in range(cases)]
+
+
+def real(cases: int, seed: int, folder: Path) -> list[Ended]:
+    """So many with real processes: every kind in turn, every third round on a socket.
+
+    Raises
+    ------
+    InputError : no compiler, no pseudo-terminal, no host.
+    """
+    kinds = len(PROCESS_KINDS)
+    return [
+        play(1_000_000 * seed + j, folder / f"real{j}", listen=j // kinds % 3 == 2, kind=PROCESS_KINDS[j % kinds])
+        for j in range(cases)
+    ]
+
+
+def worst(values: Iterable[float]) -> str:
+    """The largest of those that are numbers."""
+    known = [value for value in values if not np.isnan(value)]
+    return f"{np.max(known):8.3f}" if known else "       -"
+
+
+def summarise(outcomes: list[Outcome] | list[Ended], phases: Iterable[str]) -> None:
+    """Counts by kind and phase, and the worst times."""
+    kinds: dict[str, list[Outcome | Ended]] = defaultdict(list)
+    for outcome in outcomes:
+        kinds[outcome.kind].append(outcome)
+    phases = tuple(phases)
+    print(f"{'':14s}{''.join(f'{phase:>14s}' for phase in phases)}   report s  connecting s  held/lease  lines kept")
+    for kind, those in kinds.items():
+        counts = Counter(outcome.phase for outcome in those)
+        told = worst(o.report_s for o in those if o.phase != "connect")
+        connecting = worst(o.report_s for o in those if o.phase == "connect")
+        held = max(o.held_ms / o.lease_ms for o in those)
+        print(
+            f"{kind:14s}{''.join(f'{counts[phase]:14d}' for phase in phases)} {told:>10s} {connecting:>13s} "
+            f"{held:11.4f} {sum(o.rows for o in those):11d}"
+        )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cases", type=int, default=1000, help="in virtual time")
+    parser.add_argument("--processes", type=int, default=12, help="with real processes")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    if min(arguments.cases, arguments.processes, arguments.seed) < 0:
+        parser.error("--cases, --processes and --seed must be at least 0")
+    breaches = []
+    with tempfile.TemporaryDirectory(prefix="transopt-") as folder:
+        try:
+            began_s = time.monotonic()
+            cases = virtual(arguments.cases, arguments.seed, Path(folder))
+            print(f"{len(cases)} cases in virtual time, {time.monotonic() - began_s:.0f} s")
+            summarise(cases, PHASES)
+            missing = set(KINDS) - {case.kind for case in cases}
+            print(f"kinds that did not come: {', '.join(sorted(missing)) or 'none'}", flush=True)
+            began_s = time.monotonic()
+            ended = real(arguments.processes, arguments.seed, Path(folder))
+            print(f"{len(ended)} cases with real processes, {time.monotonic() - began_s:.0f} s")
+            summarise(ended, dict.fromkeys(case.phase for case in ended))
+        except InputError as error:
+            parser.error(str(error))
+        breaches = [f"case {j}, {o.phase}, {o.kind}: {words}" for j, o in enumerate(cases) for words in o.breaches]
+        breaches += [
+            f"processes {j}, {o.phase}, {o.kind}: {words}" for j, o in enumerate(ended) for words in o.breaches
+        ]
+    for words in breaches[:20]:
+        print(f"  BREACH {words}"[:300])
+    print(f"{len(breaches)} breaches")
+    return 1 if breaches else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
