@@ -49,7 +49,7 @@ def _load(device: "Device", given: "Payload") -> None:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("upload", total=len(given.image))
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
-    took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.2f} s"
+    took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
     words = f"uploaded {took}" if sent else "the device has this library already"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
 
@@ -60,7 +60,7 @@ class StoppedError(Exception):
 
 @contextmanager
 def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
-    """The first Ctrl-C disarms; at another one meanwhile the driver stops the device for good.
+    """The first Ctrl-C disarms; at another one meanwhile the driver gives an emergency stop.
 
     Raises
     ------
@@ -87,18 +87,16 @@ def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
     from controller.interface import State
 
     try:
-        with open_device(port) as device, _disarmed_by_ctrl_c(device):
+        with open_device(port) as device:
             if device.state is State.FAULT and reset is not None:
                 why = "" if device.fault is None else f": {device.fault.value}"
                 if not reset:
                     raise InputError(f"{port}: a fault is latched{why} (--reset)")
                 device.reset()
             yield device
-    except StoppedError:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130) from None
     except KeyboardInterrupt:
-        typer.echo("stopped; a device that was armed has had an emergency stop", err=True)
+        # The driver has given an armed one an emergency stop.
+        typer.echo("stopped; nothing is left armed", err=True)
         raise typer.Exit(130) from None
 
 
@@ -128,7 +126,7 @@ def ports() -> None:
     found = port_names()
     console = terminal.console()
     for name, description in found:
-        console.print(f"{name}  {description}", highlight=False)
+        console.print(f"{name}  {description}".rstrip(), highlight=False)
     if not found:
         console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
 
@@ -150,13 +148,16 @@ def monitor(
     """Watch a device; it is neither configured nor armed."""
     from controller.live import Monitor
     from controller.settings import Settings
+    from controller.told import Changed
 
     _number("every", every, 1, 65535, " ticks")
+    _ends(None, seconds)
     console = terminal.console()
     with _connected(port) as device:
         hello = device.hello
         console.print(_who(port, hello), highlight=False, soft_wrap=True)
         with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
+            shown.take(Changed(device.state, device.fault))
             device.listeners.append(shown.take)
             device.set_telemetry(every)
             try:
@@ -199,10 +200,10 @@ def _run(
     with recorder, shown:
         device.listeners += [recorder.take, shown.take]
         try:
-            device.set_telemetry(1)
-            if gain is not None:
-                device.arm(gain)
             with _disarmed_by_ctrl_c(device):
+                device.set_telemetry(1)
+                if gain is not None:
+                    device.arm(gain)
                 _listen(device, seconds, ended, until_fault=True)
                 if device.state is not State.FAULT:
                     device.disarm()
@@ -237,7 +238,7 @@ def record_tap(
 
     _number("trigger", trigger, 0.05, 100.0, " g")
     _number("count-um", count_um, 1e-3, 1e4, " um")
-    _at_least_one(taps)
+    _ends(taps, seconds)
     make_room(out)
     console = terminal.console()
     with _connected(port) as device:
@@ -310,9 +311,12 @@ def check(
     )
 
 
-def _at_least_one(taps: int | None) -> None:
+def _ends(taps: int | None, seconds: float | None) -> None:
+    """What may end a run."""
     if taps is not None:
         _number("taps", taps, 1, 1_000_000)
+    if seconds is not None:
+        _number("for", seconds, 0.0, 1e9, " s")
 
 
 def tap_on_port(
@@ -339,7 +343,7 @@ def tap_on_port(
     if gain is not None:
         _number("gain", gain, 0.0, 1.0)
     _number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
-    _at_least_one(taps)
+    _ends(taps, seconds)
     given = payload(library)
     if out is not None:
         make_room(out)
