@@ -1,4 +1,4 @@
-"""A device on a desk in virtual time: the Python firmware, the simulated stylus, and a hand that does as it is asked."""
+"""A device on a desk in virtual time: Python firmware, simulated stylus, and a hand that does as it is asked."""
 
 from bisect import bisect_right
 from collections.abc import Callable

@@ -1,5 +1,6 @@
-"""`transopt-play` on a device: what is printed, written and returned, with everything that can go wrong on the way."""
+"""`transopt-play` on a device: what is printed, written and returned, whatever goes wrong on the way."""
 
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,19 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from controller import port_commands
+from controller import messages, port_commands
 from controller.cli import main
+from controller.image import sha256
 from controller.interface import Fault, State
 from controller.limits import Capacity, Hardware
 from controller.link import Trouble
+from controller.payload import payload
+from controller.prediction import scene_of
 from controller.telemetry import read_csv
-from controller.transport import Transport
 from tests.desk import Desk
 from tests.test_cli import Outcome, assert_refused
+from tests.test_driver import Served, served
 from transopt.importers import load_recording
 from transopt.library import Library
+from transopt.preparation import prepare
 
 PORT = ("--port", "desk")
+__all__ = ["served"]  # a fixture
 
 
 @pytest.fixture
@@ -166,8 +172,6 @@ def test_monitor_tells_events(run, ready: Desk) -> None:
 
 
 def test_recording_a_real_object(run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    from controller.prediction import scene_of
-
     target = scene_of(library).recordings.simulated
     desk = Desk(library, target=target).put(monkeypatch)
     desk.asked("hold")
@@ -184,8 +188,6 @@ def test_recording_a_real_object(run, library: Library, monkeypatch: pytest.Monk
     recording = load_recording(Path("real/tap_001.csv"))
     assert recording.speed_m_s is None
     assert recording.grip_N == pytest.approx(3.0, abs=0.2)
-    from transopt.preparation import prepare
-
     tap = prepare(recording, scene_of(library).recordings)
     assert tap.speed_m_s == pytest.approx(0.2, rel=0.03)
     assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.5)
@@ -326,8 +328,6 @@ def test_nobody_answers(run, desk: Desk) -> None:
 
 
 def test_not_our_device_and_another_version(run, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    from controller import messages
-
     monkeypatch.setattr(desk.link.to_host, "arrived", lambda now_s: b"$GPGGA,1*00\r\n")
     assert_refused(run("monitor", *PORT), "not our device: it sends, but not this protocol")
     monkeypatch.undo()
@@ -362,7 +362,6 @@ def test_a_port_that_may_not_be_opened(run, monkeypatch: pytest.MonkeyPatch, err
         raise error
 
     monkeypatch.setattr("controller.transport.serial.serial_for_url", refused)
-    assert Transport  # the real one is in the way
     assert_refused(run("monitor", "--port", "/dev/ttyACM0"), f"/dev/ttyACM0: {words}")
 
 
@@ -402,9 +401,21 @@ def test_bad_options_reach_no_device(run, desk: Desk, arguments: tuple[object, .
     assert desk.ticks == 0
 
 
-def test_start_up_is_light() -> None:
-    import subprocess
+def test_over_a_pseudo_terminal(run, served: tuple[Served, str]) -> None:
+    """The whole way once: pyserial, its thread, the kernel; what comes back is what went there."""
+    server, name = served
+    assert run("upload", "library.npz", "--port", name).code == 0
+    assert server.device.store.library_sha256 == sha256(payload(Path("library.npz")).image)
+    outcome = run("monitor", "--port", name, "--for", 0.2)
+    assert outcome.code == 0
+    assert "+4.90 mm" in outcome.out
+    assert_refused(
+        run("tap", "library.npz", "--port", name), f"{name}: arm refused: this configuration has not passed"
+    )
 
-    program = "import sys, controller.cli; print([m for m in ('numpy', 'serial', 'scipy', 'matplotlib') if m in sys.modules])"
+
+def test_start_up_is_light() -> None:
+    heavy = "('numpy', 'serial', 'scipy', 'matplotlib', 'casadi')"
+    program = f"import sys, controller.cli; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
