@@ -201,9 +201,9 @@ def _run(
         device.listeners += [recorder.take, shown.take]
         try:
             with _disarmed_by_ctrl_c(device):
-                device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
+                device.set_telemetry(1)
                 _listen(device, seconds, ended, until_fault=True)
                 if device.state is not State.FAULT:
                     device.disarm()
@@ -248,7 +248,7 @@ def record_tap(
         stopped = _run(
             device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
         )
-    console.print(recorder.in_words().removeprefix("; "), highlight=False, soft_wrap=True)
+    console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)

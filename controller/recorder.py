@@ -135,15 +135,15 @@ class Recorder:
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
         self._open: list[Happened] = []
         self._lines: list[str] = []
-        self._telemetry = self._events = None
+        self._telemetry: _Lines | None = None
+        self._events: _Lines | None = None
+        self._begun = False
         if folder is not None:
             make_room(folder)
-            self._telemetry = _Lines(folder / CSV_NAME, ",".join(COLUMNS))
-            self._events = _Lines(folder / EVENTS_NAME, EVENT_COLUMNS)
 
     def in_words(self) -> str:
         """What is in the folder, to be put behind another sentence; nothing without a folder."""
-        if self._folder is None:
+        if not self._begun:
             return ""
         files = [contact.path.name for contact in self.contacts if contact.path is not None]
         lost = len(self.contacts) - len(files)
@@ -151,6 +151,11 @@ class Recorder:
         return f"; {self._folder}: {', '.join([CSV_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
 
     def take(self, news: Told) -> None:
+        if self._folder is not None and not self._begun and isinstance(news, Samples | Happened):
+            # Not before there is something to write: a run that does not come about leaves nothing behind.
+            self._begun = True
+            self._telemetry = _Lines(self._folder / CSV_NAME, ",".join(COLUMNS))
+            self._events = _Lines(self._folder / EVENTS_NAME, EVENT_COLUMNS)
         if isinstance(news, Samples):
             self._samples(news)
         elif isinstance(news, Happened):

@@ -89,8 +89,9 @@ def when(desk: Desk, state: State, act) -> None:
 
 def test_check_then_tap_quietly_then_in_full(run, desk: Desk) -> None:
     """A device's first quarter of an hour."""
-    refused = run("tap", "library.npz", *PORT)
+    refused = run("tap", "library.npz", *PORT, "--out", "taps")
     assert_refused(refused, "arm refused: this configuration has not passed the bring-up check", "run `check`")
+    assert not list(Path("taps").iterdir())
     checked = run("check", "library.npz", *PORT)
     assert checked.code == 0, checked.out + checked.err
     assert "please press the emergency stop" not in checked.out  # the desk's ear, not the console's
