@@ -88,11 +88,10 @@ def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
 
     try:
         with open_device(port) as device:
-            if device.state is State.FAULT and reset is not None:
-                why = "" if device.fault is None else f": {device.fault.value}"
-                if not reset:
-                    raise InputError(f"{port}: a fault is latched{why} (--reset)")
+            if reset and device.state is State.FAULT:
                 device.reset()
+            if reset is not None:
+                device.need_no_fault()
             yield device
     except KeyboardInterrupt:
         # The driver has given an armed one an emergency stop.

@@ -130,6 +130,7 @@ class Recorder:
         self._count_m, self._surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
+        self._first, self._every = 0, 1  # of the telemetry
         self.contacts: list[Contact] = []
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
@@ -185,6 +186,8 @@ class Recorder:
         self.close()
 
     def _samples(self, samples: Samples) -> None:
+        if self.records == 0:
+            self._first, self._every = samples.tick, samples.every
         self.missed += samples.missed
         self.records += len(samples.records)
         for j, record in enumerate(samples.records):
@@ -215,7 +218,7 @@ class Recorder:
         if self._deaf_until == 0:
             # What comes first is gravity.
             self._mean_m_s2, self._deaf_until = a, tick + round(BEFORE_S / self._dt_s)
-        if tick >= self._deaf_until and not abs(a - self._mean_m_s2) <= trigger_m_s2:
+        if tick >= self._deaf_until and abs(a - self._mean_m_s2) > trigger_m_s2:
             self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
             self._deaf_until = tick + round((BEFORE_S + AFTER_S) / self._dt_s)
         self._mean_m_s2 += every * self._dt_s / MEAN_S * (a - self._mean_m_s2)
@@ -224,8 +227,7 @@ class Recorder:
         low, high = event.tick - round(BEFORE_S / self._dt_s), event.tick + round(AFTER_S / self._dt_s)
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
         ticks = np.array([tick for tick, _ in rows], dtype=float)
-        step = np.diff(ticks)
-        missed = int(np.sum(step / step.min() - 1)) if step.size else 0
+        missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
         grips = np.array([record.grip_N for _, record in rows], dtype=float)
         grip_N = event.grip_N if np.isfinite(event.grip_N) else float(grips[ticks < event.tick].mean())
         contact = Contact(

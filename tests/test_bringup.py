@@ -137,6 +137,17 @@ def test_a_trial_without_a_tap_fails_and_leaves_nothing_armed(
     assert desk.firmware.state in (State.IDLE, State.FAULT)
 
 
+def test_a_stop_meanwhile_fails_what_drives(desk: Desk, check: Check) -> None:
+    """Pressed while the check asks for something else."""
+    desk.asked("press")
+    check.device.listen(0.05)
+    desk.asked("release")
+    for name in ("polarity", "trial-tap"):
+        found = result(check, name)
+        assert not found.passed
+        assert "a fault is latched: emergency stop" in found.seen
+
+
 def test_a_lossy_link_and_a_slow_clock_fail(desk: Desk, check: Check) -> None:
     desk.link.set_trouble(Trouble(loss=0.1))
     assert not result(check, "link").passed

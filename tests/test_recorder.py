@@ -100,6 +100,24 @@ def test_lost_records_leave_no_file_and_are_told(tmp_path: Path) -> None:
     assert "(1 taps with records lost have no file of their own)" in recorder.in_words()
 
 
+def test_a_contact_of_which_nothing_came_has_no_file(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
+        fed(recorder, 1000)
+        recorder.take(contact())
+        recorder.take(samples(9000, 9100, missed=8000))
+        assert recorder.contacts[0].missed == 1601
+        assert recorder.contacts[0].path is None
+
+
+def test_a_contact_soon_after_the_start_is_recorded_from_there(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
+        recorder.take(contact())
+        recorder.take(samples(CONTACT_TICK - 100, CONTACT_TICK + 1010))
+        assert recorder.contacts[0].missed == 0
+    recording = load_recording(tmp_path / "out" / "tap_001.csv")
+    assert recording.acceleration.start_s == pytest.approx(-0.01)
+
+
 def test_a_tap_without_its_whole_time_has_no_file_but_its_telemetry(tmp_path: Path) -> None:
     with Recorder(tmp_path / "out", DT_S, COUNT_M) as recorder:
         recorder.take(contact())
