@@ -26,7 +26,7 @@ from controller.messages import HelloReply
 from controller.session import Session
 from controller.states import OPEN
 from controller.told import Completed, Connected, Ended, Happened, Progress, Refused, Samples, Told
-from controller.transport import PortError, Transport
+from controller.transport import PortError, Transport, UnpluggedError
 from transopt.errors import InputError
 
 CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
@@ -224,8 +224,8 @@ class Device:
             data = self._stream.read(max(wait_s, 0.0))
             news = self.session.receive(data, self._clock())
             self._stream.write(self.session.bytes_to_send(self._clock()))
-        except PortError as error:
-            self.session.unplugged(str(error))
+        except UnpluggedError as error:
+            self.session.unplugged(error.detail)
             news = self.session.receive(b"", self._clock())
         for told in news:
             for listener in tuple(self.listeners):

@@ -3,6 +3,7 @@
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
 
+import gc
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -105,14 +106,20 @@ def _number(option: str, value: float, low: float, high: float, unit: str = "") 
     return value
 
 
-def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, until_fault: bool) -> None:
-    """Until it is so, or a fault, or for so long, or for ever."""
+def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, armed: bool | None) -> None:
+    """Until it is so, or for so long, or for ever.
+
+    Parameters
+    ----------
+    armed : True ends when the device is armed no more, by a fault or a lost lease; False at a fault; None at neither.
+    """
     from controller.interface import State
 
+    over = {True: (State.FAULT, State.IDLE), False: (State.FAULT,), None: ()}[armed]
     end_s = float("inf") if duration_s is None else device.now_s() + duration_s
     while not ended() and device.now_s() < end_s:
         device.listen(min(LISTEN_S, end_s - device.now_s()))
-        if until_fault and device.state is State.FAULT:
+        if device.state in over:
             # The event that says why may come after the state.
             device.listen(2 * LISTEN_S)
             return
@@ -160,7 +167,7 @@ def monitor(
             device.listeners.append(shown.take)
             device.set_telemetry(every)
             try:
-                _listen(device, seconds, lambda: False, until_fault=False)
+                _listen(device, seconds, lambda: False, armed=None)
             finally:
                 console.print(shown.table())
 
@@ -176,6 +183,17 @@ def _who(port: str, hello: "HelloReply") -> str:
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
         + (f"library {hello.library_sha256.hex()[:8]}" if known else "no library")
     )
+
+
+@contextmanager
+def _no_long_pauses() -> Iterator[None]:
+    """A full collection over all that numpy, scipy and rich have made takes 0.15 s, most of a lease."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _run(
@@ -196,14 +214,14 @@ def _run(
     from controller.interface import State
 
     stopped = False
-    with recorder, shown:
+    with recorder, shown, _no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:
             with _disarmed_by_ctrl_c(device):
                 if gain is not None:
                     device.arm(gain)
                 device.set_telemetry(1)
-                _listen(device, seconds, ended, until_fault=True)
+                _listen(device, seconds, ended, armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -330,6 +348,7 @@ def tap_on_port(
     reset: bool,
 ) -> None:
     """Arm, let the user tap, record, and say of each tap how well it was played."""
+    from controller.codes import LinkNotice
     from controller.device_tables import played_table
     from controller.first_run import default_gain, remember
     from controller.image import sha256
@@ -369,5 +388,8 @@ def tap_on_port(
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
-    if shown.faults or not shown.events[Notice.FINISHED]:
+    lost = shown.events[LinkNotice.LEASE_LOST]
+    if lost:
+        console.print(LinkNotice.LEASE_LOST.value, style="red", highlight=False)
+    if shown.faults or lost or not shown.events[Notice.FINISHED]:
         raise typer.Exit(1)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from controller.codes import Kind
 from controller.interface import Fault, State
 from controller.link import Trouble
 from controller.prediction import scene_of
@@ -221,6 +222,27 @@ def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Play,
     assert load_recording(Path("cut/tap_001.csv")).speed_m_s == pytest.approx(0.2, abs=0.01)
     assert read_csv(Path("cut/telemetry.csv"))["tick"].size > 4000
     ready.gone = False
+
+
+def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Play, ready: Desk) -> None:
+    """The cable comes loose for less than what counts as a lost link."""
+    count = iter(range(100_000))
+
+    def look() -> None:
+        now_ms = next(count)
+        if now_ms == 500:
+            ready.link.unplug()
+        elif now_ms == 800:
+            ready.link.plug()
+
+    ready.each_ms = look
+    armed_before = ready.link.to_device.kinds[Kind.ARM]
+    outcome = play("tap", "library.npz", *PORT)
+    assert outcome.code == 1, outcome.out + outcome.err
+    assert "the host was silent for longer than its lease: disarmed, no command" in outcome.out
+    assert ready.firmware.state is State.IDLE
+    assert ready.link.to_device.kinds[Kind.ARM] == armed_before + 1
+    assert next(count) < 1500
 
 
 def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Play, ready: Desk) -> None:
