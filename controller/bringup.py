@@ -24,7 +24,7 @@ PATIENCE_S = 30.0  # for what a person has to do
 KEPT_S = 3.0
 WINDOW_S = 0.3  # over which readings are averaged
 STILL_COUNTS = 12  # in that time; a hand's tremor is 4 counts each way
-LINK_S, LINK_ERROR_S, CLOCK_OFF = 1.5, 0.05, 0.01
+LINK_S, LINK_ERROR_S, CLOCK_OFF = 1.0, 0.05, 0.01
 TRAVEL_M = 2.5e-3
 REST_G = 0.2  # by which the accelerometer may be off; its wrong sign is off by 2
 GRIP_ZERO_N = 0.2
@@ -80,7 +80,7 @@ class Check:
         patience_s: float = PATIENCE_S,
     ) -> None:
         self.device, self.settings, self.person, self.loaded = device, settings, person, loaded
-        self.rest_g, self._patience_s = rest_g, patience_s
+        self.rest_g, self.patience_s = rest_g, patience_s
         self.dt_s = device.hello.dt_s
         self.records: deque[tuple[int, Record]] = deque(maxlen=round(KEPT_S / self.dt_s))
         self.happened: list[Happened] = []
@@ -126,7 +126,7 @@ class Check:
 
     def need_rest(self) -> None:
         self.fresh()
-        if not self.wait(self.at_rest, self._patience_s):
+        if not self.wait(self.at_rest, self.patience_s):
             counts = self.column("encoder_counts")
             raise _FailedError(f"no rest: {np.ptp(counts) if counts.size else 0:.0f} counts in {WINDOW_S:g} s")
 
@@ -147,8 +147,8 @@ class Check:
 
     def emergency_stop(self) -> Verdict:
         self.person.asked("press the emergency stop")
-        if not self.wait(lambda: self.device.fault is Fault.EMERGENCY_STOP, self._patience_s):
-            return f"not pressed within {self._patience_s:g} s", False
+        if not self.wait(lambda: self.device.fault is Fault.EMERGENCY_STOP, self.patience_s):
+            return f"not pressed within {self.patience_s:g} s", False
         self.person.asked("release the emergency stop")
         self.fresh()
 
@@ -156,8 +156,8 @@ class Check:
             flags = self.column("flags")
             return flags.size > 0 and not int(flags[-1]) & 1
 
-        if not self.wait(released, self._patience_s):
-            return f"not released within {self._patience_s:g} s", False
+        if not self.wait(released, self.patience_s):
+            return f"not released within {self.patience_s:g} s", False
         self.device.reset()
         return f"latched, reset to {self.device.state.value}", self.device.state is State.IDLE
 
@@ -171,7 +171,7 @@ class Check:
         def moved() -> int:
             return self.records[-1][1].encoder_counts - begin if self.records else 0
 
-        self.wait(lambda: abs(moved()) >= self.travel_counts, self._patience_s)
+        self.wait(lambda: abs(moved()) >= self.travel_counts, self.patience_s)
         return f"{moved():+d} counts, {1e3 * moved() * self.settings.count_m:+.2f} mm", moved() >= self.travel_counts
 
     def accelerometer(self) -> Verdict:
@@ -188,7 +188,7 @@ class Check:
             grip = self.column("grip_N")
             return grip.size >= round(WINDOW_S / self.dt_s) and float(np.abs(grip).max()) <= GRIP_ZERO_N
 
-        done = self.wait(let_go, self._patience_s)
+        done = self.wait(let_go, self.patience_s)
         grip = self.column("grip_N")
         return f"{grip.mean() if grip.size else np.nan:+.3f} N", done
 
@@ -247,8 +247,8 @@ class Check:
 
         least_N = self.settings.grip_min_N + self.settings.grip_margin_N
         self.fresh()
-        if not self.wait(held, self._patience_s):
-            return f"not held still above the surface within {self._patience_s:g} s", False
+        if not self.wait(held, self.patience_s):
+            return f"not held still above the surface within {self.patience_s:g} s", False
         begin = len(self.happened)
 
         def came(what: Notice) -> Happened | None:
@@ -257,13 +257,13 @@ class Check:
         self.device.arm(TRIAL_GAIN, trial=True)
         try:
             self.person.asked("tap the surface")
-            self.wait(lambda: came(Notice.FINISHED) is not None, self._patience_s)
+            self.wait(lambda: came(Notice.FINISHED) is not None, self.patience_s)
         finally:
             self.device.disarm()
         contact = came(Notice.CONTACT)
         if contact is None:
             told = ", ".join(dict.fromkeys(event.what.value for event in self.happened[begin:]))
-            return f"no contact within {self._patience_s:g} s" + (f": {told}" if told else ""), False
+            return f"no contact within {self.patience_s:g} s" + (f": {told}" if told else ""), False
         where = f"contact at {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
         done = came(Notice.FINISHED) is not None
         return f"{where}, {'played to its end' if done else 'not played to its end'}", done

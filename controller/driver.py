@@ -26,7 +26,7 @@ from controller.messages import HelloReply
 from controller.session import Session
 from controller.states import OPEN
 from controller.told import Completed, Connected, Ended, Happened, Progress, Refused, Samples, Told
-from controller.transport import PortError, Transport
+from controller.transport import PortError, Transport, UnpluggedError
 from transopt.errors import InputError
 
 CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
@@ -116,10 +116,21 @@ class Device:
         """As last reported."""
         return self.session.fault
 
+    def need_no_fault(self) -> None:
+        """
+        Raises
+        ------
+        DeviceError : a fault is latched, so that nothing but `reset` makes sense.
+        """
+        if self.state is State.FAULT:
+            why = "" if self.fault is None else f": {self.fault.value}"
+            raise DeviceError(f"{self.name}: a fault is latched{why} (--reset)")
+
     # Requests: each returns when the device has done it.
 
     def configure(self, configuration: bytes) -> bool:
         """Put a configuration in force; whether anything had to be sent."""
+        self.need_no_fault()
         self.session.configure(configuration)
         return not self._done(Kind.CONFIGURE_COMMIT).skipped
 
@@ -132,6 +143,7 @@ class Device:
 
         self.listeners.append(watch)
         try:
+            self.need_no_fault()
             self.session.upload(image)
             return not self._done(Kind.COMMIT, UPLOAD_S).skipped
         finally:
@@ -139,6 +151,7 @@ class Device:
 
     def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
         """From here on `listen` or `pump` at least once per lease."""
+        self.need_no_fault()
         self.session.arm(gain, lease_ms, trial=trial)
         self._done(Kind.ARM)
 
@@ -161,10 +174,12 @@ class Device:
 
     def pulse(self, current_A: float, ticks: int) -> None:
         """For the polarity test; returns when it has begun."""
+        self.need_no_fault()
         self.session.pulse(current_A, ticks)
         self._done(Kind.PULSE)
 
     def checked(self) -> None:
+        self.need_no_fault()
         self.session.checked()
         self._done(Kind.CHECKED)
 
@@ -209,8 +224,8 @@ class Device:
             data = self._stream.read(max(wait_s, 0.0))
             news = self.session.receive(data, self._clock())
             self._stream.write(self.session.bytes_to_send(self._clock()))
-        except PortError as error:
-            self.session.unplugged(str(error))
+        except UnpluggedError as error:
+            self.session.unplugged(error.detail)
             news = self.session.receive(b"", self._clock())
         for told in news:
             for listener in tuple(self.listeners):

@@ -68,8 +68,8 @@ class Monitor:
     def table(self) -> Table:
         """As it stands now."""
         table = Table(title=self._title, show_header=False)
-        table.add_column("what")
-        table.add_column("value", no_wrap=True, min_width=44)
+        table.add_column("what", no_wrap=True, min_width=len("emergency stop"))
+        table.add_column("value", no_wrap=True, min_width=44, overflow="ellipsis")
         table.add_row("state", self._state.value if self._fault is None else f"fault: {self._fault.value}")
         table.add_row("device time", f"{self._tick * self._dt_s:.2f} s")
         r = self._record

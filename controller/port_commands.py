@@ -3,6 +3,7 @@
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
 
+import gc
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -49,7 +50,7 @@ def _load(device: "Device", given: "Payload") -> None:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("upload", total=len(given.image))
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
-    took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.2f} s"
+    took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
     words = f"uploaded {took}" if sent else "the device has this library already"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
 
@@ -60,7 +61,7 @@ class StoppedError(Exception):
 
 @contextmanager
 def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
-    """The first Ctrl-C disarms; at another one meanwhile the driver stops the device for good.
+    """The first Ctrl-C disarms; at another one meanwhile the driver gives an emergency stop.
 
     Raises
     ------
@@ -87,18 +88,15 @@ def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
     from controller.interface import State
 
     try:
-        with open_device(port) as device, _disarmed_by_ctrl_c(device):
-            if device.state is State.FAULT and reset is not None:
-                why = "" if device.fault is None else f": {device.fault.value}"
-                if not reset:
-                    raise InputError(f"{port}: a fault is latched{why} (--reset)")
+        with open_device(port) as device:
+            if reset and device.state is State.FAULT:
                 device.reset()
+            if reset is not None:
+                device.need_no_fault()
             yield device
-    except StoppedError:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130) from None
     except KeyboardInterrupt:
-        typer.echo("stopped; a device that was armed has had an emergency stop", err=True)
+        # The driver has given an armed one an emergency stop.
+        typer.echo("stopped; nothing is left armed", err=True)
         raise typer.Exit(130) from None
 
 
@@ -108,14 +106,20 @@ def _number(option: str, value: float, low: float, high: float, unit: str = "") 
     return value
 
 
-def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, until_fault: bool) -> None:
-    """Until it is so, or a fault, or for so long, or for ever."""
+def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, armed: bool | None) -> None:
+    """Until it is so, or for so long, or for ever.
+
+    Parameters
+    ----------
+    armed : True ends when the device is armed no more, by a fault or a lost lease; False at a fault; None at neither.
+    """
     from controller.interface import State
 
+    over = {True: (State.FAULT, State.IDLE), False: (State.FAULT,), None: ()}[armed]
     end_s = float("inf") if duration_s is None else device.now_s() + duration_s
     while not ended() and device.now_s() < end_s:
         device.listen(min(LISTEN_S, end_s - device.now_s()))
-        if until_fault and device.state is State.FAULT:
+        if device.state in over:
             # The event that says why may come after the state.
             device.listen(2 * LISTEN_S)
             return
@@ -128,7 +132,7 @@ def ports() -> None:
     found = port_names()
     console = terminal.console()
     for name, description in found:
-        console.print(f"{name}  {description}", highlight=False)
+        console.print(f"{name}  {description}".rstrip(), highlight=False)
     if not found:
         console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
 
@@ -150,17 +154,20 @@ def monitor(
     """Watch a device; it is neither configured nor armed."""
     from controller.live import Monitor
     from controller.settings import Settings
+    from controller.told import Changed
 
     _number("every", every, 1, 65535, " ticks")
+    _ends(None, seconds)
     console = terminal.console()
     with _connected(port) as device:
         hello = device.hello
         console.print(_who(port, hello), highlight=False, soft_wrap=True)
         with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
+            shown.take(Changed(device.state, device.fault))
             device.listeners.append(shown.take)
             device.set_telemetry(every)
             try:
-                _listen(device, seconds, lambda: False, until_fault=False)
+                _listen(device, seconds, lambda: False, armed=None)
             finally:
                 console.print(shown.table())
 
@@ -176,6 +183,17 @@ def _who(port: str, hello: "HelloReply") -> str:
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
         + (f"library {hello.library_sha256.hex()[:8]}" if known else "no library")
     )
+
+
+@contextmanager
+def _no_long_pauses() -> Iterator[None]:
+    """A full collection over all that numpy, scipy and rich have made takes 0.15 s, most of a lease."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _run(
@@ -196,14 +214,14 @@ def _run(
     from controller.interface import State
 
     stopped = False
-    with recorder, shown:
+    with recorder, shown, _no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:
-            device.set_telemetry(1)
-            if gain is not None:
-                device.arm(gain)
             with _disarmed_by_ctrl_c(device):
-                _listen(device, seconds, ended, until_fault=True)
+                if gain is not None:
+                    device.arm(gain)
+                device.set_telemetry(1)
+                _listen(device, seconds, ended, armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -237,7 +255,7 @@ def record_tap(
 
     _number("trigger", trigger, 0.05, 100.0, " g")
     _number("count-um", count_um, 1e-3, 1e4, " um")
-    _at_least_one(taps)
+    _ends(taps, seconds)
     make_room(out)
     console = terminal.console()
     with _connected(port) as device:
@@ -247,7 +265,7 @@ def record_tap(
         stopped = _run(
             device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
         )
-    console.print(recorder.in_words().removeprefix("; "), highlight=False, soft_wrap=True)
+    console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
@@ -310,9 +328,12 @@ def check(
     )
 
 
-def _at_least_one(taps: int | None) -> None:
+def _ends(taps: int | None, seconds: float | None) -> None:
+    """What may end a run."""
     if taps is not None:
         _number("taps", taps, 1, 1_000_000)
+    if seconds is not None:
+        _number("for", seconds, 0.0, 1e9, " s")
 
 
 def tap_on_port(
@@ -327,6 +348,7 @@ def tap_on_port(
     reset: bool,
 ) -> None:
     """Arm, let the user tap, record, and say of each tap how well it was played."""
+    from controller.codes import LinkNotice
     from controller.device_tables import played_table
     from controller.first_run import default_gain, remember
     from controller.image import sha256
@@ -339,7 +361,7 @@ def tap_on_port(
     if gain is not None:
         _number("gain", gain, 0.0, 1.0)
     _number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
-    _at_least_one(taps)
+    _ends(taps, seconds)
     given = payload(library)
     if out is not None:
         make_room(out)
@@ -366,5 +388,8 @@ def tap_on_port(
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
-    if shown.faults or not shown.events[Notice.FINISHED]:
+    lost = shown.events[LinkNotice.LEASE_LOST]
+    if lost:
+        console.print(LinkNotice.LEASE_LOST.value, style="red", highlight=False)
+    if shown.faults or lost or not shown.events[Notice.FINISHED]:
         raise typer.Exit(1)

@@ -130,20 +130,21 @@ class Recorder:
         self._count_m, self._surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
+        self._first, self._every = 0, 1  # of the telemetry
         self.contacts: list[Contact] = []
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
         self._open: list[Happened] = []
         self._lines: list[str] = []
-        self._telemetry = self._events = None
+        self._telemetry: _Lines | None = None
+        self._events: _Lines | None = None
+        self._begun = False
         if folder is not None:
             make_room(folder)
-            self._telemetry = _Lines(folder / CSV_NAME, ",".join(COLUMNS))
-            self._events = _Lines(folder / EVENTS_NAME, EVENT_COLUMNS)
 
     def in_words(self) -> str:
         """What is in the folder, to be put behind another sentence; nothing without a folder."""
-        if self._folder is None:
+        if not self._begun:
             return ""
         files = [contact.path.name for contact in self.contacts if contact.path is not None]
         lost = len(self.contacts) - len(files)
@@ -151,6 +152,11 @@ class Recorder:
         return f"; {self._folder}: {', '.join([CSV_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
 
     def take(self, news: Told) -> None:
+        if self._folder is not None and not self._begun and isinstance(news, Samples | Happened):
+            # Not before there is something to write: a run that does not come about leaves nothing behind.
+            self._begun = True
+            self._telemetry = _Lines(self._folder / CSV_NAME, ",".join(COLUMNS))
+            self._events = _Lines(self._folder / EVENTS_NAME, EVENT_COLUMNS)
         if isinstance(news, Samples):
             self._samples(news)
         elif isinstance(news, Happened):
@@ -180,6 +186,8 @@ class Recorder:
         self.close()
 
     def _samples(self, samples: Samples) -> None:
+        if self.records == 0:
+            self._first, self._every = samples.tick, samples.every
         self.missed += samples.missed
         self.records += len(samples.records)
         for j, record in enumerate(samples.records):
@@ -210,7 +218,7 @@ class Recorder:
         if self._deaf_until == 0:
             # What comes first is gravity.
             self._mean_m_s2, self._deaf_until = a, tick + round(BEFORE_S / self._dt_s)
-        if tick >= self._deaf_until and not abs(a - self._mean_m_s2) <= trigger_m_s2:
+        if tick >= self._deaf_until and abs(a - self._mean_m_s2) > trigger_m_s2:
             self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
             self._deaf_until = tick + round((BEFORE_S + AFTER_S) / self._dt_s)
         self._mean_m_s2 += every * self._dt_s / MEAN_S * (a - self._mean_m_s2)
@@ -219,8 +227,7 @@ class Recorder:
         low, high = event.tick - round(BEFORE_S / self._dt_s), event.tick + round(AFTER_S / self._dt_s)
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
         ticks = np.array([tick for tick, _ in rows], dtype=float)
-        step = np.diff(ticks)
-        missed = int(np.sum(step / step.min() - 1)) if step.size else 0
+        missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
         grips = np.array([record.grip_N for _, record in rows], dtype=float)
         grip_N = event.grip_N if np.isfinite(event.grip_N) else float(grips[ticks < event.tick].mean())
         contact = Contact(

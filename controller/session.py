@@ -188,8 +188,8 @@ class Session:
 
     @property
     def arming(self) -> bool:
-        """Whether an ARM waits or is not answered yet."""
-        return self._requests.holds(m.Arm)
+        """Whether an ARM or a DISARM waits or is not answered yet: whatever was reported, the device may be armed."""
+        return self._requests.holds(m.Arm, m.Disarm)
 
     def _ask(self, message: Packed, trigger: Trigger = Trigger.ASK) -> None:
         self._go(trigger)

@@ -34,7 +34,11 @@ class PortError(InputError):
 
 
 class UnpluggedError(PortError):
-    """The port went away while it was open."""
+    """The port went away while it was open; `detail` is what the system said of it."""
+
+    def __init__(self, message: str, detail: str = "") -> None:
+        super().__init__(message)
+        self.detail = detail
 
 
 def port_names() -> list[tuple[str, str]]:
@@ -164,7 +168,8 @@ class Transport:
         if self._closing.is_set():
             raise UnpluggedError(f"{self.name}: closed")
         if self._failed.is_set() and self._queue.empty():
-            raise UnpluggedError(f"{self.name}: the connection is gone ({self._detail}): plug the device in again")
+            message = f"{self.name}: the connection is gone ({self._detail}): plug the device in again"
+            raise UnpluggedError(message, self._detail)
 
     def _fail(self, detail: str) -> None:
         if not self._failed.is_set():

@@ -1,6 +1,7 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
 import importlib
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,11 @@ import pytest
 
 import problems
 from controller.bank import Bank, bank
+from controller.cli import main
+from controller.interface import State
 from controller.settings import Settings
 from problems.simulate import recordings
+from tests.desk import PORT, Desk, Outcome, Play
 from tests.servo_bench import WALL, Bench
 from tests.study_bench import MODULES, SCRIPTS
 from transopt.build import Build, build_library
@@ -205,3 +209,44 @@ def user_file(tmp_path: Path) -> Callable[[str], Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def play(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, library: Library
+) -> Play:
+    """Run `transopt-play ARGS` in a folder that holds library.npz, with a home of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    library.save(tmp_path / "library.npz")
+
+    def call(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["transopt-play", *map(str, arguments)])
+        code = 0
+        try:
+            main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        captured = capsys.readouterr()
+        return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def desk(library: Library, monkeypatch: pytest.MonkeyPatch) -> Desk:
+    return Desk(library).put(monkeypatch)
+
+
+@pytest.fixture
+def ready(play: Play, desk: Desk) -> Iterator[Desk]:
+    """With the library, its check taken for passed."""
+    assert play("upload", "library.npz", *PORT).code == 0
+    desk.firmware.checked_sha256 = desk.firmware.store.configuration_sha256
+    yield desk
+    # Whatever happened, nothing is left armed once the lease is over.
+    for _ in range(2500):
+        if desk.firmware.state in (State.IDLE, State.FAULT):
+            break
+        desk.step()
+    assert desk.firmware.state in (State.IDLE, State.FAULT)

@@ -157,6 +157,31 @@ def test_a_refusal_is_one_line_in_words() -> None:
         assert device.listen(0.1, until=lambda x: isinstance(x, Happened) and x.what is LinkNotice.PULSE_ENDED)
 
 
+def test_a_fault_meanwhile_is_told_and_no_misuse() -> None:
+    """Heard of with a heartbeat between two calls, not as a refusal."""
+    world, _, connect = driven()
+    with connect() as device:
+        device.configure(CONFIGURATION)
+        device.upload(IMAGE)
+        world.readings = lambda k: Readings(k, 200, 3.0, 0.0, 0.0, emergency_stop=True)
+        device.listen(0.3)
+        assert device.state is State.FAULT
+        requests = (
+            lambda: device.configure(CONFIGURATION),
+            lambda: device.upload(IMAGE),
+            lambda: device.arm(0.1, trial=True),
+            lambda: device.pulse(0.05, 50),
+            device.checked,
+        )
+        for request in requests:
+            with pytest.raises(DeviceError, match=r"device: a fault is latched: emergency stop: .* \(--reset\)"):
+                request()
+        world.readings = lambda k: Readings(k, 200, 3.0, 0.0, 0.0)
+        device.listen(0.01)
+        device.reset()
+        device.arm(0.1, trial=True)
+
+
 @pytest.mark.parametrize("how", ["port", "cable", "reset"])
 def test_a_lost_link_is_one_error_within_a_second_and_arms_nothing(how: str) -> None:
     world, stream, connect = driven()
