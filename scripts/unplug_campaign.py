@@ -83,8 +83,10 @@ def main() -> int:
             cases = virtual(arguments.cases, arguments.seed, Path(folder))
             print(f"{len(cases)} cases in virtual time, {time.monotonic() - began_s:.0f} s")
             summarise(cases, PHASES)
-            missing = set(KINDS) - {case.kind for case in cases}
-            print(f"kinds that did not come: {', '.join(sorted(missing)) or 'none'}", flush=True)
+            missing = sorted(set(KINDS) - {case.kind for case in cases})
+            if cases and missing:
+                print(f"kinds that did not come: {', '.join(missing)}")
+            sys.stdout.flush()
             began_s = time.monotonic()
             ended = real(arguments.processes, arguments.seed, Path(folder))
             print(f"{len(ended)} cases with real processes, {time.monotonic() - began_s:.0f} s")

@@ -283,6 +283,8 @@ def _judge(out: Ended, line: Line) -> None:
 
 
 def _recording(out: Ended, line: Line, folder: Path) -> None:
+    if out.phase != "armed" and not (folder / CSV_NAME).exists():
+        return
     columns = read_csv(folder / CSV_NAME)
     out.rows = columns["tick"].size
     if np.any(np.diff(columns["tick"]) <= 0):
