@@ -141,20 +141,6 @@ class Configuration:
         return np.asarray(signal.lfilter([1 - self.decay], [1.0, -self.decay], command_A, axis=-1))
 
 
-def settings_of(data: bytes) -> Settings:
-    """The settings in a configuration's bytes.
-
-    Raises
-    ------
-    ConfigurationError : not a configuration of this version; settings that are refused; derived numbers that do not
-        follow from the stated ones.
-    """
-    values = _values(data)
-    settings = _settings(values)
-    _compare(values, settings)
-    return settings
-
-
 def _values(data: bytes) -> dict[str, float]:
     """The table's numbers, each one a number of its kind."""
     head = HEADER.unpack_from(data) if len(data) == CONFIGURATION_BYTES else None
@@ -211,7 +197,8 @@ def accept(data: bytes, capacity: Capacity, hardware: Hardware) -> Configuration
 
     Raises
     ------
-    ConfigurationError : as `settings_of`, or more than this device can do.
+    ConfigurationError : not a configuration of this version; settings that are refused; derived numbers that do not
+        follow from the stated ones; more than this device can do.
     """
     values = _values(data)
     settings = _settings(values)

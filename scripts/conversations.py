@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from parity_runs import COUNT_M, DT_S, TAIL, Random, draw_amplifier, draw_bank, draw_settings, falsified
 
 from controller import messages as m
 from controller.bank import Bank, Method
@@ -19,7 +20,6 @@ from controller.interface import Readings
 from controller.packed import Packed
 from controller.settings import Settings
 from controller.wire import encode
-from scripts.parity_runs import COUNT_M, DT_S, TAIL, Random, draw_amplifier, draw_bank, draw_settings, falsified
 from transopt.amplifier import Amplifier
 from transopt.wall import Wall
 

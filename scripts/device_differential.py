@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from conversations import conversation, damaged_frame
 
 from controller import messages as m
 from controller.codes import REASONS
@@ -25,7 +26,6 @@ from controller.firmware.core_device import Decoder as CoreDecoder
 from controller.firmware.replay import counts_of
 from controller.interface import Output, Readings
 from controller.wire import Decoder, encode
-from scripts.conversations import conversation, damaged_frame
 from transopt.errors import InputError
 
 TICKS = 4000  # of one conversation

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from compiled_device import CompiledDevice
 from scipy import signal
 
 import problems
@@ -39,7 +40,6 @@ from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
 from controller.truth import device_of
 from problems.simulate import recordings
-from scripts.compiled_device import CompiledDevice
 from transopt.build import build_library
 from transopt.errors import InputError
 from transopt.importers import load_recording

@@ -15,13 +15,13 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from parity_runs import TAIL, draw_bank, random_run, tap_run
 
 from controller.codes import EVENTS
 from controller.firmware.replay import Core, Recorder, Rows, write_runs
 from controller.guard import Guard
 from controller.image import image_of
 from controller.settings import Settings
-from scripts.parity_runs import TAIL, draw_bank, random_run, tap_run
 from transopt.errors import InputError
 from transopt.library_file import load_library
 from transopt.thermal import CoilModel

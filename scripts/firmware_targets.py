@@ -1,6 +1,6 @@
 """The C core for the processors of real devices, compiled with Debian's toolchain and run under QEMU.
 
-    python -m scripts.firmware_targets [LIBRARY] [--seed 0]
+    python scripts/firmware_targets.py [LIBRARY] [--seed 0]
 
 Recorded runs of the servo and recorded conversations with the device, random ones and with LIBRARY taps on the
 simulator too, are played by the core for Cortex-M4F (single precision) and Cortex-M7 (double), by its Arduino library
@@ -19,10 +19,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from device_differential import DAMAGES, Talk
+from parity_runs import random_run, tap_run
+
 from controller.firmware.build import CORE, FIRMWARE, FLAGS, STRICT, build, sources
 from controller.firmware.replay import REPLAY, write_runs
-from scripts.device_differential import DAMAGES, Talk
-from scripts.parity_runs import random_run, tap_run
 from transopt.errors import InputError
 from transopt.library_file import load_library
 

@@ -18,10 +18,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from unplug_cases import KINDS, PHASES, Case, Outcome
+from unplug_processes import KINDS as PROCESS_KINDS
+from unplug_processes import Ended, play
 
-from scripts.unplug_cases import KINDS, PHASES, Case, Outcome
-from scripts.unplug_processes import KINDS as PROCESS_KINDS
-from scripts.unplug_processes import Ended, play
 from transopt.errors import InputError
 
 

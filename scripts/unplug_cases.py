@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from compiled_device import DT_S, SETTINGS, TAIL, smooth_bank
 
 from controller import messages as m
 from controller.codes import Kind
@@ -25,7 +26,6 @@ from controller.states import OPEN
 from controller.telemetry import CSV_NAME, read_csv
 from controller.told import Ended, Happened, Samples, Told
 from controller.wire import Decoder
-from scripts.compiled_device import DT_S, SETTINGS, TAIL, smooth_bank
 
 PHASES = {"connect": 8e-3, "configure": 0.015, "upload": 0.04, "check pending": 0.1, "armed": 0.15, "playing": 0.5}
 KINDS = ("cable", "port", "reset", "host killed", "host hangs", "short gap")

@@ -1,6 +1,6 @@
 """The host of `unplug_processes`: a process of its own, to be killed; says on standard output where it is and when.
 
-python -m scripts.unplug_host PORT FOLDER LEASE_MS
+python scripts/unplug_host.py PORT FOLDER LEASE_MS
 """
 
 import sys
@@ -8,11 +8,12 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from compiled_device import DT_S, SETTINGS
+from unplug_cases import CONFIGURATION, IMAGE
+
 from controller.driver import Device, DeviceError, LinkLostError
 from controller.recorder import Recorder
 from controller.told import Ended, Told
-from scripts.compiled_device import DT_S, SETTINGS
-from scripts.unplug_cases import CONFIGURATION, IMAGE
 
 EVERY, PENDING_S, ARMING_S, LISTENED_S = 2, 0.1, 5.0, 60.0
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from compiled_device import DT_S, CompiledDevice, plant_of
+from unplug_cases import ACTIVE
 
 from controller import messages as m
 from controller.codes import STATES
@@ -27,8 +29,6 @@ from controller.telemetry import CSV_NAME, read_csv
 from controller.transport import PortError
 from controller.user import TapsInTurn
 from controller.wire import Decoder
-from scripts.compiled_device import DT_S, CompiledDevice, plant_of
-from scripts.unplug_cases import ACTIVE
 from transopt.errors import InputError
 
 KINDS = ("host killed", "device killed", "unplugged", "cable cut")
@@ -179,7 +179,7 @@ class Host:
     """The process, and the words it has said so far with their times."""
 
     def __init__(self, port: str, folder: Path, lease_ms: int) -> None:
-        command = [sys.executable, "-m", "scripts.unplug_host", port, str(folder), str(lease_ms)]
+        command = [sys.executable, str(Path(__file__).with_name("unplug_host.py")), port, str(folder), str(lease_ms)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.words: dict[str, float] = {}
         self._thread = threading.Thread(target=self._listen)
