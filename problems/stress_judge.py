@@ -93,8 +93,7 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
             return Outcome("bad: NaN", "peak voltage of a certified answer", nothing, nothing, 0.0)
         if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
             return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
-        peak = max(float(np.abs(run.acceleration_m_s2).max()), np.finfo(float).tiny)
-        difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / peak
+        difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / run.scale_m_s2
         return Outcome(CERTIFIED, solution.solver, proof.relative_gap, difference, 0.0)
     if status not in REMARKS or not re.search(REMARKS[status], said):
         return Outcome(

@@ -8,6 +8,7 @@ from scipy import linalg
 
 from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
 from problems.stress_families import SMALL_A
+from problems.stress_judge import played
 from transopt.certify import certify
 from transopt.errors import InputError
 from transopt.explain import unstable_wall
@@ -113,6 +114,36 @@ def test_a_coil_of_one_node_has_a_steady_state_over_taps_that_repeat() -> None:
 def test_taps_that_overlap_are_refused() -> None:
     with pytest.raises(InputError, match=r"tap_rate_Hz = .* a tap takes"):
         StressCase("repeated", coil=Coil(below_K=20.0, tap_share=0.999)).problem()
+
+
+class TestWhatCancelsAtTheSwitchingInstants:
+    """A mass whose link decays 80 time constants within one tick: link and current forces leave only rounding."""
+
+    CASE = StressCase(
+        "defective",
+        Device("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3),
+        Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999),
+        Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4),
+    )
+
+    def test_is_held_to_its_rounding_and_no_more(self) -> None:
+        designed = optimum(self.CASE.problem(), SolverOptions())
+        problem, command = designed.problem, designed.solution.command_A
+        run, (predicted, current) = played(problem, command), problem.stage.rollout(command)
+        added = np.abs(problem.stage.plant.D[0, 0] * current).max()
+        assert np.abs(run.acceleration_m_s2).max() < 1e-14 * added
+        # Both forces are alike, and each of the two counts.
+        assert run.rounding_m_s2 == pytest.approx(16 * np.finfo(float).eps * 2 * added, rel=1e-6)
+        assert run.shortfalls(problem, command, predicted) == []
+        off = run.shortfalls(problem, command, predicted + 1.1 * run.rounding_m_s2)
+        assert len(off) == 1
+        assert "differs from the predicted" in off[0]
+
+    def test_is_no_part_of_a_plain_case(self) -> None:
+        problem = StressCase("plain", horizon=SHORT).problem()
+        run = played(problem, optimum(problem, SolverOptions()).solution.command_A)
+        assert run.scale_m_s2 == np.abs(run.acceleration_m_s2).max()
+        assert run.rounding_m_s2 < 1e-4 * 1e-6 * run.scale_m_s2
 
 
 def test_a_wall_that_grows_by_itself_is_named() -> None:
