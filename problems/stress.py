@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.process import BaseProcess
@@ -30,6 +31,7 @@ from transopt.errors import InputError
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
 START_S = 120.0  # for a worker to be there
+LAST_WORDS_S = 5.0  # between a closed pipe and an exit code
 READY = "ready"
 LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -61,12 +63,39 @@ def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]
 
 @dataclass
 class _Slot:
-    """One worker process and what it is at."""
+    """One worker process, the case that it has or gets as soon as it is ready, and until when it may be silent."""
 
     process: BaseProcess
     pipe: connection.Connection
     index: int
     deadline: float
+    started: bool = False
+    lost: bool = False
+
+    def give(self, index: int, case: StressCase, limit_s: float) -> None:
+        """Hand over a case; a worker that has just died shows when it is listened to."""
+        self.index, self.deadline = index, monotonic() + limit_s
+        with suppress(OSError):
+            self.pipe.send(case)
+
+    def hear(self, speaks: bool, limit_s: float) -> Outcome | str | None:
+        """`READY`, the outcome of its case, or None as long as it may be silent; a dead or late worker is lost."""
+        if speaks:
+            try:
+                said: Outcome | str = self.pipe.recv()
+            except (EOFError, OSError):
+                self.lost = True
+                self.process.join(LAST_WORDS_S)
+                when = "" if self.started else " while it started"
+                return _lost("bad: worker died", f"exit code {self.process.exitcode}{when}", limit_s)
+            self.started = True
+            return said
+        if monotonic() < self.deadline:
+            return None
+        self.lost = True
+        if self.started:
+            return _lost("bad: hang", f"no answer within {limit_s:g} s", limit_s)
+        return _lost("bad: worker did not start", f"not ready within {START_S:g} s", START_S)
 
 
 def run_cases(
@@ -77,7 +106,8 @@ def run_cases(
 ) -> Iterator[tuple[int, Outcome]]:
     """Judge every case in one of `jobs` processes; index and outcome, in the order in which they end.
 
-    A worker that takes longer than `limit_s` is killed and one that dies is replaced: both are outcomes.
+    A worker that takes longer than `limit_s`, or `START_S` to start, is killed and one that dies is replaced: all of
+    these are outcomes of the case that it had or was to get.
     """
     context = multiprocessing.get_context("spawn")
     waiting = list(range(len(cases)))[::-1]
@@ -88,10 +118,7 @@ def run_cases(
         process = context.Process(target=_worker, args=(theirs, judged), daemon=True)
         process.start()
         theirs.close()
-        # Starting Python is no part of the case.
-        if ours.poll(START_S) and ours.recv() == READY:
-            ours.send(cases[index])
-        return _Slot(process, ours, index, monotonic() + limit_s)
+        return _Slot(process, ours, index, monotonic() + START_S)
 
     try:
         while waiting or slots:
@@ -100,25 +127,17 @@ def run_cases(
             timeout = max(min(slot.deadline for slot in slots) - monotonic(), 0.0)
             ready = connection.wait([slot.pipe for slot in slots], timeout)
             for slot in list(slots):
-                index, found = slot.index, None
-                if slot.pipe in ready:
-                    try:
-                        found = slot.pipe.recv()
-                    except (EOFError, OSError):
-                        slot.process.join()
-                        code = slot.process.exitcode
-                        yield index, _lost("bad: worker died", f"exit code {code}", limit_s)
-                elif monotonic() >= slot.deadline:
-                    yield index, _lost("bad: hang", f"no answer within {limit_s:g} s", limit_s)
-                else:
-                    continue
-                if found is None or not waiting:
-                    slots.remove(slot)
-                    _end(slot)
-                else:
-                    slot.index, slot.deadline = waiting.pop(), monotonic() + limit_s
-                    slot.pipe.send(cases[slot.index])
-                if found is not None:
+                index, found = slot.index, slot.hear(slot.pipe in ready, limit_s)
+                if isinstance(found, str):
+                    # Only now does the case's own time begin: starting Python is no part of it.
+                    slot.give(index, cases[index], limit_s)
+                elif found is not None:
+                    if waiting and not slot.lost:
+                        following = waiting.pop()
+                        slot.give(following, cases[following], limit_s)
+                    else:
+                        slots.remove(slot)
+                        _end(slot)
                     yield index, found
     finally:
         for slot in slots:

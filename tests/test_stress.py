@@ -2,13 +2,15 @@
 
 import os
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, repeat
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from problems.stress import run_cases, summary
+from problems.stress import START_S, run_cases, summary
 from problems.stress_cases import Current, Demand, Device, Horizon, StressCase
 from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A, directed, rescaled
@@ -185,6 +187,38 @@ def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: st
     assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
     _, lines = summary(cases, outcomes, "python -m problems.stress")
     assert any("--case 1" in line for line in lines)
+
+
+@dataclass
+class Judging:
+    """A judge whose first worker ends while it starts, when it unpickles this."""
+
+    path: Path
+
+    def __call__(self, case: StressCase) -> Outcome:
+        return fine(case)
+
+    def __setstate__(self, state: dict[str, Path]) -> None:
+        self.path = state["path"]
+        if not self.path.exists():
+            self.path.touch()
+            os._exit(4)
+
+
+def test_the_runner_goes_on_after_a_worker_that_dies_while_it_starts(tmp_path: Path) -> None:
+    cases = [StressCase(name) for name in ("one", "two", "three")]
+    outcomes = dict(run_cases(cases, 1, 100.0, Judging(tmp_path / "started")))
+    assert [outcomes[index].kind for index in range(3)] == ["bad: worker died", CERTIFIED, CERTIFIED]
+    assert outcomes[0].detail == "exit code 4 while it started"
+
+
+def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock leaps past the deadline of the first worker, then stands still."""
+    readings = chain([0.0], repeat(2 * START_S))
+    monkeypatch.setattr("problems.stress.monotonic", lambda: next(readings))
+    cases = [StressCase(name) for name in ("one", "two", "three")]
+    outcomes = dict(run_cases(cases, 1, 100.0, fine))
+    assert [outcomes[index].kind for index in range(3)] == ["bad: worker did not start", CERTIFIED, CERTIFIED]
 
 
 def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:
