@@ -82,7 +82,7 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     nothing = float("nan")
     predicted, _ = problem.stage.rollout(solution.command_A)
     status, shortfalls = admit(solution.status, proof, run, problem, solution.command_A, predicted)
-    said = "; ".join([*designed.remarks, *shortfalls])
+    said = "; ".join(designed.remarks or shortfalls)
     if status is Status.OPTIMAL:
         # Beside a zero reference any motion is infinitely wrong: that of the wall alone.
         unknown = ("peak_voltage_V", "winding_C", "housing_C", *(["nrmse"] if problem.reference_is_zero else []))

@@ -7,13 +7,15 @@ import pytest
 from scipy import linalg
 
 from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A
 from problems.stress_judge import played
+from transopt import optimum as optimum_module
 from transopt.certify import certify
 from transopt.errors import InputError
 from transopt.explain import unstable_wall
 from transopt.linear import wall_growth
-from transopt.optimum import optimum
+from transopt.optimum import Designed, optimum
 from transopt.parts import encoder_course, silence
 from transopt.problem import Status, TransientProblem
 from transopt.solvers import SolverOptions, is_stationary, solve
@@ -150,9 +152,34 @@ def test_a_wall_that_grows_by_itself_is_named() -> None:
     shaky = StressCase("wall", Device(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
     assert wall_growth(shaky) > 1
     assert "latency_ticks (5)" in unstable_wall(shaky)
+    for surface, lower in (
+        (
+            Surface(1e5, 50.0, latency_ticks=0),
+            "lower feedback.stiffness_N_m (100000 N/m) or feedback.damping_N_s_m (50 N s/m)",
+        ),
+        (
+            Surface(0.0, 50.0, latency_ticks=5),
+            "lower feedback.damping_N_s_m (50 N s/m) or feedback.latency_ticks (5)",
+        ),
+    ):
+        remark = unstable_wall(StressCase("wall", Device(moving_kg=1e-4), surface=surface).problem())
+        assert remark.endswith(lower)
     calm = StressCase("wall", surface=Surface(200.0)).problem()
     assert wall_growth(calm) < 1
     assert unstable_wall(calm) == ""
+
+
+def test_a_wall_that_grows_by_itself_is_not_searched_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+    settled = optimum_module._settled
+
+    def counted(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+        searched.append(problem)
+        return settled(problem, options)
+
+    monkeypatch.setattr(optimum_module, "_settled", counted)
+    assert optimum(drawn(77, 723).problem(), SolverOptions()).solution.status is Status.UNSTABLE_WALL
+    assert len(searched) == 1
 
 
 def test_silence_over_a_wall_is_the_walls_own_command() -> None:
