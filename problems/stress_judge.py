@@ -18,6 +18,7 @@ from transopt.solvers import SolverOptions
 from transopt.verify import admit
 
 CERTIFIED = "certified"
+UNCHECKED = ", unchecked"  # a claim that no command keeps all limits, which the independent method could not decide
 # Refusals that may stand, by what their remarks must name: a limit with amount, unit and remedy.
 REMARKS = {
     Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)|"
@@ -100,11 +101,15 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
             f"bad: {status.name}", f"{said} ({solution.solver}: {solution.message})", nothing, nothing, 0.0
         )
     # The other causes are facts of one replay or of the wall alone, not claims about all commands.
+    unchecked = ""
     if status is Status.INFEASIBLE or (status is Status.HAND_OVER and "K_p z" in said):
-        way_out = admits_a_command(problem)
-        if way_out:
-            return Outcome("bad: feasible after all", f"{way_out}, but {said}", nothing, nothing, 0.0)
-    return Outcome(f"refused: {status.name}", said, nothing, nothing, 0.0)
+        # A linear limit that is blamed has to fail without the temperature as well.
+        linear = any(not remark.startswith("coil") for remark in designed.remarks)
+        verdict = admits_a_command(problem, ignoring_heat=linear)
+        if verdict.way_out:
+            return Outcome("bad: feasible after all", f"{verdict.way_out}, but {said}", nothing, nothing, 0.0)
+        unchecked = "" if verdict.decided else UNCHECKED
+    return Outcome(f"refused: {status.name}{unchecked}", said, nothing, nothing, 0.0)
 
 
 def judge(case: StressCase) -> Outcome:

@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 
 from problems.stress import START_S, run_cases, summary
-from problems.stress_cases import Current, Demand, Device, Horizon, StressCase
+from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
 from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A, directed, rescaled
 from problems.stress_judge import CERTIFIED, Outcome, judge, judge_design, played
-from problems.stress_oracle import admits_a_command
+from problems.stress_oracle import Verdict, admits_a_command
 from transopt.optimum import Designed, optimum
 from transopt.problem import Certificate, Limits, Status
 from transopt.solvers import SolverOptions, prove
 
 SATURATED = StressCase("saturated", current=Current(limit_A=SMALL_A), horizon=Horizon(stages=40))
+STARVED = StressCase("starved", current=Current(supply=0.01, limit_A=1.0))  # less than its back-EMF
 SHORT = 40  # stages, of the random cases that run here
 
 
@@ -148,10 +149,35 @@ class TestJudge:
             assert judge(SATURATED).kind == kind
 
     def test_the_oracle_sees_both_ways(self) -> None:
-        problem = SATURATED.problem()
-        assert admits_a_command(problem)
-        tight = StressCase("wall", current=Current(supply=0.01, limit_A=1.0), demand=Demand(speed_m_s=0.4))
-        assert not admits_a_command(tight.problem())
+        assert admits_a_command(SATURATED.problem()).way_out
+        assert admits_a_command(STARVED.problem()) == Verdict("", decided=True)
+
+    def test_a_claim_that_the_linear_program_cannot_decide_has_a_line_of_its_own(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        assert judge(STARVED).kind == "refused: INFEASIBLE"
+        monkeypatch.setattr("problems.stress_oracle.LONGEST_S", 0.0)
+        assert admits_a_command(STARVED.problem()) == Verdict("", decided=False)
+        assert judge(STARVED).kind == "refused: INFEASIBLE, unchecked"
+
+    def test_a_linear_limit_that_is_blamed_has_to_fail_without_the_temperature(self) -> None:
+        walled = StressCase("wall", horizon=Horizon(stages=SHORT), coil=Coil(), surface=Surface(200.0)).problem()
+        assert admits_a_command(walled) == Verdict("", decided=False)
+        assert "to spare" in admits_a_command(walled, ignoring_heat=True).way_out
+        found = optimum(walled, SolverOptions())
+        kinds = {}
+        for limit in ("current 0.5 A over its 0.3 A", "coil 0.5 K over its 100 C"):
+            refused = replace(found.solution, status=Status.INFEASIBLE)
+            claim = replace(found, solution=refused, remarks=[f"{limit} at 1.0 ms at the least; 0.8 would do, raise"])
+            kinds[limit[:4]] = judge_design(claim, played(found.problem, found.solution.command_A)).kind
+        assert kinds == {"curr": "bad: feasible after all", "coil": "refused: INFEASIBLE, unchecked"}
+
+    def test_no_current_heats_less_than_the_ripple(self) -> None:
+        warm = StressCase("start", horizon=Horizon(stages=SHORT), coil=Coil(below_K=1e-6)).problem()
+        assert warm.thermal is not None
+        model = replace(warm.thermal.model, headroom_K=np.full_like(warm.thermal.model.headroom_K, -1.0))
+        hot = replace(warm, thermal=replace(warm.thermal, model=model))
+        assert admits_a_command(hot) == Verdict("", decided=True)
 
 
 def hangs(case: StressCase) -> Outcome:
