@@ -4,6 +4,8 @@ Every case has to end in one of two ways: a certified, cleanly replayed optimum,
 Anything else, a warning, a NaN, a hang and the death of a worker included, is bad and makes the exit code 1.
 """
 
+import argparse
+import math
 import multiprocessing
 import os
 import sys
@@ -15,9 +17,8 @@ from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from time import monotonic
-from typing import Annotated
+from typing import NoReturn
 
-import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
@@ -176,18 +177,44 @@ def summary(cases: Sequence[StressCase], outcomes: dict[int, Outcome], command: 
     return table, lines
 
 
-def main(
-    cases: Annotated[int, typer.Option(min=1, help="Random cases.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random cases.")] = 1,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
-    case: Annotated[int | None, typer.Option(min=0, help="Only the case of this index, in every detail.")] = None,
-    families: Annotated[
-        bool, typer.Option("--directed", help="The directed families in place of random cases.")
-    ] = False,
-    limit_s: Annotated[float, typer.Option(min=1.0, help="Seconds that one case may take.")] = LIMIT_S,
-) -> None:
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """In one line, as every error here."""
+        raise InputError(f"{message.removeprefix('argument ')}; see --help")
+
+
+def _at_least(lowest: int, kind: Callable[[str], float]) -> Callable[[str], float]:
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not lowest <= value < math.inf:
+            named = "a whole number" if kind is int else "a number"
+            raise argparse.ArgumentTypeError(f"{text} must be {named}, at least {lowest}")
+        return value
+
+    return parsed
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser("python -m problems.stress", description=main.__doc__, allow_abbrev=False)
+    parser.add_argument("--cases", type=_at_least(1, int), default=1000, help="random cases (1000)")
+    parser.add_argument("--seed", type=_at_least(0, int), default=1, help="of the random cases (1)")
+    parser.add_argument("--jobs", type=_at_least(1, int), default=os.cpu_count() or 1, help="worker processes")
+    parser.add_argument("--case", type=_at_least(0, int), help="only the case of this index, in every detail")
+    parser.add_argument("--directed", action="store_true", help="the directed families in place of random cases")
+    parser.add_argument(
+        "--limit-s", type=_at_least(1, float), default=LIMIT_S, help=f"seconds that one case may take ({LIMIT_S:g})"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Judge hard cases: each ends certified or refused by name, or the exit code is 1."""
-    chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(cases)]
+    options = _parser().parse_args(arguments)
+    families, seed, case = options.directed, options.seed, options.case
+    chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(options.cases)]
     command = "python -m problems.stress " + ("--directed" if families else f"--seed {seed}")
     console = terminal.console()
     if case is not None:
@@ -198,14 +225,14 @@ def main(
         console.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}", soft_wrap=True)
         if found.kind == CERTIFIED:
             console.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
-        raise typer.Exit(int(found.bad))
+        return int(found.bad)
     for variable in ONE_THREAD:
         os.environ.setdefault(variable, "1")
     outcomes: dict[int, Outcome] = {}
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("stress", total=len(chosen))
-        for index, outcome in run_cases(chosen, jobs, limit_s):
+        for index, outcome in run_cases(chosen, options.jobs, options.limit_s):
             outcomes[index] = outcome
             progress.advance(task)
             if not progress.console.is_terminal and len(outcomes) % LOG_EVERY == 0:
@@ -216,10 +243,8 @@ def main(
     console.print(table)
     for line in lines:
         console.print(line, soft_wrap=True)
-    raise typer.Exit(int(any(outcome.bad for outcome in outcomes.values())))
+    return int(any(outcome.bad for outcome in outcomes.values()))
 
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False)
-    app.command()(main)
-    terminal.run(app)
+    terminal.run(lambda: sys.exit(main()))

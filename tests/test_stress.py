@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from problems.stress import START_S, run_cases, summary
+from problems.stress import START_S, main, run_cases, summary
 from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
 from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A, directed, rescaled
 from problems.stress_judge import CERTIFIED, Outcome, judge, judge_design, played
 from problems.stress_oracle import Verdict, admits_a_command
+from transopt import terminal
 from transopt.optimum import Designed, optimum
 from transopt.problem import Certificate, Limits, Status
 from transopt.solvers import SolverOptions, prove
@@ -245,6 +246,35 @@ def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pyt
     cases = [StressCase(name) for name in ("one", "two", "three")]
     outcomes = dict(run_cases(cases, 1, 100.0, fine))
     assert [outcomes[index].kind for index in range(3)] == ["bad: worker did not start", CERTIFIED, CERTIFIED]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("--cases 0", "--cases: 0 must be a whole number, at least 1"),
+        ("--seed x", "--seed: x must be a whole number, at least 0"),
+        ("--seed 1.5", "--seed: 1.5 must be"),
+        ("--jobs -1", "--jobs: -1 must be"),
+        ("--limit-s 0", "--limit-s: 0 must be a number, at least 1"),
+        ("--limit-s nan", "--limit-s: nan must be"),
+        ("--directed --case 100000", "--case 100000: there are"),
+        ("--bogus", "--bogus"),
+    ],
+)
+def test_wrong_options_end_in_one_line(arguments: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        terminal.run(lambda: main(arguments.split()))
+    assert left.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("error: ")
+    assert said in printed.err
+
+
+def test_one_case_alone_is_told_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--directed", "--case", "0"]) == 0
+    assert "certified in" in capsys.readouterr().out
 
 
 def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:
