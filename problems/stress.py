@@ -4,19 +4,21 @@ Every case has to end in one of two ways: a certified, cleanly replayed optimum,
 Anything else, a warning, a NaN, a hang and the death of a worker included, is bad and makes the exit code 1.
 """
 
+import argparse
+import math
 import multiprocessing
 import os
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from time import monotonic
-from typing import Annotated
+from typing import NoReturn
 
-import typer
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
@@ -30,6 +32,7 @@ from transopt.errors import InputError
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
 START_S = 120.0  # for a worker to be there
+LAST_WORDS_S = 5.0  # between a closed pipe and an exit code
 READY = "ready"
 LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -61,12 +64,39 @@ def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]
 
 @dataclass
 class _Slot:
-    """One worker process and what it is at."""
+    """One worker process, the case that it has or gets as soon as it is ready, and until when it may be silent."""
 
     process: BaseProcess
     pipe: connection.Connection
     index: int
     deadline: float
+    started: bool = False
+    lost: bool = False
+
+    def give(self, index: int, case: StressCase, limit_s: float) -> None:
+        """Hand over a case; a worker that has just died shows when it is listened to."""
+        self.index, self.deadline = index, monotonic() + limit_s
+        with suppress(OSError):
+            self.pipe.send(case)
+
+    def hear(self, speaks: bool, limit_s: float) -> Outcome | str | None:
+        """`READY`, the outcome of its case, or None as long as it may be silent; a dead or late worker is lost."""
+        if speaks:
+            try:
+                said: Outcome | str = self.pipe.recv()
+            except (EOFError, OSError):
+                self.lost = True
+                self.process.join(LAST_WORDS_S)
+                when = "" if self.started else " while it started"
+                return _lost("bad: worker died", f"exit code {self.process.exitcode}{when}", limit_s)
+            self.started = True
+            return said
+        if monotonic() < self.deadline:
+            return None
+        self.lost = True
+        if self.started:
+            return _lost("bad: hang", f"no answer within {limit_s:g} s", limit_s)
+        return _lost("bad: worker did not start", f"not ready within {START_S:g} s", START_S)
 
 
 def run_cases(
@@ -77,7 +107,8 @@ def run_cases(
 ) -> Iterator[tuple[int, Outcome]]:
     """Judge every case in one of `jobs` processes; index and outcome, in the order in which they end.
 
-    A worker that takes longer than `limit_s` is killed and one that dies is replaced: both are outcomes.
+    A worker that takes longer than `limit_s`, or `START_S` to start, is killed and one that dies is replaced: all of
+    these are outcomes of the case that it had or was to get.
     """
     context = multiprocessing.get_context("spawn")
     waiting = list(range(len(cases)))[::-1]
@@ -88,10 +119,7 @@ def run_cases(
         process = context.Process(target=_worker, args=(theirs, judged), daemon=True)
         process.start()
         theirs.close()
-        # Starting Python is no part of the case.
-        if ours.poll(START_S) and ours.recv() == READY:
-            ours.send(cases[index])
-        return _Slot(process, ours, index, monotonic() + limit_s)
+        return _Slot(process, ours, index, monotonic() + START_S)
 
     try:
         while waiting or slots:
@@ -100,25 +128,17 @@ def run_cases(
             timeout = max(min(slot.deadline for slot in slots) - monotonic(), 0.0)
             ready = connection.wait([slot.pipe for slot in slots], timeout)
             for slot in list(slots):
-                index, found = slot.index, None
-                if slot.pipe in ready:
-                    try:
-                        found = slot.pipe.recv()
-                    except (EOFError, OSError):
-                        slot.process.join()
-                        code = slot.process.exitcode
-                        yield index, _lost("bad: worker died", f"exit code {code}", limit_s)
-                elif monotonic() >= slot.deadline:
-                    yield index, _lost("bad: hang", f"no answer within {limit_s:g} s", limit_s)
-                else:
-                    continue
-                if found is None or not waiting:
-                    slots.remove(slot)
-                    _end(slot)
-                else:
-                    slot.index, slot.deadline = waiting.pop(), monotonic() + limit_s
-                    slot.pipe.send(cases[slot.index])
-                if found is not None:
+                index, found = slot.index, slot.hear(slot.pipe in ready, limit_s)
+                if isinstance(found, str):
+                    # Only now does the case's own time begin: starting Python is no part of it.
+                    slot.give(index, cases[index], limit_s)
+                elif found is not None:
+                    if waiting and not slot.lost:
+                        following = waiting.pop()
+                        slot.give(following, cases[following], limit_s)
+                    else:
+                        slots.remove(slot)
+                        _end(slot)
                     yield index, found
     finally:
         for slot in slots:
@@ -157,18 +177,44 @@ def summary(cases: Sequence[StressCase], outcomes: dict[int, Outcome], command: 
     return table, lines
 
 
-def main(
-    cases: Annotated[int, typer.Option(min=1, help="Random cases.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random cases.")] = 1,
-    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
-    case: Annotated[int | None, typer.Option(min=0, help="Only the case of this index, in every detail.")] = None,
-    families: Annotated[
-        bool, typer.Option("--directed", help="The directed families in place of random cases.")
-    ] = False,
-    limit_s: Annotated[float, typer.Option(min=1.0, help="Seconds that one case may take.")] = LIMIT_S,
-) -> None:
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """In one line, as every error here."""
+        raise InputError(f"{message.removeprefix('argument ')}; see --help")
+
+
+def _at_least(lowest: int, kind: Callable[[str], float]) -> Callable[[str], float]:
+    def parsed(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = math.nan
+        if not lowest <= value < math.inf:
+            named = "a whole number" if kind is int else "a number"
+            raise argparse.ArgumentTypeError(f"{text} must be {named}, at least {lowest}")
+        return value
+
+    return parsed
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser("python -m problems.stress", description=main.__doc__, allow_abbrev=False)
+    parser.add_argument("--cases", type=_at_least(1, int), default=1000, help="random cases (1000)")
+    parser.add_argument("--seed", type=_at_least(0, int), default=1, help="of the random cases (1)")
+    parser.add_argument("--jobs", type=_at_least(1, int), default=os.cpu_count() or 1, help="worker processes")
+    parser.add_argument("--case", type=_at_least(0, int), help="only the case of this index, in every detail")
+    parser.add_argument("--directed", action="store_true", help="the directed families in place of random cases")
+    parser.add_argument(
+        "--limit-s", type=_at_least(1, float), default=LIMIT_S, help=f"seconds that one case may take ({LIMIT_S:g})"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Judge hard cases: each ends certified or refused by name, or the exit code is 1."""
-    chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(cases)]
+    options = _parser().parse_args(arguments)
+    families, seed, case = options.directed, options.seed, options.case
+    chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(options.cases)]
     command = "python -m problems.stress " + ("--directed" if families else f"--seed {seed}")
     console = terminal.console()
     if case is not None:
@@ -179,14 +225,14 @@ def main(
         console.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}", soft_wrap=True)
         if found.kind == CERTIFIED:
             console.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
-        raise typer.Exit(int(found.bad))
+        return int(found.bad)
     for variable in ONE_THREAD:
         os.environ.setdefault(variable, "1")
     outcomes: dict[int, Outcome] = {}
     columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("stress", total=len(chosen))
-        for index, outcome in run_cases(chosen, jobs, limit_s):
+        for index, outcome in run_cases(chosen, options.jobs, options.limit_s):
             outcomes[index] = outcome
             progress.advance(task)
             if not progress.console.is_terminal and len(outcomes) % LOG_EVERY == 0:
@@ -197,10 +243,8 @@ def main(
     console.print(table)
     for line in lines:
         console.print(line, soft_wrap=True)
-    raise typer.Exit(int(any(outcome.bad for outcome in outcomes.values())))
+    return int(any(outcome.bad for outcome in outcomes.values()))
 
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False)
-    app.command()(main)
-    terminal.run(app)
+    terminal.run(lambda: sys.exit(main()))

@@ -22,6 +22,13 @@ def _devices() -> Iterator[StressCase]:
     for mode in (1.0, 400.0, 35e3, 160e3):
         yield StressCase("defective", Device("defective", mode_Hz=mode))
     yield StressCase("defective", Device("defective", mode_Hz=0.0))
+    # 80 and 40 time constants in one tick: at the switching instants link and current cancel, down to rounding.
+    still = Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999)
+    light = Device("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3)
+    yield StressCase("defective", light, still, Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4))
+    heavy = Device("defective", stylus_kg=3.1e-3, mode_Hz=13.8e3, units=1e3)
+    coarse = Horizon(dt_s=4.4e-4, lead_s=5e-3, hand_over=1)
+    yield StressCase("defective", heavy, replace(still, delay_samples=1.0), coarse, Demand(rho=1e-12))
     for units in (1e-6, 1e-3, 1e3, 1e6):
         yield StressCase("units", Device(units=units), Current(limit_A=1.0))
     yield StressCase("input", Device(stylus_kg=0.0))

@@ -1,5 +1,7 @@
 """Whether any command meets all limits, decided by a linear program that shares no code with the solvers."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from scipy import optimize
 
@@ -7,25 +9,51 @@ from transopt.certify import inside
 from transopt.problem import TransientProblem
 
 MOST_STAGES = 700  # of the linear program
+LONGEST_S = 60.0  # of the linear program
 CLEARLY = 1e-4  # of the limits' width: room that no rounding of either method makes
+DECIDED = (0, 2)  # status of scipy's linprog: an optimum, or a proof that there is none
 
 
-def admits_a_command(problem: TransientProblem) -> str:
-    """What kind of command lies inside all limits; empty if none was found.
-
-    Doing nothing is tried first. Without the temperature, whose limit is no linear one, all commands are then
-    searched for the one that is farthest inside, with every stage's state as the sum of impulse responses.
+@dataclass(frozen=True)
+class Verdict:
+    """Attributes
+    ----------
+    way_out : what kind of command lies inside all limits; empty if none was found.
+    decided : whether the search was complete, so that an empty `way_out` means something.
     """
-    if problem.wall is None and inside(problem, np.zeros(problem.grid.stages)):
-        return "doing nothing keeps all limits"
-    if problem.thermal is not None or problem.grid.stages > MOST_STAGES:
-        return ""
+
+    way_out: str
+    decided: bool
+
+
+def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) -> Verdict:
+    """Whether a command lies inside all limits, as far as an independent method can tell.
+
+    Doing nothing is tried first. All commands are then searched for the one that is farthest inside, with every
+    stage's state as the sum of impulse responses. The temperature is no linear limit and stays undecided, unless the
+    other limits alone are asked about or the ripple alone, which any current adds to, is already too much.
+    """
+    if ignoring_heat:
+        problem = replace(problem, thermal=None)
+    nothing = np.zeros(problem.grid.stages)
+    if problem.wall is None and inside(problem, nothing):
+        return Verdict("doing nothing keeps all limits", decided=True)
+    if problem.thermal is not None:
+        return Verdict("", decided=not inside(problem, nothing, only="coil"))
+    if problem.grid.stages > MOST_STAGES:
+        return Verdict("", decided=False)
     room = _room(problem)
-    return f"a command keeps all limits with {room:.1e} of them to spare" if room > CLEARLY else ""
+    if room is None:
+        return Verdict("", decided=False)
+    way_out = f"a command keeps all limits with {room:.1e} of them to spare" if room > CLEARLY else ""
+    return Verdict(way_out, decided=True)
 
 
-def _room(problem: TransientProblem) -> float:
-    """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit."""
+def _room(problem: TransientProblem) -> float | None:
+    """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit.
+
+    Minus infinity if the hand-over cannot be met at all, None if the linear program ended without telling.
+    """
     N, limits, stage = problem.grid.stages, problem.limits, problem.stage
     unit = limits.command_bound_A
     motion = stage.motion(np.eye(N) * unit)
@@ -64,5 +92,8 @@ def _room(problem: TransientProblem) -> float:
         b_eq=asked / unit,
         bounds=[*[(-1.0, 1.0)] * N, (None, 1.0)],
         method="highs",
+        options={"time_limit": LONGEST_S},
     )
-    return float(found.x[-1]) if found.status == 0 and found.x is not None else -np.inf
+    if found.status not in DECIDED:
+        return None
+    return -np.inf if found.x is None else float(found.x[-1])

@@ -2,23 +2,27 @@
 
 import os
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain, repeat
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from problems.stress import run_cases, summary
-from problems.stress_cases import Current, Demand, Device, Horizon, StressCase
+from problems.stress import START_S, main, run_cases, summary
+from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
 from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A, directed, rescaled
 from problems.stress_judge import CERTIFIED, Outcome, judge, judge_design, played
-from problems.stress_oracle import admits_a_command
+from problems.stress_oracle import Verdict, admits_a_command
+from transopt import terminal
 from transopt.optimum import Designed, optimum
 from transopt.problem import Certificate, Limits, Status
 from transopt.solvers import SolverOptions, prove
 
 SATURATED = StressCase("saturated", current=Current(limit_A=SMALL_A), horizon=Horizon(stages=40))
+STARVED = StressCase("starved", current=Current(supply=0.01, limit_A=1.0))  # less than its back-EMF
 SHORT = 40  # stages, of the random cases that run here
 
 
@@ -146,10 +150,35 @@ class TestJudge:
             assert judge(SATURATED).kind == kind
 
     def test_the_oracle_sees_both_ways(self) -> None:
-        problem = SATURATED.problem()
-        assert admits_a_command(problem)
-        tight = StressCase("wall", current=Current(supply=0.01, limit_A=1.0), demand=Demand(speed_m_s=0.4))
-        assert not admits_a_command(tight.problem())
+        assert admits_a_command(SATURATED.problem()).way_out
+        assert admits_a_command(STARVED.problem()) == Verdict("", decided=True)
+
+    def test_a_claim_that_the_linear_program_cannot_decide_has_a_line_of_its_own(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        assert judge(STARVED).kind == "refused: INFEASIBLE"
+        monkeypatch.setattr("problems.stress_oracle.LONGEST_S", 0.0)
+        assert admits_a_command(STARVED.problem()) == Verdict("", decided=False)
+        assert judge(STARVED).kind == "refused: INFEASIBLE, unchecked"
+
+    def test_a_linear_limit_that_is_blamed_has_to_fail_without_the_temperature(self) -> None:
+        walled = StressCase("wall", horizon=Horizon(stages=SHORT), coil=Coil(), surface=Surface(200.0)).problem()
+        assert admits_a_command(walled) == Verdict("", decided=False)
+        assert "to spare" in admits_a_command(walled, ignoring_heat=True).way_out
+        found = optimum(walled, SolverOptions())
+        kinds = {}
+        for limit in ("current 0.5 A over its 0.3 A", "coil 0.5 K over its 100 C"):
+            refused = replace(found.solution, status=Status.INFEASIBLE)
+            claim = replace(found, solution=refused, remarks=[f"{limit} at 1.0 ms at the least; 0.8 would do, raise"])
+            kinds[limit[:4]] = judge_design(claim, played(found.problem, found.solution.command_A)).kind
+        assert kinds == {"curr": "bad: feasible after all", "coil": "refused: INFEASIBLE, unchecked"}
+
+    def test_no_current_heats_less_than_the_ripple(self) -> None:
+        warm = StressCase("start", horizon=Horizon(stages=SHORT), coil=Coil(below_K=1e-6)).problem()
+        assert warm.thermal is not None
+        model = replace(warm.thermal.model, headroom_K=np.full_like(warm.thermal.model.headroom_K, -1.0))
+        hot = replace(warm, thermal=replace(warm.thermal, model=model))
+        assert admits_a_command(hot) == Verdict("", decided=True)
 
 
 def hangs(case: StressCase) -> Outcome:
@@ -185,6 +214,67 @@ def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: st
     assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
     _, lines = summary(cases, outcomes, "python -m problems.stress")
     assert any("--case 1" in line for line in lines)
+
+
+@dataclass
+class Judging:
+    """A judge whose first worker ends while it starts, when it unpickles this."""
+
+    path: Path
+
+    def __call__(self, case: StressCase) -> Outcome:
+        return fine(case)
+
+    def __setstate__(self, state: dict[str, Path]) -> None:
+        self.path = state["path"]
+        if not self.path.exists():
+            self.path.touch()
+            os._exit(4)
+
+
+def test_the_runner_goes_on_after_a_worker_that_dies_while_it_starts(tmp_path: Path) -> None:
+    cases = [StressCase(name) for name in ("one", "two", "three")]
+    outcomes = dict(run_cases(cases, 1, 100.0, Judging(tmp_path / "started")))
+    assert [outcomes[index].kind for index in range(3)] == ["bad: worker died", CERTIFIED, CERTIFIED]
+    assert outcomes[0].detail == "exit code 4 while it started"
+
+
+def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock leaps past the deadline of the first worker, then stands still."""
+    readings = chain([0.0], repeat(2 * START_S))
+    monkeypatch.setattr("problems.stress.monotonic", lambda: next(readings))
+    cases = [StressCase(name) for name in ("one", "two", "three")]
+    outcomes = dict(run_cases(cases, 1, 100.0, fine))
+    assert [outcomes[index].kind for index in range(3)] == ["bad: worker did not start", CERTIFIED, CERTIFIED]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("--cases 0", "--cases: 0 must be a whole number, at least 1"),
+        ("--seed x", "--seed: x must be a whole number, at least 0"),
+        ("--seed 1.5", "--seed: 1.5 must be"),
+        ("--jobs -1", "--jobs: -1 must be"),
+        ("--limit-s 0", "--limit-s: 0 must be a number, at least 1"),
+        ("--limit-s nan", "--limit-s: nan must be"),
+        ("--directed --case 100000", "--case 100000: there are"),
+        ("--bogus", "--bogus"),
+    ],
+)
+def test_wrong_options_end_in_one_line(arguments: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        terminal.run(lambda: main(arguments.split()))
+    assert left.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("error: ")
+    assert said in printed.err
+
+
+def test_one_case_alone_is_told_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--directed", "--case", "0"]) == 0
+    assert "certified in" in capsys.readouterr().out
 
 
 def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:

@@ -7,12 +7,15 @@ import pytest
 from scipy import linalg
 
 from problems.stress_cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A
+from problems.stress_judge import played
+from transopt import optimum as optimum_module
 from transopt.certify import certify
 from transopt.errors import InputError
 from transopt.explain import unstable_wall
 from transopt.linear import wall_growth
-from transopt.optimum import optimum
+from transopt.optimum import Designed, optimum
 from transopt.parts import encoder_course, silence
 from transopt.problem import Status, TransientProblem
 from transopt.solvers import SolverOptions, is_stationary, solve
@@ -115,13 +118,68 @@ def test_taps_that_overlap_are_refused() -> None:
         StressCase("repeated", coil=Coil(below_K=20.0, tap_share=0.999)).problem()
 
 
+class TestWhatCancelsAtTheSwitchingInstants:
+    """A mass whose link decays 80 time constants within one tick: link and current forces leave only rounding."""
+
+    CASE = StressCase(
+        "defective",
+        Device("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3),
+        Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999),
+        Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4),
+    )
+
+    def test_is_held_to_its_rounding_and_no_more(self) -> None:
+        designed = optimum(self.CASE.problem(), SolverOptions())
+        problem, command = designed.problem, designed.solution.command_A
+        run, (predicted, current) = played(problem, command), problem.stage.rollout(command)
+        added = np.abs(problem.stage.plant.D[0, 0] * current).max()
+        assert np.abs(run.acceleration_m_s2).max() < 1e-14 * added
+        # Both forces are alike, and each of the two counts.
+        assert run.rounding_m_s2 == pytest.approx(16 * np.finfo(float).eps * 2 * added, rel=1e-6)
+        assert run.shortfalls(problem, command, predicted) == []
+        off = run.shortfalls(problem, command, predicted + 1.1 * run.rounding_m_s2)
+        assert len(off) == 1
+        assert "differs from the predicted" in off[0]
+
+    def test_is_no_part_of_a_plain_case(self) -> None:
+        problem = StressCase("plain", horizon=SHORT).problem()
+        run = played(problem, optimum(problem, SolverOptions()).solution.command_A)
+        assert run.scale_m_s2 == np.abs(run.acceleration_m_s2).max()
+        assert run.rounding_m_s2 < 1e-4 * 1e-6 * run.scale_m_s2
+
+
 def test_a_wall_that_grows_by_itself_is_named() -> None:
     shaky = StressCase("wall", Device(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
     assert wall_growth(shaky) > 1
     assert "latency_ticks (5)" in unstable_wall(shaky)
+    for surface, lower in (
+        (
+            Surface(1e5, 50.0, latency_ticks=0),
+            "lower feedback.stiffness_N_m (100000 N/m) or feedback.damping_N_s_m (50 N s/m)",
+        ),
+        (
+            Surface(0.0, 50.0, latency_ticks=5),
+            "lower feedback.damping_N_s_m (50 N s/m) or feedback.latency_ticks (5)",
+        ),
+    ):
+        remark = unstable_wall(StressCase("wall", Device(moving_kg=1e-4), surface=surface).problem())
+        assert remark.endswith(lower)
     calm = StressCase("wall", surface=Surface(200.0)).problem()
     assert wall_growth(calm) < 1
     assert unstable_wall(calm) == ""
+
+
+def test_a_wall_that_grows_by_itself_is_not_searched_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+    settled = optimum_module._settled
+
+    def counted(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+        searched.append(problem)
+        return settled(problem, options)
+
+    monkeypatch.setattr(optimum_module, "_settled", counted)
+    assert optimum(drawn(77, 723).problem(), SolverOptions()).solution.status is Status.UNSTABLE_WALL
+    assert len(searched) == 1
 
 
 def test_silence_over_a_wall_is_the_walls_own_command() -> None:

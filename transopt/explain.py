@@ -72,11 +72,13 @@ def unstable_wall(problem: TransientProblem) -> str:
     wall, growth = problem.wall.wall, wall_growth(problem)
     if growth <= 1 + GROWS:
         return ""
-    return (
-        f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower "
-        f"feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} "
-        f"N s/m) or feedback.latency_ticks ({wall.latency_ticks})"
+    keys = (
+        ("feedback.stiffness_N_m", wall.stiffness_N_m, " N/m"),
+        ("feedback.damping_N_s_m", wall.damping_N_s_m, " N s/m"),
+        ("feedback.latency_ticks", wall.latency_ticks, ""),
     )
+    lower = " or ".join(f"{key} ({value:g}{unit})" for key, value, unit in keys if value > 0)
+    return f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower {lower}"
 
 
 def unavoidable(problem: TransientProblem) -> list[str]:

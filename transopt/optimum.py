@@ -65,6 +65,9 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
         if settled or designed.remarks:
             return designed
         first = designed if first is None else first
+        if not designed.is_proven and unstable_wall(problem):
+            # The other course meets the same wall: as long a search, and no proof either.
+            break
     assert first is not None
     return _explained(first, options)
 

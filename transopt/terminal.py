@@ -2,6 +2,7 @@
 
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import typer
@@ -33,10 +34,12 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
 
 
-def run(app: typer.Typer) -> None:
+def run(app: Callable[[], object]) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback."""
     try:
         app()
     except InputError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)
