@@ -6,7 +6,8 @@
     python scripts/constraint_study.py --study NAME|all --out DIR
 
 One row per solve in DIR/rows.csv, report.md and a figure beside it. A run that was stopped or killed goes on with the
-same command. Exit codes: 0 done, 1 nothing certified or no such value, 2 bad input, 130 stopped.
+same command. Exit codes: 0 done, 1 nothing certified, a row that is neither certified nor refused for a stated cause, or
+no such value, 2 bad input, 130 stopped.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from study_axes import Plan, apply_settings, parse_axis, parse_numbers
 from study_figures import axis_label, question_figure, study_figure
 from study_inverse import parse_question
 from study_report import answer_markdown, provenance, study_markdown, summary, write_report
+from study_rows import exit_code
 from study_run import Pool, executor_pool
 from study_session import run_plan, run_question
 
@@ -138,7 +140,7 @@ def vary(arguments: argparse.Namespace, scene: Scene, pool: Pool, command: str) 
     write_report(study_markdown(plan, rows, "nrmse.png", head), arguments.out)
     print(summary(rows))
     print(f"{arguments.out}: rows.csv, nrmse.png, report.md")
-    return 0 if any(row["status"] == "OPTIMAL" for row in rows) else 1
+    return exit_code(rows)
 
 
 def solve_for(arguments: argparse.Namespace, scene: Scene, pool: Pool, command: str) -> int:

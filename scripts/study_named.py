@@ -24,7 +24,7 @@ from study_offnode import (
     spacing_study,
 )
 from study_report import provenance, refusal_lines, study_markdown, summary
-from study_rows import Row, line
+from study_rows import Row, exit_code, line
 from study_run import Pool
 from study_session import run_plan
 from writing import table, write_text
@@ -176,7 +176,7 @@ class Written:
     figure: Figure
     report: Callable[[list[str]], str]
     finding: str
-    certified: bool
+    code: int
 
 
 def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
@@ -188,7 +188,7 @@ def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> W
         study.figure(plan, rows),
         lambda head: study_markdown(plan, rows, f"{name}.png", [*head, finding, ""]),
         finding,
-        certified,
+        exit_code(rows),
     )
 
 
@@ -210,7 +210,7 @@ def _off_node(name: str, scene: Scene, folder: Path) -> Written:
     ]
     finding = say(found)
     return Written(
-        draw(found), lambda head: "\n".join([f"# {scene.name}: {name}", "", *head, finding, "", *body]), finding, True
+        draw(found), lambda head: "\n".join([f"# {scene.name}: {name}", "", *head, finding, "", *body]), finding, 0
     )
 
 
@@ -218,12 +218,12 @@ def _motors(name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
     found = motor_selection(scene, folder, pool)
     for stem, page in found.pages().items():
         save_figure(page, folder / f"{stem}.png")
-    refused = refusal_lines([row for _, rows in found.studies.values() for row in rows])
+    rows = [row for _, own in found.studies.values() for row in own]
     return Written(
         found.figure(),
-        lambda head: "\n".join([*found.report(f"{name}.png", head), *refused]),
+        lambda head: "\n".join([*found.report(f"{name}.png", head), *refusal_lines(rows)]),
         found.sentence(),
-        bool(found.ranked()),
+        exit_code(rows) if found.ranked() else 1,
     )
 
 
@@ -250,4 +250,4 @@ def write(name: str, scene: Scene, out: Path, pool: Pool, figures: Path | None) 
         figures.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(folder / f"{name}.png", figures / f"{name}.png")
     print(f"{name}: {written.finding}")
-    return 0 if written.certified else 1
+    return written.code
