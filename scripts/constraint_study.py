@@ -6,8 +6,8 @@
     python scripts/constraint_study.py --study NAME|all --out DIR
 
 One row per solve in DIR/rows.csv, report.md and a figure beside it. A run that was stopped or killed goes on with the
-same command. Exit codes: 0 done, 1 nothing certified, a row that is neither certified nor refused for a stated cause, or
-no such value, 2 bad input, 130 stopped.
+same command. Exit codes: 0 done, 1 nothing certified, a row that is neither certified nor refused for a stated cause,
+or no such value, 2 bad input, 130 stopped.
 """
 
 import argparse

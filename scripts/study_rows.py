@@ -34,8 +34,8 @@ OUTCOME = [field.name for field in fields(Outcome) if field.name != "index"]
 TIMES = ("solve_ms", "total_ms")  # the columns that differ from run to run
 SCHEMA = 1
 OPTIMAL = Status.OPTIMAL.name
-# What a study may well come upon when it varies a scene: the row says that there is no such optimum, and why. Any other
-# status but OPTIMAL is a solver or a proof that fell short.
+# What a study may well come upon when it varies a scene: the row says that there is no such optimum, and why. Any
+# other status but OPTIMAL is a solver or a proof that fell short.
 REFUSALS = {
     REFUSED,
     *(
