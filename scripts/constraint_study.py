@@ -83,8 +83,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--study", choices=[*study_named.STUDIES, "all"], help="a named study")
     made.add_argument("--figures", type=Path, help="folder for copies of the figures of named studies")
     made.add_argument("--list-keys", action="store_true", help="keys, units, defaults")
-    made.add_argument("--executor", default="processes", help="processes, serial or dask://HOST:PORT")
-    made.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    made.add_argument("--executor", help="processes (the default), serial or dask://HOST:PORT")
+    made.add_argument("--jobs", type=int, help="processes; default: one per core")
     made.add_argument("--out", type=Path, help="folder for everything that is written")
     return made
 
@@ -107,6 +107,8 @@ def check_together(arguments: argparse.Namespace) -> None:
         raise InputError("--vary: nothing is varied; --list-keys shows what can be, --study has ready ones")
     if arguments.study and (arguments.vary or arguments.set or arguments.speed or arguments.grip):
         raise InputError("--study: a named study says itself what is varied; leave the other options out")
+    if arguments.study in study_named.OFF_NODE and (arguments.executor is not None or arguments.jobs is not None):
+        raise InputError(f"--study {arguments.study}: solves in this process: leave --executor and --jobs out")
     if arguments.sample is not None and arguments.sample < 1:
         raise InputError(f"--sample {arguments.sample}: must be at least 1")
     if arguments.seed < 0:
@@ -165,7 +167,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     check_together(arguments)
     scene = apply_settings(load(arguments.scene), arguments.set)
     make_folder(arguments.out)
-    pool = executor_pool(arguments.executor, arguments.jobs)
+    jobs = (os.cpu_count() or 1) if arguments.jobs is None else arguments.jobs
+    pool = executor_pool(arguments.executor or "processes", jobs)
     with contextlib.closing(pool):
         if arguments.study:
             names = list(study_named.STUDIES) if arguments.study == "all" else [arguments.study]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from tests.study_bench import plain, serial, short_scene
+from tests.study_bench import plain, read, serial, short_scene
 from transopt.errors import InputError
 from transopt.scene import Scene
 
@@ -179,7 +179,12 @@ class TestNamed:
         assert study.study_report.percent(float(worst[0].max())) in said or f"{100 * worst[0, 0].max():.2f}" in said
 
     def test_blind_grip(self, study: Any, short: Scene) -> None:
-        found = study.study_offnode.mismatch(short, (0.2,), (1.0, 3.0))
+        found, optima = study.study_offnode.mismatch(short, (0.2,), (1.0, 3.0))
+        assert [(one.speed_m_s, one.grip_N, one.status) for one in optima] == [
+            (0.2, 1.0, "OPTIMAL"),
+            (0.2, 3.0, "OPTIMAL"),
+        ]
+        assert all(0 <= one.relative_gap < 1e-6 for one in optima)
         own = {(p.made_for_N, p.played_at_N): p for p in found}
         assert len(own) == 4
         assert all(own[F, F].excess == 0 for F in (1.0, 3.0))
@@ -188,7 +193,7 @@ class TestNamed:
         assert "at 1 N" in study.study_offnode.mismatch_sentence(found)
 
     def test_finer_grids_err_less(self, study: Any, short: Scene) -> None:
-        found = study.study_offnode.spacing(
+        found, optima = study.study_offnode.spacing(
             "default",
             short,
             grip_spacings_N=(4.0, 2.0),
@@ -201,6 +206,26 @@ class TestNamed:
             wide, fine = (s for s in found if s.axis == axis)
             assert [wide.nodes, fine.nodes] == nodes
             assert wide.worst > fine.worst > 0
+        assert len({(one.speed_m_s, one.grip_N) for one in optima}) == len(optima) > 10
+        assert study.study_offnode.proven_sentence(optima).startswith(f"{len(optima)} of {len(optima)} optima")
+
+    def test_off_node_study_counts_its_certificates(
+        self, study: Any, short: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """One optimum of two loses its certificate: rows, report and exit code say so."""
+        named, offnode = study.study_named, study.study_offnode
+
+        def measure(scene: Scene) -> Any:
+            found, optima = offnode.mismatch(scene, (0.2,), (1.0, 3.0, 5.0))
+            return found, [replace(optima[0], status="NOT_CERTIFIED"), *optima[1:]]
+
+        monkeypatch.setitem(named.OFF_NODE, "grip_mismatch", (measure, *named.OFF_NODE["grip_mismatch"][1:]))
+        assert named.write("grip_mismatch", short, tmp_path, serial(study), None) == 1
+        rows = read(tmp_path / "grip_mismatch" / "rows.csv")
+        assert [row["status"] for row in rows] == ["NOT_CERTIFIED", "OPTIMAL", "OPTIMAL"]
+        assert float(rows[1]["relative_gap"]) < 1e-6
+        assert len(read(tmp_path / "grip_mismatch" / "grip_mismatch.csv")) == 9
+        assert "2 of 3 optima certified" in (tmp_path / "grip_mismatch" / "report.md").read_text(encoding="utf-8")
 
     def test_motors(self, study: Any, short: Scene, tmp_path: Path) -> None:
         motors = study.study_motors
