@@ -108,6 +108,40 @@ class TestCommandLine:
         assert error in said
         assert said.count("\n") == 1
 
+    @pytest.mark.parametrize(
+        ("words", "error"),
+        [
+            (["--study", "lead", "--sample", "3"], "a named study says itself what is varied"),
+            (["--study", "lead", "--full"], "a named study says itself what is varied"),
+            (["--study", "lead", "--seed", "3"], "a named study says itself what is varied"),
+            (["--study", "nope"], "invalid choice: 'nope'"),
+            (["--study", "grip_mismatch", "--jobs", "2"], "--study grip_mismatch: solves in this process"),
+            (["--study", "grid_spacing", "--executor", "serial"], "--study grid_spacing: solves in this process"),
+            (
+                ["--vary", "limits.beta=2,3", "--jobs", "-2", "--executor", "serial"],
+                "--jobs -2: only with --executor",
+            ),
+            (["--vary", "limits.beta=2,3", "--jobs", "-2"], "--jobs -2: must be at least 1"),
+            (["--vary", "limits.beta=2,3", "--figures", "here"], "--figures: only with --study"),
+            (["--vary", "limits.beta=2,3", "--seed", "3"], "--seed 3: only with --sample"),
+            (["--vary", "limits.beta=2,3", "--sample", "three"], "argument --sample: invalid int value: 'three'"),
+            (["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--full"], "not together with --full"),
+            (
+                ["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--seed", "2"],
+                "not together with --full",
+            ),
+        ],
+    )
+    def test_options_that_would_be_ignored_are_refused(
+        self, study: Any, words: list[str], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert study.constraint_study.main([*words, "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ")
+        assert error in said
+        assert said.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
     def test_everything_refused_is_a_shortfall(self, study: Any, scene_file: Path, tmp_path: Path) -> None:
         words = [str(scene_file), "--vary", "limits.current_A=50,60", "--speed", "0.4", "--grip", "5"]
         assert study.constraint_study.main([*words, "--executor", "serial", "--out", str(tmp_path / "out")]) == 1
