@@ -182,6 +182,16 @@ def make_case(name: str, scene: Scene, problem: TransientProblem, speed_m_s: flo
     return Case(name, scene, speed_m_s, grip_N, problem, small, optimum, binding, qp)
 
 
+def check_name(name: str) -> None:
+    """
+    Raises
+    ------
+    InputError : no such scene.
+    """
+    if name not in SCENES:
+        raise InputError(f"--case {name}: unknown; choose one of {', '.join(SCENES)}")
+
+
 def case_of_scene(name: str) -> Case:
     """The entry of a scene that its limits cost most: in all four that of the fastest tap and the firmest grip.
 
@@ -189,8 +199,7 @@ def case_of_scene(name: str) -> Case:
     ------
     InputError : no such scene. DisagreementError : no reference solution.
     """
-    if name not in SCENES:
-        raise InputError(f"--case {name}: unknown; choose one of {', '.join(SCENES)}")
+    check_name(name)
     scene = load_scene(problems.scene_path(name))
     speed, grip = scene.grid.speeds_m_s[-1], scene.grid.grips_N[-1]
     reference = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)[-1]

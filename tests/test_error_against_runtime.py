@@ -254,6 +254,7 @@ class TestCommand:
         [
             (["--out", "file"], "--out file: cannot be written"),
             ([], "nothing to do: state --out DIR, --dump DIR or both"),
+            (["--out", "out", "--figure", "e5.xyz"], "--figure e5.xyz: a PNG is written"),
         ],
     )
     def test_refusals(self, run: Any, arguments: list[str], words: str) -> None:
@@ -263,8 +264,11 @@ class TestCommand:
         assert words in err
 
     def test_an_unknown_case_is_refused(self, scripts: Any, tmp_path: Path, capsys: Any) -> None:
-        assert scripts.error_against_runtime.main(["--out", str(tmp_path), "--case", "wood"]) == 2
+        out = tmp_path / "out"
+        given = ["--out", str(out), "--case", "hot_coil", "--case", "wood"]
+        assert scripts.error_against_runtime.main(given) == 2
         assert "--case wood: unknown; choose one of wood_on_foam" in capsys.readouterr().err
+        assert not out.exists()
 
     def test_what_failed_is_named_in_the_figure(
         self, scripts: Any, short_case: Any, rows_of: Any, user_file: Any
