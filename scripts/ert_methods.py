@@ -84,6 +84,11 @@ class Method:
     prepare: Callable[[Case, Setting], Prepared]
 
 
+def error_line(error: BaseException) -> str:
+    """Type and first line of an error."""
+    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:100]}"
+
+
 def failed(case: Case, status: str) -> Answer:
     """No command."""
     return Answer(np.full(case.problem.grid.stages, np.nan), status)

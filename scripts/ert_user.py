@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ert_methods import NONE, Level, Method, Setting, sweep
+from ert_methods import NONE, Level, Method, Setting, error_line, sweep
 from ert_qp import QP
 from ert_wheels import Point, Solve, qp_method
 
@@ -54,7 +54,7 @@ def user_method(path: Path) -> Method:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise InputError(f"--method {path}: does not run ({type(error).__name__}: {_line(error)})") from None
+        raise InputError(f"--method {path}: does not run ({error_line(error)})") from None
     solve = getattr(module, "solve", None)
     if not callable(solve):
         raise InputError(f"--method {path}: defines no function solve(qp)")
@@ -76,8 +76,3 @@ def user_method(path: Path) -> Method:
         return lambda: _point(solve(qp, **chosen), qp)
 
     return qp_method(path.stem, "user's", settings, build)
-
-
-def _line(error: BaseException) -> str:
-    """The first line of an error's text."""
-    return (str(error).splitlines() or [""])[0][:120]
