@@ -34,6 +34,10 @@ class DisagreementError(Exception):
     """Two methods that ought to find the same optimum do not: nothing can be compared with it."""
 
 
+def reference_label(method: str, tolerance: float) -> str:
+    return f"{method} at {tolerance:g}"
+
+
 @dataclass(frozen=True)
 class Optimum:
     """The reference solution of one case.
@@ -54,6 +58,10 @@ class Optimum:
     agreement: float
     apart_A: float
     certificate: Certificate
+
+    def is_reference(self, method: str, tolerance: float) -> bool:
+        """Whether this method at this tolerance is one of the two, so that its error is no measurement."""
+        return reference_label(method, tolerance) in (self.found_by, self.confirmed_by)
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,7 @@ def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) ->
     outside = max(
         judge(problem, answer.command_A, value).violation for answer, value in zip(answers, values, strict=True)
     )
-    labels = [f"{options.solver} at {options.tolerance:g}" for options in (first, second)]
+    labels = [reference_label(options.solver, options.tolerance) for options in (first, second)]
     # Written so that a NaN is no agreement.
     if not max(agreement, outside) <= AGREEMENT:
         raise DisagreementError(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from ert_cases import FAILED, Case, Verdict, judge, replayed_nrmse
-from ert_methods import TIME_LIMIT_S, Answer, Method, Prepared, Setting, error_line, failed, forget
+from ert_methods import TIME_LIMIT_S, Answer, Kind, Method, Prepared, Setting, error_line, failed, forget
 from measuring import elapsed_ms, take_turns, threads
 
 from transopt import transcribe
@@ -27,6 +27,7 @@ class Row:
     setup_ms : what is done once per shape. solve_ms, q25_ms, q75_ms : median and quartiles of `runs`, from cold.
     gap, violation, error : `ert_cases.Verdict`, relative. nrmse_excess : NRMSE after replay less the reference's.
     certificate : relative duality gap by the method's own multipliers; NaN where it gives none.
+    reference : one of the two that the error is measured from: that it has none, or almost none, says nothing.
     """
 
     case: str
@@ -49,6 +50,7 @@ class Row:
     nrmse_excess: float
     error: float
     certificate: float
+    reference: bool = False
 
 
 @dataclass(frozen=True)
@@ -193,5 +195,6 @@ def _row(attempt: Attempt, answer: Answer, times_ms: FloatArray, excess: float) 
         nrmse_excess=float("inf") if verdict is FAILED else float(excess),
         error=verdict.error,
         certificate=certificate,
+        reference=method.kind is Kind.SOLVER and case.optimum.is_reference(method.name, setting.tolerance),
         **time_columns(times_ms, attempt.setup_ms),
     )

@@ -86,6 +86,18 @@ class TestJudge:
         assert "nothing to compare with" in line
         assert "\n" not in line
 
+    def test_the_reference_methods_are_marked_as_such(self, scripts: Any, short_case: Any, rows_of: Any) -> None:
+        """And no other: neither another tolerance of the same solver nor another solver at the same."""
+        names = ("casadi-piqp", "casadi-ipopt", "casadi-fatrop")
+        rows = rows_of(*(m for m in scripts.ert_methods.project_methods() if m.name in names))
+        marked = {(row.method, row.tolerance) for row in rows if row.reference}
+        assert marked == {("casadi-piqp", 1e-12), ("casadi-ipopt", 1e-12)}
+        assert all(row.certificate < 1e-9 for row in rows if row.reference)
+        (line,) = (one for one in scripts.ert_report.summaries_of([short_case], rows) if "casadi-piqp | high" in one)
+        assert line.endswith("| reference |")
+        (other,) = (one for one in scripts.ert_report.summaries_of([short_case], rows) if "casadi-piqp | def" in one)
+        assert "reference" not in other
+
 
 class TestServoRates:
     def test_a_held_command_is_the_same_at_any_rate(self, scripts: Any, short_case: Any) -> None:
