@@ -2,6 +2,7 @@
 
 import csv
 import math
+import signal
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import STAGES
+from transopt.errors import InputError
 from transopt.problem import TransientProblem
 from transopt.scene import Scene
 from transopt.solvers import SolverOptions, solve
@@ -281,6 +283,34 @@ class TestCommand:
         assert scripts.error_against_runtime.main(given) == 2
         assert "--case wood: unknown; choose one of wood_on_foam" in capsys.readouterr().err
         assert not out.exists()
+
+    @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm")
+    @pytest.mark.parametrize(
+        "hang",
+        [
+            "    while True:\n        pass\n",
+            "    while True:\n        try:\n            sum(range(9))\n        except Exception:\n            pass\n",
+        ],
+    )
+    def test_a_method_that_hangs_is_cut_and_has_failed(
+        self, scripts: Any, rows_of: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch, hang: str
+    ) -> None:
+        monkeypatch.setattr(scripts.ert_user, "TIME_LIMIT_S", 0.01)
+        before = signal.getsignal(signal.SIGALRM)
+        method = scripts.ert_user.user_method(user_file(f"def solve(qp):\n{hang}"))
+        (row,) = rows_of(method)
+        assert row.status == "TimeoutError: time limit of 0.01 s"
+        assert math.isinf(row.error)
+        assert signal.getsignal(signal.SIGALRM) is before
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+    @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm")
+    def test_a_file_that_hangs_is_refused(
+        self, scripts: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(scripts.ert_user, "TIME_LIMIT_S", 0.01)
+        with pytest.raises(InputError, match=r"mine.py: does not run \(TimeoutError: time limit of 0.01 s\)"):
+            scripts.ert_user.user_method(user_file("while True:\n    pass\n"))
 
     def test_what_failed_is_named_in_the_figure(
         self, scripts: Any, short_case: Any, rows_of: Any, user_file: Any
