@@ -6,7 +6,8 @@
     python scripts/constraint_study.py --study NAME|all --out DIR
 
 One row per solve in DIR/rows.csv, report.md and a figure beside it. A run that was stopped or killed goes on with the
-same command. Exit codes: 0 done, 1 nothing certified or no such value, 2 bad input, 130 stopped.
+same command. Exit codes: 0 done, 1 nothing certified, a row that is neither certified nor refused for a stated cause,
+or no such value, 2 bad input, 130 stopped.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import study_named
 from rich.table import Table
@@ -24,6 +26,7 @@ from study_axes import Plan, apply_settings, parse_axis, parse_numbers
 from study_figures import axis_label, question_figure, study_figure
 from study_inverse import parse_question
 from study_report import answer_markdown, provenance, study_markdown, summary, write_report
+from study_rows import exit_code
 from study_run import Pool, executor_pool
 from study_session import run_plan, run_question
 
@@ -61,10 +64,15 @@ def key_table(scene: Scene) -> Table:
     return table
 
 
-def parser() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(
-        description="What constraints cost: certified optima over any keys of a scene.", allow_abbrev=False
-    )
+class Parser(argparse.ArgumentParser):
+    """One line for what cannot be understood, not the usage of every option."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; --help shows all options")
+
+
+def parser() -> Parser:
+    made = Parser(description="What constraints cost: certified optima over any keys of a scene.", allow_abbrev=False)
     made.add_argument("scene", nargs="?", default=SCENE, help="built-in name or path of a .toml file")
     made.add_argument(
         "--vary", action="append", default=[], metavar="KEY=VALUES", help="V1,V2,... or START:STOP:COUNT"
@@ -73,7 +81,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--speed", metavar="VALUES", help="speeds of the entries [m/s]; default: of the scene")
     made.add_argument("--grip", metavar="VALUES", help="grips of the entries [N]; default: of the scene")
     made.add_argument("--sample", type=int, metavar="N", help="a Latin hypercube of N points, not all combinations")
-    made.add_argument("--seed", type=int, default=1, help="of the sample")
+    made.add_argument("--seed", type=int, metavar="N", help="of the sample; default: 1")
     made.add_argument("--full", action="store_true", help="baselines and prices of the limits too (3 times as long)")
     made.add_argument("--require", action="append", default=[], metavar="MEASURE<=NUMBER")
     made.add_argument("--solve-for", metavar="KEY=LOW:HIGH[:TOLERANCE]", help="the least value that meets --require")
@@ -81,8 +89,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--study", choices=[*study_named.STUDIES, "all"], help="a named study")
     made.add_argument("--figures", type=Path, help="folder for copies of the figures of named studies")
     made.add_argument("--list-keys", action="store_true", help="keys, units, defaults")
-    made.add_argument("--executor", default="processes", help="processes, serial or dask://HOST:PORT")
-    made.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    made.add_argument("--executor", help="processes (the default), serial or dask://HOST:PORT")
+    made.add_argument("--jobs", type=int, help="processes; default: one per core")
     made.add_argument("--out", type=Path, help="folder for everything that is written")
     return made
 
@@ -103,11 +111,24 @@ def check_together(arguments: argparse.Namespace) -> None:
         raise InputError("--solve-for: not together with --vary, --sample or --study; --set fixes other keys")
     if not inverse and not arguments.vary and not arguments.study:
         raise InputError("--vary: nothing is varied; --list-keys shows what can be, --study has ready ones")
-    if arguments.study and (arguments.vary or arguments.set or arguments.speed or arguments.grip):
+    if inverse and (arguments.full or arguments.seed is not None):
+        raise InputError("--solve-for: not together with --full or --seed, which belong to --vary")
+    sampled = arguments.sample is not None or arguments.seed is not None
+    if arguments.study and (
+        arguments.vary or arguments.set or arguments.speed or arguments.grip or sampled or arguments.full
+    ):
         raise InputError("--study: a named study says itself what is varied; leave the other options out")
+    if arguments.study in study_named.OFF_NODE and (arguments.executor is not None or arguments.jobs is not None):
+        raise InputError(f"--study {arguments.study}: solves in this process: leave --executor and --jobs out")
+    if arguments.figures is not None and not arguments.study:
+        raise InputError("--figures: only with --study, which has figures to copy; others are written to --out")
+    if arguments.jobs is not None and arguments.executor not in (None, "processes"):
+        raise InputError(f"--jobs {arguments.jobs}: only with --executor processes, not {arguments.executor}")
     if arguments.sample is not None and arguments.sample < 1:
         raise InputError(f"--sample {arguments.sample}: must be at least 1")
-    if arguments.seed < 0:
+    if arguments.seed is not None and arguments.sample is None:
+        raise InputError(f"--seed {arguments.seed}: only with --sample, which draws by it")
+    if arguments.seed is not None and arguments.seed < 0:
         raise InputError(f"--seed {arguments.seed}: must be 0 or more")
 
 
@@ -129,7 +150,7 @@ def vary(arguments: argparse.Namespace, scene: Scene, pool: Pool, command: str) 
         speeds,
         grips,
         sample=arguments.sample,
-        seed=arguments.seed,
+        seed=1 if arguments.seed is None else arguments.seed,
         rivals=arguments.full,
     )
     rows = run_plan(plan, arguments.out, pool)
@@ -138,7 +159,7 @@ def vary(arguments: argparse.Namespace, scene: Scene, pool: Pool, command: str) 
     write_report(study_markdown(plan, rows, "nrmse.png", head), arguments.out)
     print(summary(rows))
     print(f"{arguments.out}: rows.csv, nrmse.png, report.md")
-    return 0 if any(row["status"] == "OPTIMAL" for row in rows) else 1
+    return exit_code(rows)
 
 
 def solve_for(arguments: argparse.Namespace, scene: Scene, pool: Pool, command: str) -> int:
@@ -162,9 +183,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         return 0
     check_together(arguments)
     scene = apply_settings(load(arguments.scene), arguments.set)
-    make_folder(arguments.out)
-    pool = executor_pool(arguments.executor, arguments.jobs)
+    jobs = (os.cpu_count() or 1) if arguments.jobs is None else arguments.jobs
+    pool = executor_pool(arguments.executor or "processes", jobs)
     with contextlib.closing(pool):
+        make_folder(arguments.out)
         if arguments.study:
             names = list(study_named.STUDIES) if arguments.study == "all" else [arguments.study]
             return max(study_named.write(name, scene, arguments.out, pool, arguments.figures) for name in names)

@@ -4,8 +4,9 @@
 
 Writes work_precision.png, error_against_runtime.md and rows.csv into --out: four minutes of one core, one with
 --quick. --method adds the curve of your own solve(qp) (see `ert_qp.QP`), which may take a second argument, tolerance,
-and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}). --dump writes the QPs as NPZ, to be used without
-this project.
+and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}); a run of it is cut at ten seconds and has failed,
+unless it hangs inside native code, or on Windows, where nothing can cut it. --dump writes the QPs as NPZ, to be used
+without this project.
 """
 
 import argparse
@@ -15,7 +16,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ert_cases import SCENES, Case, DisagreementError, case_of_scene
+from ert_cases import SCENES, Case, DisagreementError, case_of_scene, check_name
 from ert_figure import save_small, work_precision
 from ert_methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
 from ert_periods import measure_periods
@@ -104,7 +105,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is None and arguments.dump is None:
         raise InputError("nothing to do: state --out DIR, --dump DIR or both")
     names = list(dict.fromkeys(arguments.case or SCENES))
+    for name in names:
+        check_name(name)
     users = [user_method(path) for path in arguments.method or []]
+    if arguments.figure is not None and arguments.figure.suffix.lower() != ".png":
+        raise InputError(f"--figure {arguments.figure}: a PNG is written: give it the suffix .png")
     if arguments.figure is not None and not arguments.figure.parent.is_dir():
         raise InputError(f"--figure {arguments.figure}: no such folder")
     for folder in (arguments.out, arguments.dump):

@@ -34,6 +34,10 @@ class DisagreementError(Exception):
     """Two methods that ought to find the same optimum do not: nothing can be compared with it."""
 
 
+def reference_label(method: str, tolerance: float) -> str:
+    return f"{method} at {tolerance:g}"
+
+
 @dataclass(frozen=True)
 class Optimum:
     """The reference solution of one case.
@@ -54,6 +58,10 @@ class Optimum:
     agreement: float
     apart_A: float
     certificate: Certificate
+
+    def is_reference(self, method: str, tolerance: float) -> bool:
+        """Whether this method at this tolerance is one of the two, so that its error is no measurement."""
+        return reference_label(method, tolerance) in (self.found_by, self.confirmed_by)
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,7 @@ def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) ->
     outside = max(
         judge(problem, answer.command_A, value).violation for answer, value in zip(answers, values, strict=True)
     )
-    labels = [f"{options.solver} at {options.tolerance:g}" for options in (first, second)]
+    labels = [reference_label(options.solver, options.tolerance) for options in (first, second)]
     # Written so that a NaN is no agreement.
     if not max(agreement, outside) <= AGREEMENT:
         raise DisagreementError(
@@ -182,6 +190,16 @@ def make_case(name: str, scene: Scene, problem: TransientProblem, speed_m_s: flo
     return Case(name, scene, speed_m_s, grip_N, problem, small, optimum, binding, qp)
 
 
+def check_name(name: str) -> None:
+    """
+    Raises
+    ------
+    InputError : no such scene.
+    """
+    if name not in SCENES:
+        raise InputError(f"--case {name}: unknown; choose one of {', '.join(SCENES)}")
+
+
 def case_of_scene(name: str) -> Case:
     """The entry of a scene that its limits cost most: in all four that of the fastest tap and the firmest grip.
 
@@ -189,8 +207,7 @@ def case_of_scene(name: str) -> Case:
     ------
     InputError : no such scene. DisagreementError : no reference solution.
     """
-    if name not in SCENES:
-        raise InputError(f"--case {name}: unknown; choose one of {', '.join(SCENES)}")
+    check_name(name)
     scene = load_scene(problems.scene_path(name))
     speed, grip = scene.grid.speeds_m_s[-1], scene.grid.grips_N[-1]
     reference = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)[-1]

@@ -84,6 +84,11 @@ class Method:
     prepare: Callable[[Case, Setting], Prepared]
 
 
+def error_line(error: BaseException) -> str:
+    """Type and first line of an error."""
+    return f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:100]}"
+
+
 def failed(case: Case, status: str) -> Answer:
     """No command."""
     return Answer(np.full(case.problem.grid.stages, np.nan), status)
@@ -124,7 +129,8 @@ def _project(solver: str) -> Method:
             return []
         least = casadi_fatrop.LEAST_NLP_TOLERANCE if solver == "casadi-fatrop" and case.qp is None else 0.0
         usual, tightest = max(SolverOptions().tolerance, least), max(TIGHTEST, least)
-        default = Setting(f"tolerance {usual:g}, the project's default", usual, Level.DEFAULT)
+        what = "the default tolerance" if usual == SolverOptions().tolerance else "the least that it takes here"
+        default = Setting(f"tolerance {usual:g}, {what}", usual, Level.DEFAULT)
         others = [tolerance for tolerance in LOOSER if tolerance > usual]
         return [default, *sweep("", [*others, tightest], tightest, "tolerance")[1:]]
 

@@ -1,14 +1,13 @@
 """The same tap at other servo periods: another problem each, judged on one fine grid in continuous time."""
 
-import time
 from collections.abc import Sequence
 from importlib import metadata
 
 import numpy as np
 from ert_cases import Case
 from ert_methods import Kind, Level
-from ert_run import Effort, Row
-from measuring import elapsed_ms, take_turns, threads
+from ert_run import Effort, Row, set_up_and_run_ms, time_columns
+from measuring import take_turns
 
 from problems.simulate import recordings
 from transopt.design import entry_problem, scene_stage
@@ -55,18 +54,14 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
     options = SolverOptions(capable(case.small)[0])
     answers, setup_ms, one_ms = {}, {}, {}
     for rate, problem in problems.items():
-        first = elapsed_ms(lambda problem=problem: solve(problem, options))
-        begun = time.perf_counter()
+        setup_ms[rate], one_ms[rate] = set_up_and_run_ms(lambda problem=problem: solve(problem, options))
         answers[rate] = solve(problem, options)
-        one_ms[rate] = 1e3 * (time.perf_counter() - begun)
-        setup_ms[rate] = max(first - one_ms[rate], 0.0)
     methods = {f"{rate:g}": lambda problem=problems[rate]: solve(problem, options) for rate in rates_Hz}
     times = take_turns(methods, {f"{rate:g}": effort.runs(one_ms[rate]) for rate in rates_Hz})
 
     nrmse, violation = played(case, {rate: answer.command_A for rate, answer in answers.items()})
     rows = []
     for rate in rates_Hz:
-        q25, median, q75 = np.percentile(times[f"{rate:g}"], [25, 50, 75])
         rows.append(
             Row(
                 case=case.name,
@@ -78,17 +73,12 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
                 tolerance=options.tolerance,
                 iterations=answers[rate].iterations,
                 status=answers[rate].message,
-                setup_ms=setup_ms[rate],
-                solve_ms=float(median),
-                q25_ms=float(q25),
-                q75_ms=float(q75),
-                runs=int(times[f"{rate:g}"].size),
-                threads=threads(),
                 gap=float("nan"),
                 violation=violation[rate],
                 nrmse_excess=nrmse[rate] - nrmse[BASE_Hz],
                 error=float("nan"),
                 certificate=float("nan"),
+                **time_columns(times[f"{rate:g}"], setup_ms[rate]),
             )
         )
     return rows

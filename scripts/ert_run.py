@@ -3,10 +3,11 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from ert_cases import FAILED, Case, Verdict, judge, replayed_nrmse
-from ert_methods import TIME_LIMIT_S, Answer, Method, Prepared, Setting, failed, forget
+from ert_methods import TIME_LIMIT_S, Answer, Kind, Method, Prepared, Setting, error_line, failed, forget
 from measuring import elapsed_ms, take_turns, threads
 
 from transopt import transcribe
@@ -26,6 +27,7 @@ class Row:
     setup_ms : what is done once per shape. solve_ms, q25_ms, q75_ms : median and quartiles of `runs`, from cold.
     gap, violation, error : `ert_cases.Verdict`, relative. nrmse_excess : NRMSE after replay less the reference's.
     certificate : relative duality gap by the method's own multipliers; NaN where it gives none.
+    reference : one of the two that the error is measured from: that it has none, or almost none, says nothing.
     """
 
     case: str
@@ -48,6 +50,7 @@ class Row:
     nrmse_excess: float
     error: float
     certificate: float
+    reference: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,21 @@ class Effort:
 
     def runs(self, one_ms: float) -> int:
         return int(np.clip(self.budget_ms / max(one_ms, 1e-3), self.least, self.most))
+
+
+def set_up_and_run_ms(run: Callable[[], object]) -> tuple[float, float]:
+    """What the first of two runs takes longer, which belongs to the set-up, and what the second one takes."""
+    first_ms = elapsed_ms(run)
+    # Once more even if it was late: the set-up may have been, or the machine.
+    second_ms = first_ms if first_ms > 10e3 * TIME_LIMIT_S else elapsed_ms(run)
+    return max(first_ms - second_ms, 0.0), second_ms
+
+
+def time_columns(times_ms: FloatArray, setup_ms: float) -> dict[str, Any]:
+    """Those columns of a row that tell of time."""
+    q25, median, q75 = (float(value) for value in np.percentile(times_ms, [25, 50, 75]))
+    spread = {"solve_ms": median, "q25_ms": q25, "q75_ms": q75}
+    return {"setup_ms": setup_ms, **spread, "runs": int(times_ms.size), "threads": threads()}
 
 
 class Attempt:
@@ -79,7 +97,7 @@ class Attempt:
             self.returned = self.prepared.run()
         # Whatever a method raises is an answer about that method.
         except Exception as error:
-            self.error = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:100]}"
+            self.error = error_line(error)
 
     def start(self) -> None:
         """Prepare and run twice: what the first run takes longer belongs to the set-up."""
@@ -89,13 +107,11 @@ class Attempt:
         try:
             self.prepared = self.method.prepare(self.case, self.setting)
         except Exception as error:
-            self.error = f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:100]}"
+            self.error = error_line(error)
             return
         prepared_ms = 1e3 * (time.perf_counter() - begun)
-        first_ms = elapsed_ms(self.run)
-        # Once more even if it was late: the set-up may have been, or the machine.
-        second_ms = first_ms if first_ms > 10e3 * TIME_LIMIT_S else elapsed_ms(self.run)
-        self.setup_ms, self.first_ms = prepared_ms + max(first_ms - second_ms, 0.0), second_ms
+        more_ms, self.first_ms = set_up_and_run_ms(self.run)
+        self.setup_ms = prepared_ms + more_ms
 
     @property
     def late(self) -> bool:
@@ -107,7 +123,7 @@ class Attempt:
         try:
             return self.prepared.read(self.returned)
         except Exception as error:
-            return failed(self.case, f"{type(error).__name__}: {(str(error).splitlines() or [''])[0][:100]}")
+            return failed(self.case, error_line(error))
 
 
 def measure(
@@ -164,7 +180,6 @@ def _row(attempt: Attempt, answer: Answer, times_ms: FloatArray, excess: float) 
     certificate = float("nan")
     if answer.multipliers is not None:
         certificate = certify(case.small, answer.command_A, answer.multipliers).relative_gap
-    q25, median, q75 = np.percentile(times_ms, [25, 50, 75])
     return Row(
         case=case.name,
         method=method.name,
@@ -175,15 +190,11 @@ def _row(attempt: Attempt, answer: Answer, times_ms: FloatArray, excess: float) 
         tolerance=setting.tolerance,
         iterations=answer.iterations,
         status=f"time limit of {TIME_LIMIT_S:g} s" if attempt.late else answer.status,
-        setup_ms=attempt.setup_ms,
-        solve_ms=float(median),
-        q25_ms=float(q25),
-        q75_ms=float(q75),
-        runs=int(times_ms.size),
-        threads=threads(),
         gap=verdict.gap,
         violation=verdict.violation,
         nrmse_excess=float("inf") if verdict is FAILED else float(excess),
         error=verdict.error,
         certificate=certificate,
+        reference=method.kind is Kind.SOLVER and case.optimum.is_reference(method.name, setting.tolerance),
+        **time_columns(times_ms, attempt.setup_ms),
     )

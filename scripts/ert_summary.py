@@ -29,7 +29,10 @@ class Score:
 
 @dataclass(frozen=True)
 class Summary:
-    """One setting of one method; `scores` by the error that counts as a success. `worst` : largest error."""
+    """One setting of one method; `scores` by the error that counts as a success. `worst` : largest error.
+
+    reference : of some case it is one of the two reference solutions, from which errors are measured.
+    """
 
     method: str
     level: str
@@ -37,6 +40,7 @@ class Summary:
     options: str
     cases: int
     worst: float
+    reference: bool
     scores: dict[float, Score]
 
 
@@ -72,6 +76,7 @@ def summarise(rows: Sequence[Row], cases: Sequence[str]) -> list[Summary]:
             options=group[0].options,
             cases=len(group),
             worst=max(row.error for row in group),
+            reference=any(row.reference for row in group),
             scores={
                 t: Score(
                     success=sum(row.error <= t for row in group) / len(group),

@@ -1,12 +1,17 @@
 """A user's own solver, from a Python file, among the methods."""
 
 import inspect
+import signal
+import threading
+from collections.abc import Callable
+from functools import partial
 from importlib import util
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, TypeVar
 
 import numpy as np
-from ert_methods import NONE, Level, Method, Setting, sweep
+from ert_methods import NONE, TIME_LIMIT_S, Level, Method, Setting, error_line, sweep
 from ert_qp import QP
 from ert_wheels import Point, Solve, qp_method
 
@@ -14,6 +19,41 @@ from transopt.errors import InputError
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 USUAL = 1e-6  # where the function has no default of its own
+AGAIN_S = 0.5  # between further alarms, for code that swallows the first
+T = TypeVar("T")
+
+
+class _Late(BaseException):
+    """No Exception, which a user's code may well catch by the dozen."""
+
+
+def within(limit_s: float, work: Callable[[], T]) -> T:
+    """What the work returns, cut off at a time limit.
+
+    The alarm is heard between two instructions of Python: a call of native code that does not return is not cut. Nor
+    is anything where there is no such alarm (Windows) or off the main thread.
+
+    Raises
+    ------
+    TimeoutError : it was cut.
+    """
+    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        return work()
+
+    def late(number: int, frame: FrameType | None) -> None:
+        raise _Late
+
+    previous = signal.signal(signal.SIGALRM, late)
+    try:
+        try:
+            signal.setitimer(signal.ITIMER_REAL, limit_s, AGAIN_S)
+            return work()
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+    except _Late:
+        raise TimeoutError(f"time limit of {limit_s:g} s") from None
+    finally:
+        signal.signal(signal.SIGALRM, previous)
 
 
 def _point(returned: Any, qp: QP) -> Point:
@@ -43,7 +83,7 @@ def user_method(path: Path) -> Method:
 
     Raises
     ------
-    InputError : no such file, a file that does not run, or one without such a function.
+    InputError : no such file, a file that does not run within the time limit, or one without such a function.
     """
     if not path.is_file():
         raise InputError(f"--method {path}: no such file")
@@ -52,9 +92,9 @@ def user_method(path: Path) -> Method:
         raise InputError(f"--method {path}: no Python file; it has to end in .py")
     module = util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
+        within(TIME_LIMIT_S, partial(spec.loader.exec_module, module))
     except (Exception, SystemExit) as error:
-        raise InputError(f"--method {path}: does not run ({type(error).__name__}: {_line(error)})") from None
+        raise InputError(f"--method {path}: does not run ({error_line(error)})") from None
     solve = getattr(module, "solve", None)
     if not callable(solve):
         raise InputError(f"--method {path}: defines no function solve(qp)")
@@ -73,11 +113,6 @@ def user_method(path: Path) -> Method:
 
     def build(qp: QP, setting: Setting) -> Solve:
         chosen = {} if np.isnan(setting.tolerance) else {"tolerance": setting.tolerance}
-        return lambda: _point(solve(qp, **chosen), qp)
+        return lambda: _point(within(TIME_LIMIT_S, lambda: solve(qp, **chosen)), qp)
 
     return qp_method(path.stem, "user's", settings, build)
-
-
-def _line(error: BaseException) -> str:
-    """The first line of an error's text."""
-    return (str(error).splitlines() or [""])[0][:120]

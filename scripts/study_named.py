@@ -1,6 +1,5 @@
 """Named studies: what each varies, its figure, and its finding in a sentence or two from the rows themselves."""
 
-import io
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -19,15 +18,16 @@ from study_offnode import (
     mismatch,
     mismatch_figure,
     mismatch_sentence,
+    proven_sentence,
     spacing_figure,
     spacing_sentence,
     spacing_study,
 )
 from study_report import provenance, refusal_lines, study_markdown, summary
-from study_rows import Row, line
+from study_rows import Row, exit_code
 from study_run import Pool
 from study_session import run_plan
-from writing import table, write_text
+from writing import table, write_csv, write_text
 
 from transopt.plotting import LABEL_PT, SMALL_PT, save_figure
 from transopt.problem import AT_FLOOR
@@ -176,7 +176,7 @@ class Written:
     figure: Figure
     report: Callable[[list[str]], str]
     finding: str
-    certified: bool
+    code: int
 
 
 def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
@@ -188,29 +188,28 @@ def _swept(study: Swept, name: str, scene: Scene, folder: Path, pool: Pool) -> W
         study.figure(plan, rows),
         lambda head: study_markdown(plan, rows, f"{name}.png", [*head, finding, ""]),
         finding,
-        certified,
+        exit_code(rows),
     )
 
 
 def _off_node(name: str, scene: Scene, folder: Path) -> Written:
     measure, draw, say = OFF_NODE[name]
-    found: Sequence[Any] = measure(scene)
+    found: Sequence[Any]
+    found, optima = measure(scene)
+    write_csv(optima, folder / "rows.csv")
+    write_csv(found, folder / f"{name}.csv")
     fields = list(asdict(found[0]))
-    text = io.BytesIO()
-    for cells in (fields, *([str(value) for value in asdict(one).values()] for one in found)):
-        text.write(line(cells))
-    write_text(text.getvalue().decode(), folder / "rows.csv")
     rows = [[f"{v:.4g}" if isinstance(v, float) else v for v in asdict(one).values()] for one in found]
     body = [
         f"![{name}]({name}.png)",
         "",
-        "Every optimum is certified; errors are shares of 1.",
+        f"{proven_sentence(optima)}; errors are shares of 1 ({name}.csv).",
         "",
         *table(fields, rows),
     ]
-    finding = say(found)
+    finding, code = say(found), exit_code([{"status": one.status} for one in optima])
     return Written(
-        draw(found), lambda head: "\n".join([f"# {scene.name}: {name}", "", *head, finding, "", *body]), finding, True
+        draw(found), lambda head: "\n".join([f"# {scene.name}: {name}", "", *head, finding, "", *body]), finding, code
     )
 
 
@@ -218,12 +217,12 @@ def _motors(name: str, scene: Scene, folder: Path, pool: Pool) -> Written:
     found = motor_selection(scene, folder, pool)
     for stem, page in found.pages().items():
         save_figure(page, folder / f"{stem}.png")
-    refused = refusal_lines([row for _, rows in found.studies.values() for row in rows])
+    rows = [row for _, own in found.studies.values() for row in own]
     return Written(
         found.figure(),
-        lambda head: "\n".join([*found.report(f"{name}.png", head), *refused]),
+        lambda head: "\n".join([*found.report(f"{name}.png", head), *refusal_lines(rows)]),
         found.sentence(),
-        bool(found.ranked()),
+        exit_code(rows) if found.ranked() else 1,
     )
 
 
@@ -250,4 +249,4 @@ def write(name: str, scene: Scene, out: Path, pool: Pool, figures: Path | None) 
         figures.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(folder / f"{name}.png", figures / f"{name}.png")
     print(f"{name}: {written.finding}")
-    return 0 if written.certified else 1
+    return written.code

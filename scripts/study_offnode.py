@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from seed_plots import colours, style
 from study_figures import percent_axis
+from study_rows import OPTIMAL
 
 from problems.simulate import recordings
 from transopt.discretise import StageModel
@@ -33,6 +34,45 @@ def errors_of(scene: Scene) -> Errors:
     """Optima, blends and replays at any speed and grip of a scene with simulated recordings."""
     recorded = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
     return Errors(scene, recorded, SolverOptions())
+
+
+@dataclass(frozen=True)
+class Proven:
+    """One optimum that a study stands on, and what its certificate says; gaps relative to max(J, 1e-3)."""
+
+    device: str
+    speed_m_s: float
+    grip_N: float
+    status: str
+    relative_gap: float
+    relative_bound: float
+    violation_A: float
+    violation_V: float
+    violation_K: float
+
+
+def proven(device: str, errors: Errors) -> list[Proven]:
+    """Every optimum that was solved so far."""
+    return [
+        Proven(
+            device,
+            *point,
+            status.name,
+            proof.relative_gap,
+            proof.relative_bound,
+            proof.primal_violation_A,
+            proof.primal_violation_V,
+            proof.primal_violation_K,
+        )
+        for point, (status, proof) in sorted(errors.proofs.items())
+    ]
+
+
+def proven_sentence(optima: Sequence[Proven]) -> str:
+    """How many there are, how many are certified, and how well."""
+    certified = [one for one in optima if one.status == OPTIMAL]
+    worst = max((one.relative_gap for one in certified), default=float("nan"))
+    return f"{len(certified)} of {len(optima)} optima certified (rows.csv), worst gap {worst:.0e}"
 
 
 # ------------------------------------------------------------------------------------------------ grip
@@ -59,8 +99,8 @@ def mismatch(
     scene: Scene,
     speeds_m_s: Sequence[float] = MISMATCH_SPEEDS_M_S,
     grips_N: Sequence[float] = MISMATCH_GRIPS_N,
-) -> list[Played]:
-    """Every grip's command on every grip's device.
+) -> tuple[list[Played], list[Proven]]:
+    """Every grip's command on every grip's device, and the optima that were solved for it.
 
     Raises
     ------
@@ -72,7 +112,7 @@ def mismatch(
             played = _errors_at(errors, scene, errors.stage(grip), speed, grips_N)
             own = played[grips_N.index(grip)]
             found += [Played(speed, F, grip, e, e - own) for F, e in zip(grips_N, played, strict=True)]
-    return found
+    return found, proven("default", errors)
 
 
 def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GRIPS_N) -> Figure:
@@ -160,8 +200,8 @@ def spacing(
     held_speeds_m_s: Sequence[float] = MISMATCH_SPEEDS_M_S,
     held_grips_N: Sequence[float] = (1.0, 5.0),
     fine: int = FINE,
-) -> list[Spaced]:
-    """Both axes of one device. The wider grids are seen at the points of the finest.
+) -> tuple[list[Spaced], list[Proven]]:
+    """Both axes of one device, and the optima solved. The wider grids are seen at the points of the finest.
 
     Raises
     ------
@@ -188,12 +228,14 @@ def spacing(
                 place = worst[1] if axis == "grip" else worst[0]
                 middle = float(np.median(list(excess.values())))
                 found.append(Spaced(device, axis, width, held, len(own), replayed.excess_after, place, middle))
-    return found
+    return found, proven(device, errors)
 
 
-def spacing_study(scene: Scene) -> list[Spaced]:
+def spacing_study(scene: Scene) -> tuple[list[Spaced], list[Proven]]:
     """The device of the scene, and the same in a heavier, softer hand whose resonance moves with grip."""
-    return [*spacing("default", scene), *spacing("soft hand", soft_hand(scene))]
+    usual, usual_optima = spacing("default", scene)
+    soft, soft_optima = spacing("soft hand", soft_hand(scene))
+    return [*usual, *soft], [*usual_optima, *soft_optima]
 
 
 def spacing_figure(found: Sequence[Spaced]) -> Figure:

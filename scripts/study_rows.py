@@ -21,8 +21,9 @@ from study_axes import label
 
 from transopt.errors import InputError
 from transopt.files import ctrl_c_waits, whole_file
+from transopt.problem import Status
 from transopt.report import without_nan
-from transopt.sweep import Outcome
+from transopt.sweep import REFUSED, Outcome
 
 try:
     import fcntl
@@ -32,6 +33,16 @@ except ImportError:  # Windows: nobody is kept from writing into a folder twice 
 OUTCOME = [field.name for field in fields(Outcome) if field.name != "index"]
 TIMES = ("solve_ms", "total_ms")  # the columns that differ from run to run
 SCHEMA = 1
+OPTIMAL = Status.OPTIMAL.name
+# What a study may well come upon when it varies a scene: the row says that there is no such optimum, and why. Any
+# other status but OPTIMAL is a solver or a proof that fell short.
+REFUSALS = {
+    REFUSED,
+    *(
+        status.name
+        for status in (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL, Status.UNRESOLVED, Status.PRECISION)
+    ),
+}
 Row = dict[str, str]
 
 
@@ -63,6 +74,12 @@ def row_of(outcome: Outcome, point: int, labels: Mapping[str, str]) -> Row:
 def number(row: Row, column: str) -> float:
     """A cell as a number, NaN where it is empty."""
     return float(row[column]) if row[column] else float("nan")
+
+
+def exit_code(rows: Sequence[Row]) -> int:
+    """0 if every row is certified or a refusal, and one at least is certified; else 1."""
+    found = {row["status"] for row in rows}
+    return 0 if OPTIMAL in found and found <= {OPTIMAL, *REFUSALS} else 1
 
 
 def _first_difference(old: Any, new: Any, path: str = "") -> str:

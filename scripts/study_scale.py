@@ -4,6 +4,10 @@
 
 Every point has 100 entries of 600 stages (10 speeds of 0.2 to 0.4 m/s, 10 grips of 1 to 10 N) of the scene
 wood_on_foam, at current limits of 1.2 to 2 A that bind at every one of them. Memory is read from /proc (Linux).
+
+Exit codes: 0 all that was measured is within its bound, 1 not: processes reach less than 80 % of what as many single
+ones would, dask takes more than 1.5 times as long as processes, memory of the parent or of a worker grows by 10 MB or
+more per 1000 entries after the first 500, an entry is not certified, or rows differ between the ways; 2 bad input.
 """
 
 import argparse
@@ -21,7 +25,7 @@ from pathlib import Path
 import numpy as np
 from study_axes import Plan, parse_axis
 from study_report import provenance
-from study_rows import Row, number
+from study_rows import OPTIMAL, Row, number
 from study_run import Pool, dask, processes
 from study_session import run_plan
 from writing import table, write_text
@@ -37,7 +41,11 @@ SPEEDS_M_S = tuple(float(v) for v in np.round(np.linspace(0.2, 0.4, 10), 4))
 GRIPS_N = tuple(float(F) for F in range(1, 11))
 LOOK_S = 1.0
 STARTUP_S = 60.0
-SETTLED = 0.3  # of the run, after which memory is expected to be flat
+SETTLED_ENTRIES = 500  # after which caches are full and memory is expected to be flat
+TOLD_ENTRIES = 1000  # a shorter run says nothing about growth
+LEAST_EFFICIENCY = 0.8  # of processes: entries per second over those of one, per worker
+MOST_DASK_RATIO = 1.5  # of the time that processes take
+MOST_GROWTH_MB = 10.0  # per 1000 entries
 
 
 def _status(pid: str, field: str) -> int:
@@ -101,9 +109,8 @@ class Watch:
             thread.join()
 
     def settled(self) -> FloatArray:
-        """(n, 3) entries done, MB of the parent, MB of the largest worker, after the start."""
-        last = self.done
-        kept = [row for row in self.rows if row[0] >= SETTLED * last]
+        """(n, 3) entries done, MB of the parent, MB of the largest worker, after `SETTLED_ENTRIES`."""
+        kept = [row for row in self.rows if row[0] >= SETTLED_ENTRIES]
         return np.array(kept, dtype=float).reshape(-1, 3)
 
     def slope(self, column: int) -> float:
@@ -228,7 +235,61 @@ def differences(runs: list[Measured]) -> int:
     return sum(len({plain(row) for row in rows}) > 1 for rows in zip(*(run.rows for run in runs), strict=True))
 
 
-def report(plan: Plan, runs: list[Measured], command: str) -> str:
+@dataclass(frozen=True)
+class Verdict:
+    """One bound and what was measured; `kept` is None where the run cannot tell."""
+
+    kept: bool | None
+    text: str
+
+    def __str__(self) -> str:
+        return f"{ {True: 'kept', False: 'MISSED', None: 'not judged'}[self.kept] }: {self.text}"
+
+
+def _growth(run: Measured) -> list[Verdict]:
+    found = []
+    for column, whose in ((1, "the parent"), (2, "the largest worker")):
+        slope, enough = run.watch.slope(column), len(run.rows) >= TOLD_ENTRIES
+        # Written so that a NaN, of a run that is long enough, is a miss.
+        kept = bool(slope < MOST_GROWTH_MB) if enough else None
+        measured = f"{slope:+.2f} MB per 1000 entries" if enough else f"fewer than {TOLD_ENTRIES} entries"
+        found.append(
+            Verdict(
+                kept,
+                f"memory of {whose}, {run.way}: {measured} after the first {SETTLED_ENTRIES}, "
+                f"allowed below {MOST_GROWTH_MB:g}",
+            )
+        )
+    return found
+
+
+def verdicts(runs: list[Measured]) -> list[Verdict]:
+    """What was measured against its bounds."""
+    by_way, found = {run.way: run for run in runs}, []
+    one, many, cluster_run = (by_way.get(way) for way in WAYS)
+    if one and many:
+        efficiency = many.per_s / (many.workers * one.per_s)
+        text = (
+            f"efficiency of {many.workers} processes: {100 * efficiency:.0f} %, at least {100 * LEAST_EFFICIENCY:.0f}"
+        )
+        found.append(Verdict(efficiency >= LEAST_EFFICIENCY, text))
+    if many and cluster_run:
+        ratio = cluster_run.elapsed_s / many.elapsed_s
+        found.append(
+            Verdict(ratio <= MOST_DASK_RATIO, f"dask over processes: {ratio:.2f} times, at most {MOST_DASK_RATIO:g}")
+        )
+    for run in runs:
+        found += _growth(run)
+        certified = sum(row["status"] == OPTIMAL for row in run.rows)
+        found.append(Verdict(certified == len(run.rows), f"certified, {run.way}: {certified} of {len(run.rows)}"))
+    if len(runs) > 1:
+        differing = differences(runs)
+        text = f"rows that differ between the ways, times apart: {differing} of {len(runs[0].rows)}"
+        found.append(Verdict(differing == 0, text))
+    return found
+
+
+def report(runs: list[Measured], command: str) -> str:
     """Tables of what was measured."""
     by_way = {run.way: run for run in runs}
     one, two = by_way.get("one"), by_way.get("processes")
@@ -237,7 +298,7 @@ def report(plan: Plan, runs: list[Measured], command: str) -> str:
         efficiency = "-" if one is None or run is one else f"{100 * run.per_s / (run.workers * one.per_s):.0f}"
         against = "-" if two is None or run is two else f"{run.elapsed_s / two.elapsed_s:.2f}"
         bound = sum(row["binding"] not in ("", "none") for row in run.rows)
-        certified = sum(row["status"] == "OPTIMAL" for row in run.rows)
+        certified = sum(row["status"] == OPTIMAL for row in run.rows)
         cells.append(
             [
                 run.way,
@@ -265,9 +326,8 @@ def report(plan: Plan, runs: list[Measured], command: str) -> str:
     ]
     memory = ["parent MB, MB per 1000 entries", "largest worker MB, MB per 1000 entries"]
     lines = [*provenance(command, sum(run.elapsed_s for run in runs)), *table([*head, *memory], cells)]
-    if len(runs) > 1:
-        lines.append(f"Rows that differ between the ways, times apart: {differences(runs)} of {plan.entries}.")
-    return "\n".join([*lines, ""])
+    lines += [f"- {run.way}: {run.per_s:.1f} entries per second" for run in runs]
+    return "\n".join([*lines, *(f"- {verdict}" for verdict in verdicts(runs)), ""])
 
 
 def main(words: list[str] | None = None) -> int:
@@ -290,14 +350,16 @@ def main(words: list[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(dir=arguments.out) as folder:
             runs = [measure(plan, way, arguments.workers, Path(folder)) for way in ways]
         text = report(
-            plan, runs, f"python scripts/study_scale.py --points {arguments.points} --ways {arguments.ways}"
+            runs,
+            f"python scripts/study_scale.py --points {arguments.points} --workers {arguments.workers} "
+            f"--ways {arguments.ways}",
         )
         write_text(text, arguments.out / "scale.md")
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(text)
-    return 0
+    return 1 if any(verdict.kept is False for verdict in verdicts(runs)) else 0
 
 
 if __name__ == "__main__":

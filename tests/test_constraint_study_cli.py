@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ import pytest
 from matplotlib import image
 
 from tests.study_bench import SCRIPTS, plain, read, serial, short_scene
+from transopt import sweep
+from transopt.problem import Status
 from transopt.scene import Scene
 
 
@@ -105,10 +108,94 @@ class TestCommandLine:
         assert error in said
         assert said.count("\n") == 1
 
+    @pytest.mark.parametrize(
+        ("words", "error"),
+        [
+            (["--study", "lead", "--sample", "3"], "a named study says itself what is varied"),
+            (["--study", "lead", "--full"], "a named study says itself what is varied"),
+            (["--study", "lead", "--seed", "3"], "a named study says itself what is varied"),
+            (["--study", "nope"], "invalid choice: 'nope'"),
+            (["--study", "grip_mismatch", "--jobs", "2"], "--study grip_mismatch: solves in this process"),
+            (["--study", "grid_spacing", "--executor", "serial"], "--study grid_spacing: solves in this process"),
+            (
+                ["--vary", "limits.beta=2,3", "--jobs", "-2", "--executor", "serial"],
+                "--jobs -2: only with --executor",
+            ),
+            (["--vary", "limits.beta=2,3", "--jobs", "-2"], "--jobs -2: must be at least 1"),
+            (["--vary", "limits.beta=2,3", "--figures", "here"], "--figures: only with --study"),
+            (["--vary", "limits.beta=2,3", "--seed", "3"], "--seed 3: only with --sample"),
+            (["--vary", "limits.beta=2,3", "--sample", "three"], "argument --sample: invalid int value: 'three'"),
+            (["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--full"], "not together with --full"),
+            (
+                ["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--seed", "2"],
+                "not together with --full",
+            ),
+        ],
+    )
+    def test_options_that_would_be_ignored_are_refused(
+        self, study: Any, words: list[str], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert study.constraint_study.main([*words, "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ")
+        assert error in said
+        assert said.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
     def test_everything_refused_is_a_shortfall(self, study: Any, scene_file: Path, tmp_path: Path) -> None:
         words = [str(scene_file), "--vary", "limits.current_A=50,60", "--speed", "0.4", "--grip", "5"]
         assert study.constraint_study.main([*words, "--executor", "serial", "--out", str(tmp_path / "out")]) == 1
         assert (tmp_path / "out" / "nrmse.png").exists()
+
+    @pytest.mark.parametrize(
+        ("status", "code", "named"),
+        [
+            (Status.INFEASIBLE, 0, True),
+            (Status.HAND_OVER, 0, False),
+            (Status.NOT_CERTIFIED, 1, True),
+            (Status.REPLAY_VIOLATION, 1, False),
+            (None, 1, False),
+        ],
+    )
+    def test_one_row_that_falls_short_is_told(
+        self,
+        study: Any,
+        scene: Scene,
+        scene_file: Path,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        status: Status | None,
+        code: int,
+        named: bool,
+    ) -> None:
+        """None: an exception, which becomes a DEFECT."""
+        real, calls = sweep.admit, []
+
+        def second_differs(*given: Any) -> Any:
+            calls.append(1)
+            if len(calls) == 2 and status is None:
+                raise ZeroDivisionError
+            return (status, ["said so"]) if len(calls) == 2 else real(*given)
+
+        monkeypatch.setattr(sweep, "admit", second_differs)
+        monkeypatch.setattr(study.study_axes, "TOGETHER", 1)
+        if named:
+            swept = study.study_named.SWEPT
+            fewer = replace(
+                swept["current_limit"], axis="limits.current_A=2,3", speeds_m_s=(0.4,), grips_N=(3.0, 5.0)
+            )
+            monkeypatch.setitem(swept, "current_limit", fewer)
+            assert study.study_named.write("current_limit", short_scene(scene), tmp_path, serial(study), None) == code
+            rows = read(tmp_path / "current_limit" / "rows.csv")
+        else:
+            words = [str(scene_file), "--vary", "limits.current_A=2,3", "--speed", "0.4", "--grip", "3,5"]
+            assert (
+                study.constraint_study.main([*words, "--executor", "serial", "--out", str(tmp_path / "out")]) == code
+            )
+            rows = read(tmp_path / "out" / "rows.csv")
+        assert sorted(row["status"] for row in rows) == sorted(
+            ["OPTIMAL"] * 3 + [status.name if status else "DEFECT"]
+        )
 
     @pytest.mark.skipif(sys.platform == "win32", reason="signals")
     @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGKILL])

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import signal
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import STAGES
+from transopt.errors import InputError
 from transopt.problem import TransientProblem
 from transopt.scene import Scene
 from transopt.solvers import SolverOptions, solve
@@ -85,6 +87,18 @@ class TestJudge:
         assert line.startswith("error: wood_on_foam: casadi-piqp at 1e-12 finds J = ")
         assert "nothing to compare with" in line
         assert "\n" not in line
+
+    def test_the_reference_methods_are_marked_as_such(self, scripts: Any, short_case: Any, rows_of: Any) -> None:
+        """And no other: neither another tolerance of the same solver nor another solver at the same."""
+        names = ("casadi-piqp", "casadi-ipopt", "casadi-fatrop")
+        rows = rows_of(*(m for m in scripts.ert_methods.project_methods() if m.name in names))
+        marked = {(row.method, row.tolerance) for row in rows if row.reference}
+        assert marked == {("casadi-piqp", 1e-12), ("casadi-ipopt", 1e-12)}
+        assert all(row.certificate < 1e-9 for row in rows if row.reference)
+        (line,) = (one for one in scripts.ert_report.summaries_of([short_case], rows) if "casadi-piqp | high" in one)
+        assert line.endswith("| reference |")
+        (other,) = (one for one in scripts.ert_report.summaries_of([short_case], rows) if "casadi-piqp | def" in one)
+        assert "reference" not in other
 
 
 class TestServoRates:
@@ -254,6 +268,7 @@ class TestCommand:
         [
             (["--out", "file"], "--out file: cannot be written"),
             ([], "nothing to do: state --out DIR, --dump DIR or both"),
+            (["--out", "out", "--figure", "e5.xyz"], "--figure e5.xyz: a PNG is written"),
         ],
     )
     def test_refusals(self, run: Any, arguments: list[str], words: str) -> None:
@@ -263,8 +278,39 @@ class TestCommand:
         assert words in err
 
     def test_an_unknown_case_is_refused(self, scripts: Any, tmp_path: Path, capsys: Any) -> None:
-        assert scripts.error_against_runtime.main(["--out", str(tmp_path), "--case", "wood"]) == 2
+        out = tmp_path / "out"
+        given = ["--out", str(out), "--case", "hot_coil", "--case", "wood"]
+        assert scripts.error_against_runtime.main(given) == 2
         assert "--case wood: unknown; choose one of wood_on_foam" in capsys.readouterr().err
+        assert not out.exists()
+
+    @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm")
+    @pytest.mark.parametrize(
+        "hang",
+        [
+            "    while True:\n        pass\n",
+            "    while True:\n        try:\n            sum(range(9))\n        except Exception:\n            pass\n",
+        ],
+    )
+    def test_a_method_that_hangs_is_cut_and_has_failed(
+        self, scripts: Any, rows_of: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch, hang: str
+    ) -> None:
+        monkeypatch.setattr(scripts.ert_user, "TIME_LIMIT_S", 0.01)
+        before = signal.getsignal(signal.SIGALRM)
+        method = scripts.ert_user.user_method(user_file(f"def solve(qp):\n{hang}"))
+        (row,) = rows_of(method)
+        assert row.status == "TimeoutError: time limit of 0.01 s"
+        assert math.isinf(row.error)
+        assert signal.getsignal(signal.SIGALRM) is before
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+    @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm")
+    def test_a_file_that_hangs_is_refused(
+        self, scripts: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(scripts.ert_user, "TIME_LIMIT_S", 0.01)
+        with pytest.raises(InputError, match=r"mine.py: does not run \(TimeoutError: time limit of 0.01 s\)"):
+            scripts.ert_user.user_method(user_file("while True:\n    pass\n"))
 
     def test_what_failed_is_named_in_the_figure(
         self, scripts: Any, short_case: Any, rows_of: Any, user_file: Any

@@ -16,7 +16,7 @@ from transopt.design import entry_problem, scene_stage
 from transopt.discretise import StageModel
 from transopt.errors import InputError
 from transopt.optimum import optimum
-from transopt.problem import Status
+from transopt.problem import Certificate, Status
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
 from transopt.replay import replay
@@ -165,6 +165,8 @@ class Nodes:
 class _Optimum:
     command_A: FloatArray
     nrmse: float
+    status: Status
+    certificate: Certificate
 
 
 class Errors:
@@ -202,8 +204,13 @@ class Errors:
                     "entries lack"
                 )
             error = nrmse(problem.stage.rollout(solution.command_A)[0], problem.reference_m_s2)
-            self._optima[point] = _Optimum(solution.command_A, error)
+            self._optima[point] = _Optimum(solution.command_A, error, solution.status, proof)
         return self._optima[point]
+
+    @property
+    def proofs(self) -> dict[Point, tuple[Status, Certificate]]:
+        """How every optimum so far was found and proven."""
+        return {point: (found.status, found.certificate) for point, found in self._optima.items()}
 
     def solve(self, nodes: Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
         """All optima that the excess at some points takes, those of the nodes around them included."""
