@@ -346,7 +346,15 @@ class Certificate:
     def is_stationary(self) -> bool:
         """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
         # Written so that a NaN anywhere rejects.
-        return self.finite and self.excess <= 1 and self.relative_gap <= self.GAP_TOLERANCE
+        tolerance = self.VIOLATION_TOLERANCE
+        return (
+            self.finite
+            and self.primal_violation_A <= tolerance
+            and self.primal_violation_V <= tolerance
+            and self.primal_violation_K <= tolerance
+            and self.excess <= 1
+            and self.relative_gap <= self.GAP_TOLERANCE
+        )
 
     @property
     def accepted(self) -> bool:

@@ -11,6 +11,7 @@ from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProb
 from transopt.replay import AFTER_S, SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, prove, unlimited
+from transopt.thermal import COPPER_PER_K, RESISTANCE_REFERENCE_C, effective_square
 
 STORED_TOLERANCE = 1e-6  # relative, to which stored figures agree with recomputed ones
 ROUNDING = 1e-9  # absolute, for figures that are zero
@@ -84,12 +85,16 @@ def _between_instants(played: Replay, problem: TransientProblem, command_A: Floa
                 f"period, in which the back-EMF swings; lower time.dt_s ({dt_ms:g} ms)"
             )
     if thermal is not None and played.winding_C > thermal.limit_C + TEMPERATURE_TOLERANCE_K:
-        course = thermal.temperatures_C(motion.current_A, command_A)
-        if float(course.max()) <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
-            step = float(np.abs(np.diff(course)).max(initial=0.0))
+        hottest = float(thermal.temperatures_C(motion.current_A, command_A).max())
+        coil, limit_C = thermal.coil, thermal.limit_C
+        # No winding warms faster than by the limit current with no heat leaving.
+        resistance = coil.R_ohm * (1 + COPPER_PER_K * (limit_C - RESISTANCE_REFERENCE_C))
+        power_W = resistance * float(effective_square(np.asarray(problem.limits.current_A)))
+        warming_K = power_W * coil.R_wh_K_W / coil.tau_w_s * problem.grid.dt_s
+        if hottest <= limit_C + TEMPERATURE_TOLERANCE_K and played.winding_C - hottest <= warming_K:
             found.append(
-                f"coil {played.winding_C - thermal.limit_C:.3g} K over its {thermal.limit_C:g} C within a servo "
-                f"period, in which it warms by up to {step:.3g} K; lower time.dt_s ({dt_ms:g} ms)"
+                f"coil {played.winding_C - limit_C:.3g} K over its {limit_C:g} C within a servo period, in which it "
+                f"may warm by {warming_K:.3g} K; lower time.dt_s ({dt_ms:g} ms)"
             )
     return Status.UNRESOLVED, found
 
