@@ -12,7 +12,7 @@ UPDATE_S = 0.01  # DESIGN 7: at 10 kHz the rise per tick of a slow node is lost 
 class Guard:
     """Two thermal nodes, fed with i_eff^2 every tick and moved on every 10 ms.
 
-    One implicit midpoint step of the coil's equations per update, as `CoilModel.simulate` takes them.
+    One implicit midpoint step of the coil's equations per update; `CoilModel.simulate` takes them exactly.
 
     Attributes
     ----------

@@ -29,8 +29,9 @@ def test_follows_the_coil_model(nodes: int) -> None:
         guard.step(value)
     heat = effective_square(current).reshape(1, -1, 100).mean(axis=2)
     winding, housing = coil.simulate(heat, np.full(heat.shape[1], 0.01))
-    assert guard.winding_C == pytest.approx(winding[0, -1], abs=1e-9)
-    assert guard.housing_C == pytest.approx(housing[0, -1], abs=1e-9)
+    # The guard's midpoint rule against the model's exact steps: second order in 10 ms over 12 s, 3e-7 K.
+    assert guard.winding_C == pytest.approx(winding[0, -1], abs=1e-6)
+    assert guard.housing_C == pytest.approx(housing[0, -1], abs=1e-6)
 
 
 def test_rests_at_the_datasheets_continuous_current() -> None:
