@@ -258,6 +258,16 @@ def winding_limit_C(coil: CoilModel, budget: Budget) -> float:
     return coil.limit_C if budget.headroom_K is None else min(coil.limit_C, coil.start_winding_C + budget.headroom_K)
 
 
+def _under_power(coil: CoilModel, held: FloatArray, effective_A: float) -> FloatArray:
+    """(m + 1, m + 1) flow of the nodes above rest, and 1, while a constant effective current heats the copper."""
+    m = held.shape[0] - 1
+    power, inflow = coil.R_ohm * effective_A**2, held[:m, m]
+    found = held.copy()
+    found[:m, 0] += inflow * power * COPPER_PER_K
+    found[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
+    return found
+
+
 def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> ThermalLimit:
     """The temperature limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
     flow, inflow = coil.flow()
@@ -269,17 +279,16 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
     unpowered = np.full(N + 1, coil.rest_C)
     closure, margin_K = None, 0.0
     if budget.tap_rate_Hz is None:
-        # The coil starts when the first command is issued, an amplifier's delay before the first is felt.
+        # The coil starts when the first command is issued, an amplifier's delay before the first is felt; the ripple
+        # heats in the meantime.
         start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
-        above = linalg.expm(flow * grid.delay_s) @ start
+        waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
+        above = waiting[:m, :m] @ start + waiting[:m, m]
         for k in range(N + 1):
             unpowered[k] += above[0]
             above = M @ above
     else:
-        power = coil.R_ohm * (budget.pause_A + PWM_RIPPLE_A) ** 2
-        pause = held.copy()
-        pause[:m, 0] += inflow * power * COPPER_PER_K
-        pause[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
+        pause = _under_power(coil, held, budget.pause_A + PWM_RIPPLE_A)
         pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
         if not 1 / budget.tap_rate_Hz > takes_s:
             raise InputError(
