@@ -1,0 +1,118 @@
+"""What was recorded on a device to identify it: signals of one run, and what its file states about it."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from transopt.errors import InputError
+from transopt.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.table_formats import Scalar, Vocabulary
+from transopt.tabular import read_table
+
+WORDS = Vocabulary(
+    columns={
+        "time_s": ("time", 1.0),
+        "time_ms": ("time", 1e-3),
+        "command_A": ("command", 1.0),
+        "current_A": ("current", 1.0),
+        "voltage_V": ("voltage", 1.0),
+        "acceleration_m_s2": ("acceleration", 1.0),
+        "acceleration_g": ("acceleration", STANDARD_GRAVITY_M_S2),
+        "position_m": ("position", 1.0),
+        "position_mm": ("position", 1e-3),
+        "force_N": ("force", 1.0),
+        "winding_C": ("winding", 1.0),
+        "housing_C": ("housing", 1.0),
+        "ambient_C": ("ambient", 1.0),
+    },
+    header={
+        "speed_m_s": Scalar("speed", 1.0, "m/s"),
+        "grip_N": Scalar("grip", 1.0, "N", zero=True),
+        "accelerometer_Hz": Scalar("accelerometer", 1.0, "Hz"),
+    },
+    required=("time",),
+    how_to_name="begin with a row of names like time_s,command_A,current_A",
+    rename="rename it",
+    step_s=(1e-7, 60.0),  # up to a logger's one reading a minute: heating takes half an hour
+    unit_suffix=re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s|m?V|C|k?Hz)$", re.IGNORECASE),
+)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One run of a device: a sweep, a tap or a heating, as its file states it, in SI units.
+
+    All signals share one uniform time grid. What was not recorded is None.
+
+    Attributes
+    ----------
+    name : what messages and reports call it: the file's name.
+    source : path. sha256 : of the file's bytes.
+    command : sample k is issued at its instant and held to the next one [A].
+    current : in the coil [A]. voltage : across it [V].
+    acceleration : of the stylus, positive out of the object [m/s^2], behind one pole at `accelerometer_Hz` if stated.
+    position : of the motor at the tip [m]. force : of the surface on the stylus, pushing out [N].
+    winding, housing, ambient : temperatures [C].
+    grip_N : >= 0, 0 for a device that nobody holds; None if the file does not state it.
+    speed_m_s : incoming speed of a tap.
+    accelerometer_Hz : bandwidth of the accelerometer; None for one to be taken as ideal.
+    off_grid : how far time stamps lay off the uniform grid at most, in steps; resampled where above 0.01.
+    """
+
+    name: str
+    source: str
+    sha256: str
+    command: Signal | None = None
+    current: Signal | None = None
+    voltage: Signal | None = None
+    acceleration: Signal | None = None
+    position: Signal | None = None
+    force: Signal | None = None
+    winding: Signal | None = None
+    housing: Signal | None = None
+    ambient: Signal | None = None
+    grip_N: float | None = None
+    speed_m_s: float | None = None
+    accelerometer_Hz: float | None = None
+    off_grid: float = 0.0
+
+    def require(self, quantity: str, column: str) -> Signal:
+        """The signal of that name.
+
+        Raises
+        ------
+        InputError : the file has none; `column` is what it would be called there.
+        """
+        found = getattr(self, quantity)
+        if found is None:
+            raise InputError(f"{self.name}: no column {column}; record it too")
+        assert isinstance(found, Signal)
+        return found
+
+
+def load_measurement(path: Path) -> Measurement:
+    """Read one run: CSV with a row of column names, NPZ or MAT.
+
+    Columns: `WORDS.columns`; scalars as comment lines `# grip_N: 3` or as variables of one number.
+
+    Raises
+    ------
+    InputError : one line, file first, whatever is wrong.
+    """
+    if path.suffix.lower() == ".wav":
+        raise InputError(
+            f"{path}: a WAV file holds one signal; record command, current and acceleration as CSV or NPZ"
+        )
+    table = read_table(path, WORDS)
+    if not table.signals:
+        raise InputError(f"{path}: no column but time; known: {', '.join(WORDS.columns)}")
+    return Measurement(
+        name=path.name,
+        source=str(path),
+        sha256=table.sha256,
+        grip_N=table.scalars.get("grip"),
+        speed_m_s=table.scalars.get("speed"),
+        accelerometer_Hz=table.scalars.get("accelerometer"),
+        off_grid=table.off_grid,
+        **table.signals,
+    )
