@@ -13,7 +13,7 @@ from transopt.identified import DriveDevice, HandPart, Parts, StateSpaceDevice, 
 from transopt.scene_sections import Tip
 
 SEED = 7  # of the draws: one library, one spread
-TRIES = 1000  # for one draw or pair of draws
+TRIES = 200  # for one draw or pair of draws
 
 
 class Identified(Parts):
