@@ -197,6 +197,12 @@ def test_what_contradicts_is_refused_by_name(
     assert "\n" not in str(caught.value)
 
 
+def test_a_line_below_a_table_is_told_where_it_belongs(make: Make) -> None:
+    below = ("[limits]", 'model = "MODEL.json"\n[limits]')
+    with pytest.raises(InputError, match=r"amplifier\.model: .* above the first \[table\]"):
+        make(ON_FILE, {"device": drive_device()}, ('model = "MODEL.json"\n', ""), below)
+
+
 def test_a_damaged_model_file_is_named_with_its_scene(make: Make, tmp_path: Path) -> None:
     make(ON_FILE, {"device": drive_device()})
     content = json.loads((tmp_path / "MODEL.json").read_text())

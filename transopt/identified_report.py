@@ -110,7 +110,7 @@ def identified_lines(build: Build) -> list[str]:
         if part is None:
             continue
         lines.append(f"- {name}: {_use(scene, model, name)}. {part.verdict}")
-        if isinstance(part, Fitted):
+        if isinstance(part, Fitted) and not (name == "hand" and model.device is not None):
             rows += _value_rows(name, part)
     stated = [name for name in ("amplifier", "coil") if getattr(model, name) is None]
     lines += [

@@ -64,6 +64,10 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     where = ".".join(str(part) for part in keys)
     if first["type"] == "extra_forbidden":
         text = f"{where}: unknown key; known here: {_known_keys(keys, content)}"
+        if len(keys) > 1 and keys[-1] in Scene.model_fields:
+            text = (
+                f"{where}: {keys[-1]} is no key of this table but of the scene: put its line above the first [table]"
+            )
     elif first["type"] == "missing":
         text = f"{where}: missing; add it to the scene"
     else:
