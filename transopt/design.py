@@ -105,7 +105,9 @@ class Entry:
 
 def _left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
     """Parts that the scene does not ask for."""
-    idle = int(np.sum(~acting_states(problem.stage.plant)))
+    plant = problem.stage.plant
+    # A black box has no position, and the state of its other grip that a node does not need is none.
+    idle = int(np.sum(~acting_states(plant))) if plant.Ce.any() else 0
     parts = {
         "feedback": (problem.wall is None, "the scene has no wall"),
         "position": (
@@ -127,6 +129,11 @@ def scene_stage(scene: Scene, grip_N: float) -> StageModel:
     return discretise(
         scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s, position=scene.feedback is not None
     )
+
+
+def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
+    """Further devices that the commands of one grip shall serve."""
+    return tuple(scene_stage(of, grip) for of, grip in scene.spread(grip_N))
 
 
 def entry_problem(
@@ -164,7 +171,7 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     Solved one by one with one solver object; the optimum and the baselines of all speeds are replayed together.
     """
     stage = scene_stage(scene, grip_N)
-    spread = tuple(scene_stage(scene, grip) for grip in scene.spread_grips_N(grip_N))
+    spread = spread_stages(scene, grip_N)
     designed = [optimum(entry_problem(scene, stage, reference, spread), options) for reference in references]
     replays = replayed(scene.coil(), designed)
     rivals = rivals_replayed(scene.coil(), scene.limits.steady_current_A, designed)

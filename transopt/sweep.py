@@ -178,7 +178,7 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
     if item.point not in scenes:
         scenes[item.point] = with_values(task.scene, task.points[item.point])
     scene = scenes[item.point]
-    spread = tuple(_stage(scene, grip) for grip in scene.spread_grips_N(task.grip_N))
+    spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
     reference = _reference(task, scene, item.speed_m_s)
     problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
     designed = optimum(problem, task.options)
