@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from transopt.problem import OBJECTIVE_SCALE
 from transopt.signals import FloatArray
 from transopt.stagewise import Stages
 
@@ -98,6 +99,12 @@ class Answer:
     gap: float
     residual: float
 
+    @property
+    def relative_gap(self) -> float:
+        """Of max(J, 1e-3); inf for what is no number."""
+        relative = self.gap / max(self.objective, 1.0)
+        return relative if np.isfinite(relative) else np.inf
+
 
 def _stated(stages: Stages) -> _Problem:
     arrays = {name: _pointer(array) for name, array in stages.arrays.items()}
@@ -150,3 +157,15 @@ class LinearPass:
         code = self._pass(self._problem, ct.c_double(tolerance), self._factored, *self._arguments)
         self._factored = int(code in (SOLVED, ACCURACY))
         return _answer(code, self.buffers.result)
+
+    def command_A(self) -> FloatArray:
+        """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
+        command = np.cumsum(self.buffers.movement) * self.stages.current_A
+        if self.stages.problem.wall is None:
+            command[self.stages.problem.free_stages :] = 0.0
+        return np.asarray(command)
+
+    def hand_over(self) -> FloatArray:
+        """(hand_over_samples,) its multipliers of the hand-over [1/A]."""
+        tail = self.buffers.gradient[self.stages.problem.free_stages :]
+        return np.asarray(-tail * OBJECTIVE_SCALE / self.stages.current_A)

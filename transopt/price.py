@@ -89,7 +89,7 @@ def _without(problem: TransientProblem, name: str, unlimited_A: FloatArray, opti
         needed = max(_peak(problem, name, unlimited_A) / _bound(problem, name), 1.0)
         wide = [widened(problem)[name](ample * needed) for ample in AMPLE]
     for wider in wide:
-        answer = solve_certified(leave_out(wider).problem, options)
+        answer, _ = solve_certified(leave_out(wider).problem, options)
         peak = _peak(problem, name, answer.command_A)
         if answer.status is Status.OPTIMAL and (name == "coil" or peak < CLEAR * _bound(wider, name)):
             acceleration, _ = problem.stage.rollout(answer.command_A)

@@ -638,14 +638,18 @@ static double start(tr_work *w)
     const tr_problem *q = w->q;
     const int N = q->stages, n = q->states, rows = (N + 1) * q->rows;
     static const double nothing[MOST_NODES] = {0};
+    int moves = q->nodes > 0;
     for (int k = q->free_stages; k < N; k++) {
         memcpy(w->K + k * w->ld, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
         w->offset[k] = q->rule_offset[k - q->free_stages];
+        moves = moves || w->offset[k] != 0.0;
     }
     if (q->nodes)
         for (int k = 0; k < N; k++) w->offset_e[k] = 1.0;
-    forward(w, nothing, w->offset, w->offset_e, 1);
-    advance(w, 1.0);
+    if (moves) {
+        forward(w, nothing, w->offset, w->offset_e, 1);
+        advance(w, 1.0);
+    }
     for (int k = 0; k < N; k++)
         for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
     const double scale = fmax(objective(w), 1.0) / 100.0;
@@ -822,14 +826,14 @@ int tr_linear(const tr_problem *q, double tolerance, int factored, double *works
     lay_out(w, q, workspace, factored);
     if (!factored && factor(w, 0)) return TR_BREAKDOWN;
     start(w);
-    double best = INFINITY;
-    for (;; r->iterations++) {
+    for (double best = INFINITY;;) {
+        newton(w);
+        advance(w, 1.0);
+        r->iterations++;
         const tr_state now = judge(w);
         const int better = now.stationarity < best;
         if (better) best = now.stationarity, keep(w, &now, r);
         if (best <= tolerance * fmax(now.objective, 1.0)) return TR_SOLVED;
         if (!better || r->iterations > REFINEMENTS) return best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN;
-        newton(w);
-        advance(w, 1.0);
     }
 }
