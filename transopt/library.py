@@ -263,7 +263,7 @@ class Library:
         spread: tuple[StageModel, ...],
         coil: CoilModel | None,
     ) -> TransientProblem:
-        """The problem of a tap with the library's limits; a wall pushes where the nominal motion is under the surface.
+        """The problem of a tap with these limits; a wall pushes where the nominal motion is under the surface.
 
         Parameters
         ----------
