@@ -20,17 +20,19 @@ MOST_STATES = 48  # of riccati.c
 DOUBLES = ct.POINTER(ct.c_double)
 
 
-class _Problem(ct.Structure):
-    """`tr_problem` of riccati.c."""
+# `tr_problem` of riccati.c.
+PROBLEM_FIELDS: list[tuple[str, Any]] = [
+    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "rows", "nodes")],
+    *[(name, ct.c_int) for name in ("current", "repeated")],
+    *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
+    *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
+    *[(name, DOUBLES) for name in ("M", "b", "gain", "square", "F", "f")],
+    *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound")],
+]
 
-    _fields_ = (
-        *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "rows", "nodes")],
-        *[(name, ct.c_int) for name in ("current", "repeated")],
-        *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
-        *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
-        *[(name, DOUBLES) for name in ("M", "b", "gain", "square", "F", "f")],
-        *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound")],
-    )
+
+class _Problem(ct.Structure):
+    _fields_ = PROBLEM_FIELDS
 
 
 class _Options(ct.Structure):

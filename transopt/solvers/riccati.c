@@ -65,7 +65,8 @@ static const int REFINEMENTS = 4;     /* of a linear pass, each one more step wi
 #define ALWAYS_INLINE static inline
 #endif
 /* The same code for wider registers, chosen when the library is loaded; no operation is contracted or reordered. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && \
+    !defined(__SANITIZE_ADDRESS__)
 #define CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 #else
 #define CLONES
