@@ -2,9 +2,9 @@
 
     python scripts/solver_memory.py
 
-Problems of the built-in scenes (saturated, with temperature, with taps that repeat, over a wall, at a rail, ideal, for
-several devices), their limits taken away, horizons of one stage, limits that nothing meets and numbers that are none are
-solved by `solver_memory.c`, whose arrays have their exact sizes. Every run has to be clean and to give the numbers that
+Problems of the built-in scenes (saturated, with temperature, with taps that repeat, over a wall, at a rail, ideal,
+for several devices), their limits taken away, horizons of one stage, limits that nothing meets and numbers that are
+none are solved by `solver_memory.c`, whose arrays have their exact sizes. Every run has to be clean and to give what
 the installed extension gives. Exit code 3: a tool is missing, and which is said.
 """
 
@@ -73,8 +73,7 @@ def cases() -> Iterator[Stages]:
     nothing = np.full_like(plain.reference_m_s2, np.nan)
     given = runtime_stages(plain)
     yield replace(given, arrays=given.arrays | {"reference": nothing})
-    unweighted = without_limits(replace(plain, rho=0.0, tracking_weights=np.zeros(plain.grid.stages)))
-    yield unweighted
+    yield without_limits(replace(plain, rho=0.0, tracking_weights=np.zeros(plain.grid.stages)))
 
 
 def written(stages: Stages) -> bytes:
