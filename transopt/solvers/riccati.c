@@ -56,6 +56,8 @@ enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_
 
 static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
 static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
+static const double FARTHEST = 5e-3;  /* part of slacks and multipliers that a step leaves */
+static const double NEAREST = 1e-9, NEARNESS = 0.1;
 static const int PATIENCE = 6;        /* iterations without a better iterate */
 static const int REFINEMENTS = 4;     /* of a linear pass, each one more step with the same gains */
 
@@ -807,7 +809,9 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
             aim(w, 1);
             newton(w);
         }
-        const double step = slack_steps(w, count > 0.0, 0.005);
+        /* Closer to the walls as they matter less: the last iterations then gain more than two digits each. */
+        const double left = NEARNESS * now.complementarity / fmax(now.objective, 1.0);
+        const double step = slack_steps(w, count > 0.0, fmin(FARTHEST, fmax(left, NEAREST)));
         if (!(step > SHORTEST)) return near ? TR_ACCURACY : TR_STALLED;
         advance(w, step);
     }
