@@ -107,7 +107,7 @@ def tap(
         return
     _refuse(context, ONLY_ON_PORT, "only with --port")
     gain = 1.0 if gain is None else gain
-    from controller.bank import Method, bank
+    from controller.bank import Bank, Method, bank
     from controller.experiment import Tap, play_tap
     from controller.interface import Notice
     from controller.loop import WallClock
@@ -142,7 +142,12 @@ def tap(
     truth = device_of(scene_of(loaded) if device is None else scene_like(device))
     if out is not None:
         terminal.make_folder(out)
-    servo = Servo(settings, bank(loaded, Method(method)))
+    table: Bank = bank(loaded, Method(method))
+    if method == Method.ONLINE.value:
+        from controller.fresh import fresh
+
+        table = fresh(loaded, table)
+    servo = Servo(settings, table)
     servo.set_gain(gain)
     wanted = Tap(
         speed_m_s,

@@ -19,7 +19,7 @@ from transopt.optimum import optimum
 from transopt.problem import Certificate, Status
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
-from transopt.replay import replay
+from transopt.replay import replayed_errors
 from transopt.scene import Scene
 from transopt.scene_sections import Grid
 from transopt.signals import FloatArray, nrmse
@@ -256,7 +256,7 @@ class Errors:
                 ]
                 wanted = np.repeat([self.reference(speed).motor_m_s2 for speed, _ in part], 3, axis=0)
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
-                played = [r.nrmse for r in replay(self.stage(grip), grid, np.stack(commands), wanted, None)]
+                played = replayed_errors(self.stage(grip), grid, np.stack(commands), wanted).tolist()
                 found += [OffNode(*point, *played[3 * j : 3 * j + 3]) for j, point in enumerate(part)]
         return found
 
