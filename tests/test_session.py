@@ -10,8 +10,8 @@ from controller.image import image_of, sha256
 from controller.interface import Fault, Notice, Readings, State
 from controller.limits import Capacity
 from controller.link import Trouble
-from controller.session import SILENCE_S, MisuseError, Session
-from controller.states import OVER, SEEN, TRANSITIONS, SessionState, Trigger
+from controller.session import SILENCE_S, Session
+from controller.states import OVER, SEEN, TRANSITIONS, MisuseError, SessionState, Trigger
 from controller.told import (
     Cause,
     Changed,
@@ -222,7 +222,7 @@ def test_a_foreign_device_and_another_version_are_named() -> None:
         (ended,) = session.receive(encode(reply), 1.1)
         assert isinstance(ended, Ended)
         assert ended.cause is cause
-        assert ("it speaks 9, the host 1" in str(ended)) == (protocol == 9)
+        assert (f"it speaks 9, the host {m.PROTOCOL}" in str(ended)) == (protocol == 9)
 
 
 def test_a_device_tells_another_version_its_own() -> None:
