@@ -1,18 +1,28 @@
 """`transopt-play record sweep` on a device: what is written, and what is not."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from controller.codes import Kind
+from controller import port_commands
+from controller.codes import STATES, Kind
+from controller.default_device import DEFAULT_DEVICE
+from controller.driver import Device
 from controller.excitation import sweep_command
+from controller.firmware.build import NoCompilerError
 from controller.image import sha256
 from controller.interface import State
 from controller.limits import Capacity, Hardware
 from controller.link import Trouble
 from controller.payload import trial_sweep
+from controller.sensors import SEED_SENSORS
+from controller.told import Samples, Told
+from controller.truth import Device as TrueDevice
+from controller.user import StillHand
+from scripts.compiled_device import CompiledDevice, plant_of
 from tests.desk import DT_S, PORT, Desk, Play
 from tests.test_cli import assert_refused
 from tests.test_device_cli import interrupt
@@ -255,3 +265,82 @@ def test_files_are_never_written_over(play: Play, checked: Desk) -> None:
 def test_heat_is_not_measured_by_any_device(play: Play, desk: Desk) -> None:
     outcome = play("record", "heat", *PORT)
     assert_refused(outcome, "neither the coil's voltage nor its temperature", "time_s, current_A, voltage_V")
+
+
+# In real time, over a pseudo-terminal, with the compiled device.
+
+
+@pytest.fixture
+def served() -> Iterator[CompiledDevice]:
+    try:
+        compiled = CompiledDevice(plant_of(StillHand(), StillHand.period_s))
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+    with compiled, Device(compiled.name) as device:
+        given = trial_sweep(device.hello, None)
+        device.configure(given.configuration)
+        device.checked()
+        device.close()
+        yield compiled
+
+
+def transfer(plant: TrueDevice, grip_N: float, frequency_Hz: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """From current to the acceleration of the stylus, of a chain whose last joint stands on the ground."""
+    masses, stiffness, damping = plant.at(grip_N)
+    out = []
+    for s in 2j * np.pi * frequency_Hz:
+        joints = np.asarray(stiffness) + s * np.asarray(damping)
+        dynamic = np.diag(s**2 * np.asarray(masses)).astype(complex)
+        for j, joint in enumerate(joints):
+            dynamic[j, j] += joint
+            if j + 1 < len(masses):
+                dynamic[j + 1, j + 1] += joint
+                dynamic[j, j + 1] -= joint
+                dynamic[j + 1, j] -= joint
+        force = np.zeros(len(masses))
+        force[0] = plant.force_per_current_N_A
+        out.append(s**2 * np.linalg.solve(dynamic, force)[plant.stylus])
+    return np.array(out)
+
+
+def test_what_is_recorded_over_a_port_is_the_device(play: Play, served: CompiledDevice) -> None:
+    """Its transfer function, from the files alone: signs, units and instants are right."""
+    options = ("--out", "rec", "--low", 10, "--high", 1500, "--seconds", 0.5, "--trials", 2, "--grip", 3, "--gain", 1)
+    outcome = play("record", "sweep", "--port", served.name, *options)
+    assert outcome.code == 0, outcome.out + outcome.err
+    currents, accelerations = 0j, 0j
+    for name, sign in zip(files(), (1, -1), strict=True):
+        trial = read(name)
+        currents = currents + sign * np.fft.rfft(trial["current_A"])
+        swing = trial["acceleration_m_s2"] - trial["acceleration_m_s2"][:400].mean()
+        accelerations = accelerations + sign * np.fft.rfft(swing)
+    frequency = np.fft.rfftfreq(read("sweep_001.npz")["time_s"].size, DT_S)
+    inner = (frequency > 20) & (frequency < 800)
+    seen = (accelerations / currents)[inner] * (1 + 1j * frequency[inner] / SEED_SENSORS.accelerometer_bandwidth_Hz)
+    ratio = seen / transfer(DEFAULT_DEVICE, 3.0, frequency[inner])
+    assert np.median(np.abs(20 * np.log10(np.abs(ratio)))) < 0.5
+    assert np.median(np.abs(np.angle(ratio, deg=True))) < 3.0
+
+
+def test_a_device_that_dies_half_way_leaves_nothing_half(
+    play: Play, served: CompiledDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    playing = 0
+
+    def killing(news: Told) -> None:
+        nonlocal playing
+        if isinstance(news, Samples):
+            playing += sum(STATES[record.state] is State.PLAYING for record in news.records)
+            if playing > 1.5 * 5000:
+                served.process.kill()
+
+    def opened(port: str) -> Device:
+        device = Device(port)
+        device.listeners.append(killing)
+        return device
+
+    monkeypatch.setattr(port_commands, "open_device", opened)
+    options = ("--out", "rec", "--low", 10, "--high", 1500, "--seconds", 0.5, "--trials", 3)
+    assert_refused(play("record", "sweep", "--port", served.name, *options), "it does not arm by itself")
+    assert files() == ["sweep_001.npz"]
+    assert read("sweep_001.npz")["time_s"].size == 5000 + 1501
