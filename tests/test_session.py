@@ -243,6 +243,7 @@ MISUSES: list[tuple[str, Act]] = [
     ("connect", lambda s: s.connect(1.0)),
     ("upload", lambda s: (s.upload(IMAGE), s.upload(image(speeds=3)))),
     ("arm", lambda s: s.arm(1.0)),
+    ("start", lambda s: s.start()),
 ]
 
 
@@ -354,6 +355,7 @@ def test_the_table_of_states_is_closed() -> None:
             assert not any((state, seen) in TRANSITIONS for seen in SEEN.values())
     assert (SessionState.CONNECTING, Trigger.ACTIVE_SEEN) not in TRANSITIONS
     assert [state for state in SessionState if (state, Trigger.ARM) in TRANSITIONS] == [SessionState.READY]
+    assert [state for state in SessionState if (state, Trigger.START) in TRANSITIONS] == [SessionState.ARMED]
 
 
 def test_changes_of_the_device_are_told_once() -> None:
