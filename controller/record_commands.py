@@ -100,6 +100,7 @@ def record_sweep(
 ) -> None:
     """Play swept sines and record what they do: one file per trial, which `transopt identify` reads."""
     from controller.device_tables import sweep_table
+    from controller.driver import LinkLostError
     from controller.excitation import sweep_command
     from controller.first_run import default_gain, remember
     from controller.image import sha256
@@ -159,6 +160,8 @@ def record_sweep(
                 stopped = True
             except AbortedError as aborted:
                 why = str(aborted)
+            except LinkLostError as lost:
+                raise LinkLostError(f"{lost}; {out}: {len(written)} of {trials} trials, all whole") from None
             finally:
                 device.listeners.remove(shown.take)
     console.print(sweep_table(written, title))

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from controller.codes import LinkNotice
-from controller.driver import Device
+from controller.driver import Device, DeviceError, LinkLostError
 from controller.interface import Fault, Notice, State
 from controller.measurement_file import write_measurement
 from controller.messages import Record
@@ -139,8 +139,9 @@ class Sweeps:
 
         Raises
         ------
-        AbortedError : a fault, a lost lease, the grip that was asked for did not come, or no trial was whole.
-        DeviceError : it does not arm or start. LinkLostError : the device is gone.
+        AbortedError : a fault, a lost lease, the grip that was asked for did not come, the device does not start, or
+            no trial was whole.
+        DeviceError : it does not arm. LinkLostError : the device is gone.
         """
         why = ""
         for _ in range(ATTEMPTS):
@@ -225,7 +226,14 @@ class Sweeps:
         self._ears.fresh()
         # The rest before it, and whatever still was under way.
         self._until(lambda: len(self._ears.records) > before, LATE_S)
-        self._device.start(negative=negative)
+        try:
+            self._device.start(negative=negative)
+        except LinkLostError:
+            raise
+        except DeviceError as refused:
+            self._until(lambda: False, 0.0)  # a fault or a lost lease says more
+            self._device.disarm()
+            raise AbortedError(str(refused)) from None
         self._until(lambda: self._ears.at(Notice.FINISHED) is not None, duration_s + LATE_S)
         end = self._ears.at(Notice.FINISHED)
         if end is None:

@@ -157,6 +157,9 @@ class Trials(RuleBasedStateMachine):
     @precondition(lambda self: self.world.host_alive)
     @rule(negative=st.booleans(), duration_s=st.sampled_from([0.0, 0.01, 0.1]))
     def user_sets_out_to_sweep(self, negative: bool, duration_s: float) -> None:
+        if self.world.session.state is SessionState.ARMED:
+            self.world.session.disarm()
+            self.run_for(0.05)
         self.set_out(EXCITED, ONE_WAVEFORM)
         if self.world.session.state is SessionState.ARMED:
             self.world.session.start(negative=negative)

@@ -225,7 +225,7 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(
     checked.each_ms = look
     outcome = play(*SHORT, "--trials", 3, "--grip", 3)
     if how == "unplugged":
-        assert_refused(outcome, "it does not arm by itself")
+        assert_refused(outcome, "it does not arm by itself", "rec: 1 of 3 trials, all whole")
     else:
         assert outcome.code == 1, outcome.out + outcome.err
         words = {
@@ -239,6 +239,20 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(
     assert files() == ["sweep_001.npz"]
     assert read("sweep_001.npz")["time_s"].size == 3501
     checked.gone = False
+
+
+def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Play, checked: Desk) -> None:
+    def look() -> None:
+        servo = checked.firmware.servo
+        if servo is not None and servo.guard is not None and checked.firmware.state is State.ARMED:
+            servo.guard.winding_C = servo.guard.play_limit_C - 1e-6
+
+    checked.each_ms = look
+    outcome = play(*SHORT)
+    assert outcome.code == 1
+    assert "start refused: the coil is too hot to play: let it cool (device saw 95)" in outcome.out
+    assert (checked.firmware.state, checked.firmware.fault) == (State.IDLE, None)
+    assert not files()
 
 
 def test_ctrl_c_disarms(play: Play, checked: Desk) -> None:
