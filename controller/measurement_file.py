@@ -27,7 +27,8 @@ def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Ma
 
     Parameters
     ----------
-    columns : some of `COLUMNS`, `time_s` among them; (n,) each, row k of all at `time_s[k]`, finite.
+    columns : some of `COLUMNS`, `time_s` among them; (n,) each, finite. What was measured, at `time_s[k]`; the
+        command of row k is held from there to the next row.
     scalars : some of `SCALARS`. grip_N : mean over the trial. accelerometer_Hz : bandwidth, one pole.
 
     Raises

@@ -50,8 +50,10 @@ class Trial:
 
     Attributes
     ----------
-    time_s : (n,) from 0 at the first sample of the excitation. command_A, current_A, acceleration_m_s2, position_m :
-        (n,); what was commanded, limits included. grip_N : mean while it played; 0 of the free device.
+    time_s : (n,) 0 at the first sample of the excitation; a row's command answers its readings and is held until the
+        next row, so a current of row k knows commands before k only.
+    command_A, current_A, acceleration_m_s2, position_m : (n,); the command as it went out, limits included.
+    grip_N : mean while it played; 0 of the free device.
     negative : played with the other sign. cut_ticks : in which a limit cut the command.
     """
 
