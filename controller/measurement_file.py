@@ -17,6 +17,7 @@ COLUMNS = (
     "force_N",
     "winding_C",
     "housing_C",
+    "ambient_C",
     "voltage_V",
 )
 SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s")

@@ -201,5 +201,5 @@ def record_heat(port: Port) -> None:
     raise InputError(
         f"record heat: the device on {port} measures neither the coil's voltage nor its temperature: log both, "
         "every second or so, while a constant current flows and while the coil cools, as CSV with the columns "
-        "time_s, current_A, voltage_V, winding_C, housing_C (of the two temperatures those that you have)"
+        "time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of the temperatures those that you have)"
     )

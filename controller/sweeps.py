@@ -274,7 +274,8 @@ class Sweeps:
             current_A=column("measured_current_A"),
             acceleration_m_s2=acceleration,
             position_m=column("encoder_counts") * self._count_m,
-            grip_N=0.0 if self._grip_N == 0 else float(grips.mean()),
+            # A sensor's zero may lie a little below.
+            grip_N=0.0 if self._grip_N == 0 else max(float(grips.mean()), 0.0),
             negative=negative,
             cut_ticks=int(np.sum(command != transient)),
         )

@@ -26,6 +26,7 @@ from scripts.compiled_device import CompiledDevice, plant_of
 from tests.desk import DT_S, PORT, Desk, Play
 from tests.test_cli import assert_refused
 from tests.test_device_cli import interrupt
+from transopt.identify.measurement import load_measurement
 from transopt.library import Library
 
 CHECK = ("check", "--sweep", *PORT, "--skip", "encoder", "--skip", "emergency-stop", "--skip", "grip-zero")
@@ -91,6 +92,14 @@ def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Play, desk:
         late = np.corrcoef(trial["current_A"][1:], command[:-1])[0, 1]
         assert late > 0.8
         assert np.ptp(trial["position_m"]) >= (24.5e-6 if abs(factor) == 1 else 0.0)
+    # What identification reads of it.
+    measurement = load_measurement(Path("rec/sweep_004.npz"))
+    assert measurement.command is not None
+    assert measurement.acceleration is not None
+    assert (measurement.command.start_s, measurement.command.dt_s) == pytest.approx((-0.05, DT_S))
+    assert (measurement.grip_N, measurement.accelerometer_Hz) == (trial["grip_N"], 1600)
+    assert measurement.off_grid < 1e-6
+    np.testing.assert_allclose(measurement.command.values, command, rtol=0, atol=1e-12)
     full, negative = read("sweep_003.npz"), read("sweep_004.npz")
     assert full["accelerometer_Hz"] == 1600
     moved = [np.abs(one["acceleration_m_s2"] - one["acceleration_m_s2"].mean()).max() for one in (full, negative)]
