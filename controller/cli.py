@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller import port_commands
+from controller import port_commands, record_commands
 from transopt import terminal
 from transopt.errors import InputError
 
@@ -27,7 +27,7 @@ app.command()(port_commands.ports)
 app.command()(port_commands.upload)
 app.command()(port_commands.monitor)
 app.command()(port_commands.check)
-app.add_typer(port_commands.record_app, name="record")
+app.add_typer(record_commands.record_app, name="record")
 ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "device", "crossover", "user", "real_time")
 ONLY_ON_PORT = ("taps", "seconds", "accelerometer_hz", "reset")
 

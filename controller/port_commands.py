@@ -1,4 +1,4 @@
-"""`transopt-play` for a device on a port: ports, upload, monitor, record, check, and tap's half with --port.
+"""`transopt-play` for a device on a port: ports, upload, monitor, check, and tap's half with --port.
 
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from controller.driver import Device
     from controller.live import Monitor
     from controller.messages import HelloReply
-    from controller.payload import Payload
+    from controller.payload import Load
     from controller.recorder import Recorder
 
 LISTEN_S = 0.05  # between two looks at whether to end
@@ -29,8 +29,6 @@ Reset = Annotated[bool, typer.Option("--reset", help="Leave a latched fault firs
 Seconds = Annotated[float | None, typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.")]
 LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
 
-record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
-
 
 def open_device(port: str) -> "Device":
     """Connect; what the commands do is the same for any device that speaks the protocol."""
@@ -39,7 +37,7 @@ def open_device(port: str) -> "Device":
     return Device(port)
 
 
-def _load(device: "Device", given: "Payload") -> None:
+def load(device: "Device", given: "Load") -> None:
     """Configuration and library in force, with a progress bar where there is a terminal."""
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
@@ -60,7 +58,7 @@ class StoppedError(Exception):
 
 
 @contextmanager
-def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
+def disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
     """The first Ctrl-C disarms; at another one meanwhile the driver gives an emergency stop.
 
     Raises
@@ -78,7 +76,7 @@ def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
 
 
 @contextmanager
-def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
+def connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
     """A device for the length of a block; a fault is left only where the user says so, None does not look.
 
     Raises
@@ -100,7 +98,7 @@ def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
         raise typer.Exit(130) from None
 
 
-def _number(option: str, value: float, low: float, high: float, unit: str = "") -> float:
+def number(option: str, value: float, low: float, high: float, unit: str = "") -> float:
     if not low <= value <= high:
         raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
     return value
@@ -142,8 +140,8 @@ def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
     from controller.payload import payload
 
     given = payload(library)
-    with _connected(port, reset) as device:
-        _load(device, given)
+    with connected(port, reset) as device:
+        load(device, given)
 
 
 def monitor(
@@ -156,10 +154,10 @@ def monitor(
     from controller.settings import Settings
     from controller.told import Changed
 
-    _number("every", every, 1, 65535, " ticks")
-    _ends(None, seconds)
+    number("every", every, 1, 65535, " ticks")
+    ends(None, seconds)
     console = terminal.console()
-    with _connected(port) as device:
+    with connected(port) as device:
         hello = device.hello
         console.print(_who(port, hello), highlight=False, soft_wrap=True)
         with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
@@ -186,7 +184,7 @@ def _who(port: str, hello: "HelloReply") -> str:
 
 
 @contextmanager
-def _no_long_pauses() -> Iterator[None]:
+def no_long_pauses() -> Iterator[None]:
     """A full collection over all that numpy, scipy and rich have made takes 0.15 s, most of a lease."""
     gc.collect()
     gc.freeze()
@@ -196,7 +194,7 @@ def _no_long_pauses() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _run(
+def run(
     device: "Device",
     recorder: "Recorder",
     shown: "Monitor",
@@ -214,10 +212,10 @@ def _run(
     from controller.interface import State
 
     stopped = False
-    with recorder, shown, _no_long_pauses():
+    with recorder, shown, no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:
-            with _disarmed_by_ctrl_c(device):
+            with disarmed_by_ctrl_c(device):
                 if gain is not None:
                     device.arm(gain)
                 device.set_telemetry(1)
@@ -234,45 +232,6 @@ def _run(
     return stopped
 
 
-@record_app.callback()
-def record() -> None:
-    """Record what a device's sensors say; nothing is played."""
-
-
-@record_app.command("tap")
-def record_tap(
-    port: Port,
-    out: Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")],
-    taps: Annotated[int | None, typer.Option(help="End after so many; default: on Ctrl-C.")] = None,
-    seconds: Seconds = None,
-    trigger: Annotated[float, typer.Option(help="Acceleration in g that is taken for a contact.")] = 1.0,
-    count_um: Annotated[float, typer.Option(help="One encoder count at the tip, in um.")] = 24.5,
-) -> None:
-    """Record taps on a real object, device idle: one file each, which `transopt taps` and scenes read."""
-    from controller.live import Monitor
-    from controller.recorder import Recorder, make_room
-    from transopt.signals import STANDARD_GRAVITY_M_S2
-
-    _number("trigger", trigger, 0.05, 100.0, " g")
-    _number("count-um", count_um, 1e-3, 1e4, " um")
-    _ends(taps, seconds)
-    make_room(out)
-    console = terminal.console()
-    with _connected(port) as device:
-        dt_s, count_m = device.hello.dt_s, 1e-6 * count_um
-        recorder = Recorder(out, dt_s, count_m, trigger_m_s2=trigger * STANDARD_GRAVITY_M_S2)
-        shown = Monitor(console, f"recording on {port}", dt_s, count_m)
-        stopped = _run(
-            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
-        )
-    console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
-    if stopped:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130)
-    if not recorder.contacts:
-        raise typer.Exit(1)
-
-
 class ConsolePerson:
     """Whoever reads the terminal."""
 
@@ -286,26 +245,31 @@ def check(
     rest_g: Annotated[float, typer.Option(help="Accelerometer at rest in g: 1 level, 0 upright surface.")] = 1.0,
     skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
     patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="For `record sweep`, with the library's limits or the built-in ones.")
+    ] = False,
     reset: Reset = False,
 ) -> None:
     """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
     from controller.bringup import Check, Result, check_skipped, passed, run_steps
     from controller.device_tables import VERDICTS, check_table
-    from controller.payload import payload
+    from controller.payload import payload, trial_sweep
     from controller.settings import Settings
 
-    _number("rest-g", rest_g, -1.0, 1.0, " g")
-    _number("patience", patience, 0.1, 3600.0, " s")
+    number("rest-g", rest_g, -1.0, 1.0, " g")
+    number("patience", patience, 0.1, 3600.0, " s")
     skipped = check_skipped(skip or ())
-    given = None if library is None else payload(library)
+    given: Load | None = None if library is None else payload(library)
     console = terminal.console()
 
     def told(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
-    with _connected(port, reset) as device:
+    with connected(port, reset) as device:
+        if sweep:
+            given = trial_sweep(device.hello, library)
         if given is not None:
-            _load(device, given)
+            load(device, given)
         settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
         device.set_telemetry(1)
         bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
@@ -328,12 +292,12 @@ def check(
     )
 
 
-def _ends(taps: int | None, seconds: float | None) -> None:
+def ends(taps: int | None, seconds: float | None) -> None:
     """What may end a run."""
     if taps is not None:
-        _number("taps", taps, 1, 1_000_000)
+        number("taps", taps, 1, 1_000_000)
     if seconds is not None:
-        _number("for", seconds, 0.0, 1e9, " s")
+        number("for", seconds, 0.0, 1e9, " s")
 
 
 def tap_on_port(
@@ -359,22 +323,22 @@ def tap_on_port(
     from controller.recorder import Recorder, make_room
 
     if gain is not None:
-        _number("gain", gain, 0.0, 1.0)
-    _number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
-    _ends(taps, seconds)
+        number("gain", gain, 0.0, 1.0)
+    number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
+    ends(taps, seconds)
     given = payload(library)
     if out is not None:
         make_room(out)
     settings, configuration = given.settings, sha256(given.configuration)
     console = terminal.console()
-    with _connected(port, reset) as device:
-        _load(device, given)
+    with connected(port, reset) as device:
+        load(device, given)
         hello = device.hello
         played_at = default_gain(hello.boot, configuration) if gain is None else gain
         title = f"{library} on {port}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts)
         shown = Monitor(console, title, hello.dt_s, settings.count_m)
-        stopped = _run(
+        stopped = run(
             device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, played_at
         )
     judged = [judge(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts]
