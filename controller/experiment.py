@@ -10,7 +10,7 @@ from controller.loop import Clock, Observer, Servo, run
 from controller.metrics import align, rate_hardness_N_m, spectral_error_dB
 from controller.prediction import Prediction, predict, scene_of
 from controller.simulator import NONE, Imperfections, Simulator, Trace
-from controller.truth import device_of
+from controller.truth import Device, device_of
 from controller.user import Habit, RecordedUser, TapUser, Tremor, User
 from transopt.library import Library
 from transopt.problem import verdict
@@ -183,8 +183,13 @@ def play_tap(
     *,
     observe: Observer | None = None,
     clock: Clock | None = None,
+    device: Device | None = None,
 ) -> Played:
     """Arm the servo, let a simulated user tap once, and compare with the library's prediction.
+
+    Parameters
+    ----------
+    device : what is really there, before the tap's own mismatch; without it, what the library was solved for.
 
     Raises
     ------
@@ -197,7 +202,7 @@ def play_tap(
     phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
     expected = (approach + phase) * dt
     simulator = Simulator(
-        device_of(scene),
+        device_of(scene) if device is None else device,
         _user(library, tap, prediction, expected),
         dt,
         imperfections=tap.imperfections,

@@ -29,8 +29,6 @@ Reset = Annotated[bool, typer.Option("--reset", help="Leave a latched fault firs
 Seconds = Annotated[float | None, typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.")]
 LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
 
-record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
-
 
 def open_device(port: str) -> "Device":
     """Connect; what the commands do is the same for any device that speaks the protocol."""
@@ -234,19 +232,8 @@ def _run(
     return stopped
 
 
-@record_app.callback()
-def record() -> None:
-    """Record what a device's sensors say; nothing is played."""
-
-
-@record_app.command("tap")
-def record_tap(
-    port: Port,
-    out: Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")],
-    taps: Annotated[int | None, typer.Option(help="End after so many; default: on Ctrl-C.")] = None,
-    seconds: Seconds = None,
-    trigger: Annotated[float, typer.Option(help="Acceleration in g that is taken for a contact.")] = 1.0,
-    count_um: Annotated[float, typer.Option(help="One encoder count at the tip, in um.")] = 24.5,
+def record_tap_on_port(
+    port: str, out: Path, *, taps: int | None, seconds: float | None, trigger: float, count_um: float
 ) -> None:
     """Record taps on a real object, device idle: one file each, which `transopt taps` and scenes read."""
     from controller.live import Monitor
