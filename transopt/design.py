@@ -103,7 +103,7 @@ class Entry:
         return verdict(self.nrmse, self.floor, self.repeatability)
 
 
-def _left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
+def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
     """Parts that the scene does not ask for."""
     idle = int(np.sum(~acting_states(problem.stage.plant)))
     parts = {
@@ -265,7 +265,7 @@ def _entry(
         prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A, options)
         if status is Status.OPTIMAL
         else [],
-        left_out={**_left_out_by_scene(scene, problem), **designed.left_out},
+        left_out={**left_out_by_scene(scene, problem), **designed.left_out},
         size=designed.size,
         spread=spread,
     )
