@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller import port_commands, record_commands
+from controller import port_commands, record_commands, refine_command
 from controller.options import refuse, within
 from transopt import terminal
 from transopt.errors import InputError
@@ -28,6 +28,7 @@ app.command()(port_commands.ports)
 app.command()(port_commands.upload)
 app.command()(port_commands.monitor)
 app.command()(port_commands.check)
+app.command()(refine_command.refine)
 app.add_typer(record_commands.record_app, name="record")
 ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "crossover", "user", "scene", "real_time")
 ONLY_ON_PORT = ("taps", "seconds", "accelerometer_hz", "reset")
@@ -96,6 +97,7 @@ def tap(
     from controller.loop import WallClock
     from controller.servo import Servo
     from controller.settings import Settings
+    from controller.simulated_device import find_scene
     from controller.simulator import Imperfections
     from controller.tables import tap_table
     from controller.telemetry import Telemetry
@@ -140,7 +142,7 @@ def tap(
             wanted,
             observe=None if telemetry is None else telemetry.record,
             clock=WallClock() if real_time else None,
-            device=None if scene is None else device_of(record_commands.find_scene(scene)),
+            device=None if scene is None else device_of(find_scene(scene)),
         )
     console = terminal.console()
     title = f"{library}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"

@@ -1,4 +1,4 @@
-"""`transopt-play` for a device on a port: ports, upload, monitor, record, check, and tap's half with --port.
+"""`transopt-play` for a device on a port: ports, upload, monitor, check, and tap's half with --port.
 
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
@@ -37,7 +37,7 @@ def open_device(port: str) -> "Device":
     return Device(port)
 
 
-def _load(device: "Device", given: "Payload") -> None:
+def load(device: "Device", given: "Payload") -> None:
     """Configuration and library in force, with a progress bar where there is a terminal."""
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
@@ -58,7 +58,7 @@ class StoppedError(Exception):
 
 
 @contextmanager
-def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
+def disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
     """The first Ctrl-C disarms; at another one meanwhile the driver gives an emergency stop.
 
     Raises
@@ -76,7 +76,7 @@ def _disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
 
 
 @contextmanager
-def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
+def connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
     """A device for the length of a block; a fault is left only where the user says so, None does not look.
 
     Raises
@@ -98,7 +98,7 @@ def _connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
         raise typer.Exit(130) from None
 
 
-def _number(option: str, value: float, low: float, high: float, unit: str = "") -> float:
+def number(option: str, value: float, low: float, high: float, unit: str = "") -> float:
     if not low <= value <= high:
         raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
     return value
@@ -140,8 +140,8 @@ def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
     from controller.payload import payload
 
     given = payload(library)
-    with _connected(port, reset) as device:
-        _load(device, given)
+    with connected(port, reset) as device:
+        load(device, given)
 
 
 def monitor(
@@ -154,10 +154,10 @@ def monitor(
     from controller.settings import Settings
     from controller.told import Changed
 
-    _number("every", every, 1, 65535, " ticks")
-    _ends(None, seconds)
+    number("every", every, 1, 65535, " ticks")
+    ends(None, seconds)
     console = terminal.console()
-    with _connected(port) as device:
+    with connected(port) as device:
         hello = device.hello
         console.print(_who(port, hello), highlight=False, soft_wrap=True)
         with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
@@ -184,7 +184,7 @@ def _who(port: str, hello: "HelloReply") -> str:
 
 
 @contextmanager
-def _no_long_pauses() -> Iterator[None]:
+def no_long_pauses() -> Iterator[None]:
     """A full collection over all that numpy, scipy and rich have made takes 0.15 s, most of a lease."""
     gc.collect()
     gc.freeze()
@@ -194,7 +194,7 @@ def _no_long_pauses() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _run(
+def run(
     device: "Device",
     recorder: "Recorder",
     shown: "Monitor",
@@ -212,10 +212,10 @@ def _run(
     from controller.interface import State
 
     stopped = False
-    with recorder, shown, _no_long_pauses():
+    with recorder, shown, no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:
-            with _disarmed_by_ctrl_c(device):
+            with disarmed_by_ctrl_c(device):
                 if gain is not None:
                     device.arm(gain)
                 device.set_telemetry(1)
@@ -230,34 +230,6 @@ def _run(
             device.listeners.remove(recorder.take)
             device.listeners.remove(shown.take)
     return stopped
-
-
-def record_tap_on_port(
-    port: str, out: Path, *, taps: int | None, seconds: float | None, trigger: float, count_um: float
-) -> None:
-    """Record taps on a real object, device idle: one file each, which `transopt taps` and scenes read."""
-    from controller.live import Monitor
-    from controller.recorder import Recorder, make_room
-    from transopt.signals import STANDARD_GRAVITY_M_S2
-
-    _number("trigger", trigger, 0.05, 100.0, " g")
-    _number("count-um", count_um, 1e-3, 1e4, " um")
-    _ends(taps, seconds)
-    make_room(out)
-    console = terminal.console()
-    with _connected(port) as device:
-        dt_s, count_m = device.hello.dt_s, 1e-6 * count_um
-        recorder = Recorder(out, dt_s, count_m, trigger_m_s2=trigger * STANDARD_GRAVITY_M_S2)
-        shown = Monitor(console, f"recording on {port}", dt_s, count_m)
-        stopped = _run(
-            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
-        )
-    console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
-    if stopped:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130)
-    if not recorder.contacts:
-        raise typer.Exit(1)
 
 
 class ConsolePerson:
@@ -281,8 +253,8 @@ def check(
     from controller.payload import payload
     from controller.settings import Settings
 
-    _number("rest-g", rest_g, -1.0, 1.0, " g")
-    _number("patience", patience, 0.1, 3600.0, " s")
+    number("rest-g", rest_g, -1.0, 1.0, " g")
+    number("patience", patience, 0.1, 3600.0, " s")
     skipped = check_skipped(skip or ())
     given = None if library is None else payload(library)
     console = terminal.console()
@@ -290,9 +262,9 @@ def check(
     def told(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
-    with _connected(port, reset) as device:
+    with connected(port, reset) as device:
         if given is not None:
-            _load(device, given)
+            load(device, given)
         settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
         device.set_telemetry(1)
         bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
@@ -315,12 +287,12 @@ def check(
     )
 
 
-def _ends(taps: int | None, seconds: float | None) -> None:
+def ends(taps: int | None, seconds: float | None) -> None:
     """What may end a run."""
     if taps is not None:
-        _number("taps", taps, 1, 1_000_000)
+        number("taps", taps, 1, 1_000_000)
     if seconds is not None:
-        _number("for", seconds, 0.0, 1e9, " s")
+        number("for", seconds, 0.0, 1e9, " s")
 
 
 def tap_on_port(
@@ -346,22 +318,22 @@ def tap_on_port(
     from controller.recorder import Recorder, make_room
 
     if gain is not None:
-        _number("gain", gain, 0.0, 1.0)
-    _number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
-    _ends(taps, seconds)
+        number("gain", gain, 0.0, 1.0)
+    number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
+    ends(taps, seconds)
     given = payload(library)
     if out is not None:
         make_room(out)
     settings, configuration = given.settings, sha256(given.configuration)
     console = terminal.console()
-    with _connected(port, reset) as device:
-        _load(device, given)
+    with connected(port, reset) as device:
+        load(device, given)
         hello = device.hello
         played_at = default_gain(hello.boot, configuration) if gain is None else gain
         title = f"{library} on {port}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts)
         shown = Monitor(console, title, hello.dt_s, settings.count_m)
-        stopped = _run(
+        stopped = run(
             device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, played_at
         )
     judged = [judge(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts]

@@ -4,19 +4,14 @@ Heavy imports stand inside the commands, so that help and errors come at once.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from controller import port_commands
 from controller.options import numbers, refuse, within
+from controller.port_commands import STOPPED, Seconds, connected, ends, run
 from transopt import terminal
 from transopt.errors import InputError
-
-if TYPE_CHECKING:
-    from controller.simulator import Imperfections
-    from controller.truth import Device
-    from transopt.scene import Scene
 
 record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
 DEFAULT_SCENE = "wood_on_foam"
@@ -40,56 +35,6 @@ SceneName = Annotated[str | None, typer.Option(help="Whose device it really is: 
 Mismatch = Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")]
 Seed = Annotated[int, typer.Option(help="Of mismatch and noise.")]
 Crossover = Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")]
-
-
-def find_scene(scene: str) -> "Scene":
-    """A scene by built-in name or by path.
-
-    Raises
-    ------
-    InputError : there is none, or it cannot be used.
-    """
-    import problems
-    from transopt.scene_file import load_scene
-
-    path = Path(scene) if scene.lower().endswith(".toml") else problems.scene_path(scene)
-    return load_scene(path, search=[problems.FOLDER])
-
-
-def imperfections(mismatch: float, seed: int, crossover: float) -> "Imperfections":
-    """What is wrong with the simulated device.
-
-    Raises
-    ------
-    InputError : a number out of its range.
-    """
-    from controller.simulator import Imperfections
-
-    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
-    within("crossover", crossover, 0.0, 1.0, " A")
-    within("seed", seed, 0, 2**63 - 1)
-    return Imperfections(mismatch=mismatch, crossover_A=crossover)
-
-
-def _true_device(scene: "Scene", wrong: "Imperfections", seed: int) -> "Device":
-    from controller.open_loop import true_device
-    from controller.truth import device_of
-
-    return true_device(device_of(scene), wrong, seed)
-
-
-def _empty_folder(out: Path, pattern: str) -> None:
-    """Recordings are never written over."""
-    terminal.make_folder(out)
-    old = next(iter(sorted(path.name for path in out.glob(pattern))), None)
-    if old is not None:
-        raise InputError(f"--out {out}: holds a recording already ({old}); choose another folder")
-
-
-def _held(grips_N: list[float] | None) -> None:
-    for grip in grips_N or ():
-        if grip == 0:
-            raise InputError("--grips 0: only a sweep is played on the free device: name grips above 0")
 
 
 @record_app.callback()
@@ -121,9 +66,9 @@ def record_sweep(
     crossover: Crossover = 0.01,
 ) -> None:
     """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads."""
-    from controller.measurement_file import write_measurement
-    from controller.simulated_records import sweep_records
-    from controller.sweep_plan import Purpose, check_plan, sweep_plan
+    from controller.record_simulated import simulate_sweeps
+    from controller.simulated_device import imperfect
+    from controller.sweep_plan import Purpose, sweep_plan
 
     if not simulate:
         raise InputError("record sweep: name the device: --simulate")
@@ -140,21 +85,7 @@ def record_sweep(
         offset_A=offset,
         seconds=seconds,
     )
-    wrong = imperfections(mismatch, seed, crossover)
-    truth = find_scene(DEFAULT_SCENE if scene is None else scene)
-    check_plan(planned, truth.time.dt_s, truth.limits.transient_current_A)
-    _empty_folder(out, f"{purpose}_*.npz")
-    device = _true_device(truth, wrong, seed)
-    for trial, taken in sweep_records(device, planned, truth.time.dt_s, imperfections=wrong, seed=seed):
-        write_measurement(out / trial.file_name, taken.columns, taken.scalars)
-    first = planned[0]
-    console = terminal.console()
-    console.print(
-        f"{out}: {len(planned)} sweeps of {first.seconds:g} s, {first.file_name} to {planned[-1].file_name}\n"
-        f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json",
-        highlight=False,
-        soft_wrap=True,
-    )
+    simulate_sweeps(out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed)
 
 
 @record_app.command("tap")
@@ -167,7 +98,7 @@ def record_tap(
     port: Annotated[str | None, typer.Option(help="On a device, idle: a name that `ports` lists.")] = None,
     simulate: Simulate = False,
     taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default: on Ctrl-C.")] = None,
-    seconds: port_commands.Seconds = None,
+    seconds: Seconds = None,
     trigger: Annotated[float, typer.Option(help="On a device: acceleration in g that is taken for a contact.")] = 1.0,
     count_um: Annotated[float, typer.Option(help="On a device: one encoder count at the tip, in um.")] = 24.5,
     real_object: Annotated[
@@ -187,102 +118,52 @@ def record_tap(
         raise InputError("record tap: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
     if port is not None:
         refuse(context, SIMULATED_ONLY, "only with --simulate")
-        port_commands.record_tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
+        _tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
         return
     refuse(context, ON_PORT_ONLY, "only with --port")
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
+    from controller.record_simulated import simulate_library_taps, simulate_object_taps
+    from controller.simulated_device import imperfect
+
     within("repeats", repeats, 1, 1000)
     within("force-noise", force_noise, 0.0, 10.0, " N")
     chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
     chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
-    wrong = imperfections(mismatch, seed, crossover)
+    wrong = imperfect(mismatch, seed, crossover)
     if library is None:
-        _held(chosen_grips)
-        files = _object_taps(
-            out, scene or DEFAULT_SCENE, chosen_speeds, chosen_grips, repeats, wrong, seed, force_noise
-        )
+        name = scene or DEFAULT_SCENE
+        simulate_object_taps(out, name, chosen_speeds, chosen_grips, repeats, wrong, seed, force_noise)
     else:
-        files = _library_taps(out, library, scene, chosen_speeds, chosen_grips, repeats, wrong, seed)
-    terminal.console().print(f"{out}: {len(files)} taps, {files[0]} to {files[-1]}", highlight=False, soft_wrap=True)
+        simulate_library_taps(out, library, scene, chosen_speeds, chosen_grips, repeats, wrong, seed)
 
 
-def _object_taps(
-    out: Path,
-    scene: str,
-    speeds: list[float] | None,
-    grips: list[float] | None,
-    repeats: int,
-    wrong: "Imperfections",
-    seed: int,
-    force_noise_N: float,
-) -> list[str]:
-    from controller.measurement_file import write_measurement
-    from controller.simulated_records import noise_seed, object_record
+def _tap_on_port(
+    port: str, out: Path, *, taps: int | None, seconds: float | None, trigger: float, count_um: float
+) -> None:
+    """A real object's taps, the device idle: one file each, which `transopt taps` and scenes read."""
+    from controller.live import Monitor
+    from controller.recorder import Recorder, make_room
+    from transopt.signals import STANDARD_GRAVITY_M_S2
 
-    truth = find_scene(scene)
-    target = truth.recordings.simulated
-    if target is None:
-        raise InputError(
-            f"--object: {truth.name} states no simulated object: give --scene with one, like wood_on_foam"
+    within("trigger", trigger, 0.05, 100.0, " g")
+    within("count-um", count_um, 1e-3, 1e4, " um")
+    ends(taps, seconds)
+    make_room(out)
+    console = terminal.console()
+    with connected(port) as device:
+        dt_s, count_m = device.hello.dt_s, 1e-6 * count_um
+        recorder = Recorder(out, dt_s, count_m, trigger_m_s2=trigger * STANDARD_GRAVITY_M_S2)
+        shown = Monitor(console, f"recording on {port}", dt_s, count_m)
+        stopped = run(
+            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
         )
-    _empty_folder(out, "tap_*.npz")
-    device, names = _true_device(truth, wrong, seed), []
-    for i, speed in enumerate(speeds or truth.grid.speeds_m_s):
-        for j, grip in enumerate(grips or [target.grip_N]):
-            for n in range(repeats):
-                taken = object_record(
-                    device,
-                    target,
-                    speed,
-                    grip,
-                    truth.time.dt_s,
-                    imperfections=wrong,
-                    seed=noise_seed(seed, i, j, n),
-                    force_noise_N=force_noise_N,
-                )
-                names.append(f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz")
-                write_measurement(out / names[-1], taken.columns, taken.scalars)
-    return names
-
-
-def _library_taps(
-    out: Path,
-    library: Path,
-    scene: str | None,
-    speeds: list[float] | None,
-    grips: list[float] | None,
-    repeats: int,
-    wrong: "Imperfections",
-    seed: int,
-) -> list[str]:
-    from controller.measurement_file import write_measurement
-    from controller.prediction import scene_of
-    from controller.settings import Settings
-    from controller.simulated_records import noise_seed, played_record
-    from transopt.library_file import load_library
-
-    loaded = load_library(library)
-    settings = Settings.of(loaded, amplifier_tolerance=wrong.mismatch)
-    if settings.assumed_grip_N == 0 and any(grips or ()):
-        raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
-    _empty_folder(out, "tap_*.npz")
-    device = _true_device(scene_of(loaded) if scene is None else find_scene(scene), wrong, seed)
-    names, silent = [], []
-    for i, speed in enumerate(speeds or loaded.speeds_m_s.tolist()):
-        for j, grip in enumerate(grips or loaded.grips_N.tolist()):
-            for n in range(repeats):
-                played, taken = played_record(
-                    loaded, device, settings, speed, grip, imperfections=wrong, seed=noise_seed(seed, i, j, n)
-                )
-                names.append(f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz")
-                write_measurement(out / names[-1], taken.columns, taken.scalars)
-                if not played.metrics.played:
-                    silent.append(names[-1])
-    if silent:
-        typer.echo(f"nothing was played in {', '.join(silent)}", err=True)
+    console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
+    if stopped:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130)
+    if not recorder.contacts:
         raise typer.Exit(1)
-    return names
 
 
 @record_app.command("heat")
@@ -303,44 +184,20 @@ def record_heat(
     seed: Seed = 0,
 ) -> None:
     """Heating and cooling of the coil: heat.npz with current, winding and housing for `transopt identify coil`."""
-    from controller.measurement_file import write_measurement
-    from controller.sensors import SEED_SENSORS
-    from controller.simulated_records import MOST_HEAT_S, heat_record, true_coil
+    from controller.record_simulated import MOST_HEAT_S, simulate_heat
 
     if not simulate:
         raise InputError(
-            "record heat: name the device: --simulate (a device on a port has no thermometer: log its current and "
-            "its winding's resistance with a multimeter)"
+            "record heat: name the device: --simulate; a device on a port measures neither its coil's voltage nor "
+            "its temperature: log both with a meter while a constant current flows and while the coil cools, as CSV with "
+            "columns time_s, current_A, winding_C or voltage_V"
         )
     for name, value in (("heating", heating), ("cooling", cooling)):
         within(name, value, 0.0, MOST_HEAT_S, " s")
     within("every", every, 0.01, 60.0, " s")
     within("noise", noise, 0.0, 50.0, " K")
+    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
+    within("seed", seed, 0, 2**63 - 1)
     if heating + cooling < 10 * every:
         raise InputError(f"--heating {heating:g}, --cooling {cooling:g}: fewer than ten readings; record longer")
-    imperfections(mismatch, seed, 0.0)
-    truth = find_scene(DEFAULT_SCENE if scene is None else scene)
-    coil = truth.coil()
-    if coil is None:
-        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --scene")
-    amount = 0.9 * truth.limits.steady_current_A if current is None else current
-    within("current", amount, 0.0, truth.limits.transient_current_A, " A")
-    _empty_folder(out, "heat.npz")
-    taken = heat_record(
-        true_coil(coil, mismatch, seed),
-        amount,
-        heating,
-        cooling,
-        every,
-        noise_K=noise,
-        current_noise_A=SEED_SENSORS.current_noise_A,
-        seed=seed,
-    )
-    write_measurement(out / "heat.npz", taken.columns, taken.scalars)
-    terminal.console().print(
-        f"{out}: heat.npz, {heating:g} s at {amount:g} A and {cooling:g} s of cooling, winding at most "
-        f"{float(taken.columns['winding_C'].max()):.1f} °C\n"
-        f"next: transopt identify coil {out}/heat.npz --out MODEL.json",
-        highlight=False,
-        soft_wrap=True,
-    )
+    simulate_heat(out, scene or DEFAULT_SCENE, current, heating, cooling, every, noise, mismatch, seed)

@@ -24,7 +24,6 @@ from transopt.thermal import CoilModel, effective_square
 
 OBJECT_AFTER_S = 60e-3  # recorded after contact with a real object
 HEAT_STEP_S = 0.05  # of the coil's integration: 1/240 of the winding's time constant, an error of microkelvins
-MOST_HEAT_S = 24 * 3600.0
 
 
 def noise_seed(seed: int, *place: int) -> int:

@@ -35,13 +35,13 @@ def test_a_library_that_does_not_fit(play: Play, library: Library, monkeypatch: 
 
 def test_another_library_meanwhile(play: Play, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the host believes to be in force is compared by the device itself."""
-    original = port_commands._load
+    original = port_commands.load
 
     def then_changed(device, given) -> None:
         original(device, given)
         ready.firmware.store.library_sha256 = b"x" * 32
 
-    monkeypatch.setattr(port_commands, "_load", then_changed)
+    monkeypatch.setattr(port_commands, "load", then_changed)
     assert_refused(
         play("tap", "library.npz", *PORT), "the device's library is not the one asked for: upload it again"
     )

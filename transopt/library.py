@@ -162,8 +162,8 @@ def _weights(nodes: FloatArray, value: float) -> FloatArray:
 class Library:
     """A solved library; arrays as in DESIGN 6, `meta` as its JSON.
 
-    In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`, so
-    that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
+    In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
+    so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
     `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
     """
 

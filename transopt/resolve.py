@@ -97,10 +97,15 @@ def resolve(
                 },
             )
             left_out[iv][ig] = {**left_out_by_scene(scene, answer.problem), **answer.left_out}
-    meta = {**library.meta, "left_out": shared_left_out(left_out), "solver": asdict(options), "refinement": refinement}
     thermal = library.problem(0, 0).thermal
-    warm = thermal is not None and any(temperature_is_in(entry) for row in left_out for entry in row)
-    meta["limits"] = {**library.meta["limits"], "temperature_C": thermal.limit_C if warm and thermal else None}
+    warm = any(temperature_is_in(entry) for row in left_out for entry in row)
+    meta = {
+        **library.meta,
+        "limits": {**library.meta["limits"], "temperature_C": thermal.limit_C if warm and thermal else None},
+        "left_out": shared_left_out(left_out),
+        "solver": asdict(options),
+        "refinement": refinement,
+    }
     return replace(library, **arrays, meta=meta), kept
 
 
