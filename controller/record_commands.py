@@ -188,9 +188,9 @@ def record_heat(
 
     if not simulate:
         raise InputError(
-            "record heat: name the device: --simulate; a device on a port measures neither its coil's voltage nor "
-            "its temperature: log both with a meter while a constant current flows and while the coil cools, as CSV with "
-            "columns time_s, current_A, winding_C or voltage_V"
+            "record heat: name the device: --simulate; a device on a port measures neither voltage nor temperature "
+            "of its coil: log both with a meter while a constant current flows and while the coil cools, as CSV "
+            "with columns time_s, current_A, winding_C or voltage_V"
         )
     for name, value in (("heating", heating), ("cooling", cooling)):
         within(name, value, 0.0, MOST_HEAT_S, " s")

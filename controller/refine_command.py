@@ -1,6 +1,6 @@
 """`transopt-play refine`: play a library's taps, learn from them, solve again, under the same limits.
 
-The one command of the controller that solves; so `transopt.resolve`, and with it the optimiser, is imported inside it.
+The one command of the controller that solves; `transopt.resolve`, and with it the optimiser, is imported inside it.
 """
 
 from collections.abc import Iterator

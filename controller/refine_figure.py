@@ -48,6 +48,8 @@ def _errors(axes: Axes, refined: Refined) -> None:
     mean = [100 * mean_nrmse(results) for results in refined.rounds]
     axes.plot(numbers, mean, color=OPTIMUM, linewidth=2.0, marker="o", label="mean")
     axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, 2.5 * high)  # room for the legend
     axes.set_xticks(list(numbers))
     ticks = [value for value in (0.5, 1, 2, 5, 10, 20, 50, 100) if axes.get_ylim()[0] <= value <= axes.get_ylim()[1]]
     axes.set_yticks(ticks, [f"{value:g}" for value in ticks])
@@ -67,7 +69,7 @@ def _ratios(axes: Axes, before: Library, refined: Refined) -> None:
     cutoffs = [n.condition.cutoff_Hz for r in refined.rounds for n in r.values() if n.condition is not None]
     if cutoffs:
         axes.axvspan(min(cutoffs), CUTOFF_HZ, color="0.93", zorder=0)
-        axes.text(min(cutoffs) * 1.02, 0.97, "Q ends", fontsize=SMALL_PT, color="0.4", va="top")
+        axes.text(0.98 * CUTOFF_HZ, 0.97, "Q ends", fontsize=SMALL_PT, color="0.4", va="top", ha="right")
     axes.axhline(1.0, color=DARK, linewidth=0.8, linestyle=":")
     axes.set_xscale("log")
     axes.set_xlim(float(next(iter(refined.ratios.values())).frequencies_Hz[0]), CUTOFF_HZ)

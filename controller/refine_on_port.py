@@ -77,7 +77,7 @@ class PortTaps:
         self._console.print(words, highlight=False, soft_wrap=True)
 
     def _tapped(self, library: Library, given: Payload, folder: Path, number: int) -> list[Contact]:
-        missing = {node: self._taps for node in nodes_of(library)}
+        missing = dict.fromkeys(nodes_of(library), self._taps)
         self._say(
             f"round {number}: tap {self._taps} times at each of {len(missing)} nodes: {_nodes(library, missing)}"
         )
