@@ -30,7 +30,7 @@ app.command()(port_commands.monitor)
 app.command()(port_commands.check)
 app.command()(refine_command.refine)
 app.add_typer(record_commands.record_app, name="record")
-ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "crossover", "user", "scene", "real_time")
+ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "crossover", "user", "real_time")
 ONLY_ON_PORT = ("taps", "seconds", "accelerometer_hz", "reset")
 
 
@@ -63,9 +63,6 @@ def tap(
     mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
     crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
     user: Annotated[str, typer.Option(help="mild, yielding, stopping or recorded.")] = "mild",
-    scene: Annotated[
-        str | None, typer.Option(help="Whose device it really is, name or .toml file; default the library's.")
-    ] = None,
     real_time: Annotated[bool, typer.Option("--real-time", help="Paced by the clock, to watch telemetry.")] = False,
     taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default on Ctrl-C.")] = None,
     seconds: port_commands.Seconds = None,
@@ -97,11 +94,9 @@ def tap(
     from controller.loop import WallClock
     from controller.servo import Servo
     from controller.settings import Settings
-    from controller.simulated_device import find_scene
     from controller.simulator import Imperfections
     from controller.tables import tap_table
     from controller.telemetry import Telemetry
-    from controller.truth import device_of
     from controller.user import Habit
     from transopt.library_file import load_library
 
@@ -142,7 +137,6 @@ def tap(
             wanted,
             observe=None if telemetry is None else telemetry.record,
             clock=WallClock() if real_time else None,
-            device=None if scene is None else device_of(find_scene(scene)),
         )
     console = terminal.console()
     title = f"{library}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"

@@ -187,9 +187,8 @@ def play_tap(
 ) -> Played:
     """Arm the servo, let a simulated user tap once, and compare with the library's prediction.
 
-    Parameters
-    ----------
-    device : what is really there, before the tap's own mismatch; without it, what the library was solved for.
+    The true device is that of the library's scene, or another `device`: a library that was solved with an identified
+    model is tried on what the model was identified from. The tap's imperfections are the true device's.
 
     Raises
     ------

@@ -280,6 +280,7 @@ def _in_meta(library: Library, rounds: Sequence[Round]) -> list[dict[str, Any]]:
     return [
         {
             "nrmse": table(results, lambda node: node.nrmse),
+            "true_nrmse": table(results, lambda node: node.true_nrmse if np.isfinite(node.true_nrmse) else None),
             "better": table(results, lambda node: node.better),
             "peak_current_A": table(results, lambda node: node.peak_current_A),
             **{name: table(results, of_condition(name)) for name in ("gain", "cutoff_Hz", "factor", "sure_factor")},
