@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller import port_commands, record_commands
+from controller import port_commands, record_commands, refine_command
+from controller.options import refuse, within
 from transopt import terminal
 from transopt.errors import InputError
 
@@ -27,6 +28,7 @@ app.command()(port_commands.ports)
 app.command()(port_commands.upload)
 app.command()(port_commands.monitor)
 app.command()(port_commands.check)
+app.command()(refine_command.refine)
 app.add_typer(record_commands.record_app, name="record")
 ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "device", "crossover", "user", "real_time")
 ONLY_ON_PORT = ("taps", "seconds", "accelerometer_hz", "reset")
@@ -37,26 +39,11 @@ def play() -> None:
     """Play a library of transients."""
 
 
-def _checked(option: str, value: float, low: float, high: float, unit: str) -> float:
-    if not low <= value <= high:
-        raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
-    return value
-
-
 def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -> tuple[float, float]:
     """What was asked for, or the grid's middle node."""
     speeds, grips = library.speeds_m_s, library.grips_N
     speed = float(speeds[speeds.size // 2]) if speed_m_s is None else speed_m_s
     return speed, float(grips[grips.size // 2]) if grip_N is None else grip_N
-
-
-def _refuse(context: typer.Context, names: tuple[str, ...], why: str) -> None:
-    """An option that means nothing here is an error, not a wish."""
-    for name in names:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name == "COMMANDLINE":
-            option = "for" if name == "seconds" else name.replace("_", "-")
-            raise InputError(f"--{option}: {why}")
 
 
 @app.command()
@@ -93,7 +80,7 @@ def tap(
     if simulate == (port is not None):
         raise InputError("tap: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
     if port is not None:
-        _refuse(context, ONLY_SIMULATED, "on a device that is up to its user: only with --simulate")
+        refuse(context, ONLY_SIMULATED, "on a device that is up to its user: only with --simulate")
         port_commands.tap_on_port(
             library,
             port,
@@ -105,7 +92,7 @@ def tap(
             reset=reset,
         )
         return
-    _refuse(context, ONLY_ON_PORT, "only with --port")
+    refuse(context, ONLY_ON_PORT, "only with --port")
     gain = 1.0 if gain is None else gain
     from controller.bank import Bank, Method, bank
     from controller.experiment import Tap, play_tap
@@ -126,15 +113,15 @@ def tap(
         raise InputError(f"--method {method}: must be one of {', '.join(methods)}")
     if user not in habits:
         raise InputError(f"--user {user}: must be one of {', '.join(habits)}")
-    _checked("gain", gain, 0.0, 1.0, "")
-    _checked("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
-    _checked("crossover", crossover, 0.0, 1.0, " A")
-    _checked("seed", seed, 0, 2**63 - 1, "")
+    within("gain", gain, 0.0, 1.0, "")
+    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
+    within("crossover", crossover, 0.0, 1.0, " A")
+    within("seed", seed, 0, 2**63 - 1, "")
     loaded = load_library(library)
     speed_m_s, grip_N = _middle(loaded, speed, grip)
     settings = Settings.of(loaded, amplifier_tolerance=mismatch)
-    _checked("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
-    _checked("grip", grip_N, 0.0, 50.0, " N, what a hand does")
+    within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
+    within("grip", grip_N, 0.0, 50.0, " N, what a hand does")
     if settings.assumed_grip_N == 0 and grip_N > 0:
         raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
     if method == Method.PROPORTIONAL.value and settings.wall is None:

@@ -67,6 +67,36 @@ def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatA
     return np.asarray(signal.lfilter([1 - mean, mean - kept], [1.0, -kept], values))
 
 
+def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
+    """(N,) what `through_pole` was given; noise beyond the bandwidth grows."""
+    pole = 2 * np.pi * bandwidth_Hz * dt_s
+    kept = np.exp(-pole)
+    mean = (1 - kept) / pole
+    # Minimum phase: (mean - kept) / (1 - mean) < 1 for every pole.
+    return np.asarray(signal.lfilter([1.0, -kept], [1 - mean, mean - kept], values))
+
+
+def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: float) -> Signal | str:
+    """What the accelerometer read, less what it read at rest, over the time from contact; or why there is nothing.
+
+    Parameters
+    ----------
+    first_s, last_s : what has to be in it, with the shift that an alignment needs on both sides.
+    """
+    if contact.missed:
+        return f"{contact.missed} records were lost"
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    step = float(times[1] - times[0]) if times.size > 1 else float("nan")
+    if not step <= 1.5 * contact.dt_s:
+        return "telemetry of every tick is needed"
+    begin = contact_s(contact, settings)
+    if not (times[0] - begin <= first_s - MOST_SHIFT_S and last_s + MOST_SHIFT_S <= times[-1] - begin):
+        return "not all of it was recorded"
+    resting = (times < 0) & (times >= -REST_S)
+    values = contact.acceleration_m_s2 - contact.acceleration_m_s2[resting].mean()
+    return Signal(float(times[0] - begin), step, values)
+
+
 def judge(
     contact: Contact,
     library: Library,
@@ -85,28 +115,19 @@ def judge(
     def none(why: str) -> Judged:
         return Judged(contact, nan, nan, nan, nan, why)
 
-    if contact.missed:
-        return none(f"{contact.missed} records were lost")
     if gain == 0:
         return none("nothing is played at gain 0")
     prediction = predict(library, contact.speed_m_s, contact.grip_N, gain)
     if prediction.silent or not np.any(prediction.acceleration_m_s2):
         return none("the library is silent there")
-    times = (contact.ticks - contact.tick) * contact.dt_s
-    step = times[1] - times[0] if times.size > 1 else nan
-    if not step <= 1.5 * contact.dt_s:
-        return none("telemetry of every tick is needed")
     until = prediction.times_s <= REACTION_S
-    first, last = times[0] + MOST_SHIFT_S, times[-1] - MOST_SHIFT_S
-    begin = contact_s(contact, settings)
-    at = prediction.times_s[until] + begin
-    if not (np.isfinite(begin) and first <= at[0] and at[-1] <= last):
-        return none("not all of it was recorded")
-    resting = (times < 0) & (times >= -REST_S)
-    measured = contact.acceleration_m_s2 - contact.acceleration_m_s2[resting].mean()
-    played = lowpass(Signal(float(times[0]), step, measured), CUTOFF_HZ)
+    at = prediction.times_s[until]
+    measured = since_contact(contact, settings, float(at[0]), float(at[-1]))
+    if isinstance(measured, str):
+        return none(measured)
+    played = lowpass(measured, CUTOFF_HZ)
     sensed = through_pole(prediction.acceleration_m_s2, contact.dt_s, bandwidth_Hz)
-    expected = lowpass(Signal(float(prediction.times_s[0]), contact.dt_s, sensed), CUTOFF_HZ).values[until]
-    aligned = align(played.times_s - begin, played.values, prediction.times_s[until], expected)
+    expected = lowpass(Signal(float(at[0]), contact.dt_s, sensed), CUTOFF_HZ).values[until]
+    aligned = align(played.times_s, played.values, at, expected)
     peak = float(np.abs(aligned.played_m_s2).max())
     return Judged(contact, aligned.latency_s, aligned.nrmse, peak, float(np.abs(expected).max()))

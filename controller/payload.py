@@ -48,7 +48,15 @@ def payload(path: Path) -> Payload:
     ------
     InputError : no library, or one that no device could play.
     """
-    library = load_library(path)
+    return payload_of(load_library(path))
+
+
+def payload_of(library: Library) -> Payload:
+    """
+    Raises
+    ------
+    InputError : one that no device could play.
+    """
     settings = Settings.of(library)
     tail = library.meta["hand_over_samples"]
     image = image_of(bank(library, Method.BILINEAR), settings.dt_s, settings.lead_s, tail)

@@ -1,205 +1,223 @@
-"""`transopt-play record`: what a device's sensors say, to files that `transopt taps` and `transopt identify` read.
+"""`transopt-play record`: what a device's sensors say, on a port or from the simulator, in files for `transopt`.
 
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from controller import port_commands
-from controller.port_commands import (
-    STOPPED,
-    Port,
-    Reset,
-    Seconds,
-    StoppedError,
-    connected,
-    disarmed_by_ctrl_c,
-    ends,
-    load,
-    no_long_pauses,
-    number,
-    run,
-)
-from transopt import terminal
+from controller.options import numbers, refuse, within
+from controller.port_commands import Reset, Seconds
 from transopt.errors import InputError
 
-if TYPE_CHECKING:
-    from controller.driver import Device
-    from controller.sweeps import Trial
-
 record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
-CountUm = Annotated[float, typer.Option(help="One encoder count at the tip, in um.")]
+DEFAULT_SCENE = "wood_on_foam"
+ON_PORT_ONLY = ("taps", "seconds", "trigger", "count_um")
+SIMULATED_ONLY = (
+    "library",
+    "real_object",
+    "speeds",
+    "grips",
+    "repeats",
+    "force_noise",
+    "scene",
+    "mismatch",
+    "seed",
+    "crossover",
+)
+
+SWEEP_ON_PORT_ONLY = ("gain", "library", "accelerometer_hz", "count_um", "patience", "reset")
+SWEEP_SIMULATED_ONLY = ("scene", "mismatch", "seed", "crossover")
+
+Folder = Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")]
+Simulate = Annotated[bool, typer.Option("--simulate", help="From the simulator's truth, in virtual time.")]
+SceneName = Annotated[str | None, typer.Option(help="Whose device it really is: built-in name or .toml file.")]
+Mismatch = Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")]
+Seed = Annotated[int, typer.Option(help="Of mismatch and noise.")]
+CountUm = Annotated[float, typer.Option(help="On a device: one encoder count at the tip, in um.")]
+Crossover = Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")]
 
 
 @record_app.callback()
 def record() -> None:
-    """Record what a device's sensors say: taps while it is idle, excitations while it plays them."""
-
-
-@record_app.command("tap")
-def record_tap(
-    port: Port,
-    out: Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")],
-    taps: Annotated[int | None, typer.Option(help="End after so many; default: on Ctrl-C.")] = None,
-    seconds: Seconds = None,
-    trigger: Annotated[float, typer.Option(help="Acceleration in g that is taken for a contact.")] = 1.0,
-    count_um: CountUm = 24.5,
-) -> None:
-    """Record taps on a real object, device idle: one file each, which `transopt taps` and scenes read."""
-    from controller.live import Monitor
-    from controller.recorder import Recorder, make_room
-    from transopt.signals import STANDARD_GRAVITY_M_S2
-
-    number("trigger", trigger, 0.05, 100.0, " g")
-    number("count-um", count_um, 1e-3, 1e4, " um")
-    ends(taps, seconds)
-    make_room(out)
-    console = terminal.console()
-    with connected(port) as device:
-        dt_s, count_m = device.hello.dt_s, 1e-6 * count_um
-        recorder = Recorder(out, dt_s, count_m, trigger_m_s2=trigger * STANDARD_GRAVITY_M_S2)
-        shown = Monitor(console, f"recording on {port}", dt_s, count_m)
-        stopped = run(
-            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
-        )
-    console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
-    if stopped:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130)
-    if not recorder.contacts:
-        raise typer.Exit(1)
+    """Record what a device's sensors say."""
 
 
 @record_app.command("sweep")
 def record_sweep(
-    port: Port,
-    out: Annotated[Path, typer.Option(help="Folder for the trials; numbered on from those that are there.")],
-    low: Annotated[float, typer.Option(help="Lowest frequency in Hz.")] = 1.0,
-    high: Annotated[float, typer.Option(help="Highest frequency in Hz.")] = 2000.0,
-    amplitude: Annotated[float, typer.Option(help="Of the sine, in A.")] = 0.75,
-    offset: Annotated[float, typer.Option(help="Of its middle, in A.")] = 0.0,
-    seconds: Annotated[float, typer.Option(help="Of one trial.")] = 2.0,
-    trials: Annotated[int, typer.Option(help="How many; every other one has the other sign.")] = 4,
+    context: typer.Context,
+    out: Annotated[Path, typer.Option(help="Folder for the trials.")],
+    simulate: Simulate = False,
+    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
+    purpose: Annotated[str, typer.Option("--for", help="What it identifies: device or amplifier.")] = "device",
+    grips: Annotated[
+        str | None,
+        typer.Option(help="Grips in N, 0 to let go; default 1,3,5, for an amplifier 3, on a port as you hold it."),
+    ] = None,
+    trials: Annotated[int, typer.Option(help="Of each grip and offset, of alternating polarity.")] = 4,
+    low: Annotated[
+        float | None, typer.Option(help="First frequency in Hz; default 1, free device 20, amplifier 10.")
+    ] = None,
+    high: Annotated[float | None, typer.Option(help="Last frequency in Hz; default 2000, amplifier 4000.")] = None,
+    amplitude: Annotated[float | None, typer.Option(help="In A; default 0.75, amplifier 0.3.")] = None,
+    offset: Annotated[
+        float | None, typer.Option(help="Of the sine's middle in A; default 0, amplifier both 0 and 0.5.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(help="Of each sweep; default 2.")] = None,
+    scene: SceneName = None,
+    mismatch: Mismatch = 0.0,
+    seed: Seed = 0,
+    crossover: Crossover = 0.01,
     gain: Annotated[
         float | None,
-        typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
-    ] = None,
-    grip: Annotated[
-        float | None, typer.Option(help="Grip in N that you are asked to hold; 0 to let go; default: any.")
+        typer.Option(
+            help="On a device: scale of what is played, 0 to 1; default 1, on its first run since start 0.1."
+        ),
     ] = None,
     library: Annotated[
-        Path | None, typer.Option(help="library.npz whose limits, amplifier and coil hold; else the built-in ones.")
+        Path | None, typer.Option(help="On a device: whose limits, amplifier and coil hold; else the built-in ones.")
     ] = None,
-    accelerometer_hz: Annotated[float, typer.Option(help="Bandwidth of the device's accelerometer.")] = 2500.0,
+    accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
     count_um: CountUm = 24.5,
-    patience: Annotated[float, typer.Option(help="How long to wait for your hand before a trial, in s.")] = 60.0,
+    patience: Annotated[float, typer.Option(help="On a device: how long to wait for your hand, in s.")] = 60.0,
     reset: Reset = False,
 ) -> None:
-    """Play swept sines and record what they do: one file per trial, which `transopt identify` reads."""
-    from controller.device_tables import sweep_table
-    from controller.driver import LinkLostError
-    from controller.excitation import sweep_command
-    from controller.first_run import default_gain, remember
-    from controller.image import sha256
-    from controller.live import Monitor
-    from controller.payload import excitation, excitation_settings
-    from controller.sweeps import AbortedError, Sweeps, free_numbers
+    """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads."""
+    from controller.sweep_plan import Purpose, sweep_plan
 
-    number("trials", trials, 1, 1000)
-    number("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
-    number("count-um", count_um, 1e-3, 1e4, " um")
-    number("patience", patience, 0.1, 3600.0, " s")
-    if gain is not None:
-        number("gain", gain, 1e-3, 1.0)
-    if grip is not None and grip != 0:
-        number("grip", grip, 0.5, 50.0, " N, or 0 to let go")
-    paths = free_numbers(out, trials)
-    console = terminal.console()
-    written: list[tuple[Path, Trial]] = []
-    why = ""
-    with connected(port, reset) as device:
-        hello = device.hello
-        settings = excitation_settings(hello, library)
-        command_A = sweep_command(low, high, seconds, amplitude, settings.dt_s, offset)
-        given = excitation(settings, command_A, hello)
-        configuration = sha256(given.configuration)
-        _need_check(device, configuration, port, library)
-        load(device, given)
-        played_at = default_gain(hello.boot, configuration) if gain is None else gain
-        title = f"{low:g} to {high:g} Hz, {amplitude:g} A on {port}, gain {played_at:g}"
-        shown = Monitor(console, title, hello.dt_s, 1e-6 * count_um)
-        stopped = False
-        sweeps = Sweeps(
-            device,
-            port_commands.ConsolePerson(),
-            command_A.size,
-            gain=played_at,
-            grip_N=grip,
-            count_m=1e-6 * count_um,
-            patience_s=patience,
-        )
-
-        def told(words: str) -> None:
-            console.print(f"  {words}", highlight=False, soft_wrap=True)
-
-        with sweeps, shown, no_long_pauses():
-            device.listeners.append(shown.take)
-            try:
-                with disarmed_by_ctrl_c(device):
-                    device.set_telemetry(1)
-                    for j, path in enumerate(paths):
-                        told(f"trial {j + 1} of {trials}")
-                        trial = sweeps.trial(negative=j % 2 == 1, told=told)
-                        trial.write(path, accelerometer_hz)
-                        written.append((path, trial))
-                        remember(hello.boot, configuration)
-            except StoppedError:
-                stopped = True
-            except AbortedError as aborted:
-                why = str(aborted)
-            except LinkLostError as lost:
-                raise LinkLostError(f"{lost}; {out}: {len(written)} of {trials} trials, all whole") from None
-            finally:
-                device.listeners.remove(shown.take)
-    console.print(sweep_table(written, title))
-    files = f"{len(written)} of {trials} trials, all whole"
-    console.print(f"{out}: {files}", highlight=False, soft_wrap=True)
-    if gain is None and played_at < 1:
-        console.print(
-            f"gain {played_at:g}: the first run since the device's start; the next one plays in full",
-            highlight=False,
-            soft_wrap=True,
-        )
-    if stopped:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130)
-    if why:
-        console.print(why, style="red", highlight=False, soft_wrap=True)
-        raise typer.Exit(1)
-
-
-def _need_check(device: "Device", configuration_sha256: bytes, port: str, library: Path | None) -> None:
-    """
-    Raises
-    ------
-    InputError : the device would not arm.
-    """
-    if device.hello.checked_sha256 != configuration_sha256:
-        given = "" if library is None else f" {library}"
+    if simulate == (port is not None):
         raise InputError(
-            f"{port}: sweeps under these limits have not passed the bring-up check since the device started: run "
-            f"`transopt-play check --sweep --port {port}{given}`"
+            "record sweep: name the device: --simulate, or --port PORT (`transopt-play ports` lists them)"
         )
+    purposes = [choice.value for choice in Purpose]
+    if purpose not in purposes:
+        raise InputError(f"--for {purpose}: must be one of {', '.join(purposes)}")
+    planned = sweep_plan(
+        Purpose(purpose),
+        numbers("grips", grips, 0.0, 50.0, " N, what a hand does"),
+        trials,
+        low_Hz=low,
+        high_Hz=high,
+        amplitude_A=amplitude,
+        offset_A=offset,
+        seconds=seconds,
+    )
+    if port is None:
+        from controller.record_simulated import simulate_sweeps
+        from controller.simulated_device import imperfect
+
+        refuse(context, SWEEP_ON_PORT_ONLY, "only with --port")
+        simulate_sweeps(out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed)
+        return
+    from controller.record_on_port import Bench, sweep_on_port
+
+    refuse(context, SWEEP_SIMULATED_ONLY, "only with --simulate")
+    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
+    within("count-um", count_um, 1e-3, 1e4, " um")
+    within("patience", patience, 0.1, 3600.0, " s")
+    if gain is not None:
+        within("gain", gain, 1e-3, 1.0)
+    if grips is None:
+        # One series, however the stylus is held.
+        planned = [trial for trial in planned if trial.grip_N == planned[-1].grip_N]
+    for grip in {trial.grip_N for trial in planned} - {0.0}:
+        within("grips", grip, 0.5, 50.0, " N, or 0 to let go")
+    bench = Bench(gain, library, accelerometer_hz, 1e-6 * count_um, patience, reset)
+    sweep_on_port(port, planned, out, bench, as_held=grips is None)
+
+
+@record_app.command("tap")
+def record_tap(
+    context: typer.Context,
+    out: Folder,
+    library: Annotated[
+        Path | None, typer.Argument(help="Simulated: library.npz whose taps are played.", show_default=False)
+    ] = None,
+    port: Annotated[str | None, typer.Option(help="On a device, idle: a name that `ports` lists.")] = None,
+    simulate: Simulate = False,
+    taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default: on Ctrl-C.")] = None,
+    seconds: Seconds = None,
+    trigger: Annotated[float, typer.Option(help="On a device: acceleration in g that is taken for a contact.")] = 1.0,
+    count_um: CountUm = 24.5,
+    real_object: Annotated[
+        bool, typer.Option("--object", help="Simulated: the undriven device on the scene's object, with force_N.")
+    ] = False,
+    speeds: Annotated[str | None, typer.Option(help="Simulated: speeds in m/s, like 0.15,0.25.")] = None,
+    grips: Annotated[str | None, typer.Option(help="Simulated: grips in N, like 1,3,5.")] = None,
+    repeats: Annotated[int, typer.Option(help="Simulated: taps at each speed and grip.")] = 1,
+    force_noise: Annotated[float, typer.Option(help="Simulated: rms of the force sensor, in N.")] = 0.02,
+    scene: SceneName = None,
+    mismatch: Mismatch = 0.0,
+    seed: Seed = 0,
+    crossover: Crossover = 0.01,
+) -> None:
+    """Record taps: on a port on a real object, device idle; simulated a library's, or on the scene's object."""
+    if simulate == (port is not None):
+        raise InputError("record tap: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
+    if port is not None:
+        from controller.record_on_port import tap_on_port
+
+        refuse(context, SIMULATED_ONLY, "only with --simulate")
+        within("trigger", trigger, 0.05, 100.0, " g")
+        within("count-um", count_um, 1e-3, 1e4, " um")
+        tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
+        return
+    refuse(context, ON_PORT_ONLY, "only with --port")
+    if real_object == (library is not None):
+        raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
+    from controller.record_simulated import simulate_library_taps, simulate_object_taps
+    from controller.simulated_device import imperfect
+
+    within("repeats", repeats, 1, 1000)
+    within("force-noise", force_noise, 0.0, 10.0, " N")
+    chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
+    chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
+    wrong = imperfect(mismatch, seed, crossover)
+    if library is None:
+        name = scene or DEFAULT_SCENE
+        simulate_object_taps(out, name, chosen_speeds, chosen_grips, repeats, wrong, seed, force_noise)
+    else:
+        simulate_library_taps(out, library, scene, chosen_speeds, chosen_grips, repeats, wrong, seed)
 
 
 @record_app.command("heat")
-def record_heat(port: Port) -> None:
-    """Say how to record a motor's heating: no device on a port measures it."""
-    raise InputError(
-        f"record heat: the device on {port} measures neither the coil's voltage nor its temperature: log both, "
-        "every second or so, while a constant current flows and while the coil cools, as CSV with the columns "
-        "time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of the temperatures those that you have)"
-    )
+def record_heat(
+    out: Annotated[Path | None, typer.Option(help="Folder for the recording; must hold none yet.")] = None,
+    simulate: Simulate = False,
+    port: Annotated[str | None, typer.Option(help="Says how a device's heating is recorded.")] = None,
+    current: Annotated[
+        float | None, typer.Option(help="While heating, in A; default 0.9 of the continuous current.")
+    ] = None,
+    heating: Annotated[float, typer.Option(help="How long the current flows, in s.")] = 3600.0,
+    cooling: Annotated[float, typer.Option(help="How long the coil then cools, in s.")] = 1800.0,
+    every: Annotated[float, typer.Option(help="Between two readings, in s.")] = 1.0,
+    noise: Annotated[float, typer.Option(help="Rms of the temperatures, in K.")] = 0.5,
+    scene: SceneName = None,
+    mismatch: Annotated[
+        float, typer.Option(help="Thermal resistances and time constants are off by up to this part.")
+    ] = 0.0,
+    seed: Seed = 0,
+) -> None:
+    """Heating and cooling of the coil: heat.npz with current, winding and housing for `transopt identify coil`."""
+    from controller.record_simulated import MOST_HEAT_S, simulate_heat
+
+    if not simulate:
+        raise InputError(
+            f"record heat: {port or 'a device on a port'} measures neither the coil's voltage nor its temperature: log "
+            "both, every second or so, while a constant current flows and while the coil cools, as CSV with the columns "
+            "time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of the temperatures those that you have); "
+            "or --simulate"
+        )
+    if port is not None or out is None:
+        raise InputError("record heat: give --simulate and --out DIR, and no --port")
+    for name, value in (("heating", heating), ("cooling", cooling)):
+        within(name, value, 0.0, MOST_HEAT_S, " s")
+    within("every", every, 0.01, 60.0, " s")
+    within("noise", noise, 0.0, 50.0, " K")
+    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
+    within("seed", seed, 0, 2**63 - 1)
+    if heating + cooling < 10 * every:
+        raise InputError(f"--heating {heating:g}, --cooling {cooling:g}: fewer than ten readings; record longer")
+    simulate_heat(out, scene or DEFAULT_SCENE, current, heating, cooling, every, noise, mismatch, seed)

@@ -79,7 +79,7 @@ class Trace:
     winding_C: FloatArray
 
 
-class _Coil:
+class Coil:
     """Two thermal nodes and copper (DESIGN 3.3), by the explicit midpoint rule once per servo period."""
 
     def __init__(self, model: CoilModel) -> None:
@@ -138,7 +138,7 @@ class Simulator:
         self._user, self._dt_s, self._target = user, dt_s, target
         self._bench = SensorBench(imperfections.sensors, dt_s, seed, user.grip_N(0.0))
         self._bandwidth_Hz = imperfections.sensors.accelerometer_bandwidth_Hz
-        self._coil = None if self.device.coil is None else _Coil(self.device.coil)
+        self._coil = None if self.device.coil is None else Coil(self.device.coil)
         whole = int(self.device.delay_s / dt_s + 1e-9)
         late = max(self.device.delay_s - whole * dt_s, 0.0)
         lengths, behind = ((dt_s,), (whole,)) if late < EARLIEST_S else ((late, dt_s - late), (whole + 1, whole))

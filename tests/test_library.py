@@ -50,9 +50,9 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         absent = {
             name
             for name in SHAPES
-            if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "current_sign", "spread"))
+            if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "current_sign", "spread", "correction"))
         }
-        assert len(absent) == 13
+        assert len(absent) == 14
         assert names >= (set(SHAPES) - absent) | {"meta"}
         assert not absent & names, "no slew, supply or temperature limit is in force and there is one device"
         meta = json.loads(str(file["meta"]))

@@ -16,7 +16,7 @@ from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
 from transopt.identified import PARTS
 from transopt.identified_model import Identified
-from transopt.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library
+from transopt.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library, shared_left_out, temperature_is_in
 from transopt.problem import Status
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
@@ -160,6 +160,7 @@ def _assemble(
         status=over_grid(lambda e: e.status.value),
         binding=over_grid(lambda e: e.binding),
         **{field: over_grid(multiplier(name)) for name, field in MULTIPLIER_FIELDS.items()},
+        correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
         meta={**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)},
@@ -172,9 +173,7 @@ def _meta(
     amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
     problem = entries[0][0].problem
     # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
-    warm = any(
-        "temperature" not in entry.left_out and "limits" not in entry.left_out for row in entries for entry in row
-    )
+    warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
     return {
         "schema": SCHEMA,
         "dt_s": scene.time.dt_s,
@@ -198,7 +197,7 @@ def _meta(
             "spread": None if scene.robust is None else scene.robust.model_dump(),
         },
         "hand_over_samples": scene.hand_over_samples,
-        "left_out": _shared_left_out(entries),
+        "left_out": shared_left_out([[entry.left_out for entry in row] for row in entries]),
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
         "scene": scene.model_dump(mode="json"),
         "solver": asdict(options),
@@ -227,17 +226,6 @@ def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
         "recorded_speeds_m_s": recorded.speeds_m_s,
         "scene_grips_N": recorded.grips_N,
     }
-
-
-def _shared_left_out(entries: list[list[Entry]]) -> dict[str, Any]:
-    """Part -> reason, or -> reasons per entry (nv, ng) where they differ (null: the part is in)."""
-    parts = dict.fromkeys(part for row in entries for entry in row for part in entry.left_out)
-    shared: dict[str, Any] = {}
-    for part in parts:
-        reasons = [[entry.left_out.get(part) for entry in row] for row in entries]
-        alike = {reason for row in reasons for reason in row}
-        shared[part] = reasons[0][0] if len(alike) == 1 else reasons
-    return shared
 
 
 def _model_sources(scene: Scene) -> list[dict[str, Any]]:

@@ -103,7 +103,7 @@ class Entry:
         return verdict(self.nrmse, self.floor, self.repeatability)
 
 
-def _left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
+def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
     """Parts that the scene does not ask for."""
     plant = problem.stage.plant
     # A black box has no position, and the state of its other grip that a node does not need is none.
@@ -269,7 +269,7 @@ def _entry(
         prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A, options)
         if status is Status.OPTIMAL
         else [],
-        left_out={**_left_out_by_scene(scene, problem), **designed.left_out},
+        left_out={**left_out_by_scene(scene, problem), **designed.left_out},
         size=designed.size,
         spread=spread,
     )

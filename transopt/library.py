@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,7 @@ SHAPES = {
     "plant_C": "g1n",
     "plant_D": "g11",
     "plant_Ce": "g1n",
+    "correction_m_s2": "vgN",
     "spread_A": "gsnn",
     "spread_B": "gsn1",
     "spread_C": "gs1n",
@@ -95,12 +97,14 @@ SHAPES = {
 PLANT = ("A", "B", "C", "D", "Ce")
 TEXTS = ("status", "binding")
 MAY_BE_NAN = ("peak_temperature_C",)  # unknown where the drive is stated at the tip
-# Multipliers stand in the file only where their limit is in force, further devices where there are any.
+# Multipliers stand in the file only where their limit is in force, further devices where there are any, and
+# corrections only where a device's own taps have been learnt from.
 OPTIONAL = {
     "slew_A_per_s": ("mu_slew_lower", "mu_slew_upper"),
     "supply_V": tuple(f"mu_supply_{side}" for side in ("before_lower", "before_upper", "after_lower", "after_upper")),
     "temperature_C": ("mu_temperature_upper", "current_sign"),
     "spread": tuple(f"spread_{matrix}" for matrix in PLANT),
+    "refinement": ("correction_m_s2",),
 }
 META_KEYS = {
     "dt_s": (),
@@ -164,7 +168,12 @@ def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Library:
-    """A solved library; arrays as in DESIGN 6, `meta` as its JSON."""
+    """A solved library; arrays as in DESIGN 6, `meta` as its JSON.
+
+    In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
+    so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
+    `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
+    """
 
     speeds_m_s: FloatArray
     grips_N: FloatArray
@@ -204,6 +213,7 @@ class Library:
     mu_temperature_upper: FloatArray
     current_sign: FloatArray
     mu_end: FloatArray
+    correction_m_s2: FloatArray
     plant_A: FloatArray
     plant_B: FloatArray
     plant_C: FloatArray
@@ -251,6 +261,7 @@ class Library:
         by_speed = np.eye(self.speeds_m_s.size)[iv]
         stage = self.stage(ig) if stage is None else stage
         problem = self.posed(float(self.speeds_m_s[iv]), by_speed, stage, self.spread(ig), self.coil())
+        problem = replace(problem, reference_m_s2=problem.reference_m_s2 + self.correction_m_s2[iv, ig])
         if problem.wall is None:
             return problem
         return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
@@ -352,7 +363,7 @@ class Library:
 
 def absent_arrays(meta: dict[str, Any]) -> list[str]:
     """Optional arrays that a file with this meta does not have."""
-    stated = {**meta["limits"], "spread": meta["weights"]["spread"]}
+    stated = {**meta["limits"], "spread": meta["weights"]["spread"], "refinement": meta.get("refinement")}
     return [name for part, names in OPTIONAL.items() if stated[part] is None for name in names]
 
 
@@ -363,3 +374,25 @@ def content_hash(arrays: dict[str, NDArray[Any]]) -> str:
         digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+def temperature_is_in(left_out: dict[str, str]) -> bool:
+    """Whether the temperature is a constraint of the problem of an entry with these parts left out."""
+    return "temperature" not in left_out and "limits" not in left_out
+
+
+def shared_left_out(left_out: Sequence[Sequence[dict[str, str]]]) -> dict[str, Any]:
+    """Part -> reason, or -> reasons per entry (nv, ng) where they differ (null: the part is in), as `meta` has it."""
+    parts = dict.fromkeys(part for row in left_out for entry in row for part in entry)
+    shared: dict[str, Any] = {}
+    for part in parts:
+        reasons = [[entry.get(part) for entry in row] for row in left_out]
+        alike = {reason for row in reasons for reason in row}
+        shared[part] = reasons[0][0] if len(alike) == 1 else reasons
+    return shared
+
+
+def entry_left_out(meta: dict[str, Any], iv: int, ig: int) -> dict[str, str]:
+    """What `shared_left_out` says of one entry."""
+    reasons = {p: said if isinstance(said, str) else said[iv][ig] for p, said in meta["left_out"].items()}
+    return {part: reason for part, reason in reasons.items() if reason is not None}

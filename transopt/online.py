@@ -14,7 +14,7 @@ import numpy as np
 from transopt.certify import certify, inside
 from transopt.discretise import StageModel, discretise
 from transopt.errors import InputError
-from transopt.library import Library, Waveform, speed_weights
+from transopt.library import Library, Waveform, interpolation_weights, speed_weights
 from transopt.models import StateSpace
 from transopt.native import ACCURACY, MOST_STATES, SOLVED, Buffers, LinearPass, available, interior_point
 from transopt.parts import encoder_course, leave_out, pressing, reference_course
@@ -113,6 +113,12 @@ class Online:
         by_speed = speed_weights(library.speeds_m_s, speed_m_s)
         stage, *spread = self._devices(grip_N)
         problem = library.posed(speed_m_s, by_speed, stage, tuple(spread), coil)
+        if np.any(library.correction_m_s2):
+            # What the device was found to need at the nodes, blended as it is between them.
+            own = interpolation_weights(library.speeds_m_s, speed_m_s)
+            by_grip = interpolation_weights(library.grips_N, grip_N)
+            correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
+            problem = replace(problem, reference_m_s2=problem.reference_m_s2 + correction)
         if problem.wall is None:
             return problem
         return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))

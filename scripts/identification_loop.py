@@ -1,0 +1,323 @@
+"""Record, identify, solve, play, refine: how near a device that is not what its scene says comes to recorded taps.
+
+    python scripts/identification_loop.py [--scene NAME] [--mismatch 0.1 0.2] [--seed 4] [--rounds 3] [--taps 3]
+        [--trials 4] [--grips 1,2,3,4,5] [--without-identification] [--out out/identification_loop]
+
+The true device is the scene's with every parameter off by up to the mismatch, its amplifier with a crossover, its
+sensors with noise. For each mismatch: the nominal library is solved; sweeps are recorded on the true device,
+amplifier and device identified from them, the scene solved anew with that model; what came out is refined by taps on
+the device; all of it by the command line. Each library is then played at every node on the true device, through the
+servo, and its acceleration, after the one shift that aligns them, compared with the recorded tap over the whole
+window. Beside them stands the optimum of someone who knows the true device, under the same limits: where they bind
+nothing can be better.
+
+Prints one table per mismatch, draws loop.png, writes loop.json. Exit code 1 if a current was above its limit, if the
+identified model takes away less than half of what the nominal one has beyond the known truth, or if refinement makes
+it worse.
+"""
+
+import argparse
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.table import Table
+
+import problems
+from controller.prediction import scene_of
+from controller.refine_simulated import SimulatedTaps
+from controller.refinement import nodes_of
+from controller.simulated_device import device_in
+from controller.simulator import Imperfections
+from controller.truth import Device
+from problems.simulate import recordings, write_csv
+from transopt import terminal
+from transopt.discretise import discretise
+from transopt.errors import InputError
+from transopt.files import whole_file
+from transopt.library import Library
+from transopt.library_file import load_library
+from transopt.models import Link, StateSpace, chain
+from transopt.optimum import optimum
+from transopt.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure
+from transopt.scene_file import load_scene
+from transopt.signals import nrmse
+from transopt.solvers import SolverOptions
+
+OVER_A = 1e-6
+HALF = 0.5  # of the nominal model's error beyond the known truth's may be left with the identified one
+ANOTHER_SEED = 1000  # noise that no refinement has seen
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One library on the true device; lists in the order of the nodes.
+
+    Attributes
+    ----------
+    nrmse : against the recorded tap, mean over the taps at each node. peak_current_A : over all t and taps.
+    """
+
+    name: str
+    nrmse: list[float]
+    peak_current_A: float
+
+    @property
+    def mean(self) -> float:
+        return float(np.mean(self.nrmse))
+
+    @property
+    def worst(self) -> float:
+        return max(self.nrmse)
+
+
+def command(program: str, *arguments: object) -> None:
+    """A command of the project; its output goes to the terminal.
+
+    Raises
+    ------
+    InputError : it failed on its input. A result that fell short (exit code 1) is told and taken.
+    """
+    words = [str(argument) for argument in arguments]
+    print(f"$ {program} {' '.join(words)}", flush=True)
+    module = {"transopt": "transopt.cli", "transopt-play": "controller.cli"}[program]
+    done = subprocess.run([sys.executable, "-c", f"from {module} import main; main()", *words], check=False)
+    if done.returncode > 1:
+        raise InputError(f"{program} {words[0]}: ended with {done.returncode}")
+    if done.returncode == 1:
+        print(f"{program} {words[0]}: its result fell short of its own checks", flush=True)
+
+
+def recorded_scene(name: str, folder: Path) -> Path:
+    """A scene file whose recordings are files, so that the references stay when the model changes."""
+    scene = load_scene(problems.scene_path(name), search=[problems.FOLDER])
+    if scene.recordings.simulated is None:
+        raise InputError(f"--scene {name}: has no simulated object whose recordings could be written")
+    taps = folder / "recordings"
+    taps.mkdir(parents=True, exist_ok=True)
+    for number, recording in enumerate(recordings(scene)):
+        write_csv(recording, taps / f"tap_{number:02d}.csv")
+    text = problems.scene_path(name).read_text(encoding="utf-8")
+    text = re.sub(r"(?m)^#[^\n]*\n(?=\[recordings\.simulated\])", "", text)
+    text = re.sub(r"(?ms)^\[recordings\.simulated\]\n.*?(?=^\[)", "", text)
+    text = text.replace("[recordings]\n", '[recordings]\nfolder = "recordings"\nfiles = ["tap_*.csv"]\n', 1)
+    path = folder / f"{name}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def with_model(scene: Path, model: Path) -> Path:
+    """The same scene with amplifier and device as they were identified."""
+    text = scene.read_text(encoding="utf-8")
+    text = re.sub(r"(?ms)^\[model\]\n.*?(?=^\[(?!model))", "", text)
+    known = json.loads(model.read_text(encoding="utf-8"))
+    if known.get("amplifier"):
+        text = re.sub(r"(?m)^(pole_Hz|delay_s) *=.*\n", "", text)
+    path = scene.with_name(f"{scene.stem}_{model.stem}.toml")
+    path.write_text(f'model = "{model.name}"\n{text}', encoding="utf-8")
+    return path
+
+
+def solved(scene: Path, out: Path) -> Library:
+    command("transopt", "solve", scene, "--out", out)
+    return load_library(out / "library.npz")
+
+
+def played(name: str, library: Library, device: Device, wrong: Imperfections, taps: int, seed: int) -> Stage:
+    """Every node some times on the true device."""
+    heard = SimulatedTaps(device, taps, imperfections=wrong, seed=seed)(library, 0)
+    silent = [node for node, found in heard.items() if not found]
+    if silent:
+        raise InputError(f"{name}: nothing was played at {len(silent)} nodes")
+    return Stage(
+        name,
+        [float(np.mean([tap.true_nrmse for tap in found])) for found in heard.values()],
+        max(tap.peak_current_A for found in heard.values() for tap in found),
+    )
+
+
+def plant_of(device: Device, grip_N: float) -> StateSpace:
+    """From current to stylus acceleration of the true device."""
+    masses, stiffness, damping = device.at(grip_N)
+    links = [Link(float(k), float(b)) for k, b in zip(stiffness, damping, strict=True)]
+    force = device.force_per_current_N_A
+    return chain(masses.tolist(), links, force_per_current_N_A=force, stylus=device.stylus)
+
+
+def known_truth(library: Library, device: Device) -> Stage:
+    """The optimum under the library's limits for someone who knows the true chain and amplifier, crossover aside.
+
+    Its commands are not played: what a servo adds is not in it. Its reference is shifted by the error of the delay.
+    """
+    errors, peak = [], 0.0
+    for iv, ig in nodes_of(library):
+        stage = discretise(plant_of(device, float(library.grips_N[ig])), device.amplifier, library.meta["dt_s"])
+        grid = replace(library.time_grid(), delay_s=device.delay_s)
+        problem = replace(library.problem(iv, ig), stage=stage, grid=grid, thermal=None)
+        found = optimum(problem, SolverOptions())
+        if not found.is_proven:
+            raise InputError(f"optimum of the true device: {found.solution.status.value}")
+        acceleration, current = stage.rollout(found.solution.command_A)
+        errors.append(nrmse(acceleration, problem.reference_m_s2))
+        peak = max(peak, float(np.abs(current).max()))
+    return Stage("known truth, optimum", errors, peak)
+
+
+def identified(scene: Path, arguments: argparse.Namespace, mismatch: float, folder: Path) -> Path:
+    """Record on the true device and identify; the scene with that model."""
+    model = scene.with_name(f"identified_{mismatch:g}.json")
+    truth = ("--scene", scene, "--mismatch", mismatch, "--seed", arguments.seed)
+    for purpose, more in (("amplifier", ()), ("device", ("--grips", arguments.grips))):
+        sweeps = folder / f"sweeps_{purpose}"
+        for old in sweeps.glob("*.npz"):
+            old.unlink()
+        record = ("record", "sweep", "--simulate", "--for", purpose, "--trials", arguments.trials, *more)
+        command("transopt-play", *record, *truth, "--out", sweeps)
+        files = sorted(sweeps.glob(f"{purpose}_*.npz"))
+        known = ("--scene", scene) if purpose == "device" else ()
+        command("transopt", "identify", purpose, *files, *known, "--out", model)
+    return with_model(scene, model)
+
+
+def run_one(scene: Path, arguments: argparse.Namespace, mismatch: float) -> list[Stage]:
+    """All stages at one mismatch, the known truth last."""
+    folder = arguments.out / f"mismatch_{mismatch:g}"
+    folder.mkdir(parents=True, exist_ok=True)
+    wrong = Imperfections(mismatch=mismatch)
+    nominal = solved(scene, folder / "nominal")
+    device = device_in(scene_of(nominal), wrong, arguments.seed)
+    seed = arguments.seed + ANOTHER_SEED
+
+    def play(name: str, library: Library) -> Stage:
+        return played(name, library, device, wrong, arguments.taps, seed)
+
+    stages, begun = [play("nominal model", nominal)], folder / "nominal" / "library.npz"
+    if not arguments.without_identification:
+        model_scene = identified(scene, arguments, mismatch, folder)
+        begun = folder / "identified" / "library.npz"
+        stages.append(play("identified model", solved(model_scene, begun.parent)))
+    out = folder / "refined"
+    truth = ("--scene", scene, "--mismatch", mismatch, "--seed", arguments.seed)
+    how = ("--simulate", *truth, "--rounds", arguments.rounds, "--taps", arguments.taps)
+    command("transopt-play", "refine", begun, *how, "--out", out)
+    command("transopt", "verify", out / "library.npz")
+    refined = load_library(out / "library.npz")
+    stages += rounds_of(refined)
+    return [*stages, play("refined, kept", refined), known_truth(nominal, device)]
+
+
+def rounds_of(refined: Library) -> list[Stage]:
+    """After each round the best that every node had until then, as the truth says of the refinement's own taps."""
+    stages: list[Stage] = []
+    best: list[float] = []
+    for number, told in enumerate(refined.meta["refinement"]["rounds"]):
+        nrmse, better = ([value for row in told[name] for value in row] for name in ("true_nrmse", "better"))
+        best = [new if kept else old for new, kept, old in zip(nrmse, better, best or nrmse, strict=True)]
+        peak = max(value for row in told["peak_current_A"] for value in row)
+        if number:
+            stages.append(Stage(f"refined, round {number}", best, peak))
+    return stages
+
+
+def table(mismatch: float, stages: Sequence[Stage], library: Library) -> Table:
+    """Mean, worst and every node."""
+    shown = Table(title=f"mismatch {mismatch:g}: NRMSE against the recorded tap in %")
+    shown.add_column("library")
+    for name in ("mean", "of nominal", "worst", "peak A", *(f"{v:g} m/s" for v in library.speeds_m_s)):
+        shown.add_column(name, justify="right", no_wrap=True)
+    grips = library.grips_N.size
+    for stage in stages:
+        rows = [stage.nrmse[at : at + grips] for at in range(0, len(stage.nrmse), grips)]
+        cells = [" ".join(f"{100 * value:.1f}" for value in row) for row in rows]
+        part = stage.mean / stages[0].mean
+        numbers = f"{100 * stage.mean:.2f}", f"{part:.2f}", f"{100 * stage.worst:.2f}", f"{stage.peak_current_A:.3f}"
+        shown.add_row(stage.name, *numbers, *cells)
+    return shown
+
+
+def figure(results: dict[float, list[Stage]]) -> Figure:
+    """Mean and worst by stage, one line per mismatch, the known truth as a level."""
+    drawn = Figure(figsize=(8.0, 3.6), layout="constrained")
+    panels = drawn.subplots(1, 2)
+    for axes, which in zip(panels, ("mean", "worst"), strict=True):
+        for (mismatch, stages), colour in zip(results.items(), (OPTIMUM, SEED, CLIPPED, DARK) * 9, strict=False):
+            *steps, truth = [100 * getattr(stage, which) for stage in stages]
+            axes.plot(
+                range(len(steps)), steps, color=colour, marker="o", linewidth=1.6, label=f"mismatch {mismatch:g}"
+            )
+            axes.axhline(truth, color=colour, linestyle=":", linewidth=1.0)
+        names = [stage.name.replace(" model", "").replace("refined, ", "refined\n") for stage in stages[:-1]]
+        axes.set_xticks(range(len(names)), names, fontsize=SMALL_PT)
+        axes.set_ylim(0, 1.08 * axes.get_ylim()[1])
+        axes.set_ylabel(f"{which} NRMSE over all nodes, %", fontsize=LABEL_PT)
+        axes.tick_params(labelsize=SMALL_PT)
+        axes.grid(color="0.9", linewidth=0.6)
+        axes.set_axisbelow(True)
+    panels[0].legend(fontsize=SMALL_PT, title="dotted: known truth", title_fontsize=SMALL_PT)
+    return drawn
+
+
+def shortfalls(mismatch: float, stages: Sequence[Stage], limit_A: float) -> list[str]:
+    """What is not as asked."""
+    found, truth = [], stages[-1]
+    named = {stage.name: stage for stage in stages}
+    nominal, model = named["nominal model"], named.get("identified model")
+    at = f"mismatch {mismatch:g}"
+    found += [
+        f"{at}: {stage.name}: {stage.peak_current_A:.4f} A, limit {limit_A:g} A"
+        for stage in stages
+        if stage.peak_current_A > limit_A + OVER_A
+    ]
+    if model is not None and model.mean - truth.mean > HALF * (nominal.mean - truth.mean):
+        found.append(f"{at}: identified {model.mean:.2%}, nominal {nominal.mean:.2%}, known truth {truth.mean:.2%}")
+    before = nominal if model is None else model
+    last = stages[-2]
+    if last is not before and not last.mean < before.mean:
+        found.append(f"{at}: {last.name} {last.mean:.2%}, {before.name} {before.mean:.2%}")
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default="wood_on_foam")
+    parser.add_argument("--mismatch", type=float, nargs="+", default=[0.1, 0.2])
+    parser.add_argument("--seed", type=int, default=4)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--taps", type=int, default=3)
+    parser.add_argument("--trials", type=int, default=4)
+    parser.add_argument("--grips", default="1,2,3,4,5", help="at which sweeps are recorded, in N")
+    parser.add_argument("--without-identification", action="store_true", help="refine the nominal library")
+    parser.add_argument("--out", type=Path, default=Path("out/identification_loop"))
+    arguments = parser.parse_args()
+    console, began_s = terminal.console(), time.monotonic()
+    try:
+        terminal.make_folder(arguments.out)
+        scene = recorded_scene(arguments.scene, arguments.out)
+        results = {mismatch: run_one(scene, arguments, mismatch) for mismatch in arguments.mismatch}
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    failed = []
+    for mismatch, stages in results.items():
+        library = load_library(arguments.out / f"mismatch_{mismatch:g}" / "nominal" / "library.npz")
+        console.print(table(mismatch, stages, library))
+        failed += shortfalls(mismatch, stages, float(library.meta["limits"]["current_A"]))
+    save_figure(figure(results), arguments.out / "loop.png")
+    told = {f"{mismatch:g}": [asdict(stage) for stage in stages] for mismatch, stages in results.items()}
+    with whole_file(arguments.out / "loop.json") as file:
+        file.write(json.dumps(told, indent=1).encode("ascii"))
+    console.print(f"{arguments.out}: loop.png, loop.json; {time.monotonic() - began_s:.0f} s", highlight=False)
+    for words in failed:
+        console.print(words, style="red", highlight=False, soft_wrap=True)
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
