@@ -1,4 +1,4 @@
-"""The amplifier from its sweeps: one pole, a pure delay, a gain and the crossover (seed Sec. 4.1, Fig. 6; DESIGN 3.2)."""
+"""The amplifier from its sweeps: one pole, a pure delay, a gain and the crossover (seed Sec. 4.1, Fig. 6)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -97,7 +97,9 @@ class AmplifierFit:
         if not (self.misfit_dB <= MISFIT_dB and self.misfit_deg <= MISFIT_deg):
             misfit = f"{self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg"
             limit = f"must be within {MISFIT_dB:g} dB and {MISFIT_deg:g} deg"
-            remedy = "the amplifier has further dynamics, or the sweep drove it into its supply: sweep with less current"
+            remedy = (
+                "the amplifier has further dynamics, or the sweep drove it into its supply: sweep with less current"
+            )
             told.append(f"one pole and a delay miss the response by up to {misfit}, {limit}: {remedy}")
         if not abs(self.gain - 1) <= GAIN_WANTED:
             remedy = "correct the scale of the command or of the current monitor"
@@ -157,8 +159,8 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
 
     The response is estimated (`spectrum`), then fitted by least squares weighted with its deviations, with the hold
     and the sampling in the model. The crossover distorts what a linear fit sees, by 4 h / (pi A) in gain (describing
-    function) and by harmonics that fall into the band; so the dead band is estimated from the residuals in time, taken
-    off the command, and response and fit are made again until it stays.
+    function) and by harmonics that fall into the band; so the dead band is estimated in time, taken off the command, and
+    response and fit are made again until it stays.
 
     Parameters
     ----------
@@ -184,11 +186,19 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
             break
         estimate = estimate_transfer([_without(trial, found.half_width_A) for trial in trials])
         fitted = _fit(estimate, _sampled(dt_s))
+    covariance = fitted.covariance
+    if crossover.shows:
+        # One standard deviation of the dead band moves pole, delay and gain together.
+        moved = _fit(
+            estimate_transfer([_without(trial, crossover.half_width_A + crossover.deviation_A) for trial in trials]),
+            _sampled(dt_s),
+        )
+        covariance = covariance + np.outer(moved.values - fitted.values, moved.values - fitted.values)
     pole, delay, gain = (float(value) for value in fitted.values)
-    naive = _fit(plain.between(0.0, 0.4 / dt_s), lambda f, pole, delay: continuous_response(f, pole, delay))
+    naive = _fit(plain.between(0.0, 0.4 / dt_s), continuous_response)
     each = _gains(plain, sampled_response(plain.frequencies_Hz, pole, delay, dt_s))
     misfit = _misfit(estimate, gain * sampled_response(estimate.frequencies_Hz, pole, delay, dt_s))
-    half = fitted.quantile * np.sqrt(np.diag(fitted.covariance))
+    half = fitted.quantile * np.sqrt(np.diag(covariance))
     intervals = {
         name: (float(max(value - h, 0.0)), float(value + h))
         for name, value, h in zip(PARAMETERS, (pole, delay, gain), half, strict=True)
@@ -197,7 +207,7 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         pole_Hz=pole,
         delay_s=delay,
         gain=gain,
-        covariance=fitted.covariance,
+        covariance=covariance,
         intervals=intervals,
         continuous_pole_Hz=float(naive.values[0]),
         continuous_delay_s=float(naive.values[1]),
@@ -214,9 +224,9 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
 def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) -> Crossover:
     """Half-width of the dead band by least squares in time, pole and delay being known.
 
-    current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise: for a given h linear in gain and
-    offsets; h itself by a search in one dimension. A sine through zero and its dead part have different harmonics,
-    sweeps with an offset have no dead part: either tells h from the gain.
+    current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise: for a given h linear in gain
+    and offsets; h itself by a search in one dimension. A sine through zero and its dead part have different
+    harmonics, sweeps with an offset have no dead part: either tells h from the gain.
     """
     largest = CROSSOVER_PART * max(float(np.abs(trial.input.values).max()) for trial in trials)
     measured = np.concatenate([trial.output.values - trial.output.values.mean() for trial in trials])
@@ -232,7 +242,9 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
         x = followed(lambda c: less_dead_band(c, half_width))
         return float(measured @ measured - (x @ measured) ** 2 / (x @ x))
 
-    best = optimize.minimize_scalar(misfit, bounds=(0.0, largest), method="bounded", options={"xatol": 1e-7 * largest})
+    best = optimize.minimize_scalar(
+        misfit, bounds=(0.0, largest), method="bounded", options={"xatol": 1e-5 * largest}
+    )
     h = float(best.x)
     x = followed(lambda c: less_dead_band(c, h))
     gain = float(x @ measured / (x @ x))
@@ -269,7 +281,9 @@ def _fit(estimate: TransferEstimate, model: Callable[[FloatArray, float, float],
     good = estimate.coherence >= COHERENT
     if np.count_nonzero(good) < LEAST_BINS:
         share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
-        raise InputError(f"from command to current {share}, at least {LEAST_BINS} are needed; sweep with more current")
+        raise InputError(
+            f"from command to current {share}, at least {LEAST_BINS} are needed; sweep with more current"
+        )
     f, measured = estimate.frequencies_Hz[good], estimate.response[good]
     # No bin is better than one part in a million: rounding, and the polynomial across the bin.
     deviation = np.hypot(estimate.deviation[good], 1e-6 * np.abs(measured))
@@ -290,7 +304,8 @@ def _fit(estimate: TransferEstimate, model: Callable[[FloatArray, float, float],
     log_pole, delay, gain = best.x * scale
     surplus = 2 * f.size - best.x.size
     by_si = scale * [np.exp(log_pole), 1.0, 1.0]
-    information = best.jac.T @ best.jac
+    slopes = np.asarray(best.jac, dtype=float)
+    information = slopes.T @ slopes
     covariance = np.linalg.pinv(information) * (2 * best.cost / surplus) * np.outer(by_si, by_si)
     values = np.array([np.exp(log_pole), delay, gain])
     return _Fit(values, covariance, float(special.stdtrit(surplus, (1 + LEVEL) / 2)))
