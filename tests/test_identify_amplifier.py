@@ -1,6 +1,7 @@
 """The amplifier from its sweeps: exact records in, pole, delay and crossover out, with intervals that mean it."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -80,61 +81,62 @@ def test_without_noise_everything_is_recovered(pole_Hz: float, delay_s: float) -
 
 
 SETS = {
-    "at zero": [{"amplitude_A": 1.0}, {"amplitude_A": 1.0, "sign": -1}],
+    "through zero": [{"amplitude_A": 1.0}, {"amplitude_A": 1.0, "sign": -1}],
     "with offset": [{"offset_A": 1.0}, {"offset_A": 1.0, "sign": -1}],
-    "both": [{}, {"sign": -1}, {"offset_A": 1.0}],
 }
+SEEDS = 50
 
 
-@pytest.fixture(scope="module")
-def fits() -> dict[str, list[AmplifierFit]]:
-    return {
-        name: [
-            fit_amplifier([amplifier_trial(1000 * seed + j, seconds=0.5, **one) for j, one in enumerate(trials)])
-            for seed in range(50)
-        ]
-        for name, trials in SETS.items()
-    }
+@cache
+def fits(name: str) -> list[AmplifierFit]:
+    """Of so many repeated experiments."""
+    return [
+        fit_amplifier([amplifier_trial(1000 * seed + j, seconds=0.4, **one) for j, one in enumerate(SETS[name])])
+        for seed in range(SEEDS)
+    ]
 
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", SETS)
-def test_pole_and_delay_at_realistic_noise_over_fifty_seeds(fits: dict[str, list[AmplifierFit]], name: str) -> None:
-    for fit in fits[name]:
+def test_pole_and_delay_at_realistic_noise_over_fifty_seeds(name: str) -> None:
+    for fit in fits(name):
         assert fit.pole_Hz == pytest.approx(POLE_HZ, rel=0.02)
         assert fit.delay_s == pytest.approx(DELAY_S, abs=3e-6)
         assert fit.shortcomings() == []
-    bias = np.mean([fit.pole_Hz for fit in fits[name]]) / POLE_HZ - 1
-    assert abs(bias) < 5e-4
-    assert abs(np.mean([fit.delay_s for fit in fits[name]]) - DELAY_S) < 5e-8
+    assert np.mean([fit.pole_Hz for fit in fits(name)]) == pytest.approx(POLE_HZ, rel=1e-3)
+    assert np.mean([fit.delay_s for fit in fits(name)]) == pytest.approx(DELAY_S, abs=1e-7)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say(fits: dict[str, list[AmplifierFit]]) -> None:
+@pytest.mark.timeout(300)
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     truth = {"pole_Hz": POLE_HZ, "delay_s": DELAY_S, "gain": 1.0}
     held = np.array(
         [
             [fit.intervals[key][0] <= truth[key] <= fit.intervals[key][1] for key in PARAMETERS]
-            for of_set in fits.values()
-            for fit in of_set
+            for name in SETS
+            for fit in fits(name)
         ]
     )
-    # 150 experiments: 95 % with a standard deviation of 1.8 %.
-    assert np.all(held.mean(axis=0) > 0.89), held.mean(axis=0)
-    errors = np.array([[fit.pole_Hz - POLE_HZ, fit.delay_s - DELAY_S] for fit in fits["at zero"]])
-    stated = np.mean([fit.covariance for fit in fits["at zero"]], axis=0)[:2, :2]
+    # 100 experiments: 95 % with a standard deviation of 2.2 %.
+    assert np.all(held.mean(axis=0) > 0.88), held.mean(axis=0)
+    errors = np.array([[fit.pole_Hz - POLE_HZ, fit.delay_s - DELAY_S] for fit in fits("through zero")])
+    stated = np.mean([fit.covariance for fit in fits("through zero")], axis=0)[:2, :2]
     scale = np.sqrt(np.diag(stated))
     np.testing.assert_allclose(np.cov(errors.T) / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.45)
 
 
-def test_the_crossover_is_found_where_the_records_hold_it(fits: dict[str, list[AmplifierFit]]) -> None:
-    for name in ("at zero", "both"):
-        widths = [fit.crossover.half_width_A for fit in fits[name]]
-        assert np.mean(widths) == pytest.approx(0.01, abs=1e-4)
-        assert np.std(widths) < 5e-4
-    # Beyond its crossover an amplifier's gain is that without one; through zero it is that much smaller.
-    both = np.mean([fit.trial_gains for fit in fits["both"]], axis=0)
+@pytest.mark.timeout(300)
+def test_the_crossover_is_found_where_the_records_hold_it() -> None:
+    widths = np.array([fit.crossover.half_width_A for fit in fits("through zero")])
+    deviations = [fit.crossover.deviation_A for fit in fits("through zero")]
+    assert widths.mean() == pytest.approx(0.01, abs=1e-4)
+    assert 0.6 < widths.std() / np.mean(deviations) < 1.5
+
+
+def test_gains_through_zero_and_beyond_the_crossover_are_the_describing_function_s() -> None:
+    trials = [amplifier_trial(0), amplifier_trial(1, sign=-1), amplifier_trial(2, offset_A=1.0)]
     describing = 1 - 4 * 0.01 / (np.pi * 0.5)
-    np.testing.assert_allclose(both, [describing, describing, 1.0], atol=2e-3)
+    np.testing.assert_allclose(fit_amplifier(trials).trial_gains, [describing, describing, 1.0], atol=2e-3)
 
 
 @pytest.mark.parametrize("crossover_A", [0.0, 0.05])
@@ -175,7 +177,7 @@ def test_a_gain_off_one_is_told() -> None:
 
 
 def test_a_faint_sweep_is_refused_or_told() -> None:
-    with pytest.raises(InputError, match="bins have a coherence of 0.8, at least 12 are needed; sweep with more"):
+    with pytest.raises(InputError, match=r"bins have a coherence of 0.8, at least 12 are needed; sweep with more"):
         fit_amplifier([amplifier_trial(1, amplitude_A=0.001, crossover_A=0.0, seconds=0.3, noise_A=0.05)])
     fit = fit_amplifier([amplifier_trial(1, amplitude_A=0.05, crossover_A=0.0, seconds=0.3, noise_A=0.01)])
     assert "is known to" in fit.verdict()

@@ -16,8 +16,9 @@ COHERENT = 0.8  # bins below take no part
 LEAST_BINS = 12
 POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
 LATEST_TICKS = 20.0  # of delay
-START_POLES, START_DELAYS = (0.03, 0.1, 0.3), (0.3, 0.8, 1.5, 3.0)  # of the rate; in ticks
-CROSSOVER_ROUNDS, CROSSOVER_SIGMAS, CROSSOVER_PART = 3, 4.0, 0.3
+START_POLES, START_STEP, STARTS = (0.01, 0.03, 0.1, 0.3, 1.0), 0.5, 3  # of the rate; ticks of delay; how many to fit
+CROSSOVER_ROUNDS, CROSSOVER_SIGMAS = 3, 4.0
+CROSSOVER_LEAST, CROSSOVER_MOST = 1e-4, 0.3  # of the largest command: no part is played below, none searched above
 POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # half widths of the intervals that a design needs
 MISFIT_dB, MISFIT_deg = 1.0, 5.0
 GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
@@ -159,8 +160,8 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
 
     The response is estimated (`spectrum`), then fitted by least squares weighted with its deviations, with the hold
     and the sampling in the model. The crossover distorts what a linear fit sees, by 4 h / (pi A) in gain (describing
-    function) and by harmonics that fall into the band; so the dead band is estimated in time, taken off the command, and
-    response and fit are made again until it stays.
+    function) and by harmonics that fall into the band; so the dead band is estimated in time and taken off the
+    command, and response and fit are made again until it stays.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
     and offsets; h itself by a search in one dimension. A sine through zero and its dead part have different
     harmonics, sweeps with an offset have no dead part: either tells h from the gain.
     """
-    largest = CROSSOVER_PART * max(float(np.abs(trial.input.values).max()) for trial in trials)
+    peak = max(float(np.abs(trial.input.values).max()) for trial in trials)
     measured = np.concatenate([trial.output.values - trial.output.values.mean() for trial in trials])
 
     def followed(shape: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -242,9 +243,8 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
         x = followed(lambda c: less_dead_band(c, half_width))
         return float(measured @ measured - (x @ measured) ** 2 / (x @ x))
 
-    best = optimize.minimize_scalar(
-        misfit, bounds=(0.0, largest), method="bounded", options={"xatol": 1e-5 * largest}
-    )
+    bounds, fine = (0.0, CROSSOVER_MOST * peak), {"xatol": 0.03 * CROSSOVER_LEAST * peak}
+    best = optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options=fine)
     h = float(best.x)
     x = followed(lambda c: less_dead_band(c, h))
     gain = float(x @ measured / (x @ x))
@@ -252,7 +252,7 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
     variance = float(best.fun) / max(measured.size - 2 - len(trials), 1)
     information = np.array([[x @ x, x @ slope], [x @ slope, slope @ slope]])
     deviation = float(np.sqrt(variance * np.linalg.pinv(information)[1, 1]))
-    return Crossover(h, deviation, h > CROSSOVER_SIGMAS * deviation > 0)
+    return Crossover(h, deviation, h > max(CROSSOVER_SIGMAS * deviation, CROSSOVER_LEAST * peak))
 
 
 def _without(trial: Trial, half_width_A: float) -> Trial:
@@ -296,10 +296,16 @@ def _fit(estimate: TransferEstimate, model: Callable[[FloatArray, float, float],
         return np.concatenate([error.real, error.imag])
 
     bounds = [np.log(POLE_RANGE[0] * rate), 0.0, -np.inf], [np.log(POLE_RANGE[1] * rate), LATEST_TICKS, np.inf]
-    level = float(np.abs(measured[: max(measured.size // 8, 1)]).mean())
-    starts = [(np.log(pole * rate), delay, level) for pole in START_POLES for delay in START_DELAYS]
-    starts.sort(key=lambda start: float(np.sum(residual(np.array(start)) ** 2)))
-    runs = [optimize.least_squares(residual, start, bounds=bounds, x_scale="jac") for start in starts[:3]]
+    # The phase winds with the delay, so that the error has many valleys: all delays are tried, the best are fitted.
+    starts = []
+    for pole in np.array(START_POLES) * rate:
+        for ticks in np.arange(0.0, LATEST_TICKS + START_STEP, START_STEP):
+            shape = model(f, pole, ticks * dt_s) / deviation
+            along = np.real(np.vdot(shape, measured / deviation))
+            level = along / float(np.sum(np.abs(shape) ** 2))
+            starts.append((-along * level, (np.log(pole), min(ticks, LATEST_TICKS), level)))
+    starts.sort()
+    runs = [optimize.least_squares(residual, start, bounds=bounds, x_scale="jac") for _, start in starts[:STARTS]]
     best = min(runs, key=lambda run: float(run.cost))
     log_pole, delay, gain = best.x * scale
     surplus = 2 * f.size - best.x.size

@@ -14,6 +14,7 @@ ComplexArray = NDArray[np.complex128]
 
 BINS_PER_OCTAVE = 24
 MOST_ORDER = 2  # of the local polynomial: curvature across a bin is followed, not averaged
+LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1
 LEAST_SURPLUS = 3  # samples in a bin beyond the polynomial's coefficients, to judge the noise by
 EXCITED = 0.03  # of the strongest energy per octave: below, a bin counts as not excited
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
@@ -243,18 +244,22 @@ def _fit(one: _Bin, trials: int) -> tuple[complex, float, int, float, ComplexArr
     distinct = np.unique(np.round(x, 9)).size
     order = min(MOST_ORDER, distinct - 1, samples - 1 - LEAST_SURPLUS)
     regressors = one.input[:, None] * x[:, None] ** np.arange(order + 1)
+    lines = samples / trials
+    if lines >= LEAST_LINES_OF_TRANSIENT:
+        ends = [np.where(one.trial == j, x**power, 0.0) for j in range(trials) for power in range(ORDER_OF_TRANSIENT + 1)]
+        regressors = np.column_stack([regressors, *ends])
     Q, R = np.linalg.qr(regressors)
     inverse = np.linalg.pinv(R)
     projected = Q.conj().T @ one.output
     response = complex(inverse[0] @ projected)
-    surplus = samples - order - 1
+    surplus = samples - regressors.shape[1]
     noise = float(np.sum(np.abs(one.output - Q @ projected) ** 2)) / surplus
     power = float(np.mean(np.abs(one.output) ** 2))
     coherence = min(max(1 - noise / power, 0.0), 1.0) if power > 0 else 0.0
     each = np.empty(trials, dtype=complex)
     for j in range(trials):
         of = one.trial == j
-        columns = min(order + 1, int(of.sum()))
+        columns = regressors.shape[1] if lines >= LEAST_LINES_OF_TRANSIENT else min(order + 1, int(of.sum()))
         each[j] = np.linalg.lstsq(regressors[of, :columns], one.output[of], rcond=None)[0][0]
     return response, noise * float(np.sum(np.abs(inverse[0]) ** 2)), surplus, coherence, each
 
