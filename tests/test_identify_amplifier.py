@@ -14,7 +14,6 @@ from transopt.cli import app
 from transopt.errors import InputError
 from transopt.identified import load_model
 from transopt.identify.amplifier import (
-    PARAMETERS,
     AmplifierFit,
     continuous_response,
     estimate_crossover,
@@ -110,15 +109,14 @@ def test_pole_and_delay_at_realistic_noise_over_fifty_seeds(name: str) -> None:
 @pytest.mark.timeout(300)
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     truth = {"pole_Hz": POLE_HZ, "delay_s": DELAY_S, "gain": 1.0}
-    held = np.array(
-        [
-            [fit.intervals[key][0] <= truth[key] <= fit.intervals[key][1] for key in PARAMETERS]
-            for name in SETS
-            for fit in fits(name)
-        ]
-    )
-    # 100 experiments: 95 % with a standard deviation of 2.2 %.
-    assert np.all(held.mean(axis=0) > 0.88), held.mean(axis=0)
+
+    def share(name: str, key: str) -> float:
+        return float(np.mean([fit.intervals[key][0] <= truth[key] <= fit.intervals[key][1] for fit in fits(name)]))
+
+    # 100 experiments for pole and delay: 95 % with a standard deviation of 2.2 %; 50 for the gain.
+    for key in ("pole_Hz", "delay_s"):
+        assert np.mean([share(name, key) for name in SETS]) > 0.88
+    assert share("through zero", "gain") > 0.85
     errors = np.array([[fit.pole_Hz - POLE_HZ, fit.delay_s - DELAY_S] for fit in fits("through zero")])
     stated = np.mean([fit.covariance for fit in fits("through zero")], axis=0)[:2, :2]
     scale = np.sqrt(np.diag(stated))

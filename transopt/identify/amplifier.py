@@ -21,6 +21,7 @@ CROSSOVER_ROUNDS, CROSSOVER_SIGMAS = 3, 4.0
 CROSSOVER_LEAST, CROSSOVER_MOST = 1e-4, 0.3  # of the largest command: no part is played below, none searched above
 POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # half widths of the intervals that a design needs
 MISFIT_dB, MISFIT_deg = 1.0, 5.0
+CERTAIN = 3.0  # standard deviations by which a misfit must stand out of its noise
 GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
 LEVEL = 0.95
 
@@ -54,7 +55,8 @@ class AmplifierFit:
     crossover : dead band around zero.
     estimate : response from the command less the dead band to the current, which the fit follows.
     plain_estimate : response from the command as it was issued.
-    misfit_dB, misfit_deg : of the fit, largest over the coherent band, means over a third of an octave.
+    misfit_dB, misfit_deg : of the fit, largest over the coherent band, means over a third of an octave
+        less three standard deviations of their noise.
     trial_gains : (K,) of each trial: its response over that of pole and delay, crossover and all.
     dt_s : servo period.
     """
@@ -243,8 +245,10 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
         x = followed(lambda c: less_dead_band(c, half_width))
         return float(measured @ measured - (x @ measured) ** 2 / (x @ x))
 
-    bounds, fine = (0.0, CROSSOVER_MOST * peak), {"xatol": 0.03 * CROSSOVER_LEAST * peak}
-    best = optimize.minimize_scalar(misfit, bounds=bounds, method="bounded", options=fine)
+    fine = 0.03 * CROSSOVER_LEAST * peak
+    best = optimize.minimize_scalar(
+        misfit, bounds=(0.0, CROSSOVER_MOST * peak), method="bounded", options={"xatol": fine}
+    )
     h = float(best.x)
     x = followed(lambda c: less_dead_band(c, h))
     gain = float(x @ measured / (x @ x))
@@ -325,10 +329,17 @@ def _gains(estimate: TransferEstimate, shape: ComplexArray) -> FloatArray:
 
 
 def _misfit(estimate: TransferEstimate, fit: ComplexArray) -> tuple[float, float]:
-    """Largest error of the fit in dB and in degrees, means over a third of an octave of the coherent bins."""
+    """Largest error of the fit in dB and in degrees, means over a third of an octave of the coherent bins.
+
+    Less what noise alone may do there, so that it is the model's and not the record's.
+    """
     good = estimate.coherence >= COHERENT
     f, ratio = estimate.frequencies_Hz[good], estimate.response[good] / fit[good]
     weight = (np.abs(fit[good]) / estimate.deviation[good]) ** 2
     first, last = np.searchsorted(f, f * 2 ** (-1 / 6)), np.searchsorted(f, f * 2 ** (1 / 6), side="right")
-    mean = np.array([np.average(ratio[a:b], weights=weight[a:b]) for a, b in zip(first, last, strict=True)])
-    return float(np.abs(20 * np.log10(np.abs(mean))).max()), float(np.abs(np.degrees(np.angle(mean))).max())
+    parts = [slice(a, b) for a, b in zip(first, last, strict=True)]
+    mean = np.array([np.average(ratio[part], weights=weight[part]) for part in parts])
+    noise = CERTAIN * np.array([float(np.sum(weight[part])) ** -0.5 for part in parts])
+    error_dB = np.abs(20 * np.log10(np.abs(mean))) - 20 * np.log10(1 + noise)
+    error_deg = np.abs(np.degrees(np.angle(mean))) - np.degrees(noise)
+    return max(float(error_dB.max()), 0.0), max(float(error_deg.max()), 0.0)
