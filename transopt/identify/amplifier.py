@@ -114,9 +114,9 @@ class AmplifierFit:
         told = self.shortcomings()
         if told:
             return "not fit to design with: " + "; ".join(told)
-        found = f"one pole and a pure delay explain the current within {self.misfit_dB:.2g} dB and"
         low, high = self.estimate.frequencies_Hz[[0, -1]]
-        return f"{found} {self.misfit_deg:.2g} deg from {low:.3g} to {high:.4g} Hz; fit to design with"
+        misses = f"by at most {self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg beyond its noise"
+        return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
 
 
 def sampled_response(frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> ComplexArray:

@@ -12,6 +12,7 @@ from transopt.plotting import LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.signals import FloatArray
 
 POINTS = 400
+MOST_UNKNOWN = 0.2  # of the magnitude: where the band at either end is wider, the figure ends
 
 
 def amplifier_figure(fit: AmplifierFit) -> Figure:
@@ -19,7 +20,8 @@ def amplifier_figure(fit: AmplifierFit) -> Figure:
 
     Dots: the estimate; shaded: its 95 % band; lines: one pole and a delay, held and sampled.
     """
-    estimate = fit.estimate
+    known = fit.estimate.half_width() < MOST_UNKNOWN * np.abs(fit.estimate.response)
+    estimate = fit.estimate.between(*fit.estimate.frequencies_Hz[known][[0, -1]])
     f = estimate.frequencies_Hz
     fine = np.geomspace(f[0], f[-1], POINTS)
     figure = Figure(figsize=(5.6, 5.2), layout="constrained")
