@@ -29,7 +29,7 @@ _GUARD_S = 0.5e-3  # before the force is seen to rise
 _RISE = 0.02  # of its peak, at which a force is no noise
 _NOISE = 6.0  # standard deviations
 _STUCK = 4  # samples at one extreme value: an end stop
-_JITTER = 0.5  # steps off the uniform grid
+_JITTER = 0.2  # steps off the uniform grid
 _CALIBRATION = 0.2  # relative difference of displacements by encoder and by accelerometer
 _NEAR_G = 1.3  # factor around 9.81 that still means 9.81
 
