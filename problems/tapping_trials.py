@@ -39,7 +39,7 @@ SPEEDS_M_S = np.linspace(0.1, 0.4, 9)
 JITTER = 0.05  # relative: nobody hits a speed or a grip that is asked for
 HANDS = ("second_order", "fourth_order")
 
-# A stylus of 40 g in a hand whose mass lies behind the skin: the seed's Fig. 4b with Eqs. 3-5 for the hand as a whole.
+# A stylus of 40 g, the hand's mass behind the skin: the seed's Fig. 4b, as a whole about as heavy as Eqs. 3-5.
 FOURTH_ORDER_STYLUS_KG = 0.040
 FOURTH_ORDER_HAND = Hand(
     mass_kg=LinearInGrip(0.175, -0.00328),
@@ -144,9 +144,7 @@ def fourth_order_hands(grips_N: FloatArray, random: np.random.Generator, spread:
     ]
 
 
-def _scattered(
-    line: LinearInGrip, grips_N: FloatArray, random: np.random.Generator, relative: float
-) -> FloatArray:
+def _scattered(line: LinearInGrip, grips_N: FloatArray, random: np.random.Generator, relative: float) -> FloatArray:
     mean = line.constant + line.per_newton * grips_N
     return np.asarray(mean * (1 + relative * random.standard_normal(grips_N.size)))
 
@@ -197,7 +195,7 @@ def taps(
         accelerations[:, k] = output(C, state) + D[:, 0, 0] * forces[:, k]
         positions[:, k] = output(Ce, state) - speeds_m_s * state[:, -1]
         state = rk4_step(rate, state, step_s)
-    return step_s * np.arange(steps + 1), forces, accelerations, positions
+    return np.asarray(step_s * np.arange(steps + 1), dtype=float), forces, accelerations, positions
 
 
 def recorded(
@@ -229,11 +227,13 @@ def recorded(
         sampled[1, j] = np.interp(at, t, acceleration[j], left=0.0)
         sampled[2, j] = np.where(at < 0, -speeds_m_s[j] * at, np.interp(at, t, position[j]))
     noise_g = sensors.noise_g_rtHz * np.sqrt(RATE_HZ / 2) * random.standard_normal((T, count))
-    seen_g = np.clip(sampled[1] / STANDARD_GRAVITY_M_S2 + sensors.offset_g + noise_g, -sensors.range_g, sensors.range_g)
+    seen_g = np.clip(
+        sampled[1] / STANDARD_GRAVITY_M_S2 + sensors.offset_g + noise_g, -sensors.range_g, sensors.range_g
+    )
     stated_N = grips_N * (1 + sensors.grip_relative * random.standard_normal(T))
     stated_N = np.abs(stated_N + sensors.grip_N * random.standard_normal(T))
     return Trials(
-        times_s=dt * np.arange(count),
+        times_s=np.asarray(dt * np.arange(count), dtype=float),
         force_N=sampled[0] + sensors.force_N * random.standard_normal((T, count)),
         acceleration_m_s2=seen_g * STANDARD_GRAVITY_M_S2,
         position_m=np.round(sampled[2] / ENCODER_COUNT_M) * ENCODER_COUNT_M,

@@ -17,6 +17,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from writing import table
 
 from problems.tapping_trials import Sensors, Spread, recorded, second_order_hands, session, surface
 from transopt.files import whole_file
@@ -26,7 +27,6 @@ from transopt.identify.hand_tap import cut_tap, fit_tap
 from transopt.models import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 from transopt.scene_sections import SimulatedTaps
 from transopt.signals import FloatArray
-from writing import table
 
 TRUTH = np.array(
     [
@@ -65,7 +65,9 @@ def experiments(repeats: int, seed: int) -> Coverage:
     intervals: list[FloatArray] = []
     while len(found) < repeats:
         batch = min(BATCH, repeats - len(found))
-        grips, speeds = (np.concatenate(values) for values in zip(*(session(random) for _ in range(batch)), strict=True))
+        grips, speeds = (
+            np.concatenate(values) for values in zip(*(session(random) for _ in range(batch)), strict=True)
+        )
         hands = second_order_hands(grips, random, Spread())
         trials = recorded(hands, grips, speeds, random, target=target)
         taps = [
@@ -151,7 +153,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--bias", action="store_true")
     options = parser.parse_args(arguments)
     if options.bias:
-        print("\n".join(table(["mean (standard deviation) of the error, %", "mass", "damping", "stiffness"], bias_rows())))
+        print(
+            "\n".join(
+                table(["mean (standard deviation) of the error, %", "mass", "damping", "stiffness"], bias_rows())
+            )
+        )
         return 0
     coverage = experiments(options.repeats, options.seed)
     head = ["coefficient", "truth", "bias", "scatter", "width of the interval", "covered %"]

@@ -66,13 +66,14 @@ class HandFit:
 
     def shortfalls(self) -> list[str]:
         """Why this model is not to be relied upon, each with what to record again; none if it is."""
-        found = []
         if self.unexplained > MOST_UNEXPLAINED:
-            found.append(
+            # Whatever else shows follows from it.
+            return [
                 f"one mass on a spring and a damper leaves {100 * self.unexplained:.0f} % of the surface force "
                 f"unexplained (at most {100 * MOST_UNEXPLAINED:.0f} %): the stylus moves within the grip, see the "
                 "fourth order, or force and acceleration are not sampled at the same time (accelerometer_Hz)"
-            )
+            ]
+        found = []
         low, high = float(self.grips_N.min()), float(self.grips_N.max())
         for line in self.lines:
             # At both ends, and so in between.
@@ -83,7 +84,9 @@ class HandFit:
                         f"record more taps near {grip_N:.2g} N"
                     )
             middle, lower, upper = line.band[line.band.shape[0] // 2]
-            uncertain = float((upper - lower) / 2 / abs(line.line.at(middle)))
+            if not line.line.at(middle) > 0:
+                continue
+            uncertain = float((upper - lower) / 2 / line.line.at(middle))
             if uncertain > MOST_UNCERTAIN:
                 found.append(
                     f"{line.quantity} is known to {100 * uncertain:.0f} % at {middle:.2g} N (at most "
@@ -213,7 +216,9 @@ def _studentised(points: FloatArray, found: FloatArray, covariance: FloatArray, 
         return np.asarray(np.sqrt(np.einsum("pi,...ij,pj->...p", points, matrix, points)))
 
     centre, own = points @ found, error(covariance)
-    t = (again.coefficients[j] @ points.T - centre) / error(again.covariances[j])
+    away, drawn = again.coefficients[j] @ points.T - centre, error(again.covariances[j])
+    # A quantity that is zero at every tap, such as the spring of a hand that shows none, has no scatter.
+    t = np.divide(away, drawn, out=np.zeros_like(away), where=drawn > 0)
     tails = np.quantile(t, [(1 + LEVEL) / 2, (1 - LEVEL) / 2], axis=0)
     return np.asarray((centre - tails * own).T)
 
@@ -237,5 +242,7 @@ def _check_mass(median_kg: float) -> None:
     if low <= median_kg <= high:
         return
     found = f"the taps show a mass of {median_kg:.3g} kg (median): a hand with a stylus has {low:g} to {high:g} kg"
-    remedy = "is force in kgf, its column named force_N?" if median_kg < low else "was force multiplied by 9.81 twice?"
+    remedy = (
+        "is force in kgf, its column named force_N?" if median_kg < low else "was force multiplied by 9.81 twice?"
+    )
     raise InputError(f"{found}; {remedy} Check the units of force and acceleration")

@@ -19,13 +19,14 @@ from transopt.models import LinearInGrip
 from transopt.signals import FloatArray
 
 OF_HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
-NAMES = ("stylus_mass_kg", *(f"{name}.{part}" for name in OF_HAND for part in ("constant", "per_newton")))
+NAMES = ("stylus_mass_kg", *(f"hand.{name}.{part}" for name in OF_HAND for part in ("constant", "per_newton")))
 STARTS = 6
 DETERMINED = 0.25  # half width of the interval at the middle grip, relative
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
 _STEP = 1e-6  # relative, of differences
 _LEAST_KG = 1e-3
+_LEAST_GUESS = (0.01, 1.0, 10.0)  # kg, N s/m, N/m of the whole hand, where the second order shows none
 _TAYLOR_NORM, _TAYLOR_ORDER = 0.5, 12  # the remainder is below 0.5^13 / 13! = 2e-14
 _SKIN_HZ, _SKIN_DAMPING, _STYLUS_SHARE = 80.0, 0.3, 0.2  # where the starts are drawn around
 
@@ -61,12 +62,12 @@ class ChainFit:
 
     def word(self) -> str:
         """Which parameters these taps determine, and which they do not."""
-        known = [f"{name} to {100 * u:.0f} %" for name, u in self.uncertain.items() if u <= DETERMINED]
+        known = [f"{name} to {100 * u:.2g} %" for name, u in self.uncertain.items() if u <= DETERMINED]
         text = f"determined: {', '.join(known) or 'nothing'}"
         if self.undetermined:
             text += (
-                f"; not determined by these taps: {', '.join(self.undetermined)} (more than {100 * DETERMINED:.0f} %; "
-                "faster taps on a harder surface tell stylus, skin and hand mass apart, slower and softer ones the arm)"
+                f"; not determined by these taps: {', '.join(self.undetermined)} (more than {100 * DETERMINED:.0f} "
+                "%; faster taps on a harder surface tell stylus, skin and hand mass apart, softer ones show the arm)"
             )
         if self.entangled:
             text += f"; only together: {', '.join(' with '.join(pair) for pair in self.entangled)}"
@@ -132,8 +133,8 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
     """
     mass, skin_k, skin_b, arm_k, arm_b = hand
     L, n = force.shape
-    # States: deviation of the stylus, of the hand mass, their velocities; then the force and its slope. In units of the
-    # step all entries are small, though stiffness over mass is not.
+    # States: deviation of the stylus, of the hand mass, their velocities; then the force and its slope. In units of
+    # the step all entries are small, though stiffness over mass is not.
     step = dt_s[:, None]
     flow = np.zeros((L, 6, 6))
     flow[:, 0, 2] = flow[:, 1, 3] = flow[:, 4, 5] = 1.0
@@ -197,23 +198,30 @@ def fit_chain(taps: Sequence[Tap], hand: HandFit, *, starts: int = STARTS, seed:
 
 def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
     mass, damping, stiffness = (
-        np.array([max(line.line.at(grip), 0.1 * float(np.median(line.at_taps))) for grip in ends])
-        for line in hand.lines
+        np.array([max(line.line.at(grip), 0.1 * float(np.median(line.at_taps)), least) for grip in ends])
+        for line, least in zip(hand.lines, _LEAST_GUESS, strict=True)
     )
     stylus = _STYLUS_SHARE * mass.mean()
     skin_k = stylus * (2 * np.pi * _SKIN_HZ) ** 2
     skin_b = 2 * _SKIN_DAMPING * np.sqrt(skin_k * stylus)
     skin = [skin_k, skin_k, skin_b, skin_b]
-    return np.abs(np.concatenate([[stylus], (1 - _STYLUS_SHARE) * mass, skin, stiffness, damping]))
+    return np.concatenate([np.array([stylus]), (1 - _STYLUS_SHARE) * mass, np.array(skin), stiffness, damping])
 
 
 def _solve(session: _Session, start: FloatArray, scale: FloatArray) -> optimize.OptimizeResult:
     least = np.zeros(start.size)
     least[:3] = _LEAST_KG
+
+    def residuals(theta: FloatArray) -> FloatArray:
+        return np.asarray(session.residuals(theta[None])[0].ravel())
+
+    def jacobian(theta: FloatArray) -> FloatArray:
+        return session.jacobian(theta, scale)
+
     return optimize.least_squares(
-        lambda theta: session.residuals(theta[None])[0].ravel(),
+        residuals,
         start,
-        jac=lambda theta: session.jacobian(theta, scale),
+        jac=jacobian,
         bounds=(least, np.inf),
         x_scale=scale,
         max_nfev=60,
@@ -235,7 +243,7 @@ def _judged(session: _Session, theta: FloatArray, scale: FloatArray, costs: tupl
     half = t * np.sqrt(np.diagonal(of_lines))
     middle, of_middle = to_middle @ theta, to_middle @ covariance @ to_middle.T
     deviation = np.sqrt(np.diagonal(of_middle))
-    names = ("stylus_mass_kg", *OF_HAND)
+    names = ("stylus_mass_kg", *(f"hand.{name}" for name in OF_HAND))
     with np.errstate(divide="ignore", invalid="ignore"):  # a parameter that ended at zero is not determined
         uncertain = np.where(middle > 0, t * deviation / middle, np.inf)
         correlation = np.nan_to_num(of_middle / np.outer(deviation, deviation))
@@ -259,6 +267,7 @@ def _maps(ends: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """(11, 11) from values at both ends to constants and slopes, (6, 11) to the values halfway."""
     low, high = ends
     line = np.array([[high, -low], [-1.0, 1.0]]) / (high - low)
-    to_lines = linalg.block_diag(1.0, *[line] * len(OF_HAND))
-    to_middle = linalg.block_diag(1.0, *[np.array([[0.5, 0.5]])] * len(OF_HAND))
+    alone, middle = np.eye(1), np.array([[0.5, 0.5]])
+    to_lines = linalg.block_diag(alone, *[line] * len(OF_HAND))
+    to_middle = linalg.block_diag(alone, *[middle] * len(OF_HAND))
     return np.asarray(to_lines), np.asarray(to_middle)
