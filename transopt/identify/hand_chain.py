@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg, optimize, signal, stats
 
 from transopt.identify.hand import LEVEL, HandFit
-from transopt.identify.hand_tap import Tap
+from transopt.identify.hand_tap import LOWPASS_HZ, Tap
 from transopt.models import LinearInGrip
 from transopt.signals import FloatArray
 
@@ -25,6 +25,8 @@ DETERMINED = 0.25  # half width of the interval at the middle grip, relative
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
 _STEP = 1e-6  # relative, of differences
+_OVERSAMPLED = 5
+_TOLERANCE, _TRIES = 1e-6, 30
 _LEAST_KG = 1e-3
 _LEAST_GUESS = (0.01, 1.0, 10.0)  # kg, N s/m, N/m of the whole hand, where the second order shows none
 _TAYLOR_NORM, _TAYLOR_ORDER = 0.5, 12  # the remainder is below 0.5^13 / 13! = 2e-14
@@ -103,8 +105,13 @@ class _Session:
         low, high = self.ends_N
         return (self.grips_N - low) / (high - low)
 
+    @cached_property
+    def every(self) -> int:
+        """What lies between is known from its neighbours, both sides being low-passed."""
+        return max(1, int(1 / (float(self.dt_s.max()) * _OVERSAMPLED * LOWPASS_HZ)))
+
     def residuals(self, theta: FloatArray) -> FloatArray:
-        """(P, T, n) weighted residuals for parameters (P, 11): the stylus mass, each line's value at both ends."""
+        """(P, T, n / every) weighted residuals for parameters (P, 11): the stylus mass, each line at both ends."""
         ends = theta[:, 1:].reshape(-1, len(OF_HAND), 2)
         lines = ends[:, :, :1] * (1 - self.share) + ends[:, :, 1:] * self.share  # (P, 5, T)
         stylus = np.broadcast_to(theta[:, :1], lines[:, 0].shape)
@@ -115,10 +122,10 @@ class _Session:
             np.tile(self.dt_s, P),
             np.tile(self.force, (P, 1)),
         )
-        return (simulated.reshape(P, T, -1) - self.acceleration) * self.weight
+        return ((simulated.reshape(P, T, -1) - self.acceleration) * self.weight)[..., :: self.every]
 
     def jacobian(self, theta: FloatArray, scale: FloatArray) -> FloatArray:
-        """(T n, 11), by forward differences in one batch."""
+        """(T n / every, 11), by forward differences in one batch."""
         step = _STEP * np.maximum(np.abs(theta), 1e-3 * scale)
         residuals = self.residuals(np.vstack([theta, theta + np.diag(step)])).reshape(theta.size + 1, -1)
         return np.asarray(((residuals[1:] - residuals[0]) / step[:, None]).T)
@@ -181,7 +188,7 @@ def fit_chain(taps: Sequence[Tap], hand: HandFit, *, starts: int = STARTS, seed:
     Parameters
     ----------
     hand : the second-order fit of the same taps; the starts are drawn around it, log-uniform within a factor of 3.
-    starts : tried on a few taps; the two best go on with all of them. seed : of their draw.
+    starts : tried on a few taps; the best goes on with all of them. seed : of their draw.
     """
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
     session = _Session.of(taps, ends)
@@ -192,7 +199,7 @@ def fit_chain(taps: Sequence[Tap], hand: HandFit, *, starts: int = STARTS, seed:
     random = np.random.default_rng(seed)
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
     tried = sorted((_solve(part, guess * factor, guess) for factor in factors), key=lambda found: float(found.cost))
-    best = min((_solve(session, found.x, guess) for found in tried[:2]), key=lambda found: float(found.cost))
+    best = _solve(session, tried[0].x, guess)
     return _judged(session, best.x, guess, tuple(float(found.cost) for found in tried))
 
 
@@ -224,7 +231,9 @@ def _solve(session: _Session, start: FloatArray, scale: FloatArray) -> optimize.
         jac=jacobian,
         bounds=(least, np.inf),
         x_scale=scale,
-        max_nfev=60,
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        max_nfev=_TRIES,
     )
 
 
@@ -258,7 +267,7 @@ def _judged(session: _Session, theta: FloatArray, scale: FloatArray, costs: tupl
         covariance=(of_lines + of_lines.T) / 2,
         uncertain=dict(zip(names, uncertain.tolist(), strict=True)),
         entangled=tuple(entangled),
-        unexplained=float(np.median(np.linalg.norm(residuals, axis=1))),
+        unexplained=float(np.median(np.linalg.norm(residuals, axis=1) * np.sqrt(session.every))),
         starts=costs,
     )
 
