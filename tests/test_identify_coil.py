@@ -111,7 +111,7 @@ def test_what_else_may_be_recorded(kind: dict[str, Any]) -> None:
 
 
 def test_intervals_cover_the_truth() -> None:
-    """12 records, 48 intervals of 95 %: one in 10^4 such tests would see fewer than 39 cover, were they independent."""
+    """12 records, 48 intervals of 95 %: one in 10^4 such tests would see fewer than 39 cover."""
     covered = 0
     for seed in range(12):
         fit = fitted(measured(100 + seed, housing=False, heating_s=900.0, cooling_s=900.0))

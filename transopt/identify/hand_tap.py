@@ -29,7 +29,6 @@ _BASELINE_S = 5e-3  # least record before contact
 _GUARD_S = 0.5e-3  # before the force is seen to rise
 _RISE = 0.02  # of its peak, at which a force is no noise
 _NOISE = 6.0  # standard deviations
-_GAUSS = 1.4826  # of noise, over its median size
 _STUCK = 4  # samples at one extreme value: an end stop
 _JITTER = 0.2  # steps off the uniform grid
 _CALIBRATION = 0.2  # relative difference of displacements by encoder and by accelerometer
@@ -149,11 +148,10 @@ def onset(force_N: FloatArray, dt_s: float) -> int:
     """
     quiet = force_N[: max(int(_BASELINE_S / dt_s), 4)]
     away = np.abs(force_N - np.median(quiet))
-    # The median also of a piece that the contact has already begun in.
-    threshold = max(_NOISE * _GAUSS * float(np.median(away[: quiet.size])), _RISE * float(away.max()))
+    threshold = max(_NOISE * float(quiet.std()), _RISE * float(away.max()))
     at = int(np.argmax(away > threshold))
     if not away[at] > threshold:
-        raise InputError(f"no contact: the force never leaves its first {1e3 * _BASELINE_S:g} ms; record a whole tap")
+        raise InputError(f"no contact after the first {1e3 * _BASELINE_S:g} ms; begin earlier and record a whole tap")
     return at
 
 
