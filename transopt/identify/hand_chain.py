@@ -3,9 +3,10 @@
 The seed calls this fit difficult: of the two masses only the stylus is measured. Here the surface force drives the
 simulated chain, its stylus acceleration is compared with the recorded one, and nonlinear least squares from several
 starts finds the parameters, each a line over grip and none negative at any recorded grip (passive). The covariance is
-that of White's sandwich over trials, since hands that vary leave residuals that are alike within a tap. One line for all hands is biased where they scatter:
-by 0.5 % of the stylus mass and 1 % of the hand mass for hands that scatter by 5 to 10 % from tap to tap, which these
-intervals do not cover.
+that of White's sandwich over trials, since hands that vary leave residuals that are alike within a tap.
+
+One line for all hands is biased where they scatter: by 0.5 % of the stylus mass and 1 % of the hand mass for hands
+that scatter by 5 to 10 % from tap to tap. These intervals do not cover that.
 """
 
 from collections.abc import Sequence
