@@ -207,8 +207,8 @@ def record_heat(
         raise InputError(
             f"record heat: name the device: --simulate; {port or 'a device on a port'} measures neither the coil's "
             "voltage nor its temperature: log both, every second or so, while a constant current flows and while the "
-            "coil cools, as CSV with the columns time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of the "
-            "temperatures those that you have)"
+            "coil cools, as CSV with the columns time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of "
+            "the temperatures those that you have)"
         )
     if port is not None or out is None:
         raise InputError("record heat: give --simulate and --out DIR, and no --port")
