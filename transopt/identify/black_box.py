@@ -1,0 +1,262 @@
+"""A stable real state space of stated order per grip, for devices that are no drive chain.
+
+Poles come from vector fitting (Gustavsen & Semlyen 1999), then poles and output together from least squares on the
+exact sampled response. The model is a sum of sections of second order with the denominator s^2 + a s + w^2, a and w
+above 0: stable and real whatever the numbers are, and a pair of poles may meet on the real axis and part again.
+
+What physics asks: a held device stays where it is under a constant current, so its acceleration has two zeros at
+s = 0. The output is therefore a position y = C x, with C B = 0, and y'' = C A^2 x + C A B i. A free device
+accelerates, and its output is y'' = C x + D i.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from transopt.errors import InputError
+from transopt.identify.chain_fit import GripResponse
+from transopt.identify.device_response import Instrument, Slope, sampled_response
+from transopt.identify.spectrum import ComplexArray
+from transopt.models import StateSpace
+from transopt.signals import FloatArray
+
+ORDERS = (4, 6, 8, 10)  # tried where none is stated
+HIGHEST_ORDER = 20
+RELOCATIONS = 20
+NUDGE = 1e-3  # least damping ratio that a relocated pole starts with
+
+
+@dataclass(frozen=True)
+class BlackBox:
+    """State spaces by grip.
+
+    Attributes
+    ----------
+    grips_N : increasing. plants : one per grip, of one order; the encoder's row is zero, nothing tells of it.
+    scatter : (grips,) mean square of the residuals. criterion : Bayesian information criterion of all grips.
+    """
+
+    grips_N: tuple[float, ...]
+    plants: tuple[StateSpace, ...]
+    scatter: FloatArray
+    criterion: float
+
+    @property
+    def order(self) -> int:
+        return self.plants[0].order
+
+    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
+        """The models whose outputs are blended at a grip, with their weights; held and free ones never mix.
+
+        Raises
+        ------
+        InputError : outside the recorded grips.
+        """
+        held = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)]
+        grips = [self.grips_N[j] for j in held]
+        if not grips or not grips[0] <= grip_N <= grips[-1]:
+            raise InputError(f"grip {grip_N:g} N: outside the recorded grips {grips} N; record it")
+        after = next(j for j, grip in enumerate(grips) if grip >= grip_N)
+        if grips[after] == grip_N:
+            return [(self.plants[held[after]], 1.0)]
+        part = (grip_N - grips[after - 1]) / (grips[after] - grips[after - 1])
+        return [(self.plants[held[after - 1]], 1 - part), (self.plants[held[after]], part)]
+
+
+class _Sections:
+    """Matrices and derivatives of a sum of second-order sections for unknowns (log w, log a per section; output).
+
+    A section has the states of [[0, w], [-w, -a]], driven by w at the second: of one size whatever w is.
+    """
+
+    def __init__(self, order: int, held: bool) -> None:
+        self.order, self.held = order, held
+        self.poles = order  # as many unknowns
+        self.outputs = order - 1 if held else order + 1
+
+    def matrices(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        A, B = np.zeros((self.order, self.order)), np.zeros((self.order, 1))
+        for j, (w, a) in enumerate(np.exp(unknowns[: self.poles].reshape(-1, 2))):
+            A[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[0.0, w], [-w, -a]]
+            B[2 * j + 1, 0] = w
+        return A, B
+
+    def _outputs(self, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(outputs, n) and (outputs,) C and D of y'' for each unknown of the output being one, the others zero.
+
+        Held: positions with C B = 0, on an orthonormal basis of what B leaves free (Householder), in units of 1 / w^2.
+        """
+        if not self.held:
+            return np.vstack([np.eye(self.order), np.zeros(self.order)]), np.eye(self.order + 1)[-1]
+        position = self._positions(B)
+        return position @ A @ A, (position @ A @ B)[:, 0]
+
+    @staticmethod
+    def _positions(B: FloatArray) -> FloatArray:
+        """(n - 1, n) rows that B does not move: the first states of the sections, and differences of the second."""
+        n = B.size
+        rows = [np.eye(n)[j] / B[j + 1, 0] ** 2 for j in range(0, n, 2)]
+        for j in range(3, n, 2):
+            row = np.zeros(n)
+            row[1], row[j] = B[j, 0], -B[1, 0]
+            rows.append(row / (B[1, 0] * B[j, 0] * max(B[1, 0], B[j, 0])))
+        return np.array(rows)
+
+    def plant(self, unknowns: FloatArray) -> StateSpace:
+        A, B = self.matrices(unknowns)
+        rows, direct = self._outputs(A, B)
+        output = unknowns[self.poles :]
+        return StateSpace(
+            A, B, (output @ rows)[None, :], np.array([[output @ direct]]), np.zeros((1, self.order))
+        )
+
+    def slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
+        """By every unknown: the output enters linearly; by the poles, central differences of these small matrices."""
+        A, B = self.matrices(unknowns)
+        rows, direct = self._outputs(A, B)
+        step = 1e-5
+        found = []
+        for j in range(self.poles):
+            move = np.zeros(unknowns.size)
+            move[j] = step
+            up, down = self.plant(unknowns + move), self.plant(unknowns - move)
+            found.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
+        none_A, none_B = np.zeros_like(A), np.zeros_like(B)
+        found += [Slope(none_A, none_B, row[None, :], np.array([[d]])) for row, d in zip(rows, direct, strict=True)]
+        return tuple(found)
+
+
+def _vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order: int, direct: bool) -> ComplexArray:
+    """(order,) stable poles of a rational function near `target` at the points s, conjugate pairs adjacent.
+
+    Iterates: least squares for numerator and denominator with a common set of poles, whose new set are the zeros of
+    the denominator; those to the right are reflected.
+    """
+    size = np.abs(s)
+    imaginary = np.geomspace(size.min(), size.max(), order // 2)
+    poles = np.stack([-0.1 * imaginary + 1j * imaginary, -0.1 * imaginary - 1j * imaginary], axis=1).ravel()
+    for _ in range(RELOCATIONS):
+        basis = np.empty((s.size, order), dtype=complex)
+        A, b = np.zeros((order, order)), np.empty(order)
+        j = 0
+        while j < order:
+            p = poles[j]
+            if p.imag != 0:
+                one, other = 1 / (s - p), 1 / (s - p.conjugate())
+                basis[:, j], basis[:, j + 1] = one + other, 1j * (one - other)
+                A[j : j + 2, j : j + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+                b[j : j + 2] = 2.0, 0.0
+                j += 2
+            else:
+                basis[:, j], A[j, j], b[j] = 1 / (s - p), p.real, 1.0
+                j += 1
+        columns = [basis] + ([np.ones((s.size, 1))] if direct else []) + [-target[:, None] * basis]
+        system = np.hstack(columns) * weight[:, None]
+        right = target * weight
+        stacked, wanted = np.vstack([system.real, system.imag]), np.concatenate([right.real, right.imag])
+        norm = np.linalg.norm(stacked, axis=0)
+        solution = np.linalg.lstsq(stacked / norm, wanted, rcond=None)[0] / norm
+        moved = np.linalg.eigvals(A - np.outer(b, solution[-order:]))
+        moved = -np.abs(moved.real) + 1j * moved.imag
+        upper = moved[moved.imag > 0]
+        real = np.sort(moved[moved.imag == 0].real)
+        poles = np.concatenate([np.stack([upper, upper.conj()], axis=1).ravel(), real.astype(complex)])
+    return poles
+
+
+def _start(poles: ComplexArray) -> FloatArray:
+    """(order,) log w and log a of sections with these poles; real ones are paired by size."""
+    upper = poles[poles.imag > 0]
+    real = np.sort(-poles[poles.imag == 0].real)
+    w = np.concatenate([np.abs(upper), np.sqrt(real[::2] * real[1::2])])
+    a = np.concatenate([-2 * upper.real, real[::2] + real[1::2]])
+    floor = np.finfo(float).tiny
+    w = np.maximum(w, floor)
+    return np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel()
+
+
+def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:
+    """One grip: the plant and its sum of squared residuals."""
+    held = one.grip_N > 0
+    frequencies, measured, deviation = one.estimate.frequencies_Hz, one.estimate.response, one.deviation
+    s = 2j * np.pi * frequencies
+    target = measured.copy()
+    if instrument.accelerometer_Hz is not None:
+        target = target * (1 + 1j * frequencies / instrument.accelerometer_Hz)
+    power = np.ones(s.size, dtype=complex) if not held else s**2
+    unit = float(np.abs(s).max())
+    weight = np.abs(power) / deviation
+    poles = unit * _vector_fit(s / unit, target / power, weight / weight.max(), order, direct=not held)
+    sections = _Sections(order, held)
+    start = np.concatenate([_start(poles), np.zeros(sections.outputs)])
+
+    def linear(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        value, slopes = sampled_response(sections.plant(unknowns), instrument, frequencies, sections.slopes(unknowns))
+        error, scaled = (value - measured) / deviation, (slopes / deviation).T
+        return np.concatenate([error.real, error.imag]), np.vstack([scaled.real, scaled.imag])
+
+    # The output is linear in the response: its best value for the poles found so far.
+    error, jacobian = linear(start)
+    part = jacobian[:, order:]
+    norm = np.linalg.norm(part, axis=0)
+    start[order:] = -np.linalg.lstsq(part / norm, error, rcond=None)[0] / norm
+    last: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+    def kept(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        key = unknowns.tobytes()
+        if key not in last:
+            last.clear()
+            last[key] = linear(unknowns)
+        return last[key]
+
+    reach = np.concatenate([np.full(order, np.log(1e3)), np.full(sections.outputs, np.inf)])
+    found = optimize.least_squares(
+        lambda unknowns: kept(unknowns)[0],
+        start,
+        jac=lambda unknowns: kept(unknowns)[1],
+        bounds=(start - reach, start + reach),
+        method="trf",
+        x_scale="jac",
+        max_nfev=60,
+    )
+    return sections.plant(found.x), 2 * float(found.cost)
+
+
+def fit_black_box(
+    responses: Sequence[GripResponse],
+    instrument: Instrument,
+    order: int | None = None,
+    *,
+    tick: Callable[[], None] = lambda: None,
+) -> BlackBox:
+    """A stable real state space of one order at every grip.
+
+    Parameters
+    ----------
+    order : even; None takes the one of `ORDERS` with the least Bayesian information criterion.
+    tick : called after each grip of each order.
+
+    Raises
+    ------
+    InputError : an odd order, or one out of range.
+    """
+    if order is not None and (order % 2 or not 2 <= order <= HIGHEST_ORDER):
+        raise InputError(f"--order {order}: must be even, 2 to {HIGHEST_ORDER}; masses come with two states each")
+    responses = sorted(responses, key=lambda one: one.grip_N)
+    best: BlackBox | None = None
+    for tried in (order,) if order is not None else ORDERS:
+        plants, scatter, criterion = [], [], 0.0
+        for one in responses:
+            plant, cost = _fit(one, instrument, tried)
+            points, unknowns = 2 * one.estimate.frequencies_Hz.size, 2 * tried
+            plants.append(plant)
+            scatter.append(cost / max(points - unknowns, 1))
+            criterion += cost + unknowns * np.log(points)
+            tick()
+        found = BlackBox(tuple(one.grip_N for one in responses), tuple(plants), np.array(scatter), float(criterion))
+        if best is None or found.criterion < best.criterion:
+            best = found
+    assert best is not None
+    return best
