@@ -113,13 +113,16 @@ class LinearParameter(Section):
     constant: Finite
     per_newton: Finite = 0.0
 
+    def linear(self) -> models.LinearInGrip:
+        return models.LinearInGrip(self.constant, self.per_newton)
+
 
 Parameter = LinearParameter | Finite
 
 
 def _linear(value: LinearParameter | float) -> models.LinearInGrip:
     if isinstance(value, LinearParameter):
-        return models.LinearInGrip(value.constant, value.per_newton)
+        return value.linear()
     return models.LinearInGrip(value, 0.0)
 
 
