@@ -94,8 +94,14 @@ class _Sampled:
     d_direct: FloatArray
 
 
+def _structure(plant: StateSpace, slopes: tuple[Slope, ...]) -> StateSpace:
+    """Where plant or slopes have entries: a state whose output happens to be zero has a slope all the same."""
+    A, C = (np.abs(getattr(plant, part)) + sum(np.abs(getattr(slope, part)) for slope in slopes) for part in "AC")
+    return StateSpace(A, plant.B, C, plant.D, plant.Ce)
+
+
 def _sampled(plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...]) -> _Sampled:
-    keep = acting_states(plant)
+    keep = acting_states(_structure(plant, slopes))
     n, some = int(keep.sum()), np.ix_(keep, keep)
     pole, sensed = instrument.amplifier is not None, instrument.accelerometer_Hz is not None
     M = _generator(plant.A[some], plant.B[keep], plant.C[:, keep], plant.D, instrument)
