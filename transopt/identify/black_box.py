@@ -68,6 +68,12 @@ class BlackBox:
         part = (grip_N - grips[after - 1]) / (grips[after] - grips[after - 1])
         return [(self.plants[held[after - 1]], 1 - part), (self.plants[held[after]], part)]
 
+    def without(self, grip_N: float) -> "BlackBox":
+        """The same without the model of one grip: what stands in for it is the blend of its neighbours."""
+        kept = [j for j, grip in enumerate(self.grips_N) if grip != grip_N]
+        grips, plants = tuple(self.grips_N[j] for j in kept), tuple(self.plants[j] for j in kept)
+        return BlackBox(grips, plants, self.scatter[kept], self.criterion)
+
 
 class _Sections:
     """Matrices and derivatives of a sum of second-order sections for unknowns (log w, log a per section; output).

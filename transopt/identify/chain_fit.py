@@ -79,10 +79,10 @@ class ChainFit:
         return _scatter(self.chi_square, self.points, self.unknowns.size)
 
     @property
-    def unidentified(self) -> tuple[str, ...]:
-        """Unknowns that these responses leave open within a factor of 1.6 (one standard deviation) or more."""
+    def unidentified(self) -> dict[str, float]:
+        """Unknowns that these responses leave open, with the standard deviation of their logarithm."""
         sigma = np.sqrt(np.diag(self.covariance))
-        return tuple(name for name, s in zip(self.coordinates.names, sigma, strict=True) if s > UNKNOWN)
+        return {name: float(s) for name, s in zip(self.coordinates.names, sigma, strict=True) if s > UNKNOWN}
 
     def stated(self) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
         """Names, values (q,) and covariance (q, q) of the parameters as a model file states them, in SI."""

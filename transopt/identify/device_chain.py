@@ -15,9 +15,8 @@ UNITS = {"mass_kg": "kg", "stiffness_N_m": "N/m", "damping_N_s_m": "N s/m"}
 
 def unit_of(name: str) -> str:
     """Unit of a parameter by its name; a slope is per newton of grip."""
-    stem, _, part = name.partition(".per_newton")
-    unit = next(unit for ending, unit in UNITS.items() if ending in stem)
-    return f"{unit}/N" if part or name.endswith(".per_newton") else unit
+    unit = next(unit for ending, unit in UNITS.items() if ending in name)
+    return f"{unit}/N" if name.endswith(".per_newton") else unit
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,15 @@ class DriveChain:
             transmission=Link(stiffness, damping),
             force_per_current_N_A=self.force_per_current_N_A,
         )
+
+    def with_force(self, force_per_current_N_A: float) -> "DriveChain":
+        """The device of the same response with another force per ampere."""
+        factor = force_per_current_N_A / self.force_per_current_N_A
+        return DriveChain(force_per_current_N_A, self.shared * factor, self.hand * factor)
+
+    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
+        """The one plant of a grip, with its weight, as a black box that blends has several."""
+        return [(self.plant(grip_N), 1.0)]
 
 
 _NOBODY = Hand(*(LinearInGrip(0.0, 0.0) for _ in HAND))
