@@ -1,4 +1,4 @@
-"""Trials of a known device for the tests of identification: exact sampled motion of transopt's own models, plus noise.
+"""Trials of a known device for the tests of identification: exact sampled motion of transopt's models, plus noise.
 
 Independent of the fits: time domain, one step of the exact hold after the other.
 """
@@ -40,7 +40,7 @@ def mismatched(fraction: float, seed: int) -> DriveChain:
 def sampled_run(
     plant: StateSpace, command_A: FloatArray, amplifier: Amplifier | None = AMPLIFIER, crossover_A: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """(N,) current [A] and acceleration behind the accelerometer's pole [m/s^2] at the ticks, read before the command acts."""
+    """(N,) current [A] and acceleration behind its sensor's pole [m/s^2], read at a tick before its command acts."""
     felt = command_A - np.clip(command_A, -crossover_A, crossover_A)
     n = plant.order
     pole = 2 * np.pi * ACCELEROMETER_HZ
@@ -101,7 +101,9 @@ class Rig:
             accelerometer_Hz=ACCELEROMETER_HZ,
         )
 
-    def sweeps(self, grips_N: tuple[float, ...], trials: int = 4, seconds: float = 2.0, seed: int = 0) -> list[Measurement]:
+    def sweeps(
+        self, grips_N: tuple[float, ...], trials: int = 4, seconds: float = 2.0, seed: int = 0
+    ) -> list[Measurement]:
         """Sweeps 1 to 2000 Hz at 0.75 A, every other one of reversed polarity."""
         command = sweep_command(1.0, 2000.0, seconds, 0.75, DT_S)
         return [

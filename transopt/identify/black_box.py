@@ -96,7 +96,7 @@ class _Sections:
     def _outputs(self, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(outputs, n) and (outputs,) C and D of y'' for each unknown of the output being one, the others zero.
 
-        Held: positions with C B = 0, on an orthonormal basis of what B leaves free (Householder), in units of 1 / w^2.
+        Held: positions with C B = 0, each of the section's size over w^2.
         """
         if not self.held:
             return np.vstack([np.eye(self.order), np.zeros(self.order)]), np.eye(self.order + 1)[-1]
@@ -118,9 +118,7 @@ class _Sections:
         A, B = self.matrices(unknowns)
         rows, direct = self._outputs(A, B)
         output = unknowns[self.poles :]
-        return StateSpace(
-            A, B, (output @ rows)[None, :], np.array([[output @ direct]]), np.zeros((1, self.order))
-        )
+        return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]), np.zeros((1, self.order)))
 
     def slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
         """By every unknown: the output enters linearly; by the poles, central differences of these small matrices."""
@@ -184,7 +182,7 @@ def _start(poles: ComplexArray) -> FloatArray:
     a = np.concatenate([-2 * upper.real, real[::2] + real[1::2]])
     floor = np.finfo(float).tiny
     w = np.maximum(w, floor)
-    return np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel()
+    return np.asarray(np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel())
 
 
 def _polished(
@@ -216,15 +214,15 @@ def _polished(
     def inside(unknowns: FloatArray) -> FloatArray:
         return np.concatenate([np.clip(unknowns[:order], low, high), unknowns[order:]])
 
+    def value(unknowns: FloatArray) -> FloatArray:
+        return residual(inside(unknowns))[0]
+
+    def slope(unknowns: FloatArray) -> FloatArray:
+        return residual(inside(unknowns))[1]
+
+    # MINPACK: the factorisations of scipy's own methods take ten times as long when their threads meet busy cores.
     found = optimize.least_squares(
-        lambda unknowns: residual(inside(unknowns))[0],
-        start,
-        jac=lambda unknowns: residual(inside(unknowns))[1],
-        method="lm",
-        x_scale="jac",
-        ftol=TOLERANCE,
-        xtol=TOLERANCE,
-        max_nfev=MOST_STEPS,
+        value, start, jac=slope, method="lm", x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
     )
     return sections.plant(inside(found.x)), 2 * float(found.cost)
 
@@ -237,7 +235,7 @@ def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSp
     """
     held = one.grip_N > 0
     frequencies, target = one.estimate.frequencies_Hz, one.estimate.response.copy()
-    s = 2j * np.pi * frequencies
+    s = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
     low, high = float(np.abs(s).min()), float(np.abs(s).max())
     if instrument.accelerometer_Hz is not None:
         target *= 1 + 1j * frequencies / instrument.accelerometer_Hz

@@ -120,7 +120,7 @@ def _response_jacobian(
 
 
 class _Residuals:
-    """(Model - measured) / deviation of all grips, real and imaginary parts, and its Jacobian; the last point is kept.
+    """(Model - measured) / deviation of all grips, real and imaginary parts, and its Jacobian; keeps the last point.
 
     `loose` adds a relative error to the deviations, `step` takes each step-th bin.
     """
@@ -153,9 +153,7 @@ class _Residuals:
             device = self._coordinates.device(unknowns, self._force)
             residuals, jacobians = [], []
             for grip_N, frequencies, response, deviation in self._data:
-                value, jacobian = _response_jacobian(
-                    self._coordinates, device, grip_N, self._instrument, frequencies
-                )
+                value, jacobian = _response_jacobian(self._coordinates, device, grip_N, self._instrument, frequencies)
                 error, scaled = (value - response) / deviation, (jacobian / deviation).T
                 residuals += [error.real, error.imag]
                 jacobians += [scaled.real, scaled.imag]
@@ -176,10 +174,16 @@ class _Residuals:
             full[free] = part
             return full
 
+        def value(part: FloatArray) -> FloatArray:
+            return self.value(whole(part))
+
+        def jacobian(part: FloatArray) -> FloatArray:
+            return np.asarray(self.jacobian(whole(part))[:, free])
+
         found = optimize.least_squares(
-            lambda part: self.value(whole(part)),
+            value,
             start[free],
-            jac=lambda part: self.jacobian(whole(part))[:, free],
+            jac=jacobian,
             bounds=(start[free] - np.log(RANGE), start[free] + np.log(RANGE)),
             method="trf",
             ftol=TOLERANCE,
@@ -228,7 +232,7 @@ def fit_chain(
     Parameters
     ----------
     responses : one per grip, 0 for the free device. nominal : where to start, with the known force per ampere.
-    random_starts : beside the nominal device and the nominal device scaled to the data. tick : called after each start.
+    random_starts : beside the nominal device, as it is and scaled to the data. tick : called after each start.
 
     Raises
     ------
@@ -339,7 +343,5 @@ def fit_per_grip(
         apart = 20 * np.abs(np.log10(np.abs(own) / np.abs(smooth)))[clear]
         points = int(exact.points[0])
         before = float(np.sum(exact.value(start) ** 2))
-        found.append(
-            GripFit(one.grip_N, before / points, cost / (points - len(HAND)), float(apart.max(initial=0.0)))
-        )
+        found.append(GripFit(one.grip_N, before / points, cost / (points - len(HAND)), float(apart.max(initial=0.0))))
     return found

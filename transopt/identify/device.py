@@ -133,9 +133,7 @@ def identify(
     ------
     InputError : records that cannot be used, an order that cannot be.
     """
-    records = sort_trials(
-        runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses")
-    )
+    records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
     grips, instrument = records.grips, records.instrument
     responses = [grip.response for grip in grips]
     held = any(grip.grip_N > 0 for grip in grips)
@@ -274,7 +272,8 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
     if result.chosen.kind is Kind.STATE_SPACE:
         assert result.black_box is not None
         matrices = {
-            part: [getattr(plant, part).tolist() for plant in result.black_box.plants] for part in ("A", "B", "C", "D")
+            part: [getattr(plant, part).tolist() for plant in result.black_box.plants]
+            for part in ("A", "B", "C", "D")
         }
         return StateSpaceDevice.model_validate(
             {"kind": "state_space", "order": result.black_box.order, **matrices, **common}

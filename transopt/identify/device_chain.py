@@ -139,7 +139,8 @@ class Coordinates:
 
     def of(self, device: DriveChain) -> FloatArray:
         """(size,) unknowns of a device that is passive at both ends."""
-        return np.log(np.concatenate([device.shared, *(device.hand_at(grip) for grip in self.ends_N)]))
+        values: FloatArray = np.concatenate([device.shared, *(device.hand_at(grip) for grip in self.ends_N)])
+        return np.asarray(np.log(values))
 
     def _hand(self) -> FloatArray:
         """(2, ends) from the values at the ends to constant and per newton."""

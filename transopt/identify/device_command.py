@@ -38,7 +38,9 @@ def identify_device(
     kind: Annotated[str, typer.Option(help="drive, state_space, or auto: whichever predicts better.")] = "auto",
     validate: Annotated[
         list[Path] | None,
-        typer.Option(help="Transients to judge the model by; may be repeated. Default: the last of 3 or more trials."),
+        typer.Option(
+            help="Transients to judge the model by; may be repeated. Default: the last of 3 or more trials."
+        ),
     ] = None,
 ) -> None:
     """Identify drive and hand from swept sines, all grips together, and say what the model is good for."""
@@ -54,14 +56,17 @@ def identify_device(
     terminal.make_folder(out.parent)
     settings = _settings(out, scene, force_per_current, order, kind)
     with _progress(console) as step:
-        runs = [step("reading", load_measurement(path)) for path in files]
-        transients = [step("reading", load_measurement(path)) for path in validate or []]
-        result = identify(runs, transients, settings, tick=lambda name: step(name, None))
+        read = []
+        for path in (*files, *(validate or [])):
+            read.append(load_measurement(path))
+            step("reading")
+        runs, transients = read[: len(files)], read[len(files) :]
+        result = identify(runs, transients, settings, tick=step)
         part = device_part(result)
         save_part(out, "device", part)
         picture = out.with_name(f"{out.stem}_device.png")
         save_figure(device_figure(result), picture)
-        step("figure", None)
+        step("figure")
     _show(console, result)
     console.print(f"{out} written, figure {picture}", soft_wrap=True)
     if result.short:
@@ -69,21 +74,20 @@ def identify_device(
 
 
 @contextmanager
-def _progress(console: "Console") -> "Iterator[Callable[..., object]]":
-    """A bar that tells what was done last; `step(name, value)` counts one and gives the value back."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+def _progress(console: "Console") -> "Iterator[Callable[[str], None]]":
+    """A bar that tells what was done last; `step(name)` counts one."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description:14}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
-        tasks: dict[str, int] = {}
+        tasks: dict[str, TaskID] = {}
 
-        def step(name: str, value: object) -> object:
+        def step(name: str) -> None:
             if name not in tasks:
                 for other in tasks.values():
-                    progress.update(other, visible=False)  # type: ignore[arg-type]
+                    progress.update(other, visible=False)
                 tasks[name] = progress.add_task(name, total=None)
-            progress.advance(tasks[name])  # type: ignore[arg-type]
-            return value
+            progress.advance(tasks[name])
 
         yield step
 

@@ -1,9 +1,10 @@
-"""Records of a device sorted for identification: by grip, checked, and split into what is fitted and what is kept out."""
+"""Records of a device sorted for identification: by grip, checked, split into what is fitted and what is kept out."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import signal
 
 from transopt.amplifier import Amplifier
@@ -58,7 +59,7 @@ class Records:
 
     Attributes
     ----------
-    grips : increasing. between : transients at grips without sweeps, between those with. findings : none of them fatal.
+    grips : increasing. between : transients at grips without sweeps, between those with. findings : not fatal.
     """
 
     grips: list[Grip]
@@ -164,10 +165,10 @@ def sort_trials(
     found += [finding for run in apart for finding in _outside(run, list(groups))]
     for grip_N, group in groups.items():
         where = "the free device" if grip_N == 0 else f"{grip_N:.3g} N"
-        group = sorted(group, key=runs.index)
+        in_order = sorted(group, key=runs.index)
         hold_out = not transients and len(group) >= LEAST_TO_HOLD_OUT
-        fitted = group[:-1] if hold_out else group
-        kept = group[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
+        fitted = in_order[:-1] if hold_out else in_order
+        kept = in_order[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
         trials = [trials_of[id(run)] for run in fitted]
         estimate = estimate_transfer(trials)
         again = _odd_one_out(where, [run.name for run in fitted], estimate)
@@ -186,8 +187,9 @@ def sort_trials(
 def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
     """The recorded grip that a transient is of; None for one that was not recorded."""
     assert run.grip_N is not None
-    near = [grip for grip in recorded_N if abs(grip - run.grip_N) < GRIP_STEP_N and (grip > 0) == (run.grip_N > 0)]
-    return min(near, key=lambda grip: abs(grip - run.grip_N)) if near else None
+    wanted = run.grip_N
+    near = [grip for grip in recorded_N if abs(grip - wanted) < GRIP_STEP_N and (grip > 0) == (wanted > 0)]
+    return min(near, key=lambda grip: abs(grip - wanted)) if near else None
 
 
 def _outside(run: Measurement, recorded_N: Sequence[float]) -> list[Finding]:
@@ -213,7 +215,7 @@ def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
     return bands
 
 
-def runs_of(frequencies_Hz: FloatArray, bad: FloatArray) -> list[tuple[float, float]]:
+def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """First and last frequency of each run of `bad` bins; single good bins between do not end one."""
     bands: list[list[int]] = []
     for j in np.flatnonzero(bad):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -58,7 +58,7 @@ def _handles(result: DeviceResult) -> Sequence[Line2D | Patch]:
     ]
 
 
-def _grip(above, below, result: DeviceResult, grip: Grip) -> None:  # type: ignore[no-untyped-def]
+def _grip(above: Axes, below: Axes, result: DeviceResult, grip: Grip) -> None:
     estimate = grip.response.estimate
     measured_Hz, size = estimate.frequencies_Hz, np.abs(estimate.response) / STANDARD_GRAVITY_M_S2
     low, high = (limit / STANDARD_GRAVITY_M_S2 for limit in estimate.magnitude_band())

@@ -1,7 +1,7 @@
 """Identified models against transients that were not used in the fit, in the time domain (DESIGN 2).
 
-Measured and predicted acceleration both pass the causal 8 Hz high-pass of the design: what is slower is the user's own
-motion and no model's business. The error is what a design with this model would mistake for success.
+Measured and predicted acceleration both pass the causal 8 Hz high-pass of the design: what is slower is the user's
+own motion and no model's business. The error is what a design with this model would mistake for success.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,7 +49,7 @@ def predict(model: Model, grip_N: float, instrument: Instrument, current_A: Floa
     """(n,) sampled acceleration behind the accelerometer's pole that a sampled current from rest comes with [m/s^2].
 
     Through the ratio of the sampled spectra, so that what the current does between its samples is what a held
-    command makes it do; inverting the hold in the time domain would be unstable where the delay exceeds half a period.
+    command makes it do; inverting the hold in the time domain is unstable where the delay exceeds half a period.
     """
     size = fft.next_fast_len(current_A.size + round(PADDING_S / instrument.dt_s), real=True)
     frequencies = fft.rfftfreq(size, instrument.dt_s)
@@ -79,10 +79,12 @@ def compare(model: Model, grip_N: float, instrument: Instrument, run: Measuremen
 
 
 def together(transients: Sequence[Transient]) -> float:
-    """NRMSE of several transients as one, so that a quiet one does not count more than a loud one; NaN without any."""
+    """NRMSE of several transients as one: a quiet one counts no more than a loud one. NaN without any."""
     if not transients:
         return float("nan")
-    measured, predicted = (np.concatenate([getattr(t, part) for t in transients]) for part in ("measured", "predicted"))
+    measured, predicted = (
+        np.concatenate([getattr(t, part) for t in transients]) for part in ("measured", "predicted")
+    )
     return nrmse(predicted, measured)
 
 
@@ -110,7 +112,9 @@ def verdict(recorded: Mapping[float, float], between: Mapping[float, float]) -> 
         text += f"; not validated: {', '.join(missing)}"
     if between:
         gap = max(between, key=lambda grip: between[grip])
-        text += f"; between recorded grips down to {100 * between[gap]:.2g} % (at {called(gap)}, unknown to the model)"
+        text += (
+            f"; between recorded grips down to {100 * between[gap]:.2g} % (at {called(gap)}, unknown to the model)"
+        )
     return text
 
 
@@ -129,7 +133,9 @@ def short_of(recorded: Mapping[float, float], between: Mapping[float, float]) ->
                     "this grip again, held steadily, or choose another kind or a higher order"
                 )
             else:
-                said.append(f"{called(grip)}: nothing kept for validation; record a third trial or give --validate FILES")
+                said.append(
+                    f"{called(grip)}: nothing kept for validation; record a third trial or give --validate FILES"
+                )
     for grip, error in between.items():
         if not error <= BETWEEN_LIMIT:
             said.append(
