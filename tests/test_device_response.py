@@ -11,20 +11,26 @@ from transopt.identify.device_chain import HAND, SHARED, Coordinates, DriveChain
 from transopt.identify.device_response import Instrument, Slope, current_response, sampled_response
 from transopt.models import StateSpace
 
-AMPLIFIERS = (None, AMPLIFIER, replace(AMPLIFIER, delay_s=0.0), replace(AMPLIFIER, delay_s=2.3e-4), Amplifier(300, 1e-4, 6))
+AMPLIFIERS = (
+    None,
+    AMPLIFIER,
+    replace(AMPLIFIER, delay_s=0.0),
+    replace(AMPLIFIER, delay_s=2.3e-4),
+    Amplifier(300, 1e-4, 6),
+)
 
 
 @pytest.mark.parametrize("amplifier", AMPLIFIERS)
 @pytest.mark.parametrize("grip_N", [0.0, 3.0])
-def test_the_ratio_of_sampled_spectra_is_that_of_a_simulated_record(grip_N: float, amplifier: Amplifier | None) -> None:
+def test_the_ratio_of_sampled_spectra_is_that_of_a_simulated_record(
+    grip_N: float, amplifier: Amplifier | None
+) -> None:
     command = np.zeros(4000)
     command[5:9] = [1.0, -0.4, 0.3, -0.9]  # no net impulse, so that the free device comes to rest too
     current, acceleration = sampled_run(DEFAULT.plant(grip_N), command, amplifier)
     frequencies = np.fft.rfftfreq(command.size, DT_S)[4:1900]
     measured = np.fft.rfft(acceleration)[4:1900] / np.fft.rfft(current)[4:1900]
-    modelled, _ = sampled_response(
-        DEFAULT.plant(grip_N), Instrument(DT_S, amplifier, ACCELEROMETER_HZ), frequencies
-    )
+    modelled, _ = sampled_response(DEFAULT.plant(grip_N), Instrument(DT_S, amplifier, ACCELEROMETER_HZ), frequencies)
     np.testing.assert_allclose(modelled, measured, rtol=1e-8, atol=1e-8 * np.abs(modelled).max())
 
 
@@ -51,7 +57,8 @@ def test_derivatives_agree_with_differences(amplifier: Amplifier | None, sensed:
         factor = np.ones(parameters.size)
         factor[j] = np.exp(step)
         up, down = (
-            sampled_response(chain_of(parameters * side, 1.25), instrument, frequencies)[0] for side in (factor, 1 / factor)
+            sampled_response(chain_of(parameters * side, 1.25), instrument, frequencies)[0]
+            for side in (factor, 1 / factor)
         )
         difference = (up - down) / (2 * step)
         size = np.abs(up).max()
@@ -105,5 +112,7 @@ def test_any_unknowns_make_a_chain_that_is_passive_between_the_recorded_grips() 
 def test_the_force_per_ampere_scales_the_device_and_not_its_response() -> None:
     frequencies = np.geomspace(1, 1000, 20)
     other: DriveChain = DEFAULT.with_force(0.5)
-    np.testing.assert_allclose(other.plant(3.0).response(frequencies), DEFAULT.plant(3.0).response(frequencies), rtol=1e-9)
+    np.testing.assert_allclose(
+        other.plant(3.0).response(frequencies), DEFAULT.plant(3.0).response(frequencies), rtol=1e-9
+    )
     assert other.shared[0] == pytest.approx(0.4 * DEFAULT.shared[0])

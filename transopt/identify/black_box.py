@@ -25,10 +25,16 @@ from transopt.signals import FloatArray
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls
 HIGHEST_ORDER = 20
 RELOCATIONS = 20
-AGAIN = (0.2, 0.04)  # of the highest frequency: where poles are put that left the band
+ENOUGH = 1.2  # mean square of residuals over the noise's, below which no other start is tried
+MORE = (
+    (0.05, 0.2),
+    (0.2, 0.6),
+    (0.005, 0.05),
+)  # of the highest frequency: real poles added to those of two orders less
 REACH = 1e3  # poles stay within this factor of their start
 MOST_STEPS = 60
-TOLERANCE = 1e-7
+TOLERANCE = 1e-6
+RANK = 1e-12
 NUDGE = 1e-3  # least damping ratio that a relocated pole starts with
 
 
@@ -120,20 +126,24 @@ class _Sections:
         output = unknowns[self.poles :]
         return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]), np.zeros((1, self.order)))
 
-    def slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
-        """By every unknown: the output enters linearly; by the poles, central differences of these small matrices."""
-        A, B = self.matrices(unknowns)
-        rows, direct = self._outputs(A, B)
-        step = 1e-5
-        found = []
+    def pole_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
+        """By log w and log a of the sections: central differences of these small matrices."""
+        found, step = [], 1e-5
         for j in range(self.poles):
             move = np.zeros(unknowns.size)
             move[j] = step
             up, down = self.plant(unknowns + move), self.plant(unknowns - move)
             found.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
-        none_A, none_B = np.zeros_like(A), np.zeros_like(B)
-        found += [Slope(none_A, none_B, row[None, :], np.array([[d]])) for row, d in zip(rows, direct, strict=True)]
         return tuple(found)
+
+    def output_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
+        """By the output's coefficients, which enter linearly."""
+        A, B = self.matrices(unknowns)
+        none_A, none_B = np.zeros_like(A), np.zeros_like(B)
+        rows, direct = self._outputs(A, B)
+        return tuple(
+            Slope(none_A, none_B, row[None, :], np.array([[d]])) for row, d in zip(rows, direct, strict=True)
+        )
 
 
 def _vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order: int, direct: bool) -> ComplexArray:
@@ -185,75 +195,91 @@ def _start(poles: ComplexArray) -> FloatArray:
     return np.asarray(np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel())
 
 
+class _Projected:
+    """Residuals over the poles alone, the output always the best one for them (variable projection).
+
+    The Jacobian is Kaufman's (1975): that at fixed output, less what the output can make up for. Poles and output
+    sought together would crawl along the valley where one makes up for the other.
+    """
+
+    def __init__(self, one: GripResponse, instrument: Instrument, sections: _Sections) -> None:
+        self._one, self._instrument, self._sections = one, instrument, sections
+        self._at = np.zeros(0)
+        self._last = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+
+    def _stacked(self, unknowns: FloatArray, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
+        """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
+        plant, e = self._sections.plant(unknowns), self._one.estimate
+        value, by_unknown = sampled_response(plant, self._instrument, e.frequencies_Hz, slopes)
+        value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
+        return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
+
+    def at(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (2 m,), Jacobian (2 m, order), all unknowns (order + outputs,)."""
+        if not np.array_equal(self._at, poles):
+            sections, e = self._sections, self._one.estimate
+            wanted = e.response / self._one.deviation
+            measured = np.concatenate([wanted.real, wanted.imag])
+            unknowns = np.concatenate([poles, np.zeros(sections.outputs)])
+            _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
+            norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+            axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
+            told = size > RANK * size[0]
+            axes, size, along = axes[:, told], size[told], along[told]
+            unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
+            value, slopes = self._stacked(unknowns, sections.pole_slopes(unknowns))
+            self._at = poles.copy()
+            self._last = value - measured, slopes - axes @ (axes.T @ slopes), unknowns
+        return self._last
+
+
 def _polished(
     one: GripResponse, instrument: Instrument, sections: _Sections, poles: ComplexArray
 ) -> tuple[StateSpace, float]:
-    """Poles and output together from least squares on the exact sampled response: plant, sum of squares."""
-    frequencies, measured, deviation = one.estimate.frequencies_Hz, one.estimate.response, one.deviation
-    order = sections.order
-    last: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-
-    def residual(unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        key = unknowns.tobytes()
-        if key not in last:
-            slopes = sections.slopes(unknowns)
-            value, by_unknown = sampled_response(sections.plant(unknowns), instrument, frequencies, slopes)
-            error, scaled = (value - measured) / deviation, (by_unknown / deviation).T
-            last.clear()
-            last[key] = np.concatenate([error.real, error.imag]), np.vstack([scaled.real, scaled.imag])
-        return last[key]
-
-    start = np.concatenate([_start(poles), np.zeros(sections.outputs)])
-    # The response is linear in the output: its best value for these poles.
-    error, jacobian = residual(start)
-    part = jacobian[:, order:]
-    norm = np.linalg.norm(part, axis=0)
-    start[order:] = -np.linalg.lstsq(part / norm, error, rcond=None)[0] / norm
-    low, high = start[:order] - np.log(REACH), start[:order] + np.log(REACH)
-
-    def inside(unknowns: FloatArray) -> FloatArray:
-        return np.concatenate([np.clip(unknowns[:order], low, high), unknowns[order:]])
+    """Poles and output from least squares on the exact sampled response: plant, sum of squares."""
+    projected, start = _Projected(one, instrument, sections), _start(poles)
+    low, high = start - np.log(REACH), start + np.log(REACH)
 
     def value(unknowns: FloatArray) -> FloatArray:
-        return residual(inside(unknowns))[0]
+        return projected.at(np.clip(unknowns, low, high))[0]
 
     def slope(unknowns: FloatArray) -> FloatArray:
-        return residual(inside(unknowns))[1]
+        return np.where((unknowns < low) | (unknowns > high), 0.0, projected.at(np.clip(unknowns, low, high))[1])
 
     # MINPACK: the factorisations of scipy's own methods take ten times as long when their threads meet busy cores.
     found = optimize.least_squares(
-        value, start, jac=slope, method="lm", x_scale="jac", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
+        value, start, jac=slope, method="lm", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
     )
-    return sections.plant(inside(found.x)), 2 * float(found.cost)
+    return sections.plant(projected.at(np.clip(found.x, low, high))[2]), 2 * float(found.cost)
 
 
 def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:
     """One grip: the plant and its sum of squared residuals.
 
-    Vector fitting minimises an equation's error, which noise biases: a pole may end below the band, where nothing was
-    measured, and stay there. Such poles are tried again inside it.
+    Vector fitting minimises an equation's error, which noise biases: a pole that shows little may end below the band,
+    where nothing was measured, and stay there. As long as the residuals are above the noise, other starts follow.
     """
     held = one.grip_N > 0
     frequencies, target = one.estimate.frequencies_Hz, one.estimate.response.copy()
     s = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
-    low, high = float(np.abs(s).min()), float(np.abs(s).max())
+    high = float(np.abs(s).max())
     if instrument.accelerometer_Hz is not None:
         target *= 1 + 1j * frequencies / instrument.accelerometer_Hz
     weight = 1 / one.deviation
     if held:
         target, weight = target / s**2, weight * np.abs(s) ** 2
-    poles = high * _vector_fit(s / high, target, weight / weight.max(), order, direct=not held)
+
+    def fitted(poles: int) -> ComplexArray:
+        return np.asarray(high * _vector_fit(s / high, target, weight / weight.max(), poles, direct=not held))
+
     sections = _Sections(order, held)
-    best = _polished(one, instrument, sections, poles)
-    for part in AGAIN:
-        poles = np.linalg.eigvals(best[0].A).astype(complex)
-        idle = (poles.imag == 0) & (np.abs(poles) < low)
-        if not np.any(idle):
+    best = _polished(one, instrument, sections, fitted(order))
+    enough = ENOUGH * (2 * frequencies.size - 2 * order)
+    for pair in MORE:
+        if best[1] < enough or order == 2:
             break
-        poles[idle] = -part * high * np.geomspace(1, 2, int(idle.sum()))
-        upper = poles[poles.imag > 0]
-        again = np.concatenate([upper, upper.conj(), poles[poles.imag == 0]])
-        best = min(best, _polished(one, instrument, sections, again), key=lambda found: found[1])
+        poles = np.concatenate([fitted(order - 2), -high * np.array(pair)])
+        best = min(best, _polished(one, instrument, sections, poles), key=lambda found: found[1])
     return best
 
 
