@@ -125,5 +125,5 @@ def test_one_held_grip_makes_a_hand_without_slopes(measured: Measured) -> None:
 
 
 def test_the_free_device_alone_is_refused_with_what_to_do(measured: Measured) -> None:
-    with pytest.raises(InputError, match="only the free device.*record held grips"):
+    with pytest.raises(InputError, match=r"only the free device.*record held grips"):
         fit_chain(measured(DEFAULT, (0.0,)), INSTRUMENT, DEFAULT)

@@ -19,12 +19,9 @@ from tests.identification_bench import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_
 from tests.test_black_box import four_masses
 from transopt.errors import InputError
 from transopt.identified import load_model
-from transopt.identify.black_box import fit_black_box
-from transopt.identify.chain_fit import fit_chain
 from transopt.identify.device import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
 from transopt.identify.device_chain import DriveChain
 from transopt.identify.device_command import identify_device
-from transopt.identify.device_response import Instrument
 from transopt.identify.measurement import Measurement
 from transopt.identify.validation import compare, short_of, verdict
 from transopt.models import StateSpace

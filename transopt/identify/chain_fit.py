@@ -186,7 +186,14 @@ class _Residuals:
         # MINPACK with clipped unknowns: the factorisations of scipy's bounded methods take ten times as long when
         # their threads meet busy cores.
         found = optimize.least_squares(
-            value, start[free], jac=jacobian, method="lm", ftol=TOLERANCE, xtol=TOLERANCE, gtol=TOLERANCE, max_nfev=most
+            value,
+            start[free],
+            jac=jacobian,
+            method="lm",
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
+            gtol=TOLERANCE,
+            max_nfev=most,
         )
         return whole(found.x), 2 * float(found.cost)
 

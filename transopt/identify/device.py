@@ -273,7 +273,7 @@ def _about_chain(fit: ChainFit, own_hands: Sequence[GripFit]) -> list[str]:
         for own in own_hands
         if own.difference_dB > NOT_LINEAR_DB and own.scatter > MISFIT
     ]
-    if fit.agreeing == 1 and fit.starts > 1:
+    if fit.agreeing == 1 and fit.starts > 1 and fit.scatter > MISFIT:
         said.append(f"only one of {fit.starts} starts led to this device: give a --scene nearer to yours")
     return said
 

@@ -35,6 +35,7 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 QUANTITIES = ("command", "current", "acceleration")
 LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validation
 BAND_HZ = (2.0, 800.0)  # where a design needs the model
+FREE_BAND_HZ = (20.0, 800.0)  # below, a free device only drifts, further than its stroke
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def sort_trials(
         estimate = estimate_transfer(trials)
         again = _odd_one_out(where, [run.name for run in fitted], estimate)
         again += check_passive(where, estimate)
-        again += check_cycles(where, trials, estimate, BAND_HZ[0])
+        again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
         if nominal is not None:
             expected = sampled_response(nominal(grip_N), instrument, estimate.frequencies_Hz)[0]
             again += check_gravity(where, estimate, np.abs(expected), "the scene's device")
@@ -203,15 +204,19 @@ def _outside(run: Measurement, recorded_N: Sequence[float]) -> list[Finding]:
     return [Finding(Fault.MISSING_GRIP, run.name, text, False)]
 
 
+def _band_Hz(grip_N: float) -> tuple[float, float]:
+    return BAND_HZ if grip_N > 0 else FREE_BAND_HZ
+
+
 def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
-    """Bands [Hz] within 2 to 800 Hz whose coherence is low, or that were not excited at all."""
-    e = response.estimate
-    inside = (e.frequencies_Hz >= BAND_HZ[0]) & (e.frequencies_Hz <= BAND_HZ[1])
+    """Bands [Hz] within 2 (free: 20) to 800 Hz whose coherence is low, or that were not excited at all."""
+    e, (low, high) = response.estimate, _band_Hz(response.grip_N)
+    inside = (e.frequencies_Hz >= low) & (e.frequencies_Hz <= high)
     bands = runs_of(e.frequencies_Hz[inside], e.coherence[inside] < COHERENT)
-    if e.frequencies_Hz[0] > 1.5 * BAND_HZ[0]:
-        bands.insert(0, (BAND_HZ[0], float(e.frequencies_Hz[0])))
-    if e.frequencies_Hz[-1] < BAND_HZ[1] / 1.5:
-        bands.append((float(e.frequencies_Hz[-1]), BAND_HZ[1]))
+    if e.frequencies_Hz[0] > 1.5 * low:
+        bands.insert(0, (low, float(e.frequencies_Hz[0])))
+    if e.frequencies_Hz[-1] < high / 1.5:
+        bands.append((float(e.frequencies_Hz[-1]), high))
     return bands
 
 
