@@ -51,16 +51,14 @@ def simulated(
     InputError : the file is none of these.
     """
     from controller.default_device import DEFAULT_DEVICE
-    from controller.prediction import scene_of
+    from controller.prediction import scene_like
     from controller.simulator import Imperfections, Simulator
     from controller.truth import device_of
     from controller.user import TapsInTurn
-    from transopt.library_file import load_library
-    from transopt.scene_file import load_scene
 
     device = DEFAULT_DEVICE
     if like is not None:
-        device = device_of(load_scene(like) if like.suffix == ".toml" else scene_of(load_library(like)))
+        device = device_of(scene_like(like))
     round_s = TapsInTurn(taps).period_s + rest_s
     user = TapsInTurn(taps, math.ceil(round_s / DT_S) * DT_S)
     return Simulator(device, user, DT_S, imperfections=Imperfections(mismatch=mismatch), seed=seed), user

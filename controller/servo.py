@@ -194,7 +194,8 @@ class Servo:
         speed, grip = approach.speed_m_s, watch.grip_N
         if touch is Touch.CHATTER or self.state is State.PLAYING:
             return self._note(NOTHING, tick, Notice.CONTACT_CHATTER, speed, grip)
-        play = self.bank.at(speed, grip)
+        heat = (None, None) if guard is None else (guard.winding_C, guard.housing_C)
+        play = self.bank.at(speed, grip, *heat)
         loose = watch.has_grip and not watch.raw_grip_N >= self.settings.grip_min_N + self.settings.grip_margin_N
         if play.silent or loose:
             return self._note(NOTHING, tick, Notice.NO_GRIP, speed, grip)

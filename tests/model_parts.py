@@ -1,19 +1,35 @@
 """Parts of model files for tests: the default device as an identification without any error would find it."""
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from problems import scene_path
-from transopt.identified import AmplifierPart, CoilPart, DriveDevice, HandPart, StateSpaceDevice
+import problems
+from transopt.build import Build, build_library
+from transopt.identified import (
+    AmplifierPart,
+    AnyPart,
+    CoilPart,
+    DriveDevice,
+    HandPart,
+    PartName,
+    StateSpaceDevice,
+    save_part,
+)
+from transopt.library import Library
 from transopt.models import (
     SEED_HAND_DAMPING_N_S_M,
     SEED_HAND_MASS_KG,
     SEED_HAND_STIFFNESS_N_M,
     LinearInGrip,
 )
+from transopt.recording import Recording
+from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.scene_sections import Drive
+from transopt.verify import verify_library
 
 GRIPS_N = [1.0, 3.0, 5.0]
 SOURCES = [{"file": "sweep.npz", "sha256": "0" * 64}]
@@ -45,7 +61,7 @@ def _table(parameter: LinearInGrip) -> dict[str, float]:
 
 def drive_device(deviation: float = 0.02, *, nrmse: float = 0.01, grips_N: list[float] = GRIPS_N) -> DriveDevice:
     """The chain of the default scene, by its own parameters."""
-    scene = load_scene(scene_path("wood_on_foam"))
+    scene = load_scene(problems.scene_path("wood_on_foam"))
     tip, section = scene.drive_at_tip(), scene.model
     assert isinstance(section, Drive)
     hand = section.hand.hand()
@@ -72,7 +88,7 @@ def _at(content: dict[str, Any], name: str) -> float:
 
 def state_space_device(*, nrmse: float = 0.01, grips_N: list[float] = GRIPS_N) -> StateSpaceDevice:
     """The same device as a black box of one model per grip."""
-    scene = load_scene(scene_path("wood_on_foam"))
+    scene = load_scene(problems.scene_path("wood_on_foam"))
     plants = [scene.plant(grip) for grip in grips_N]
     matrices = {name: [getattr(plant, name).tolist() for plant in plants] for name in "ABCD"}
     nrmse_by_grip = {f"{grip:g}": nrmse for grip in grips_N}
@@ -107,3 +123,46 @@ def hand_part(deviation: float = 0.02) -> HandPart:
 def coil_part(**values: float) -> CoilPart:
     known = {"R_wh_K_W": 3.1, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 612.0, **values}
     return CoilPart(**known, **fit(known, 0.03))  # type: ignore[arg-type]
+
+
+WOOD = problems.scene_path("wood_on_foam").read_text()
+MODEL = WOOD[WOOD.index("[model]") : WOOD.index("[amplifier]")]
+POLE = "pole_Hz = 1050.0\ndelay_s = 68e-6\n"
+SIMULATED = WOOD[WOOD.index("# The undriven") : WOOD.index("[model]")]
+DRIVE = WOOD[WOOD.index("motor = ") : WOOD.index("hand_over_samples")]
+ON_FILE = 'model = "MODEL.json"\n' + WOOD.replace(MODEL, "")
+# A black box cannot strike an object; the tests bring the recordings themselves.
+BOX = ON_FILE.replace(SIMULATED, 'files = ["tap.csv"]\n\n')
+SMALL = ("speeds_m_s = [0.1, 0.2, 0.3, 0.4]", "speeds_m_s = [0.4]")
+Parts = dict[PartName, AnyPart]
+Make = Callable[..., Scene]
+ROBUST = "\n[robust]\nmodel_uncertainty = true\nsamples = 4\n"
+
+
+def scene_on(folder: Path, text: str, parts: Parts, *changes: tuple[str, str], more: str = "") -> Scene:
+    """A scene of a text and a model file of parts; `changes` are pairs of what to replace in the text."""
+    for name, part in parts.items():
+        save_part(folder / "MODEL.json", name, part)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "mine.toml").write_text(text + more)
+    return load_scene(folder / "mine.toml", search=[problems.FOLDER])
+
+
+def built(scene: Scene, taps: list[Recording]) -> Build:
+    """With those of the default scene's taps that its speeds have."""
+    speeds = scene.grid.speeds_m_s
+    return build_library(
+        scene, [tap for tap in taps if min(abs((tap.speed_m_s or 0) / v - 1) for v in speeds) < 0.15]
+    )
+
+
+def solved(scene: Scene, taps: list[Recording]) -> Library:
+    build = built(scene, taps)
+    assert build.library is not None, [entry.shortfalls for entry in build.refused]
+    return build.library
+
+
+def assert_clean(library: Library) -> None:
+    assert [check.shortfalls for check in verify_library(library)] == [[]] * library.nrmse.size

@@ -71,8 +71,13 @@ def _of_grips(nrmse: NrmseByGrip) -> NrmseByGrip:
     return nrmse
 
 
-def _check_grip(grips_N: list[float], grip_N: float) -> None:
-    """Refuse a grip that was not recorded: no model is known there."""
+def check_grip(grips_N: list[float], grip_N: float) -> None:
+    """Refuse a grip that was not recorded: no model is known there.
+
+    Raises
+    ------
+    InputError : with the recorded range.
+    """
     held = [grip for grip in grips_N if grip > 0]
     if grip_N == 0:
         if grips_N[0] > 0:
@@ -137,7 +142,7 @@ class DriveDevice(Fitted):
         ------
         InputError : a grip that was not recorded, parameters that are not passive there.
         """
-        _check_grip(self.grips_N, grip_N)
+        check_grip(self.grips_N, grip_N)
         return models.drive(
             grip_N,
             hand=self.hand.hand(),
@@ -202,7 +207,7 @@ class StateSpaceDevice(Part):
         ------
         InputError : a grip that was not recorded.
         """
-        _check_grip(self.grips_N, grip_N)
+        check_grip(self.grips_N, grip_N)
         first = 1 if self.grips_N[0] == 0 else 0
         held = self.grips_N[first:]
         if grip_N == 0:
@@ -250,7 +255,7 @@ class HandPart(Fitted):
         ------
         InputError : a grip that was not recorded, parameters that are not passive there.
         """
-        _check_grip(self.grips_N, grip_N)
+        check_grip(self.grips_N, grip_N)
         return models.second_order(
             grip_N,
             force_per_current_N_A=force_per_current_N_A,
@@ -294,8 +299,8 @@ def _refuse_constant(text: str) -> NoReturn:
     raise ValueError(f"{text} is no number")
 
 
-def parse_model(source: Path | str, text: str) -> ModelFile:
-    """The model file of a text; `source` names it in messages.
+def parse_model(source: Path | str, content: bytes) -> ModelFile:
+    """The model file of a file's bytes; `source` names it in messages.
 
     Raises
     ------
@@ -303,30 +308,31 @@ def parse_model(source: Path | str, text: str) -> ModelFile:
     """
     advice = "give a file written by `transopt identify`, or identify again into another file"
     try:
-        content = json.loads(text, parse_constant=_refuse_constant)
+        parsed = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
+    except UnicodeDecodeError:
+        raise InputError(f"{source}: not a text file, so no model file; {advice}") from None
     except ValueError as error:
         raise InputError(f"{source}: damaged or no model file ({error}); {advice}") from None
-    if not isinstance(content, dict) or "schema" not in content:
+    if not isinstance(parsed, dict) or "schema" not in parsed:
         raise InputError(f"{source}: no model file (schema is missing); {advice}")
     try:
-        return ModelFile.model_validate(content)
+        return ModelFile.model_validate(parsed)
     except ValidationError as error:
         raise InputError(f"{source}: {complaint(error)}; {advice}") from None
 
 
-def read_text(path: Path) -> str:
-    """
+def read_model(path: Path) -> bytes:
+    """A model file's bytes, unchecked.
+
     Raises
     ------
-    InputError : no such file, or no text.
+    InputError : no such file, or one that cannot be read.
     """
     advice = "`transopt identify device FILES... --out MODEL.json` writes one"
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {advice}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a text file, so no model file; {advice}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {advice}") from None
 
@@ -338,7 +344,7 @@ def load_model(path: Path) -> ModelFile:
     ------
     InputError : one line: file, field, value, what to do.
     """
-    return parse_model(path, read_text(path))
+    return parse_model(path, read_model(path))
 
 
 def save_part(path: Path, name: PartName, part: AnyPart) -> None:
