@@ -1,4 +1,4 @@
-"""The amplifier from its sweeps: one pole, a pure delay, a gain and the crossover (seed Sec. 4.1, Fig. 6; DESIGN 3.2)."""
+"""The amplifier from its sweeps: one pole, a pure delay, a gain and the crossover (seed Sec. 4.1, Fig. 6)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +16,12 @@ COHERENT = 0.8  # bins below take no part
 LEAST_BINS = 12
 POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
 LATEST_TICKS = 20.0  # of delay
-START_POLES, START_DELAYS = (0.03, 0.1, 0.3), (0.3, 0.8, 1.5, 3.0)  # of the rate; in ticks
-CROSSOVER_ROUNDS, CROSSOVER_SIGMAS, CROSSOVER_PART = 3, 4.0, 0.3
+START_POLES, START_STEP, STARTS = (0.01, 0.03, 0.1, 0.3, 1.0), 0.5, 3  # of the rate; ticks of delay; how many to fit
+CROSSOVER_ROUNDS, CROSSOVER_SIGMAS = 3, 4.0
+CROSSOVER_LEAST, CROSSOVER_MOST = 1e-4, 0.3  # of the largest command: no part is played below, none searched above
 POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # half widths of the intervals that a design needs
 MISFIT_dB, MISFIT_deg = 1.0, 5.0
+CERTAIN = 3.0  # standard deviations by which a misfit must stand out of its noise
 GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
 LEVEL = 0.95
 
@@ -53,7 +55,8 @@ class AmplifierFit:
     crossover : dead band around zero.
     estimate : response from the command less the dead band to the current, which the fit follows.
     plain_estimate : response from the command as it was issued.
-    misfit_dB, misfit_deg : of the fit, largest over the coherent band, means over a third of an octave.
+    misfit_dB, misfit_deg : of the fit, largest over the coherent band, means over a third of an octave
+        less three standard deviations of their noise.
     trial_gains : (K,) of each trial: its response over that of pole and delay, crossover and all.
     dt_s : servo period.
     """
@@ -97,7 +100,9 @@ class AmplifierFit:
         if not (self.misfit_dB <= MISFIT_dB and self.misfit_deg <= MISFIT_deg):
             misfit = f"{self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg"
             limit = f"must be within {MISFIT_dB:g} dB and {MISFIT_deg:g} deg"
-            remedy = "the amplifier has further dynamics, or the sweep drove it into its supply: sweep with less current"
+            remedy = (
+                "the amplifier has further dynamics, or the sweep drove it into its supply: sweep with less current"
+            )
             told.append(f"one pole and a delay miss the response by up to {misfit}, {limit}: {remedy}")
         if not abs(self.gain - 1) <= GAIN_WANTED:
             remedy = "correct the scale of the command or of the current monitor"
@@ -157,8 +162,8 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
 
     The response is estimated (`spectrum`), then fitted by least squares weighted with its deviations, with the hold
     and the sampling in the model. The crossover distorts what a linear fit sees, by 4 h / (pi A) in gain (describing
-    function) and by harmonics that fall into the band; so the dead band is estimated from the residuals in time, taken
-    off the command, and response and fit are made again until it stays.
+    function) and by harmonics that fall into the band; so the dead band is estimated in time and taken off the
+    command, and response and fit are made again until it stays.
 
     Parameters
     ----------
@@ -184,11 +189,19 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
             break
         estimate = estimate_transfer([_without(trial, found.half_width_A) for trial in trials])
         fitted = _fit(estimate, _sampled(dt_s))
+    covariance = fitted.covariance
+    if crossover.shows:
+        # One standard deviation of the dead band moves pole, delay and gain together.
+        moved = _fit(
+            estimate_transfer([_without(trial, crossover.half_width_A + crossover.deviation_A) for trial in trials]),
+            _sampled(dt_s),
+        )
+        covariance = covariance + np.outer(moved.values - fitted.values, moved.values - fitted.values)
     pole, delay, gain = (float(value) for value in fitted.values)
-    naive = _fit(plain.between(0.0, 0.4 / dt_s), lambda f, pole, delay: continuous_response(f, pole, delay))
+    naive = _fit(plain.between(0.0, 0.4 / dt_s), continuous_response)
     each = _gains(plain, sampled_response(plain.frequencies_Hz, pole, delay, dt_s))
     misfit = _misfit(estimate, gain * sampled_response(estimate.frequencies_Hz, pole, delay, dt_s))
-    half = fitted.quantile * np.sqrt(np.diag(fitted.covariance))
+    half = fitted.quantile * np.sqrt(np.diag(covariance))
     intervals = {
         name: (float(max(value - h, 0.0)), float(value + h))
         for name, value, h in zip(PARAMETERS, (pole, delay, gain), half, strict=True)
@@ -197,7 +210,7 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         pole_Hz=pole,
         delay_s=delay,
         gain=gain,
-        covariance=fitted.covariance,
+        covariance=covariance,
         intervals=intervals,
         continuous_pole_Hz=float(naive.values[0]),
         continuous_delay_s=float(naive.values[1]),
@@ -214,11 +227,11 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
 def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) -> Crossover:
     """Half-width of the dead band by least squares in time, pole and delay being known.
 
-    current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise: for a given h linear in gain and
-    offsets; h itself by a search in one dimension. A sine through zero and its dead part have different harmonics,
-    sweeps with an offset have no dead part: either tells h from the gain.
+    current = gain LTI{c - min(max(c, -h), h)} + offset of the trial's monitor + noise: for a given h linear in gain
+    and offsets; h itself by a search in one dimension. A sine through zero and its dead part have different
+    harmonics, sweeps with an offset have no dead part: either tells h from the gain.
     """
-    largest = CROSSOVER_PART * max(float(np.abs(trial.input.values).max()) for trial in trials)
+    peak = max(float(np.abs(trial.input.values).max()) for trial in trials)
     measured = np.concatenate([trial.output.values - trial.output.values.mean() for trial in trials])
 
     def followed(shape: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -232,7 +245,10 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
         x = followed(lambda c: less_dead_band(c, half_width))
         return float(measured @ measured - (x @ measured) ** 2 / (x @ x))
 
-    best = optimize.minimize_scalar(misfit, bounds=(0.0, largest), method="bounded", options={"xatol": 1e-7 * largest})
+    fine = 0.03 * CROSSOVER_LEAST * peak
+    best = optimize.minimize_scalar(
+        misfit, bounds=(0.0, CROSSOVER_MOST * peak), method="bounded", options={"xatol": fine}
+    )
     h = float(best.x)
     x = followed(lambda c: less_dead_band(c, h))
     gain = float(x @ measured / (x @ x))
@@ -240,7 +256,7 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
     variance = float(best.fun) / max(measured.size - 2 - len(trials), 1)
     information = np.array([[x @ x, x @ slope], [x @ slope, slope @ slope]])
     deviation = float(np.sqrt(variance * np.linalg.pinv(information)[1, 1]))
-    return Crossover(h, deviation, h > CROSSOVER_SIGMAS * deviation > 0)
+    return Crossover(h, deviation, h > max(CROSSOVER_SIGMAS * deviation, CROSSOVER_LEAST * peak))
 
 
 def _without(trial: Trial, half_width_A: float) -> Trial:
@@ -269,7 +285,9 @@ def _fit(estimate: TransferEstimate, model: Callable[[FloatArray, float, float],
     good = estimate.coherence >= COHERENT
     if np.count_nonzero(good) < LEAST_BINS:
         share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
-        raise InputError(f"from command to current {share}, at least {LEAST_BINS} are needed; sweep with more current")
+        raise InputError(
+            f"from command to current {share}, at least {LEAST_BINS} are needed; sweep with more current"
+        )
     f, measured = estimate.frequencies_Hz[good], estimate.response[good]
     # No bin is better than one part in a million: rounding, and the polynomial across the bin.
     deviation = np.hypot(estimate.deviation[good], 1e-6 * np.abs(measured))
@@ -282,15 +300,22 @@ def _fit(estimate: TransferEstimate, model: Callable[[FloatArray, float, float],
         return np.concatenate([error.real, error.imag])
 
     bounds = [np.log(POLE_RANGE[0] * rate), 0.0, -np.inf], [np.log(POLE_RANGE[1] * rate), LATEST_TICKS, np.inf]
-    level = float(np.abs(measured[: max(measured.size // 8, 1)]).mean())
-    starts = [(np.log(pole * rate), delay, level) for pole in START_POLES for delay in START_DELAYS]
-    starts.sort(key=lambda start: float(np.sum(residual(np.array(start)) ** 2)))
-    runs = [optimize.least_squares(residual, start, bounds=bounds, x_scale="jac") for start in starts[:3]]
+    # The phase winds with the delay, so that the error has many valleys: all delays are tried, the best are fitted.
+    starts = []
+    for pole in np.array(START_POLES) * rate:
+        for ticks in np.arange(0.0, LATEST_TICKS + START_STEP, START_STEP):
+            shape = model(f, pole, ticks * dt_s) / deviation
+            along = np.real(np.vdot(shape, measured / deviation))
+            level = along / float(np.sum(np.abs(shape) ** 2))
+            starts.append((-along * level, (np.log(pole), min(ticks, LATEST_TICKS), level)))
+    starts.sort()
+    runs = [optimize.least_squares(residual, start, bounds=bounds, x_scale="jac") for _, start in starts[:STARTS]]
     best = min(runs, key=lambda run: float(run.cost))
     log_pole, delay, gain = best.x * scale
     surplus = 2 * f.size - best.x.size
     by_si = scale * [np.exp(log_pole), 1.0, 1.0]
-    information = best.jac.T @ best.jac
+    slopes = np.asarray(best.jac, dtype=float)
+    information = slopes.T @ slopes
     covariance = np.linalg.pinv(information) * (2 * best.cost / surplus) * np.outer(by_si, by_si)
     values = np.array([np.exp(log_pole), delay, gain])
     return _Fit(values, covariance, float(special.stdtrit(surplus, (1 + LEVEL) / 2)))
@@ -304,10 +329,17 @@ def _gains(estimate: TransferEstimate, shape: ComplexArray) -> FloatArray:
 
 
 def _misfit(estimate: TransferEstimate, fit: ComplexArray) -> tuple[float, float]:
-    """Largest error of the fit in dB and in degrees, means over a third of an octave of the coherent bins."""
+    """Largest error of the fit in dB and in degrees, means over a third of an octave of the coherent bins.
+
+    Less what noise alone may do there, so that it is the model's and not the record's.
+    """
     good = estimate.coherence >= COHERENT
     f, ratio = estimate.frequencies_Hz[good], estimate.response[good] / fit[good]
     weight = (np.abs(fit[good]) / estimate.deviation[good]) ** 2
     first, last = np.searchsorted(f, f * 2 ** (-1 / 6)), np.searchsorted(f, f * 2 ** (1 / 6), side="right")
-    mean = np.array([np.average(ratio[a:b], weights=weight[a:b]) for a, b in zip(first, last, strict=True)])
-    return float(np.abs(20 * np.log10(np.abs(mean))).max()), float(np.abs(np.degrees(np.angle(mean))).max())
+    parts = [slice(a, b) for a, b in zip(first, last, strict=True)]
+    mean = np.array([np.average(ratio[part], weights=weight[part]) for part in parts])
+    noise = CERTAIN * np.array([float(np.sum(weight[part])) ** -0.5 for part in parts])
+    error_dB = np.abs(20 * np.log10(np.abs(mean))) - 20 * np.log10(1 + noise)
+    error_deg = np.abs(np.degrees(np.angle(mean))) - np.degrees(noise)
+    return max(float(error_dB.max()), 0.0), max(float(error_deg.max()), 0.0)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from transopt.errors import InputError
@@ -27,6 +28,7 @@ AGAINST = 0.5  # a passive device explains the reversed record with less than th
 PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
 COHERENT = 0.8
 RATE_TOLERANCE = 1e-4
+LEAST_STRETCH = 3  # bins
 GRIP_STEP_N = 0.25  # trials whose grips are closer than that are of one grip
 
 
@@ -43,6 +45,7 @@ class Fault(StrEnum):
     POLARITY = "wrong polarity"
     UNITS = "units off by 9.81"
     MISSING_GRIP = "missing grip"
+    INCOHERENT = "coherence low"
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,7 @@ def _signal(name: str, quantity: str, x: Signal) -> list[Finding]:
             else:
                 remedy = "lower the amplitude, or take a sensor of wider range, and record again"
                 found.append(Finding(Fault.CLIPPED, name, f"{quantity}: {level} {moment}; {remedy}", True))
-    centred = values - np.median(values)
+    centred = values - np.median(values[:END_SAMPLES])
     last, peak = float(np.abs(centred[-END_SAMPLES:]).max()), float(np.abs(centred).max())
     if quantity != "command" and last > END_PART * peak:
         text = f"{quantity} ends {last:.3g} {unit} off its rest, {100 * last / peak:.0f} % of its peak"
@@ -133,7 +136,7 @@ def _signal(name: str, quantity: str, x: Signal) -> list[Finding]:
     return found
 
 
-def flat_extreme(values: FloatArray) -> FloatArray:
+def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
     """Indices of the samples at the maximum, if so many are exactly there that a sensor must have stopped them.
 
     A sine dwells at its peak, and a coarse converter shows that as runs of one value: only runs that outnumber all
@@ -142,15 +145,15 @@ def flat_extreme(values: FloatArray) -> FloatArray:
     top = float(values.max())
     at = np.flatnonzero(values >= top - 1e-9 * float(np.ptp(values)))
     if at.size < FLAT_COUNT or top <= 0:
-        return np.zeros(0, dtype=int)
+        return np.zeros(0, dtype=np.intp)
     runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
     if max(run.size for run in runs) < FLAT_RUN:
-        return np.zeros(0, dtype=int)
+        return np.zeros(0, dtype=np.intp)
     levels = np.unique(values[values >= 0.9 * top])
     quantum = float(np.diff(levels).min()) if levels.size > 1 else 0.0
     below = max(CROWD * top, 4.5 * quantum)
     crowd = int(np.count_nonzero((values < top) & (values >= top - below)))
-    return at if at.size > crowd else np.zeros(0, dtype=int)
+    return at if at.size > crowd else np.zeros(0, dtype=np.intp)
 
 
 def check_rates(trials: Sequence[Trial]) -> list[Finding]:
@@ -165,35 +168,38 @@ def check_rates(trials: Sequence[Trial]) -> list[Finding]:
 
 
 def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> FloatArray:
-    """(m,) cycles of the input in the octave around each frequency, all trials together.
+    """(m,) cycles of the input, all trials together, in the octave above or below each frequency, whichever has more.
 
-    A sine of amplitude A that dwells dt/df at a frequency has |U|^2 = A^2/4 dt/df there (stationary phase); so the
-    octave holds f (f ln 2) dt/df cycles. A is the input's largest deviation from its middle.
+    A sine of amplitude A that dwells dt/df at a frequency has |U|^2 = A^2/4 dt/df there (stationary phase), so the
+    octave holds the integral of f 4 |U|^2 / A^2 df. A is the largest deviation of the input from its middle.
     """
-    total = np.zeros(frequencies_Hz.size)
+    above, below = np.zeros(frequencies_Hz.size), np.zeros(frequencies_Hz.size)
     for trial in trials:
         values, dt_s = trial.input.values, trial.input.dt_s
-        power = np.abs(np.fft.rfft(values) * dt_s) ** 2
         lines = np.fft.rfftfreq(values.size, dt_s)
-        energy = np.concatenate([[0.0], np.cumsum(power[1:])]) * (lines[1] - lines[0])
-        low, high = frequencies_Hz / np.sqrt(2), frequencies_Hz * np.sqrt(2)
-        dwell_s = (np.interp(high, lines, energy) - np.interp(low, lines, energy)) * 4 / (0.5 * np.ptp(values)) ** 2
-        total += frequencies_Hz * dwell_s
-    return total
+        dwell_s_Hz = (
+            4 * np.abs(np.fft.rfft(values) * dt_s) ** 2 / float(np.abs(values - np.median(values)).max()) ** 2
+        )
+        cycles = np.cumsum(lines * dwell_s_Hz) * (lines[1] - lines[0])
+        at, half, twice = (np.interp(factor * frequencies_Hz, lines, cycles) for factor in (1.0, 0.5, 2.0))
+        above += twice - at
+        below += at - half
+    return np.maximum(above, below)
 
 
 def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate, low_Hz: float) -> list[Finding]:
     """Where in the band from `low_Hz` on the input has too few cycles for a response to be known from them."""
     cycles = cycles_per_octave(trials, estimate.frequencies_Hz)
-    few = (cycles < LEAST_CYCLES) & (estimate.frequencies_Hz >= low_Hz) & (estimate.frequencies_Hz < 0.4 / estimate.dt_s)
+    inside = estimate.frequencies_Hz >= low_Hz
+    few = inside & (cycles < LEAST_CYCLES)
     if not np.any(few):
         return []
-    worst = float(cycles[few].min())
-    up_to = float(estimate.frequencies_Hz[few].max())
-    factor = LEAST_CYCLES / max(worst, 0.05)
-    remedy = f"at least {LEAST_CYCLES:g}; sweep {factor:.1f} times as long or add a trial from {low_Hz:g} to {up_to:.3g} Hz"
-    text = f"{worst:.2g} cycles per octave in {len(trials)} trials below {up_to:.3g} Hz, {remedy}"
-    inside = estimate.frequencies_Hz >= low_Hz
+    worst, up_to = float(cycles[few].min()), float(estimate.frequencies_Hz[few].max())
+    longer = LEAST_CYCLES / max(worst, 0.05)
+    limit = (
+        f"must be at least {LEAST_CYCLES:g}; sweep {longer:.1f} times as long, or add trials from {low_Hz:.3g} Hz on"
+    )
+    text = f"{worst:.2g} cycles per octave below {up_to:.3g} Hz in {len(trials)} trials, {limit}"
     return [Finding(Fault.TOO_FEW_CYCLES, where, text, bool(np.mean(few[inside]) > 0.5))]
 
 
@@ -207,17 +213,33 @@ def check_sign(where: str, estimate: TransferEstimate, what: str, remedy: str) -
     return [Finding(Fault.POLARITY, where, f"{what}: {phase}; {remedy}", True)]
 
 
+def low_coherence(where: str, estimate: TransferEstimate, least: float = COHERENT) -> list[Finding]:
+    """Each stretch of the band whose output is mostly something else than the answer to the input."""
+    low = np.concatenate([[0], (estimate.coherence < least).astype(int), [0]])
+    starts, ends = np.flatnonzero(np.diff(low) == 1), np.flatnonzero(np.diff(low) == -1)
+    f = estimate.frequencies_Hz
+    found = []
+    for a, b in zip(starts, ends, strict=True):
+        if b - a < LEAST_STRETCH:
+            continue  # a bin or two are the luck of the noise
+        band = f"{f[a]:.3g} to {f[b - 1]:.3g} Hz"
+        worst = float(estimate.coherence[a:b].min())
+        text = f"{worst:.2f} at {band}, must be {least:g}; record again there, longer or with more current"
+        found.append(Finding(Fault.INCOHERENT, where, text, False))
+    return found
+
+
 def passive_misfit(estimate: TransferEstimate, sign: float) -> float:
     """How badly one mass on one spring and damper, none negative, explains `sign` times the response; 0 to 1.
 
     current / acceleration = m + b / (jw) - k / w^2, per newton per ampere: linear in m, b, k >= 0, so that
     non-negative least squares finds the best passive device.
     """
-    used = estimate.between(*PASSIVE_BAND_HZ)
-    good = used.coherence >= COHERENT
+    f = estimate.frequencies_Hz
+    good = (f >= PASSIVE_BAND_HZ[0]) & (f <= PASSIVE_BAND_HZ[1]) & (estimate.coherence >= COHERENT)
     if np.count_nonzero(good) < 3:
-        return float("nan")
-    w, response = 2 * np.pi * used.frequencies_Hz[good], sign * used.response[good]
+        return float("nan")  # no word either way
+    w, response = 2 * np.pi * f[good], sign * estimate.response[good]
     inverse = response**-1
     columns = np.stack([np.ones(w.size), -1j / w, -1 / w**2], axis=1)
     weight = np.abs(response)  # relative errors
@@ -275,7 +297,9 @@ def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
             group += 1
         last = run.grip_N
         groups[group].append(run)
-    return {float(np.mean([run.grip_N for run in group if run.grip_N is not None])): group for group in groups.values()}
+    return {
+        float(np.mean([run.grip_N for run in group if run.grip_N is not None])): group for group in groups.values()
+    }
 
 
 def check_grips(runs: Sequence[Measurement], wanted_N: Sequence[float] = ()) -> list[Finding]:

@@ -1,6 +1,6 @@
 """Experimental transfer-function estimate (ETFE) from several trials with swept sines (seed Sec. 4.1, Figs. 6, 7)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +14,12 @@ ComplexArray = NDArray[np.complex128]
 
 BINS_PER_OCTAVE = 24
 MOST_ORDER = 2  # of the local polynomial: curvature across a bin is followed, not averaged
+LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1  # of each trial in a bin: where one can tell its transient
 LEAST_SURPLUS = 3  # samples in a bin beyond the polynomial's coefficients, to judge the noise by
 EXCITED = 0.03  # of the strongest energy per octave: below, a bin counts as not excited
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
+OCTAVES_OF_NOISE = 0.25  # the same, for the noise within them
+ODD_ONE_OUT = 1e-3  # chance at which a bin's own noise is taken for higher than its neighbours'
 SCATTERED = 1.5  # variance between trials over that within them, above which the trials' number counts
 LEVEL = 0.95
 
@@ -138,16 +141,17 @@ def estimate_transfer(
 ) -> TransferEstimate:
     """Frequency response by local polynomials over neighbouring lines and over trials.
 
-    Every record starts and ends at rest, so its plain DFT is exact: Y_j(f) = G(f) U_j(f) + V_j(f), without a window,
-    and the noise V of different lines is independent. In a bin, G is a polynomial of at most second degree about the
-    bin's mean frequency; its coefficients follow from least squares over all lines and trials in the bin, weighted by
-    the input's power as they come (Pintelon & Schoukens 2012, Sec. 7.2: local polynomial method, without transient).
+    A record from rest to rest has an exact plain DFT: Y_j(f) = G(f) U_j(f) + V_j(f), without a window, and the noise
+    V of different lines is independent. In a bin, G is a polynomial of at most second degree about the bin's mean
+    frequency; its coefficients follow from least squares over all lines and trials in the bin. Where a bin has lines
+    enough, each trial has a transient of first degree beside it: what is missing of an answer that the end of the
+    record cuts off (local polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7).
     The polarity of a trial drops out, since Y and U change sign together; what does not change sign with the input,
     distortion of even order, cancels between trials of either polarity. Harmonics of a sweep arrive at other times
     than the fundamental, so that their phase turns from line to line: they count as noise and average out.
 
-    The noise's variance is that of the residuals. Where the trials scatter more than their own lines do (a hand is
-    never held twice alike), variance and degrees of freedom are those between the trials.
+    The noise's variance is that of the residuals, a bin's own and its neighbours'. Where the trials scatter more than
+    their own lines do (a hand is never held twice alike), variance and degrees of freedom are those between trials.
 
     Parameters
     ----------
@@ -178,9 +182,11 @@ def estimate_transfer(
     fitted = [_fit(one, len(trials)) for one in bins]
     frequencies = np.array([one.frequency_Hz.mean() for one in bins])
     response = np.array([fit[0] for fit in fitted])
-    variance, surplus, coherence = (np.array([fit[j] for fit in fitted]) for j in (1, 2, 3))
-    each = np.array([fit[4] for fit in fitted]).T
-    inflation, degrees = _between_trials(frequencies, each, response, variance, 2.0 * surplus)
+    noise, leverage, surplus, coherence = (np.array([fit[j] for fit in fitted]) for j in (1, 2, 3, 4))
+    each = np.array([fit[5] for fit in fitted]).T
+    noise, degrees = _pooled(frequencies, noise, 2.0 * surplus)
+    variance = noise * leverage
+    inflation, degrees = _between_trials(frequencies, each, variance, degrees)
     return TransferEstimate(
         frequencies_Hz=frequencies,
         response=response,
@@ -234,8 +240,9 @@ def _excited(bins: Sequence[_Bin], band_Hz: tuple[float, float] | None) -> NDArr
     return kept
 
 
-def _fit(one: _Bin, trials: int) -> tuple[complex, float, int, float, ComplexArray]:
-    """Response at the bin's mean, its variance E|error|^2, complex degrees of freedom, coherence, (K,) by trial."""
+def _fit(one: _Bin, trials: int) -> tuple[complex, float, float, int, float, ComplexArray]:
+    """Response at the bin's mean; the noise's variance and the factor from it to E|error|^2; samples beyond the
+    coefficients; coherence; (K,) responses by trial."""
     samples = one.frequency_Hz.size
     middle = one.frequency_Hz.mean()
     reach = max(float(np.abs(one.frequency_Hz - middle).max()), np.finfo(float).tiny)
@@ -243,24 +250,55 @@ def _fit(one: _Bin, trials: int) -> tuple[complex, float, int, float, ComplexArr
     distinct = np.unique(np.round(x, 9)).size
     order = min(MOST_ORDER, distinct - 1, samples - 1 - LEAST_SURPLUS)
     regressors = one.input[:, None] * x[:, None] ** np.arange(order + 1)
+    lines = samples / trials
+    if lines >= LEAST_LINES_OF_TRANSIENT:
+        ends = [
+            np.where(one.trial == j, x**power, 0.0) for j in range(trials) for power in range(ORDER_OF_TRANSIENT + 1)
+        ]
+        regressors = np.column_stack([regressors, *ends])
     Q, R = np.linalg.qr(regressors)
     inverse = np.linalg.pinv(R)
     projected = Q.conj().T @ one.output
     response = complex(inverse[0] @ projected)
-    surplus = samples - order - 1
+    surplus = samples - regressors.shape[1]
     noise = float(np.sum(np.abs(one.output - Q @ projected) ** 2)) / surplus
     power = float(np.mean(np.abs(one.output) ** 2))
     coherence = min(max(1 - noise / power, 0.0), 1.0) if power > 0 else 0.0
     each = np.empty(trials, dtype=complex)
     for j in range(trials):
         of = one.trial == j
-        columns = min(order + 1, int(of.sum()))
+        columns = regressors.shape[1] if lines >= LEAST_LINES_OF_TRANSIENT else min(order + 1, int(of.sum()))
         each[j] = np.linalg.lstsq(regressors[of, :columns], one.output[of], rcond=None)[0][0]
-    return response, noise * float(np.sum(np.abs(inverse[0]) ** 2)), surplus, coherence, each
+    return response, noise, float(np.sum(np.abs(inverse[0]) ** 2)), surplus, coherence, each
+
+
+def _around(frequencies_Hz: FloatArray, octaves: float) -> Callable[[FloatArray], FloatArray]:
+    """Sums over the bins within so many octaves of each."""
+    place = np.log2(frequencies_Hz)
+    first, last = np.searchsorted(place, place - octaves), np.searchsorted(place, place + octaves, side="right")
+
+    def summed(values: FloatArray) -> FloatArray:
+        total = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(total[last] - total[first])
+
+    return summed
+
+
+def _pooled(frequencies_Hz: FloatArray, noise: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(m,) variances of the noise and their degrees of freedom, the neighbours' residuals taken in.
+
+    A bin of few lines knows its noise badly, and weights that follow such luck make fits overconfident. A bin that
+    stands out of its neighbours (the mains' hum) keeps its own.
+    """
+    summed = _around(frequencies_Hz, OCTAVES_OF_NOISE)
+    together = summed(degrees)
+    pooled = summed(noise * degrees) / together
+    apart = noise > pooled * special.fdtri(degrees, together, 1 - ODD_ONE_OUT)
+    return np.where(apart, noise, pooled), np.where(apart, degrees, together)
 
 
 def _between_trials(
-    frequencies_Hz: FloatArray, each: ComplexArray, response: ComplexArray, variance: FloatArray, degrees: FloatArray
+    frequencies_Hz: FloatArray, each: ComplexArray, variance: FloatArray, degrees: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(m,) factor >= 1 on the variance, and (m,) degrees of freedom, from the scatter between the trials."""
     K = each.shape[0]
@@ -269,9 +307,6 @@ def _between_trials(
     scatter = np.sum(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / (K * (K - 1))
     # One bin's scatter has few degrees of freedom: its ratio to the variance is averaged over its neighbours.
     ratio = scatter / np.maximum(variance, np.finfo(float).tiny)
-    octaves = np.log2(frequencies_Hz)
-    first = np.searchsorted(octaves, octaves - OCTAVES_OF_SPREAD)
-    last = np.searchsorted(octaves, octaves + OCTAVES_OF_SPREAD, side="right")
-    total = np.concatenate([[0.0], np.cumsum(ratio)])
-    factor = np.maximum((total[last] - total[first]) / (last - first), 1.0)
+    summed = _around(frequencies_Hz, OCTAVES_OF_SPREAD)
+    factor = np.maximum(summed(ratio) / summed(np.ones(ratio.size)), 1.0)
     return factor, np.where(factor > SCATTERED, np.minimum(degrees, 2.0 * (K - 1)), degrees)
