@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ SPREAD = 3.0  # random starts lie within this factor of the nominal device scale
 LOOSE = 0.1  # relative error allowed in the first stage, so that one sharp peak does not rule the search
 DECIMATION = 4
 SAME = 0.05  # sums of squares of the first stage that differ by less count as the same device
-POOLED_OCTAVES = 0.25  # to either side, over which the noise is averaged for the weights
 UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
 TOLERANCE = 1e-10
 
@@ -32,21 +30,10 @@ class GripResponse:
     grip_N: float
     estimate: TransferEstimate
 
-    @cached_property
+    @property
     def deviation(self) -> FloatArray:
-        """(m,) standard deviation of real and imaginary part, the noise averaged over neighbouring bins.
-
-        A bin with few degrees of freedom that happens to look quiet would otherwise rule the fit. What is averaged
-        is variance times lines over frequency: flat for white noise under a logarithmic sweep.
-        """
-        e = self.estimate
-        level = e.deviation**2 * e.samples / e.frequencies_Hz
-        octaves = np.log2(e.frequencies_Hz)
-        first = np.searchsorted(octaves, octaves - POOLED_OCTAVES)
-        last = np.searchsorted(octaves, octaves + POOLED_OCTAVES, side="right")
-        weighted, weight = (np.concatenate([[0.0], np.cumsum(x)]) for x in (e.degrees * level, e.degrees))
-        pooled = (weighted[last] - weighted[first]) / (weight[last] - weight[first])
-        return np.asarray(np.sqrt(np.maximum(pooled * e.frequencies_Hz / e.samples, np.finfo(float).tiny)))
+        """(m,) standard deviation of real and imaginary part, above 0."""
+        return np.asarray(np.maximum(self.estimate.deviation, np.finfo(float).tiny))
 
 
 @dataclass(frozen=True)

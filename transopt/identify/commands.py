@@ -2,7 +2,8 @@
 
 import typer
 
-from transopt.identify import amplifier_command
+from transopt.identify import amplifier_command, device_command
 
 app = typer.Typer(no_args_is_help=True, help="From recorded sweeps, taps and heating to a model file for scenes.")
 app.command("amplifier")(amplifier_command.identify_amplifier)
+app.command("device")(device_command.identify_device)
