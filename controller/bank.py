@@ -20,6 +20,7 @@ class Method(Enum):
     """How a tap is rendered; the value is its name on a command line."""
 
     BILINEAR = "bilinear"  # the library as it is meant
+    ONLINE = "online"  # solved anew for what was measured, see `controller.fresh`
     NEAREST = "nearest"  # its nearest node
     BLIND = "blind"  # one grip for all, as without a grip sensor
     PROPORTIONAL = "proportional"  # the wall's feedback alone, no transient
@@ -92,8 +93,13 @@ class Bank:
     by_grip: bool
     nearest: bool
 
-    def at(self, speed_m_s: float, grip_N: float) -> Play:
-        """The transient for a contact; outside the grid its edge is taken, and NaN plays nothing."""
+    def at(
+        self, speed_m_s: float, grip_N: float, winding_C: float | None = None, housing_C: float | None = None
+    ) -> Play:
+        """The transient for a contact; outside the grid its edge is taken, and NaN plays nothing.
+
+        A table knows no temperature: those given are for a bank that solves.
+        """
         silent = not (speed_m_s > 0.0 and grip_N >= self.grip_min_N)
         if silent:
             return Play([], speed_m_s, grip_N, False, True, 0.0, 0.0)
@@ -163,7 +169,7 @@ def bank(
         return np.stack([of_node(iv, ig) for iv, ig in every]).reshape(solved.shape)
 
     by_grip = True
-    if method in (Method.BILINEAR, Method.NEAREST):
+    if method in (Method.BILINEAR, Method.NEAREST, Method.ONLINE):
         command = solved
     elif method is Method.BLIND:
         middle = float(grips[0] + grips[-1]) / 2 if blind_grip_N is None else blind_grip_N

@@ -236,6 +236,22 @@ class Check:
         sound = current_A >= PULSE_SEEN * pulse_A and push > SIGMAS * float(means.std())
         return seen, sound, furthest
 
+    def trial_sweep(self) -> Verdict:
+        self.person.asked("hold the stylus, or leave it alone, still: it will tremble for a moment")
+        self.need_rest()
+        begin = len(self.happened)
+
+        def ended() -> bool:
+            return any(event.what is Notice.FINISHED for event in self.happened[begin:])
+
+        self.device.arm(TRIAL_GAIN, trial=True)
+        try:
+            self.device.start()
+            done = self.wait(ended, self.patience_s)
+        finally:
+            self.device.disarm()
+        return "played to its end" if done else "not played to its end", done
+
     def trial(self) -> Verdict:
         self.person.asked("hold the stylus above the surface, still")
 
@@ -298,6 +314,10 @@ STEPS = (
     ),
     Step("trial-tap", Check.trial, lambda _: f"a tap at gain {TRIAL_GAIN:g} is played to its end", drives=True),
 )
+SWEEP_STEPS = (
+    *STEPS[:-1],
+    Step("trial-sweep", Check.trial_sweep, lambda _: f"a sweep at gain {TRIAL_GAIN:g} is played to its end", True),
+)
 # What a device may lack, or what the person at it may have no way to do.
 SKIPPABLE = ("emergency-stop", "encoder", "accelerometer", "grip-zero")
 
@@ -327,7 +347,7 @@ def run_steps(check: Check, skip: tuple[str, ...] = (), told: Callable[[Result],
     LinkLostError : the device is gone.
     """
     results: list[Result] = []
-    for step in STEPS:
+    for step in SWEEP_STEPS if check.settings.host_starts else STEPS:
         results.append(_result(check, step, skip, results))
         if told is not None:
             told(results[-1])

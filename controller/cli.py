@@ -30,7 +30,7 @@ app.command()(port_commands.monitor)
 app.command()(port_commands.check)
 app.command()(refine_command.refine)
 app.add_typer(record_commands.record_app, name="record")
-ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "crossover", "user", "real_time")
+ONLY_SIMULATED = ("speed", "grip", "method", "seed", "mismatch", "device", "crossover", "user", "real_time")
 ONLY_ON_PORT = ("taps", "seconds", "accelerometer_hz", "reset")
 
 
@@ -61,6 +61,12 @@ def tap(
     method: Annotated[str, typer.Option(help="How taps are rendered.")] = "bilinear",
     seed: Annotated[int, typer.Option(help="Of phase, noise and mismatch.")] = 0,
     mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
+    device: Annotated[
+        Path | None,
+        typer.Option(
+            help="True device of the simulator: scene .toml or library.npz; default the library's own scene."
+        ),
+    ] = None,
     crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
     user: Annotated[str, typer.Option(help="mild, yielding, stopping or recorded.")] = "mild",
     real_time: Annotated[bool, typer.Option("--real-time", help="Paced by the clock, to watch telemetry.")] = False,
@@ -88,15 +94,17 @@ def tap(
         return
     refuse(context, ONLY_ON_PORT, "only with --port")
     gain = 1.0 if gain is None else gain
-    from controller.bank import Method, bank
+    from controller.bank import Bank, Method, bank
     from controller.experiment import Tap, play_tap
     from controller.interface import Notice
     from controller.loop import WallClock
+    from controller.prediction import scene_like, scene_of
     from controller.servo import Servo
     from controller.settings import Settings
     from controller.simulator import Imperfections
     from controller.tables import tap_table
     from controller.telemetry import Telemetry
+    from controller.truth import device_of
     from controller.user import Habit
     from transopt.library_file import load_library
 
@@ -118,9 +126,15 @@ def tap(
         raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
+    truth = device_of(scene_of(loaded) if device is None else scene_like(device))
     if out is not None:
         terminal.make_folder(out)
-    servo = Servo(settings, bank(loaded, Method(method)))
+    table: Bank = bank(loaded, Method(method))
+    if method == Method.ONLINE.value:
+        from controller.fresh import fresh
+
+        table = fresh(loaded, table)
+    servo = Servo(settings, table)
     servo.set_gain(gain)
     wanted = Tap(
         speed_m_s,
@@ -137,9 +151,11 @@ def tap(
             wanted,
             observe=None if telemetry is None else telemetry.record,
             clock=WallClock() if real_time else None,
+            device=truth,
         )
     console = terminal.console()
     title = f"{library}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
+    title += "" if device is None else f", on the device of {device}"
     console.print(tap_table(played, loaded, title))
     if real_time:
         console.print(f"fell behind the clock by {played.behind_s * 1e3:.1f} ms at most", highlight=False)

@@ -27,6 +27,7 @@ class Kind(IntEnum):
     CHECKED = 14
     EVENT_ACK = 15
     EMERGENCY_STOP = 16
+    START = 17
     HELLO_REPLY = 64
     DONE = 65
     REFUSED = 66
@@ -65,6 +66,10 @@ class Reason(Enum):
     OVER_LIMIT = "a waveform passes the current or the command limit of the configuration"
     NO_ZERO_TAIL = "a waveform does not end in zero commands"
     BEYOND_HARDWARE = "the configuration asks for more than the device's hardware allows"
+    ONE_WAVEFORM = "this configuration plays one waveform at the host's word: upload one speed and one grip"
+    NOT_ARMED = "the device is not armed: arm it, then start"
+    BY_CONTACT = "this configuration plays at a contact, not at the host's word: configure it for an excitation"
+    STILL_PLAYING = "an excitation is playing: wait for its end"
 
 
 class LinkNotice(Enum):

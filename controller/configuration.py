@@ -30,11 +30,12 @@ from transopt.thermal import CoilModel
 from transopt.wall import Wall
 
 CONFIGURATION_MAGIC = 0x46434E54  # "TNCF"
-CONFIGURATION_VERSION = 1
+CONFIGURATION_VERSION = 2
 HEADER = struct.Struct("<IHH")
 AGREEMENT = 1e-9  # relative: two libraries' exp() and inverses differ by less, two sets of settings by more
 # Parts that a device may lack, by the field of Settings they stand in.
 PARTS: dict[str, type] = {"amplifier": Amplifier, "wall": Wall, "coil": CoilModel}
+FLAGS = ("host_starts",)
 OPTIONAL = ("slew_limit_A_per_s", "assumed_grip_N")
 WHOLE = ("window_ticks", "encoder_limit_counts", "latency_ticks", "nodes")
 WHOLE_NAMES = ("window_ticks", "encoder_limit_counts", "wall_latency_ticks", "coil_nodes")  # in the table
@@ -148,7 +149,7 @@ def _values(data: bytes) -> dict[str, float]:
         raise ConfigurationError(Reason.BAD_FORMAT, len(data))
     values = dict(zip(NAMES, np.frombuffer(data, dtype="<f8", offset=HEADER.size).tolist(), strict=True))
     for name, value in values.items():
-        flag, whole = name.startswith("has_"), name in WHOLE_NAMES
+        flag, whole = name.startswith("has_") or name in FLAGS, name in WHOLE_NAMES
         if not np.isfinite(value) or (flag and value not in (0.0, 1.0)) or (whole and not value.is_integer()):
             raise ConfigurationError(Reason.BAD_VALUE, value)
     return values
@@ -157,8 +158,8 @@ def _values(data: bytes) -> dict[str, float]:
 def _settings(values: dict[str, float]) -> Settings:
     """The stated numbers as settings, if they hold."""
 
-    def number(name: str, value: float) -> float | int:
-        return int(value) if name in WHOLE else value
+    def number(name: str, value: float) -> float | int | bool:
+        return int(value) if name in WHOLE else bool(value) if name in FLAGS else value
 
     arguments: dict[str, Any] = {name: number(name, values[name]) for name in PLAIN}
     for name in OPTIONAL:

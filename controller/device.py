@@ -11,7 +11,7 @@ calls all three. On a microcontroller `step` runs in the timer's interrupt and t
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from controller import messages as m
@@ -36,7 +36,7 @@ from controller.servo import Servo
 from controller.store import RefusedError, Store
 from controller.wire import Decoder, encode
 
-FIRMWARE = 1 << 16  # major, minor, patch: 16, 8, 8 bits
+FIRMWARE = 1 << 16 | 1 << 8  # major, minor, patch: 16, 8, 8 bits
 OUTPUT_LIMIT_BYTES = 65_536  # telemetry that nobody fetches is dropped beyond
 ACTIVE = (State.ARMED, State.PLAYING)
 
@@ -83,6 +83,7 @@ class Device:
             Kind.TELEMETRY: self._telemetry,
             Kind.PULSE: self._pulse,
             Kind.CHECKED: self._checked,
+            Kind.START: self._start,
         }
 
     @property
@@ -115,9 +116,8 @@ class Device:
             self._handle(frame)
 
     def bytes_to_send(self) -> bytes:
-        data = b"".join(self._out)
+        data, self._out_bytes = b"".join(self._out), 0
         self._out.clear()
-        self._out_bytes = 0
         return data
 
     def _send(self, frame: m.Frame) -> bytes:
@@ -205,12 +205,7 @@ class Device:
             boot=self.boot,
             nonce=nonce,
             event=self._events.oldest,
-            capacity_samples=c.samples,
-            capacity_waveform_samples=c.waveform_samples,
-            capacity_speeds=c.speeds,
-            capacity_grips=c.grips,
-            capacity_approach_ticks=c.approach_ticks,
-            capacity_latency_ticks=c.latency_ticks,
+            **{f"capacity_{f.name}": getattr(c, f.name) for f in fields(c) if f.name != "upload_frames"},
             tick=self.tick,
             dt_s=h.dt_s,
             current_limit_A=h.current_A,
@@ -322,6 +317,21 @@ class Device:
         if not 0 < message.ticks <= self._ticks(1e3 * PULSE_LIMIT_S):
             raise RefusedError(Reason.BAD_VALUE, message.ticks)
         self._pulse_A, self._pulse_left = message.current_A, message.ticks
+
+    def _start(self, message: m.Start) -> None:
+        servo = self.servo
+        if self.state is State.FAULT:
+            raise RefusedError(Reason.FAULT_LATCHED)
+        if servo is None or self.state is State.IDLE:
+            raise RefusedError(Reason.NOT_ARMED)
+        if not servo.settings.host_starts:
+            raise RefusedError(Reason.BY_CONTACT)
+        if self.state is State.PLAYING:
+            raise RefusedError(Reason.STILL_PLAYING)
+        if message.negative > 1:
+            raise RefusedError(Reason.BAD_VALUE, message.negative)
+        if not servo.excite(negative=message.negative == 1):
+            raise RefusedError(Reason.TOO_HOT, math.nan if servo.guard is None else servo.guard.winding_C)
 
     def _checked(self, message: m.Checked) -> None:
         if self.servo is None:

@@ -19,7 +19,7 @@ from transopt.errors import InputError
 
 if TYPE_CHECKING:
     from controller.simulator import Simulator
-    from controller.user import TapsInTurn
+    from controller.user import StillHand, TapsInTurn
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 DT_S = 1e-4
@@ -40,29 +40,36 @@ def _taps(said: list[str]) -> list[tuple[float, float]]:
 
 
 def simulated(
-    like: Path | None, taps: list[tuple[float, float]], rest_s: float, mismatch: float, seed: int
-) -> "tuple[Simulator, TapsInTurn]":
+    like: Path | None,
+    taps: list[tuple[float, float]],
+    rest_s: float,
+    mismatch: float,
+    seed: int,
+    hold_N: float | None = None,
+) -> "tuple[Simulator, TapsInTurn | StillHand]":
     """The device of a library or a scene, DESIGN's default without, in the hand of a user who taps in turn.
 
-    Between two rounds the hand rests for `rest_s`, so that the device can be armed.
+    Between two rounds the hand rests for `rest_s`, so that the device can be armed. With `hold_N` it only holds.
 
     Raises
     ------
     InputError : the file is none of these.
     """
     from controller.default_device import DEFAULT_DEVICE
-    from controller.prediction import scene_of
+    from controller.prediction import scene_like
     from controller.simulator import Imperfections, Simulator
     from controller.truth import device_of
-    from controller.user import TapsInTurn
-    from transopt.library_file import load_library
-    from transopt.scene_file import load_scene
+    from controller.user import StillHand, TapsInTurn
 
     device = DEFAULT_DEVICE
     if like is not None:
-        device = device_of(load_scene(like) if like.suffix == ".toml" else scene_of(load_library(like)))
-    round_s = TapsInTurn(taps).period_s + rest_s
-    user = TapsInTurn(taps, math.ceil(round_s / DT_S) * DT_S)
+        device = device_of(scene_like(like))
+    user: TapsInTurn | StillHand
+    if hold_N is None:
+        round_s = TapsInTurn(taps).period_s + rest_s
+        user = TapsInTurn(taps, math.ceil(round_s / DT_S) * DT_S)
+    else:
+        user = StillHand(hold_N)
     return Simulator(device, user, DT_S, imperfections=Imperfections(mismatch=mismatch), seed=seed), user
 
 
@@ -100,6 +107,7 @@ def device(
     tap: Annotated[
         list[str] | None, typer.Option(help="SPEED,GRIP in m/s and N; give several, done in turn.")
     ] = None,
+    hold: Annotated[float | None, typer.Option(help="The hand only holds, still, with this grip in N.")] = None,
     rest: Annotated[float, typer.Option(help="How long the hand is still after each round of taps, in s.")] = 2.0,
     mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part.")] = 0.0,
     delay_ms: Annotated[float, typer.Option(help="Of the line, each way.")] = 0.0,
@@ -119,9 +127,13 @@ def device(
         checked(f"--{name}", value, 0.0, high)
     checked("--delay-ms", delay_ms, 0.0, 1e4, " ms")
     checked("--rest", rest, 0.0, 600.0, " s")
+    if hold is not None:
+        checked("--hold", hold, 0.5, 50.0, " N")
+        if tap:
+            raise InputError("--tap beside --hold: the hand taps or only holds; give one of them")
     checked("--reset-every", reset_every, 0.0, 1e6, " s")
     checked("--seed", seed, 0, 2**31 - 1)
-    simulator, user = simulated(like, _taps(list(tap or TAPS)), rest, mismatch, seed)
+    simulator, user = simulated(like, _taps(list(tap or TAPS)), rest, mismatch, seed, hold)
     program = None
     if not python:
         try:

@@ -1,6 +1,7 @@
 """Tables of what was seen on a device: the bring-up check, taps played."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from rich.table import Table
@@ -9,6 +10,7 @@ from controller.bringup import Result
 from controller.codes import LinkNotice
 from controller.interface import Fault, Notice
 from controller.judged import Judged
+from controller.sweeps import Trial
 from transopt.signals import STANDARD_GRAVITY_M_S2
 
 VERDICTS = {True: "passed", False: "FAILED", None: "-"}
@@ -48,6 +50,30 @@ def played_table(judged: Sequence[Judged], events: Mapping[object, int], title: 
     for what, count in events.items():
         if what not in EVERY_TAP and isinstance(what, Notice | Fault | LinkNotice):
             table.add_row("", "", "", "", "", "", "", f"{count} x {what.value}")
+    return table
+
+
+def sweep_table(trials: Sequence[tuple[Path, Trial]], title: str) -> Table:
+    """Every trial with what it reached."""
+    table = Table(title=title)
+    table.add_column("file", no_wrap=True)
+    for name in ("sign", "grip N", "peak A", "peak g", "travel mm"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("note", overflow="fold")
+    for path, trial in trials:
+        swing = trial.acceleration_m_s2 - trial.acceleration_m_s2.mean()
+        travel_m = float(np.ptp(trial.position_m))
+        notes = [f"a limit cut {trial.cut_ticks} commands"] if trial.cut_ticks else []
+        notes += [] if travel_m > 0 else ["not one encoder count: is the rotor blocked on purpose?"]
+        table.add_row(
+            path.name,
+            "-" if trial.negative else "+",
+            f"{trial.grip_N:.2f}",
+            f"{np.abs(trial.current_A).max():.3f}",
+            f"{np.abs(swing).max() / STANDARD_GRAVITY_M_S2:.2f}",
+            f"{1e3 * travel_m:.2f}",
+            "; ".join(notes),
+        )
     return table
 
 

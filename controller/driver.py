@@ -19,12 +19,12 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Protocol
 
-from controller.codes import Kind
+from controller.codes import Kind, Reason
 from controller.interface import Fault, State
 from controller.limits import LEASE_DEFAULT_MS
 from controller.messages import HelloReply
 from controller.session import Session
-from controller.states import OPEN
+from controller.states import OPEN, SessionState
 from controller.told import Completed, Connected, Ended, Happened, Progress, Refused, Samples, Told
 from controller.transport import PortError, Transport, UnpluggedError
 from transopt.errors import InputError
@@ -154,6 +154,14 @@ class Device:
         self.need_no_fault()
         self.session.arm(gain, lease_ms, trial=trial)
         self._done(Kind.ARM)
+
+    def start(self, *, negative: bool = False) -> None:
+        """An excitation, if the device is still armed; returns when it has begun."""
+        self.need_no_fault()
+        if self.session.state is not SessionState.ARMED:
+            raise DeviceError(f"{self.name}: {Reason.NOT_ARMED.value}")
+        self.session.start(negative=negative)
+        self._done(Kind.START)
 
     def disarm(self) -> None:
         self.session.disarm()

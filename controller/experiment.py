@@ -132,32 +132,32 @@ def approach_ticks(speed_m_s: float, dt_s: float) -> int:
 
 
 def strike_real(
-    scene: Scene,
+    device: Device,
     target: SimulatedTaps,
     speed_m_s: float,
     grip_N: float,
     duration_s: float,
+    dt_s: float,
     *,
     imperfections: Imperfections = NONE,
     seed: int = 0,
 ) -> Struck:
     """The same stylus, undriven, strikes a real object at z = 0 (seed Fig. 1); the mild user goes on."""
-    dt = scene.time.dt_s
     approach = 100
     simulator = Simulator(
-        device_of(scene),
-        TapUser(speed_m_s, grip_N, approach * dt),
-        dt,
+        device,
+        TapUser(speed_m_s, grip_N, approach * dt_s),
+        dt_s,
         imperfections=imperfections,
         seed=seed,
         target=target,
         steps=STEPS_AT_CONTACT,
         trace=True,
     )
-    for _ in range(approach + int(np.ceil(duration_s / dt))):
+    for _ in range(approach + int(np.ceil(duration_s / dt_s))):
         simulator.advance(0.0)
     trace = simulator.trace()
-    times = trace.times_s - approach * dt
+    times = trace.times_s - approach * dt_s
     hardness = rate_hardness_N_m(times, trace.contact_N, speed_m_s)
     return Struck(times, trace.acceleration_m_s2, trace.motor_m, trace.contact_N, hardness)
 
@@ -192,7 +192,7 @@ def play_tap(
 
     Raises
     ------
-    InputError : speed or grip is not a finite number.
+    InputError : speed or grip is not a finite number; a library of a black box, without a device to simulate.
     """
     prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
     scene, grid = scene_of(library), library.time_grid()
@@ -200,8 +200,9 @@ def play_tap(
     approach = approach_ticks(tap.speed_m_s, dt)
     phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
     expected = (approach + phase) * dt
+    truth = device_of(scene) if device is None else device
     simulator = Simulator(
-        device_of(scene) if device is None else device,
+        truth,
         _user(library, tap, prediction, expected),
         dt,
         imperfections=tap.imperfections,
@@ -225,7 +226,7 @@ def play_tap(
     acceleration = trace.acceleration_m_s2 - trace.own_m_s2
     events = tuple(event for output in outputs for event in output.events)
     force = simulator.device.force_per_current_N_A * trace.current_A
-    metrics = _metrics(scene, tap, prediction, times, acceleration, force, trace, outputs, events, dt)
+    metrics = _metrics(scene, truth, tap, prediction, times, acceleration, force, trace, outputs, events, dt)
     return Played(
         tap=tap,
         prediction=prediction,
@@ -247,6 +248,7 @@ def play_tap(
 
 def _metrics(
     scene: Scene,
+    truth: Device,
     tap: Tap,
     prediction: Prediction,
     times_s: FloatArray,
@@ -273,7 +275,7 @@ def _metrics(
     target = scene.recordings.simulated
     real = nothing
     if target is not None:
-        real = strike_real(scene, target, tap.speed_m_s, target.grip_N, 10e-3).rate_hardness_N_m
+        real = strike_real(truth, target, tap.speed_m_s, target.grip_N, 10e-3, dt_s).rate_hardness_N_m
     if faults:
         words = f"fault: {faults[0].value}"
     elif np.isnan(error):

@@ -48,7 +48,8 @@ class Watch:
 
         Parameters
         ----------
-        expected_A : current that the model expects. transient_A : transient of the tick before. playing : state.
+        expected_A : current that the model expects. transient_A : transient of the tick before.
+        playing : a waveform that ends if the grip is lost.
         """
         s = self.settings
         self.emergency_stop, self.playing, self.expected_A = readings.emergency_stop, playing, expected_A

@@ -197,7 +197,8 @@ def check(image: bytes, configuration: Configuration, capacity: Capacity) -> Ban
 
     Raises
     ------
-    ImageError : with the first reason in this order: format, size, axes, timing, zero tails, peaks.
+    ImageError : with the first reason in this order: format, size, axes, timing, more than the one waveform that the
+        host starts, zero tails, peaks.
     """
     table, head = bank_of(image)
     nv, ng, N = head["speeds"], head["grips"], head["samples"]
@@ -219,6 +220,9 @@ def check(image: bytes, configuration: Configuration, capacity: Capacity) -> Ban
     settings = configuration.settings
     if head["dt_s"] != settings.dt_s or head["lead_s"] != settings.lead_s:
         raise ImageError(Reason.BAD_TIMING, head["dt_s"] if head["dt_s"] != settings.dt_s else head["lead_s"])
+    playable = table.speeds_m_s[0] > 0 and table.grips_N[0] >= table.grip_min_N
+    if settings.host_starts and not (nv * ng == 1 and playable):
+        raise ImageError(Reason.ONE_WAVEFORM, nv * ng)
     tail = head["tail_samples"]
     if not 0 < tail <= N or np.any(table.command_A[..., -tail:]):
         raise ImageError(Reason.NO_ZERO_TAIL, tail)

@@ -17,6 +17,7 @@ COLUMNS = (
     "force_N",
     "winding_C",
     "housing_C",
+    "ambient_C",
     "voltage_V",
 )
 SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s")
@@ -27,7 +28,8 @@ def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Ma
 
     Parameters
     ----------
-    columns : some of `COLUMNS`, `time_s` among them; (n,) each, row k of all at `time_s[k]`, finite.
+    columns : some of `COLUMNS`, `time_s` among them; (n,) each, finite. What was measured, at `time_s[k]`; the
+        command of row k is held from there to the next row.
     scalars : some of `SCALARS`. grip_N : mean over the trial. accelerometer_Hz : bandwidth, one pole.
 
     Raises

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from controller.codes import Kind
 from controller.packed import F32, F64, HASH_BYTES, I32, U8, U16, U32, U64, BadBodyError, Hash, Packed, Tail, laid_out
 
-PROTOCOL = 1
+PROTOCOL = 2
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
 HEADER = struct.Struct("<BBHI")
 GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version
@@ -155,6 +155,17 @@ class Checked(Packed):
     """The configuration of this hash has passed the bring-up check; forgotten at the next start of the device."""
 
     configuration_sha256: Hash
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Start(Packed):
+    """Play the one waveform of a configuration that the host starts, ARMED only; negative 1: with the other sign.
+
+    PLAYING from the answer on, FINISHED tells the end; an event of a fault, a disarming or a lost lease ends it too.
+    """
+
+    negative: U8
 
 
 @laid_out
@@ -324,6 +335,7 @@ MESSAGES: dict[Kind, type[Packed]] = {
     Kind.CHECKED: Checked,
     Kind.EVENT_ACK: EventAck,
     Kind.EMERGENCY_STOP: EmergencyStop,
+    Kind.START: Start,
     Kind.HELLO_REPLY: HelloReply,
     Kind.DONE: Done,
     Kind.REFUSED: Refused,

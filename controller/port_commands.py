@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from controller.driver import Device
     from controller.live import Monitor
     from controller.messages import HelloReply
-    from controller.payload import Payload
+    from controller.payload import Load
     from controller.recorder import Recorder
 
 LISTEN_S = 0.05  # between two looks at whether to end
@@ -37,7 +37,7 @@ def open_device(port: str) -> "Device":
     return Device(port)
 
 
-def load(device: "Device", given: "Payload") -> None:
+def load(device: "Device", given: "Load") -> None:
     """Configuration and library in force, with a progress bar where there is a terminal."""
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
@@ -245,24 +245,29 @@ def check(
     rest_g: Annotated[float, typer.Option(help="Accelerometer at rest in g: 1 level, 0 upright surface.")] = 1.0,
     skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
     patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="For `record sweep`, with the library's limits or the built-in ones.")
+    ] = False,
     reset: Reset = False,
 ) -> None:
     """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
     from controller.bringup import Check, Result, check_skipped, passed, run_steps
     from controller.device_tables import VERDICTS, check_table
-    from controller.payload import payload
+    from controller.payload import payload, trial_sweep
     from controller.settings import Settings
 
     number("rest-g", rest_g, -1.0, 1.0, " g")
     number("patience", patience, 0.1, 3600.0, " s")
     skipped = check_skipped(skip or ())
-    given = None if library is None else payload(library)
+    given: Load | None = None if library is None else payload(library)
     console = terminal.console()
 
     def told(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
     with connected(port, reset) as device:
+        if sweep:
+            given = trial_sweep(device.hello, library)
         if given is not None:
             load(device, given)
         settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings

@@ -1,15 +1,18 @@
 """What a library says that a tap will do, at its nodes and between them."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
 
 from transopt.discretise import discretise
 from transopt.errors import InputError
-from transopt.library import Library
+from transopt.library import Library, interpolation_weights, speed_weights
+from transopt.library_file import load_library
 from transopt.replay import replay
 from transopt.scene import Scene
+from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
 from transopt.wall import HandOver
 
@@ -39,19 +42,6 @@ class Prediction:
     repeatability: float
 
 
-def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
-    """(nv,) weights by which references of the nodes make that of a speed on the grid (`transopt.reference.between`).
-
-    r = v ((1 - w) r_1 / v_1 + w r_2 / v_2): the shape r / v is linear in speed.
-    """
-    return np.asarray(speed_m_s * _shares(nodes_m_s, speed_m_s) / nodes_m_s)
-
-
-def _shares(nodes: FloatArray, value: float) -> FloatArray:
-    """(n,) weights of linear interpolation."""
-    return np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
-
-
 def scene_of(library: Library) -> Scene:
     """The scene that a library was solved from, as the file tells it.
 
@@ -66,6 +56,16 @@ def scene_of(library: Library) -> Scene:
         key = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
         raise InputError(f"meta.scene: {key}: {message}; solve the scene again") from None
+
+
+def scene_like(path: Path) -> Scene:
+    """The scene of a .toml file, or the one that a library was solved from.
+
+    Raises
+    ------
+    InputError : the file is neither.
+    """
+    return load_scene(path) if path.suffix.lower() == ".toml" else scene_of(load_library(path))
 
 
 def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:
@@ -96,7 +96,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
         [played] = replay(stage, grid, command[None], reference[None], None, walls=walls)
         acceleration, current = played.acceleration_m_s2, played.current_A
-    by_v, by_F = _shares(library.speeds_m_s, v), _shares(library.grips_N, F)
+    by_v, by_F = interpolation_weights(library.speeds_m_s, v), interpolation_weights(library.grips_N, F)
     repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
     used = by_v > 0
     return Prediction(

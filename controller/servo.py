@@ -1,13 +1,16 @@
 """The servo: sensors in, command and events out, once per servo period (DESIGN 7).
 
     IDLE     no command                                     arm() -> ARMED
-    ARMED    feedback                                       contact -> PLAYING, disarm() -> IDLE
+    ARMED    feedback                                       contact or excite() -> PLAYING, disarm() -> IDLE
     PLAYING  feedback and transient                         end -> ARMED, disarm() -> IDLE
     FAULT    no command, from the tick on that saw it       reset() -> IDLE once the cause is gone
 
 Any state goes to FAULT by the table in `faults`. A second contact while a transient plays is not played: the
 recording that plays holds the real object's own rebounds, and two transients on top of each other are certified by
 nobody. It is counted as chatter, and so is a contact before the stylus has been off the surface for a while.
+
+Where the settings say that the host starts the waveform, an excitation, contacts are not looked at and there is no
+feedback; everything else is as in a tap.
 
 `step` uses plain floats and integers, whose sequence of operations firmware can repeat bit by bit. Only at a
 contact arrays are touched, to blend the waveform.
@@ -34,7 +37,8 @@ class Servo:
     ----------
     state, fault : what it does; the fault it latched, None without.
     counts : how often each notice was given. saturated_ticks : in how many ticks the sum was cut.
-    play : the transient of the last contact, None before any. scale : how much of it the heat allowed.
+    play : what was played last, None before anything. scale : how much of it the heat allowed, below 0 with the
+        other sign.
     expected_A : current of the amplifier model at the coming switching instant.
     gain : in force, follows `wanted_gain`.
     """
@@ -75,7 +79,7 @@ class Servo:
         self._ring_next, self._z, self._v, self._read = 0, 0.0, 0.0, False
         self._samples = [0.0]
         self._index, self._part, self._last = 0, 0.0, 0
-        self._engaged = self._was_saturated = False
+        self._engaged = self._was_saturated = self._held = False
         self._latched: tuple[Fault, ...] = ()
         self._earlier_A = self._transient_A = self._command_A = 0.0
 
@@ -94,6 +98,23 @@ class Servo:
         if self.state is not State.FAULT:
             self.state = State.IDLE
             self._silence()
+
+    def excite(self, *, negative: bool = False) -> bool:
+        """From ARMED: play the one waveform from the coming tick on; False if it may not be played now.
+
+        The heat allows all of it or none: scaled it would not be the excitation that was asked for.
+        """
+        bank, guard = self.bank, self.guard
+        if self.state is not State.ARMED or not self.settings.host_starts:
+            return False
+        play = bank.at(bank.speeds_m_s[0], bank.grips_N[0])
+        if play.silent:
+            return False
+        if guard is not None and guard.scale(play.transient_A, play.feedback_A, len(play.samples_A) + 1) < 1.0:
+            return False
+        self.play, self.scale, self._held = play, -1.0 if negative else 1.0, not self._loose()
+        self._start(play.samples_A, 0.0)
+        return True
 
     def reset(self) -> bool:
         """Leave FAULT for IDLE if no cause remained at the last tick; whether no fault is latched any more."""
@@ -114,7 +135,7 @@ class Servo:
     def step(self, readings: Readings) -> Output:
         """The command that answers one tick's readings, to be held until the next tick."""
         watch, guard, tick = self.watch, self.guard, readings.tick
-        watch.step(readings, self.expected_A, self._transient_A, self.state is State.PLAYING)
+        watch.step(readings, self.expected_A, self._transient_A, self.state is State.PLAYING and self._held)
         if guard is not None:
             # The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing.
             measured = watch.over_current_A if watch.bad_current else abs(watch.current_A)
@@ -188,15 +209,17 @@ class Servo:
     def _touch(self, tick: int) -> tuple[Event, ...]:
         """Look for a contact, and start a transient if there is one to play."""
         approach, watch, guard = self.approach, self.watch, self.guard
+        if self.settings.host_starts:
+            return NOTHING
         touch = self._trigger.step(self._z, approach.speed_m_s, approach.phase)
         if touch is Touch.NOTHING:
             return NOTHING
         speed, grip = approach.speed_m_s, watch.grip_N
         if touch is Touch.CHATTER or self.state is State.PLAYING:
             return self._note(NOTHING, tick, Notice.CONTACT_CHATTER, speed, grip)
-        play = self.bank.at(speed, grip)
-        loose = watch.has_grip and not watch.raw_grip_N >= self.settings.grip_min_N + self.settings.grip_margin_N
-        if play.silent or loose:
+        heat = (None, None) if guard is None else (guard.winding_C, guard.housing_C)
+        play = self.bank.at(speed, grip, *heat)
+        if play.silent or self._loose():
             return self._note(NOTHING, tick, Notice.NO_GRIP, speed, grip)
         scale = 1.0 if guard is None else guard.scale(play.transient_A, play.feedback_A, len(play.samples_A) + 1)
         if scale <= 0.0:
@@ -206,10 +229,15 @@ class Servo:
             events = self._note(events, tick, Notice.OUT_OF_GRID, speed, grip)
         if scale < 1.0:
             events = self._note(events, tick, Notice.SCALED_FOR_HEAT, speed, grip)
-        self.play, self.scale = play, scale
+        self.play, self.scale, self._held = play, scale, True
         if play.samples_A:
             self._start(play.samples_A, approach.phase)
         return events
+
+    def _loose(self) -> bool:
+        """Whether the stylus is not held, or too loosely to start."""
+        s, watch = self.settings, self.watch
+        return watch.has_grip and not watch.raw_grip_N >= s.grip_min_N + s.grip_margin_N
 
     def _outside(self, speed_m_s: float, grip_N: float) -> bool:
         """Whether a contact lies outside the grid by more than the sensors are worth, where the grid is asked."""

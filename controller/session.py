@@ -21,7 +21,7 @@ from controller.interface import Fault, State
 from controller.limits import LEASE_DEFAULT_MS, LEASE_LEAST_MS, LEASE_MOST_MS, PULSE_LIMIT_A, checked
 from controller.packed import BadBodyError, Packed
 from controller.requests import Requests, Stops
-from controller.states import OPEN, OVER, SEEN, TRANSITIONS, SessionState, Trigger
+from controller.states import OPEN, OVER, SEEN, TRANSITIONS, MisuseError, SessionState, Trigger
 from controller.streams import BreachError, EventStream, RecordStream
 from controller.told import Cause, Ended, Told, capacity_of
 from controller.upload import BadAckError, Patience, Upload
@@ -32,10 +32,6 @@ SILENCE_S = 0.6  # without any frame, though asked, the link is dead
 HEARTBEAT_S = 0.1  # at rest; armed, a quarter of the lease
 LEASES_PER_TERM = 4
 LEAST_BODY = 128  # bytes; every request but those with data has to fit
-
-
-class MisuseError(RuntimeError):
-    """The program asked for something out of turn; the session is over until another connect."""
 
 
 class Session:
@@ -132,6 +128,10 @@ class Session:
             self._misused("arm: configure and upload come first")
         self._lease_ms = lease_ms
         self._requests.add(m.Arm(int(trial), lease_ms, gain, self._configuration_sha256, self._library_sha256))
+
+    def start(self, *, negative: bool = False) -> None:
+        """An excitation, once, while ARMED; FINISHED tells its end. negative : with the other sign."""
+        self._ask(m.Start(int(negative)), Trigger.START)
 
     def disarm(self) -> None:
         """Gives up whatever else is under way. No lease is kept until the device answers."""

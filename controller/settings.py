@@ -74,6 +74,9 @@ class Settings:
         tap a sound device stays within one count for 1 ms, 4 mA s at 4 A.
     stuck_A, stuck_s : current and time without a count, which a hand's tremor of 4 counts never allows.
     grip_open_N, grip_short_N : readings beyond these are no grip: an open or a shorted sensor.
+
+    host_starts : the host starts the one waveform there is, an excitation, and contacts are not looked at. No wall.
+        Whoever holds the stylus at the start has to hold it to the end; the free device is excited as well.
     """
 
     dt_s: float
@@ -116,10 +119,12 @@ class Settings:
     grip_open_N: float = -1.0
     grip_short_N: float = 60.0
 
+    host_starts: bool = False
+
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, int | float) or field.name in ("grip_open_N", "surface_counts"):
+            if not isinstance(value, int | float) or field.name in ("grip_open_N", "surface_counts", "host_starts"):
                 continue
             least = 0.0 if field.name in MAY_BE_ZERO else np.nextafter(0.0, 1.0)
             if not least <= value < np.inf:
@@ -129,6 +134,8 @@ class Settings:
             raise InputError("servo: surface_counts and grip_open_N must be finite, grip_open_N below grip_short_N")
         if self.amplifier_tolerance >= 1:
             raise InputError(f"servo: amplifier_tolerance = {self.amplifier_tolerance:g}: must be below 1")
+        if self.host_starts and self.wall is not None:
+            raise InputError("servo: host_starts beside a wall: an excitation has no feedback")
         if self.window_ticks < 4:
             raise InputError(f"servo: window_ticks = {self.window_ticks}: a quadratic needs at least 4 readings")
 

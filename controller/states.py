@@ -10,6 +10,10 @@ from enum import Enum, auto
 from controller.interface import State
 
 
+class MisuseError(RuntimeError):
+    """The program asked for something out of turn; the session is over until another connect."""
+
+
 class SessionState(Enum):
     NEW = auto()  # never connected
     CONNECTING = auto()  # HELLO is under way
@@ -25,6 +29,7 @@ class Trigger(Enum):
     CONNECT = auto()  # the user's
     ASK = auto()  # any request but those below
     ARM = auto()
+    START = auto()  # of an excitation
     PREPARE = auto()  # configuration, upload, pulse, checked
     IDLE_SEEN = auto()  # the device's reports
     ACTIVE_SEEN = auto()
@@ -42,6 +47,7 @@ TRANSITIONS: dict[tuple[SessionState, Trigger], SessionState] = {
     **{(state, T.CONNECT): S.CONNECTING for state in OVER},
     **{(state, T.ASK): state for state in OPEN},
     (S.READY, T.ARM): S.READY,
+    (S.ARMED, T.START): S.ARMED,
     (S.READY, T.PREPARE): S.READY,
     **{(state, T.IDLE_SEEN): S.READY for state in (S.CONNECTING, *OPEN)},
     **{(state, T.ACTIVE_SEEN): S.ARMED for state in OPEN},

@@ -11,15 +11,17 @@ import numpy as np
 from scipy import linalg
 
 from transopt.amplifier import Amplifier
+from transopt.errors import InputError
+from transopt.identified import ChainHand, DriveDevice, HandPart, StateSpaceDevice
+from transopt.identified_model import Identified
 from transopt.models import (
     SEED_HAND_DAMPING_N_S_M,
     SEED_HAND_MASS_KG,
     SEED_HAND_STIFFNESS_N_M,
-    Hand,
     LinearInGrip,
 )
 from transopt.scene import Scene
-from transopt.scene_sections import Drive, FourthOrder, SecondOrder, SimulatedTaps
+from transopt.scene_sections import Drive, FourthOrder, HandSection, SecondOrder, SimulatedTaps
 from transopt.signals import FloatArray
 from transopt.thermal import CoilModel
 
@@ -126,26 +128,41 @@ class Device:
 
 
 def device_of(scene: Scene) -> Device:
-    """The device that a scene describes, nothing wrong with it."""
+    """The device that a scene describes, nothing wrong with it.
+
+    Raises
+    ------
+    InputError : a black box, which has no masses to move.
+    """
+    model = scene.model.moving if isinstance(scene.model, Identified) else scene.model
+    if isinstance(model, StateSpaceDevice):
+        raise InputError(
+            f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "
+            "another device (--device SCENE.toml or library.npz)"
+        )
     tip = scene.drive_at_tip()
 
-    def held(hand: Hand) -> tuple[LinearInGrip, tuple[Joint, Joint]]:
+    def held(section: HandSection | ChainHand) -> tuple[LinearInGrip, tuple[Joint, Joint]]:
+        hand = section.hand()
         skin = Joint(hand.skin_stiffness_N_m, hand.skin_damping_N_s_m)
         return hand.mass_kg, (skin, Joint(hand.arm_stiffness_N_m, hand.arm_damping_N_s_m))
 
     masses: tuple[LinearInGrip, ...]
     joints: tuple[Joint, ...]
-    match scene.model:
+    match model:
         case SecondOrder():
             masses, stylus, skin = (SEED_HAND_MASS_KG,), 0, None
             joints = (Joint(SEED_HAND_STIFFNESS_N_M, SEED_HAND_DAMPING_N_S_M),)
+        case HandPart(mass_kg=whole, stiffness_N_m=stiffness, damping_N_s_m=damping):
+            masses, stylus, skin = (whole.linear(),), 0, None
+            joints = (Joint(stiffness.linear(), damping.linear()),)
         case FourthOrder(stylus_mass_kg=mass, hand=section):
-            hand_mass, joints = held(section.hand())
+            hand_mass, joints = held(section)
             masses, stylus, skin = (LinearInGrip(tip.moving_mass_kg + mass, 0.0), hand_mass), 0, 0
-        case Drive(stylus_mass_kg=mass, hand=section):
+        case Drive(stylus_mass_kg=mass, hand=section) | DriveDevice(stylus_mass_kg=mass, hand=section):
             assert tip.stiffness_N_m is not None
             assert tip.damping_N_s_m is not None
-            hand_mass, hand_joints = held(section.hand())
+            hand_mass, hand_joints = held(section)
             masses, stylus, skin = (LinearInGrip(tip.moving_mass_kg, 0.0), LinearInGrip(mass, 0.0), hand_mass), 1, 1
             joints = (_joint(tip.stiffness_N_m, tip.damping_N_s_m), *hand_joints)
     return Device(

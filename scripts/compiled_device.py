@@ -2,7 +2,6 @@
 
 import subprocess
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -74,23 +73,6 @@ class CompiledDevice:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-@dataclass(frozen=True)
-class StillHand:
-    """Holds the stylus above the surface."""
-
-    height_m: float = 5e-3
-    held_N: float = 3.0
-
-    def intention_m(self, time_s: float) -> float:
-        return self.height_m
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        return self.held_N
 
 
 def plant_of(user: User, period_s: float, seed: int = 0) -> bytes:

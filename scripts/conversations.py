@@ -86,7 +86,7 @@ def odd_settings(random: Random, settings: Settings) -> Settings:
         {"current_limit_A": float(random.choice([1e-3, 10.0, 10.001, 1e9]))},
         {"amplifier": Amplifier(float(random.choice([1e-12, 1.0, 1e9])), 0.0, float(random.choice([6.0, 11.0])))},
         {"amplifier": None},
-        {"wall": wall},
+        {"wall": wall, "host_starts": False},
         {"coil": None},
         {"stuck_s": float(random.choice([1e-9, 3600.0, 3601.0]))},
         {"rearm_s": 1e300},
@@ -95,6 +95,7 @@ def odd_settings(random: Random, settings: Settings) -> Settings:
         {"lead_s": float(random.choice([0.0, 1.0, 1e200]))},
         {"over_current": 1e308},
         {"grip_filter_s": float(random.choice([DT_S, 0.5 * DT_S, 1.0]))},
+        {"host_starts": not settings.host_starts, "wall": None},
     )
     return replace(settings, **changes[int(random.integers(len(changes)))])
 
@@ -121,6 +122,19 @@ def odd_image(random: Random, settings: Settings) -> bytes:
     return image_of(table, settings.dt_s, settings.lead_s, TAIL)
 
 
+def excited(settings: Settings, table: Bank) -> tuple[Settings, Bank]:
+    """The first waveform of a table as an excitation that the host starts."""
+    first = replace(
+        table,
+        speeds_m_s=table.speeds_m_s[:1],
+        grips_N=table.grips_N[:1],
+        command_A=table.command_A[:1, :1],
+        transient_A=[table.transient_A[0][:1]],
+        feedback_A=[table.feedback_A[0][:1]],
+    )
+    return replace(settings, host_starts=True, wall=None), first
+
+
 class Host:
     """Says one thing after the other; what it says depends on nothing but the random numbers."""
 
@@ -131,6 +145,8 @@ class Host:
         amplifier = draw_amplifier(random)
         self.settings = draw_settings(random, amplifier, free=False)
         table = draw_bank(random, amplifier, free=False)
+        if random.uniform() < 0.4:
+            self.settings, table = excited(self.settings, table)
         peak = float(np.max(np.abs(table.command_A)))
         size = random.uniform(0.3, 1.1) * min(self.settings.current_limit_A, 6.0) / peak
         table.command_A[:] *= size
@@ -188,7 +204,7 @@ class Host:
     def odd_frame(self) -> list[bytes]:
         """Sound in its CRC, wrong otherwise."""
         random = self.random
-        kind = int(random.choice([*Kind, 16, 17, 63, 73, 255]))
+        kind = int(random.choice([*Kind, 16, 18, 63, 73, 255]))
         flags = int(random.uniform() < 0.1)
         body = random.bytes(int(random.integers(0, 200)))
         if kind in (Kind.HELLO, Kind.HELLO_REPLY) and random.uniform() < 0.8:
@@ -224,6 +240,7 @@ class Host:
             (0.2, lambda: [frame(m.ConfigureCommit(random.bytes(32))), frame(m.Commit())]),
             (2, self.arm),
             (1, self.odd_arm),
+            (2, lambda: [frame(m.Start(int(random.choice([0, 0, 1, 1, 2]))))]),
             (0.4, lambda: [frame(m.Disarm())]),
             (2, lambda: [frame(m.Reset())]),
             (0.7, lambda: [frame(m.Gain(number))]),

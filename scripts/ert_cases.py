@@ -13,7 +13,7 @@ from transopt.errors import InputError
 from transopt.parts import leave_out
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, TransientProblem
 from transopt.reference import build_references
-from transopt.replay import replay
+from transopt.replay import replayed_errors
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
@@ -139,7 +139,7 @@ def judge(problem: TransientProblem, command_A: FloatArray, reference_objective:
 def replayed_nrmse(problem: TransientProblem, commands_A: FloatArray) -> FloatArray:
     """(M,) NRMSE of commands (M, N) in continuous time."""
     references = np.broadcast_to(problem.reference_m_s2, commands_A.shape)
-    return np.array([played.nrmse for played in replay(problem.stage, problem.grid, commands_A, references, None)])
+    return replayed_errors(problem.stage, problem.grid, commands_A, references)
 
 
 def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) -> Optimum:

@@ -26,7 +26,7 @@ from transopt.library import Library
 from transopt.plotting import save_figure
 from transopt.reference import Reference, between, build_references
 from transopt.refine import DEFAULT_CAP, refine_grid
-from transopt.replay import replay
+from transopt.replay import replayed_errors
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.scene_sections import Drive, LinearParameter
@@ -67,8 +67,9 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
         reference = between(references, speed)
         best = optimum(entry_problem(scene, stage, reference), SolverOptions()).solution.command_A
         commands = np.stack([best, *(library.at(speed, grip).command_A for library in libraries)])
-        exact, *blended = replay(stage, grid, commands, np.tile(reference.motor_m_s2, (len(commands), 1)), None)
-        found.append([b.nrmse - exact.nrmse for b in blended])
+        wanted = np.tile(reference.motor_m_s2, (len(commands), 1))
+        exact, *blended = replayed_errors(stage, grid, commands, wanted)
+        found.append([each - exact for each in blended])
     return np.array(found)
 
 

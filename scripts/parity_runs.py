@@ -9,7 +9,7 @@ import numpy as np
 
 from controller.bank import Bank, Method, bank, currents, norms
 from controller.experiment import approach_ticks
-from controller.firmware.replay import ARM, DISARM, GAIN, RESET, Recorder
+from controller.firmware.replay import ARM, DISARM, EXCITE, GAIN, NEGATIVE, RESET, Recorder
 from controller.image import bank_of, image_of
 from controller.interface import Readings, State
 from controller.prediction import scene_of
@@ -25,6 +25,7 @@ from transopt.wall import Wall
 DT_S, COUNT_M = 1e-4, 24.5e-6
 TAIL = 10  # zero commands at the end of every waveform
 ABSURD = (math.nan, math.inf, -math.inf, 1e300, -1e300, 1e9, -1e9)
+EXCITED_EVERY = 8  # of so many random runs one is of excitations that the host starts
 Random = np.random.Generator
 
 
@@ -110,6 +111,8 @@ def draw_wishes(random: Random, state: State) -> tuple[int, float]:
         wishes |= RESET
     if (state is State.IDLE and chance > 0.95) or chance > 0.9995:
         wishes |= ARM
+    if state is State.ARMED and 0.1 <= chance < 0.105:
+        wishes |= EXCITE | (NEGATIVE if chance < 0.1025 else 0)
     return wishes, gain
 
 
@@ -127,10 +130,15 @@ def falsified(random: Random, readings: Readings) -> Readings:
 
 
 def random_run(seed: int, ticks: int) -> Recorder:
-    """A hand that swings across the surface at random, a noisy device, faults and wishes at random instants."""
+    """A hand that swings across the surface at random, a noisy device, faults and wishes at random instants.
+
+    What is played is started by contacts, or by the host's wish.
+    """
     random = np.random.default_rng([seed, 11])
     amplifier, free = draw_amplifier(random), bool(random.uniform() < 0.1)
     settings = draw_settings(random, amplifier, free=free)
+    if seed % EXCITED_EVERY == 1:
+        settings = replace(settings, host_starts=True, wall=None)
     recorder = recorder_of(settings, draw_bank(random, amplifier, free=free), TAIL)
     servo, faulty = recorder.servo, float(random.choice([0.0, 2e-4, 2e-3]))
     swings = [(random.uniform(2e-4, 6e-3), random.uniform(1.0, 15.0), random.uniform(0, 7)) for _ in range(3)]

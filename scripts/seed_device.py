@@ -60,7 +60,9 @@ class RealTap:
 def real_tap(scene: Scene, speed_m_s: float, grip_N: float) -> RealTap:
     target = scene.recordings.simulated
     assert target is not None
-    return RealTap(speed_m_s, grip_N, strike_real(scene, target, speed_m_s, grip_N, REAL_TAP_S))
+    return RealTap(
+        speed_m_s, grip_N, strike_real(device_of(scene), target, speed_m_s, grip_N, REAL_TAP_S, scene.time.dt_s)
+    )
 
 
 def real_taps_figure(by_speed: Sequence[RealTap], by_grip: Sequence[RealTap]) -> Figure:

@@ -17,7 +17,7 @@ from transopt.discretise import StageModel
 from transopt.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.reference import build_references
 from transopt.refine import Errors, Nodes
-from transopt.replay import replay
+from transopt.replay import replayed_errors
 from transopt.scene import Scene
 from transopt.solvers import SolverOptions
 
@@ -92,7 +92,7 @@ class Played:
 def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
     commands = np.stack([errors.optimum((speed, F)).command_A for F in grips])
     wanted = np.tile(errors.reference(speed).motor_m_s2, (len(grips), 1))
-    return [played.nrmse for played in replay(stage, scene.time_grid(), commands, wanted, None)]
+    return [float(error) for error in replayed_errors(stage, scene.time_grid(), commands, wanted)]
 
 
 def mismatch(

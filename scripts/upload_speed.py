@@ -18,13 +18,14 @@ from pathlib import Path
 
 import numpy as np
 from benchmark import machine
-from compiled_device import DT_S, SETTINGS, TAIL, CompiledDevice, StillHand, plant_of, smooth_bank
+from compiled_device import DT_S, SETTINGS, TAIL, CompiledDevice, plant_of, smooth_bank
 
 from controller.configuration import configuration_of
 from controller.driver import Device
 from controller.firmware.build import compiler
 from controller.image import image_of, sha256
 from controller.transport import Transport
+from controller.user import StillHand
 from transopt.errors import InputError
 from transopt.files import whole_file
 

@@ -4,6 +4,7 @@ import importlib
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from controller.interface import State
 from controller.settings import Settings
 from problems.simulate import recordings
 from tests.desk import PORT, Desk, Outcome, Play
+from tests.model_parts import Make, scene_on
 from tests.servo_bench import WALL, Bench
 from tests.study_bench import MODULES, SCRIPTS
 from transopt.build import Build, build_library
@@ -155,6 +157,12 @@ def bench(stated: Settings, tables: Bank) -> Bench:
     made = Bench(replace(stated, wall=WALL), tables)
     made.servo.arm()
     return made
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """A scene on a model file, in a folder of its own."""
+    return partial(scene_on, tmp_path)
 
 
 class Scripts:

@@ -1,6 +1,7 @@
 """A host session, a link and a device on one virtual clock."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
@@ -45,6 +46,8 @@ def image(**sizes: int) -> bytes:
 
 
 IMAGE = image()
+EXCITED = configuration_of(replace(SETTINGS, host_starts=True))
+ONE_WAVEFORM = image(speeds=1, grips=1, samples=300)
 
 
 def tokens() -> Callable[[], int]:

@@ -152,8 +152,8 @@ def test_an_entry_that_one_solver_cannot_prove_goes_to_the_other(
     problem = make_problem(0.4, 5.0)
     other = "riccati" if riccati.available else "casadi-ipopt"
     monkeypatch.setattr(solvers, "polished", lambda problem, answer: answer)  # which would complete the first
-    assert solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=8)).solver == other
-    refused = solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=2))
+    assert solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=8))[0].solver == other
+    refused, _ = solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=2))
     assert (refused.solver, refused.status) == ("casadi-piqp", Status.ITERATION_LIMIT)
 
 

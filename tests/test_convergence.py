@@ -12,10 +12,11 @@ from problems.stress_cases import Current, Demand, Device, Horizon, StressCase
 from problems.stress_families import SMALL_A
 from transopt.amplifier import Amplifier
 from transopt.certify import certify
+from transopt.continuous import _step_map
 from transopt.discretise import StageModel, TimeGrid, discretise
 from transopt.optimum import optimum
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Multipliers, TransientProblem
-from transopt.replay import _step_map, replay
+from transopt.replay import replay
 from transopt.signals import FloatArray
 from transopt.solvers import SolverOptions
 

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,6 +45,7 @@ IMAGE_REASONS = (
     Reason.OVER_LIMIT,
 )
 BARE = Settings(DT_S, 3e-4, 4.0)
+EXCITED = replace(BARE, host_starts=True)
 REST = Readings(0, 200, 3.0, 0.0, 0.0)
 
 
@@ -101,7 +103,7 @@ def table(speeds: int = 2, grips: int = 2, samples: int = 40) -> Bank:
 IMAGE = image_of(table(), DT_S, 3e-4, TAIL)
 
 
-@pytest.mark.parametrize("settings", [SETTINGS, BARE], ids=["all", "bare"])
+@pytest.mark.parametrize("settings", [SETTINGS, BARE, EXCITED], ids=["all", "bare", "excited"])
 def test_every_number_of_a_configuration_is_asked_for_alike(settings: Settings) -> None:
     pair, data = Pair(), configuration_of(settings)
     answers = set()
@@ -152,6 +154,22 @@ def test_every_number_of_an_image_is_asked_for_alike(settings: Settings) -> None
     # What was refused leaves what was there in force.
     again = pair.tell(m.UploadBegin(len(IMAGE), sha256(IMAGE)))[-1]
     assert isinstance(again, m.UploadReady)
+
+
+def test_where_the_host_starts_there_is_one_waveform_alike(pair: Pair) -> None:
+    one = table(1, 1)
+    assert isinstance(pair.configure(configuration_of(EXCITED)), m.Done)
+    others = (table(1, 2), table(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
+    for other in others:
+        answer = pair.upload(image_of(other, DT_S, 3e-4, TAIL))
+        assert isinstance(answer, m.Refused)
+        assert answer.reason == REASON_CODES[Reason.ONE_WAVEFORM]
+    assert isinstance(pair.upload(image_of(one, DT_S, 3e-4, TAIL)), m.Done)
+    # In force it stays as long as the configuration takes it, and is started by contacts in the other one.
+    assert isinstance(pair.configure(configuration_of(BARE)), m.Done)
+    assert isinstance(pair.upload(IMAGE), m.Done)
+    assert isinstance(pair.configure(configuration_of(EXCITED)), m.Done)
+    assert pair.python.store.library_sha256 == m.NO_HASH
 
 
 def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(pair: Pair) -> None:

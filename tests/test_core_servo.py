@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.codes import EVENTS
+from controller.codes import EVENT_CODES, EVENTS
 from controller.firmware.build import CORE, FLAGS, STRICT, NoCompilerError, build, compiler, sources
-from controller.firmware.replay import REPLAY, Core, Recorder, write_runs
+from controller.firmware.replay import EXCITE, NEGATIVE, REPLAY, Core, Recorder, write_runs
 from controller.image import image_of
 from controller.interface import Fault, Notice
 from scripts.device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K
@@ -21,7 +21,8 @@ from transopt.wall import Wall
 
 # exp and fmod only where a configuration is checked, never in a servo period.
 MAY_CALL = {"memcpy", "memset", "memcmp", "memmove", "sqrt", "floor", "exp", "fmod"}
-SEEDS = (2, 5, 7, 12, 16, 23, 24)
+EXCITED = (1, 9, 17)  # the host starts what is played
+SEEDS = (2, 5, 7, 12, 16, 23, 24, *EXCITED)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -95,6 +96,18 @@ def test_much_happens_in_these_runs() -> None:
     }
     assert set(Notice) - seen <= {Notice.NO_GRIP}
     assert set(Fault) - seen <= {Fault.NO_CURRENT, Fault.ENCODER_STUCK}
+
+
+def test_excitations_are_among_these_runs() -> None:
+    """Started, refused while one plays, with either sign, to their end, and cut short by faults."""
+    for seed in EXCITED:
+        recorder = random_recorder(seed)
+        wished, rows = recorder.input_rows()["wishes"], recorder.output_rows()
+        started = (rows["answers"] & EXCITE) > 0
+        assert set((wished[started] & NEGATIVE) > 0) == {True, False}
+        assert EVENT_CODES[Notice.FINISHED] in rows["what"]
+        assert EVENT_CODES[Notice.CONTACT] not in rows["what"]
+        assert np.any(rows["transient_A"])
 
 
 @pytest.mark.parametrize("field", ["current_limit_A", "count_m", "wall"])

@@ -106,7 +106,7 @@ def test_upload_once(play: Play, desk: Desk) -> None:
 def test_monitor(play: Play, ready: Desk) -> None:
     outcome = play("monitor", *PORT, "--for", 0.2)
     assert outcome.code == 0
-    assert "firmware 1.0.0 (double), boot 000001f4, period 100 us, limits 10 A and 10 A, configuration" in outcome.out
+    assert "firmware 1.1.0 (double), boot 000001f4, period 100 us, limits 10 A and 10 A, configuration" in outcome.out
     for words in ("state", "idle", "z", "+12.0", "grip", "emergency stop", "released", "records lost"):
         assert words in outcome.out
 

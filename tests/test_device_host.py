@@ -16,18 +16,22 @@ import pytest
 from controller import device_cli
 from controller import messages as m
 from controller.bank import Bank
+from controller.codes import EVENT_CODES, STATES
 from controller.configuration import configuration_of
 from controller.default_device import DEFAULT_DEVICE
 from controller.device import Device
 from controller.device_cli import simulated
+from controller.excitation import sweep_command
 from controller.firmware.build import CORE, FIRMWARE, STRICT, NoCompilerError, build, compiler, sources
 from controller.image import image_of
+from controller.interface import Notice, State
+from controller.payload import excitation, excitation_settings
 from controller.plant_file import plant_bytes
 from controller.sensors import Sensors
 from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
 from controller.truth import Ground, device_of
-from controller.user import Habit, TapsInTurn, TapUser
+from controller.user import Habit, StillHand, TapsInTurn, TapUser
 from controller.wire import Decoder, encode
 from scripts.conversations import sha256
 from transopt.errors import InputError
@@ -54,7 +58,12 @@ def user() -> TapsInTurn:
     return TapsInTurn([(0.2, 3.0), (0.3, 5.0)], 1.2)
 
 
-def simulator(user: TapsInTurn, **others: object) -> Simulator:
+def hello() -> m.HelloReply:
+    """Of a device without limits of its own."""
+    return Device(7)._hello_reply(0)
+
+
+def simulator(user: TapsInTurn | StillHand, **others: object) -> Simulator:
     return Simulator(DEFAULT_DEVICE, user, DT_S, imperfections=Imperfections(sensors=QUIET, **others))  # type: ignore[arg-type]
 
 
@@ -110,6 +119,15 @@ class Both:
         for decoder, said, answer in zip(self._decoders, self.said, answers, strict=True):
             said += [m.read_frame(payload) for payload in decoder.feed(answer)]
 
+    def armed(self, configuration: bytes, image: bytes) -> None:
+        """Both, with these in force."""
+        hashes = sha256(configuration), sha256(image)
+        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
+        self.turn(0, m.Hello(m.MAGIC, m.PROTOCOL, 3), m.Configure(0, configuration), m.ConfigureCommit(hashes[0]))
+        begin = m.UploadBegin(len(image), hashes[1])
+        self.turn(10, begin, *chunks, m.Commit(), m.Checked(hashes[0]), m.Telemetry(1))
+        self.turn(10, m.Arm(0, 200, 1.0, *hashes))
+
     def records(self, which: int) -> np.ndarray:  # type: ignore[type-arg]
         size, rows = m.Record.FORMAT.size, []
         for frame in self.said[which]:
@@ -140,12 +158,8 @@ def test_taps_go_as_on_the_simulator(
 ) -> None:
     """Brought up, armed, two taps in one round: the same answers and events, the same motion and commands."""
     configuration, image = configuration_of(stated), image_of(tables, DT_S, stated.lead_s, 10)
-    hashes = sha256(configuration), sha256(image)
     both = Both(program, plant, simulator(user))
-    chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
-    both.turn(0, m.Hello(m.MAGIC, m.PROTOCOL, 3), m.Configure(0, configuration), m.ConfigureCommit(hashes[0]))
-    both.turn(10, m.UploadBegin(len(image), hashes[1]), *chunks, m.Commit(), m.Checked(hashes[0]), m.Telemetry(1))
-    both.turn(10, m.Arm(0, 200, 1.0, *hashes))
+    both.armed(configuration, image)
     for _ in range(118):
         both.turn(100, m.Lease(0))
     assert both.close() == 0
@@ -154,6 +168,30 @@ def test_taps_go_as_on_the_simulator(
     assert records[0].shape == records[1].shape
     assert len(records[0]) > 11_500
     assert max(abs(records[0][:, 4])) > 2.0
+    np.testing.assert_allclose(records[0], records[1], rtol=1e-5, atol=1e-5)
+
+
+def test_an_excitation_goes_as_on_the_simulator(program: Path, tmp_path: Path) -> None:
+    """Held still, swept with either sign: the same answers and events, the same motion and commands."""
+    _, hand = simulated(None, [(0.2, 3.0)], 0.0, 0.0, 3, hold_N=3.0)
+    assert hand.grip_N(0.0) == 3.0
+    (tmp_path / "plant").write_bytes(plant_bytes(simulator(hand), hand, hand.period_s))
+    both = Both(program, tmp_path / "plant", simulator(hand))
+    given = excitation(excitation_settings(hello(), None), sweep_command(10, 1500, 0.3, 0.75, DT_S), hello())
+    both.armed(given.configuration, given.image)
+    for negative in (0, 1):
+        both.turn(10, m.Start(negative))
+        for _ in range(31):
+            both.turn(100, m.Lease(0))
+    assert both.close() == 0
+    assert _but_for_rounding(both)
+    codes = [said.code for said in both.others(0) if isinstance(said, m.Event)]
+    assert set(codes) == {EVENT_CODES[Notice.FINISHED]}
+    records = both.records(0), both.records(1)
+    playing = records[0][:, 8] == STATES.index(State.PLAYING)
+    assert int(playing.sum()) == 2 * 3000
+    first, second = np.split(records[0][playing][:, 4], 2)
+    np.testing.assert_array_equal(first, -second)
     np.testing.assert_allclose(records[0], records[1], rtol=1e-5, atol=1e-5)
 
 
@@ -306,6 +344,8 @@ def test_without_a_compiler_it_says_so_and_serves_the_python_device() -> None:
         (["--tap", "fast"], "--tap fast: must be SPEED,GRIP in m/s and N, like 0.2,3"),
         (["--tap", "9,3"], "--tap = 9 m/s: must be 0.02 to 2 m/s"),
         (["--loss", "2"], "--loss = 2: must be 0 to 1"),
+        (["--hold", "-1"], "--hold = -1 N: must be 0.5 to 50 N"),
+        (["--hold", "3", "--tap", "0.2,3"], "--tap beside --hold"),
         (["--like", "/nowhere.npz"], "/nowhere.npz"),
         (["--python", "--listen", "nowhere"], "--listen nowhere: must be HOST:PORT"),
     ],

@@ -11,11 +11,11 @@ from controller.codes import Kind, LinkNotice
 from controller.device import Device as Firmware
 from controller.driver import Device, DeviceError, LinkLostError
 from controller.image import sha256
-from controller.interface import Fault, Readings, State
+from controller.interface import Fault, Notice, Readings, State
 from controller.link import Trouble
 from controller.told import Happened, Samples
 from controller.transport import UnpluggedError
-from tests.device_bench import CONFIGURATION, DT_S, IMAGE, World, image
+from tests.device_bench import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image
 from transopt.errors import InputError
 
 
@@ -242,6 +242,28 @@ def test_closing_twice_and_closing_a_dead_one() -> None:
     # Nobody could tell it: its lease did.
     world.run(0.2)
     assert world.device.state is State.IDLE
+
+
+def test_a_start_out_of_turn_is_one_line_and_no_misuse() -> None:
+    world, _, connected = driven()
+    with connected() as device:
+        with pytest.raises(DeviceError, match="the device is not armed: arm it, then start"):
+            device.start()
+        armed(device)
+        with pytest.raises(DeviceError, match="start refused: this configuration plays at a contact"):
+            device.start()
+        assert world.device.state is State.ARMED
+        device.disarm()
+        device.configure(EXCITED)
+        device.upload(ONE_WAVEFORM)
+        device.checked()
+        device.arm(1.0, 100)
+        device.start(negative=True)
+        assert world.device.state is State.PLAYING
+        with pytest.raises(DeviceError, match="start refused: an excitation is playing"):
+            device.start()
+        assert device.listen(1.0, until=lambda news: isinstance(news, Happened) and news.what is Notice.FINISHED)
+        assert world.device.state is State.ARMED
 
 
 class Served:

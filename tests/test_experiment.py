@@ -16,14 +16,14 @@ from controller.figures import tap_figure
 from controller.interface import Event, Fault, Notice, Output, Readings, State
 from controller.loop import run
 from controller.metrics import align, band_levels_dB, rate_hardness_N_m, spectral_error_dB
-from controller.prediction import predict, scene_of, speed_weights
+from controller.prediction import predict, scene_of
 from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Imperfections, Simulator
 from controller.truth import Ground, device_of
 from controller.user import Habit, RepeatedTaps, TapUser, Tremor
 from transopt.errors import InputError
-from transopt.library import Library
+from transopt.library import Library, speed_weights
 from transopt.plotting import save_figure
 from transopt.reference import Reference, between
 from transopt.scene import Scene

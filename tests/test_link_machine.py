@@ -15,12 +15,13 @@ from controller.link import Trouble
 from controller.messages import NO_HASH
 from controller.states import OPEN, OVER, SessionState
 from controller.told import Happened
-from tests.device_bench import CONFIGURATION, DT_S, IMAGE, World, image
+from tests.device_bench import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image
 from tests.servo_bench import COUNT_M
 
 ACTIVE = (State.ARMED, State.PLAYING)
 LEASE_MS = 100
-IMAGES = {sha256(data): data for data in (IMAGE, image(speeds=3, samples=100), image(speeds=8, grips=8, samples=200))}
+LIBRARIES = (IMAGE, image(speeds=3, samples=100), image(speeds=8, grips=8, samples=200))
+IMAGES = {sha256(data): data for data in (*LIBRARIES, ONE_WAVEFORM)}
 CALM = Trouble()
 TROUBLES = (
     CALM,
@@ -148,9 +149,24 @@ class Trials(RuleBasedStateMachine):
         self.run_for(0.15)
 
     @precondition(lambda self: self.world.host_alive)
-    @rule(data=st.sampled_from(sorted(IMAGES.values(), key=len)), duration_s=st.sampled_from([0.0, 0.1, 0.5]))
+    @rule(data=st.sampled_from(LIBRARIES), duration_s=st.sampled_from([0.0, 0.1, 0.5]))
     def user_sets_out_to_tap(self, data: bytes, duration_s: float) -> None:
-        """From wherever things stand, as far as they go."""
+        self.set_out(CONFIGURATION, data)
+        self.run_for(duration_s)
+
+    @precondition(lambda self: self.world.host_alive)
+    @rule(negative=st.booleans(), duration_s=st.sampled_from([0.0, 0.01, 0.1]))
+    def user_sets_out_to_sweep(self, negative: bool, duration_s: float) -> None:
+        if self.world.session.state is SessionState.ARMED:
+            self.world.session.disarm()
+            self.run_for(0.05)
+        self.set_out(EXCITED, ONE_WAVEFORM)
+        if self.world.session.state is SessionState.ARMED:
+            self.world.session.start(negative=negative)
+        self.run_for(duration_s)
+
+    def set_out(self, configuration: bytes, data: bytes) -> None:
+        """From wherever things stand to ARMED, as far as they go."""
         session = self.world.session
         if session.state in OVER:
             session.connect(self.world.now_s)
@@ -159,7 +175,7 @@ class Trials(RuleBasedStateMachine):
             session.reset()
             self.run_for(0.05)
         if session.state is SessionState.READY and session.idle:
-            session.configure(CONFIGURATION)
+            session.configure(configuration)
             session.upload(data)
             session.checked()
             # The stylus may be moving just now: a user would try again.
@@ -168,7 +184,6 @@ class Trials(RuleBasedStateMachine):
                 if session.idle and session.state is SessionState.READY:
                     session.arm(1.0, LEASE_MS)
                     self.arms_allowed = 1
-        self.run_for(duration_s)
 
     @precondition(lambda self: self.world.host_alive and self.world.session.state in OPEN)
     @rule(what=st.sampled_from(["disarm", "reset", "telemetry", "stop", "close"]))

@@ -193,8 +193,8 @@ def test_what_it_says_of_itself_is_what_the_block_of_the_sketch_says(teensy: Tee
     assert device.dt_s == pytest.approx(1e-4, rel=1e-6)
     assert device.dt_s == pytest.approx(1e-6 * teensy.c.stub_period_us(), rel=1e-6)
     assert device.capacity_samples == 98304
-    assert device.firmware == 0x10000
-    assert (FIRMWARE / "library.properties").read_text().splitlines()[1] == "version=1.0.0"
+    assert device.firmware == 0x10100
+    assert (FIRMWARE / "library.properties").read_text().splitlines()[1] == "version=1.1.0"
 
 
 def test_every_start_has_another_boot_number(teensy: Teensy) -> None:

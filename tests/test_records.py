@@ -14,7 +14,7 @@ from controller.simulated_records import heat_record, noise_seed, object_record,
 from controller.simulator import Imperfections, Simulator
 from controller.sweep_plan import FREE_LOW_HZ, Purpose, check_plan, sweep_plan
 from controller.truth import Device, Ground, device_of
-from controller.user import StillUser
+from controller.user import StillHand
 from tests.desk import PORT, Desk, Play
 from tests.test_cli import assert_refused
 from transopt.errors import InputError
@@ -36,7 +36,7 @@ def device(scene: Scene) -> Device:
 def stepped(device: Device, grip_N: float, command_A: FloatArray, seed: int) -> FloatArray:
     """(N, 4) readings of the simulator, one period after the other."""
     wrong = replace(WRONG, mismatch=0.0)
-    simulator = Simulator(device, StillUser(grip_N), DT, imperfections=wrong, seed=seed)
+    simulator = Simulator(device, StillHand(grip_N), DT, imperfections=wrong, seed=seed)
     rows = []
     for command in command_A.tolist():
         read = simulator.readings()
@@ -70,7 +70,7 @@ class TestOpenLoop:
 
     def test_mismatch_is_put_on_once(self, scene: Scene, device: Device) -> None:
         """The device of a seed is that of a tap of the same seed."""
-        played = Simulator(device_of(scene), StillUser(3.0), DT, imperfections=WRONG, seed=4)
+        played = Simulator(device_of(scene), StillHand(3.0), DT, imperfections=WRONG, seed=4)
         assert device == played.device
         assert true_device(device_of(scene), WRONG, 5) != device
 
@@ -236,7 +236,9 @@ class TestCommands:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (("sweep", "--out", "x"), "record sweep: name the device"),
+            (("sweep", "--out", "x"), "record sweep: name one device"),
+            (("sweep", "--out", "x", *PORT, "--grips", "1"), "--grips: only with --simulate"),
+            (("sweep", "--out", "x", "--simulate", "--gain", 1), "--gain: only with --port"),
             (("sweep", "--simulate", "--out", "x", "--for", "hand"), "--for hand: must be one of amplifier, device"),
             (("sweep", "--simulate", "--out", "x", "--grips", "a"), "--grips a: must be numbers with commas between"),
             (("sweep", "--simulate", "--out", "x", "--high", 6000), "sweep: high 6000 Hz"),
@@ -253,7 +255,8 @@ class TestCommands:
             (("tap", "--out", "x", "--object", "--simulate", "--grips", "0,3"), "--grips 0: only a sweep"),
             (("tap", "--out", "x", "--object", "--simulate", "--scene", "own_taps"), "states no simulated object"),
             (("tap", "none.npz", "--out", "x", "--simulate"), "none.npz: no such file"),
-            (("heat", "--out", "x"), "record heat: name the device"),
+            (("heat", "--out", "x"), "record heat: name one device"),
+            (("heat", "--simulate"), "record heat: give a folder"),
             (("heat", "--simulate", "--out", "x", "--current", 9), "--current 9: must be 0 to 4 A"),
             (("heat", "--simulate", "--out", "x", "--current", 2), "would pass its limit of 100 C"),
             (("heat", "--simulate", "--out", "x", "--heating", 1, "--cooling", 1), "fewer than ten readings"),

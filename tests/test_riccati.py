@@ -8,6 +8,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import problems
 from problems.simulate import recordings
@@ -19,6 +20,7 @@ from transopt.design import entry_problem, scene_stage
 from transopt.errors import InputError
 from transopt.farkas import is_infeasible
 from transopt.heat import Budget, thermal_limit
+from transopt.linear import layout, linear_stage
 from transopt.parts import pressing, reference_course
 from transopt.preparation import read_recordings
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, Status, TransientProblem
@@ -27,7 +29,9 @@ from transopt.report import build_markdown
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.solvers import SolverOptions, options, riccati, solve
-from transopt.transcribe import state_program
+from transopt.stagewise import Derivatives, Stages, derivatives, runtime_stages
+from transopt.statement import state
+from transopt.transcribe import Shape, state_program
 
 pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is not built")
 
@@ -67,13 +71,41 @@ def hot(scene: Scene) -> Callable[..., TransientProblem]:
     return make
 
 
+def places(given: Stages, shape: Shape) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(rows, N + 1) each: the variable of the program that a row limits, or its row there; -1 for none."""
+    N, kinds = shape.stages, given.limits.kinds
+    place = shape.first + np.arange(N * shape.variables).reshape(N, shape.variables)
+    of_kind = state_program(shape).rows
+    variables, constraints = np.full((2, len(kinds), N + 1), -1)
+    for j, kind in enumerate(kinds):
+        if kind == "winding":
+            variables[j, 1:] = place[:, shape.command + 1]
+            if shape.repeated:
+                variables[j, 0] = 0
+        elif kind == "command":
+            free = given.sizes["free_stages"] if given.problem.wall is None else N
+            variables[j, :free] = place[:free, shape.command]
+        elif kind == "current":
+            variables[j, 1:N] = place[:-1, shape.controls + shape.layout.current]
+        elif kind in ("slew", "size"):
+            variables[j, :N] = place[:, ("slew", "size").index(kind)]
+        else:
+            rows = of_kind[kind]
+            first = N - (rows.stop - rows.start)
+            constraints[j, first:N] = np.arange(rows.start, rows.stop)
+    return variables, constraints
+
+
 class TestStageData:
     @pytest.mark.parametrize("name", SCENES)
-    def test_agrees_with_the_casadi_statement(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
-        """Objective and every limit at a random point, to 1e-12 of their size."""
+    @pytest.mark.parametrize("read", [riccati.stages, runtime_stages])
+    def test_agrees_with_the_casadi_statement(
+        self, hardest: Callable[[str], TransientProblem], name: str, read: Callable[[TransientProblem], Stages]
+    ) -> None:
+        """Objective and every limit at a random point, to 1e-12 of their size; what the runtime has as well."""
         problem = hardest(name)
-        given = riccati.stages(problem)
-        statement, limits, a = given.statement, given.limits, given.arrays
+        given, statement = read(problem), state(problem)
+        limits, a = given.limits, given.arrays
         shape, program = statement.shape, state_program(statement.shape)
         N, n, m = shape.stages, shape.layout.states, shape.nodes
         random = np.random.default_rng(3)
@@ -99,32 +131,53 @@ class TestStageData:
         row[:-1] += np.outer(u, a["d"]) + np.outer(size, a["d_size"])
         if m:
             row[:, 0] = rise[:, 0]
-        for index, stated in ((limits.variables.T, point), (limits.constraints.T, g)):
-            where = index >= 0
+        for index, stated in zip(places(given, shape), (point, g), strict=True):
+            where = index.T >= 0
             scaled = (row * limits.unit)[where]
             np.testing.assert_allclose(
-                scaled, stated[index[where]], rtol=0, atol=1e-12 * max(np.abs(scaled).max(initial=1), 1)
+                scaled, stated[index.T[where]], rtol=0, atol=1e-12 * max(np.abs(scaled).max(initial=1), 1)
             )
 
     @pytest.mark.parametrize("name", SCENES)
-    def test_no_limit_of_the_statement_is_forgotten(
+    def test_the_runtime_has_the_derivatives_of_the_statement(
         self, hardest: Callable[[str], TransientProblem], name: str
     ) -> None:
-        """Every finite bound stands in exactly one row, but those of a plain hand-over, which is a rule."""
+        """Written out by hand, they are those that CasADi takes, to 1e-12 of the largest of each."""
         problem = hardest(name)
-        given = riccati.stages(problem)
-        statement, limits = given.statement, given.limits
-        shape = statement.shape
+        stage = linear_stage(problem)
+        stated, by_hand = riccati.derivatives(problem, stage), derivatives(problem, stage, layout(problem))
+        for field in fields(Derivatives):
+            wanted = getattr(stated, field.name)
+            tolerance = 1e-12 * max(np.abs(wanted).max(), 1.0)
+            np.testing.assert_allclose(getattr(by_hand, field.name), wanted, rtol=0, atol=tolerance)
+
+    @pytest.mark.parametrize("name", SCENES)
+    def test_every_limit_of_the_statement_stands_in_one_row(
+        self, hardest: Callable[[str], TransientProblem], name: str
+    ) -> None:
+        """With its bounds; but for those of a plain hand-over, which is a rule."""
+        problem = hardest(name)
+        given, statement = riccati.stages(problem), state(problem)
+        shape, limits = statement.shape, given.limits
+        variables, constraints = places(given, shape)
         bounded = np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x)
         if problem.wall is None:
             tail = shape.first + np.arange(problem.free_stages, shape.stages) * shape.variables + shape.command
             bounded[tail] = False
         if shape.repeated:
             bounded[1 : shape.first] = False  # a housing above the surroundings follows from the winding's
-        stated = np.sort(limits.variables[limits.variables >= 0])
-        np.testing.assert_array_equal(stated, np.flatnonzero(bounded))
-        inequalities = np.flatnonzero(statement.lower_g < statement.upper_g)
-        np.testing.assert_array_equal(np.sort(limits.constraints[limits.constraints >= 0]), inequalities)
+        inequalities = statement.lower_g < statement.upper_g
+        for index, stated, lower, upper in (
+            (variables, bounded, statement.lower_x, statement.upper_x),
+            (constraints, inequalities, statement.lower_g, statement.upper_g),
+        ):
+            np.testing.assert_array_equal(np.sort(index[index >= 0]), np.flatnonzero(stated))
+            for own, wanted in ((limits.lower, lower), (limits.upper, upper)):
+                found = (own * limits.unit).T[index >= 0]
+                np.testing.assert_allclose(found, wanted[index[index >= 0]], rtol=1e-12)
+        nowhere = (variables < 0) & (constraints < 0)
+        assert np.all(np.isinf(limits.lower.T[nowhere]))
+        assert np.all(np.isinf(limits.upper.T[nowhere]))
 
 
 class TestAnswers:

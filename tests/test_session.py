@@ -10,8 +10,8 @@ from controller.image import image_of, sha256
 from controller.interface import Fault, Notice, Readings, State
 from controller.limits import Capacity
 from controller.link import Trouble
-from controller.session import SILENCE_S, MisuseError, Session
-from controller.states import OVER, SEEN, TRANSITIONS, SessionState, Trigger
+from controller.session import SILENCE_S, Session
+from controller.states import OVER, SEEN, TRANSITIONS, MisuseError, SessionState, Trigger
 from controller.told import (
     Cause,
     Changed,
@@ -222,7 +222,7 @@ def test_a_foreign_device_and_another_version_are_named() -> None:
         (ended,) = session.receive(encode(reply), 1.1)
         assert isinstance(ended, Ended)
         assert ended.cause is cause
-        assert ("it speaks 9, the host 1" in str(ended)) == (protocol == 9)
+        assert (f"it speaks 9, the host {m.PROTOCOL}" in str(ended)) == (protocol == 9)
 
 
 def test_a_device_tells_another_version_its_own() -> None:
@@ -243,6 +243,7 @@ MISUSES: list[tuple[str, Act]] = [
     ("connect", lambda s: s.connect(1.0)),
     ("upload", lambda s: (s.upload(IMAGE), s.upload(image(speeds=3)))),
     ("arm", lambda s: s.arm(1.0)),
+    ("start", lambda s: s.start()),
 ]
 
 
@@ -354,6 +355,7 @@ def test_the_table_of_states_is_closed() -> None:
             assert not any((state, seen) in TRANSITIONS for seen in SEEN.values())
     assert (SessionState.CONNECTING, Trigger.ACTIVE_SEEN) not in TRANSITIONS
     assert [state for state in SessionState if (state, Trigger.ARM) in TRANSITIONS] == [SessionState.READY]
+    assert [state for state in SessionState if (state, Trigger.START) in TRANSITIONS] == [SessionState.ARMED]
 
 
 def test_changes_of_the_device_are_told_once() -> None:

@@ -375,7 +375,7 @@ class TestRealTap:
         """Another integrator (explicit Runge-Kutta there), other coordinates, the same physics."""
         target = scene.recordings.simulated
         assert target is not None
-        struck = strike_real(scene, target, 0.3, target.grip_N, 40e-3)
+        struck = strike_real(device_of(scene), target, 0.3, target.grip_N, 40e-3, scene.time.dt_s)
         plant = scene.plant(target.grip_N, struck=True)
         times, [expected], [encoder] = strike(plant, target, np.array([0.3]), 40e-3)
         after = (struck.times_s >= 0) & (struck.times_s <= times[-1])

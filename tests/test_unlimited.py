@@ -5,14 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.conftest import ProblemMaker
+from tests.conftest import ProblemMaker, WalledMaker
+from transopt import native
 from transopt.certify import certify
-from transopt.discretise import discretise
+from transopt.discretise import Motion, discretise
 from transopt.models import Link, chain
+from transopt.parts import pressing, reference_course
 from transopt.problem import Limits, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import SolverOptions, riccati_lq, solve, sparse_kkt, unlimited
 from transopt.solvers.riccati_lq import BLOCK, Gains, Pass, Tracking
+from transopt.stagewise import without_limits
+from transopt.weighting import error_filter
 
 
 def random_tracking(stages: int, ny: int, rule_stages: int) -> Tracking:
@@ -220,6 +224,7 @@ class TestWhenThePassFallsShort:
     @staticmethod
     def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
         exact = riccati_lq.Pass.factored
+        monkeypatch.setattr(native, "available", False)
 
         def spoilt(run: Pass) -> Gains:
             gains = exact(run)
@@ -271,3 +276,55 @@ def test_blocks_are_filled_up(make_problem: ProblemMaker) -> None:
         assert answer.message == "Riccati pass"
         np.testing.assert_allclose(answer.command_A, other.command_A, atol=1e-10)
         np.testing.assert_allclose(answer.multipliers.hand_over, other.multipliers.hand_over, atol=1e-12)
+
+
+@pytest.mark.skipif(not native.available, reason="the extension is not built")
+class TestCompiledPass:
+    """The pass of the extension against the one in CasADi's virtual machine, and its cached gains."""
+
+    @staticmethod
+    def difference(problem: TransientProblem) -> float:
+        own, other = unlimited.solve(problem), unlimited.solve_in_casadi(problem)
+        assert own.message == "Riccati pass"
+        np.testing.assert_allclose(
+            own.multipliers.hand_over,
+            other.multipliers.hand_over,
+            rtol=0,
+            atol=1e-8 * max(np.abs(other.multipliers.hand_over).max(), 1e-6),
+        )
+        return float(np.abs(own.command_A - other.command_A).max() / np.abs(other.command_A).max())
+
+    @pytest.mark.parametrize("ideal", [False, True])
+    @pytest.mark.parametrize("stages", [11, 600])
+    def test_agrees_with_the_other(self, make_problem: ProblemMaker, ideal: bool, stages: int) -> None:
+        assert self.difference(make_problem(0.4, 3.0, ideal=ideal, stages=stages)) < 1e-9
+
+    def test_over_a_wall_whose_hand_over_moves(self, walled: WalledMaker) -> None:
+        problem = walled(300, 0.3)
+        problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        assert problem.hand_over_command(Motion.zero(problem.grid.stages)).any()
+        assert self.difference(problem) < 1e-9
+
+    def test_with_several_devices_and_an_error_filter(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.3, 3.0)
+        problem = replace(
+            problem,
+            spread=(make_problem(0.3, 1.0).stage, make_problem(0.3, 5.0).stage),
+            error_filter=error_filter("pacinian", problem.grid.dt_s),
+        )
+        assert self.difference(problem) < 1e-9
+
+    def test_cached_gains_serve_any_reference_of_that_weight(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.2, 3.0)
+        r = problem.reference_m_s2
+        other = replace(problem, reference_m_s2=np.roll(r, 7))
+        run = native.LinearPass(without_limits(problem))
+        assert run.solve(unlimited.GAP).code == native.SOLVED
+        run.reference[:] = np.roll(run.reference, 7)
+        assert run.solve(unlimited.GAP).code == native.SOLVED
+        np.testing.assert_array_equal(run.command_A(), unlimited.solve(other).command_A)
+
+    def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.2, 3.0, stages=30)
+        run = native.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))
+        assert all(run.solve(unlimited.GAP).code not in (native.SOLVED, native.ACCURACY) for _ in range(2))

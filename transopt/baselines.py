@@ -1,11 +1,11 @@
 """The two methods that the optimum is compared with in every table."""
 
 import numpy as np
-from scipy import fft
+from scipy import fft, interpolate
 
 from transopt.amplifier import prefilter
 from transopt.discretise import StageModel, TimeGrid
-from transopt.signals import FloatArray, Signal
+from transopt.signals import FloatArray
 
 PADDING = 2  # the record is zero-padded to this many times its length
 REST_S = 2e-3  # before the first tick, where the wanted current is zero
@@ -20,20 +20,25 @@ def seed_inversion(
     hold nor the amplifier's delay is compensated, as in the seed. G vanishes at 0 Hz, which leaves the mean
     current open: it is chosen so that no current flows before contact, which favours this method.
 
+    Parameters
+    ----------
+    reference_m_s2 : (..., N).
+
     Returns
     -------
-    (N,) commands [A], faded out over the last `taper_samples`.
+    (..., N) commands [A], faded out over the last `taper_samples`.
     """
     N = grid.stages
-    at_ticks = Signal(float(grid.switching_times_s[0]), grid.dt_s, reference_m_s2).at(grid.issue_times_s)
+    spline = interpolate.CubicSpline(grid.switching_times_s, reference_m_s2, axis=-1, extrapolate=False)
+    at_ticks = np.nan_to_num(spline(grid.issue_times_s), nan=0.0)
     length = fft.next_fast_len(PADDING * N, real=True)
     frequencies = fft.rfftfreq(length, grid.dt_s)
     spectrum = fft.rfft(at_ticks, length)
     current = np.zeros_like(spectrum)
-    current[1:] = spectrum[1:] / stage.plant.response(frequencies[1:])
+    current[..., 1:] = spectrum[..., 1:] / stage.plant.response(frequencies[1:])
     periodic = fft.irfft(current, length)
-    wanted = periodic[:N] - periodic[-max(round(REST_S / grid.dt_s), 1) :].mean()
-    wanted[-taper_samples:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, taper_samples + 1) / taper_samples))
+    wanted = periodic[..., :N] - periodic[..., -max(round(REST_S / grid.dt_s), 1) :].mean(axis=-1, keepdims=True)
+    wanted[..., -taper_samples:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, taper_samples + 1) / taper_samples))
     wanted = np.clip(wanted, -current_limit_A, current_limit_A)
     return _play(stage, grid, wanted)
 
@@ -41,18 +46,19 @@ def seed_inversion(
 def clipped_optimum(
     stage: StageModel, grid: TimeGrid, unlimited_command_A: FloatArray, current_limit_A: float
 ) -> FloatArray:
-    """The unlimited optimum with its current cut at the limit, hold and delay compensated exactly.
+    """The unlimited optimum (..., N) with its current cut at the limit, hold and delay compensated exactly.
 
     Returns
     -------
-    (N,) commands [A].
+    (..., N) commands [A].
     """
     _, current = stage.rollout(unlimited_command_A)
     wanted = np.clip(current, -current_limit_A, current_limit_A)
     if stage.amplifier is None:
         return wanted
     # c_k carries the current from tau_k to tau_(k+1); the last command is zero, as in every waveform.
-    return np.append(_play(stage, grid, wanted[1:]), 0.0)
+    after = _play(stage, grid, wanted[..., 1:])
+    return np.concatenate([after, np.zeros((*after.shape[:-1], 1))], axis=-1)
 
 
 def _play(stage: StageModel, grid: TimeGrid, wanted_A: FloatArray) -> FloatArray:

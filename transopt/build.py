@@ -14,6 +14,8 @@ import numpy as np
 from transopt.design import Entry, design_grip
 from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
+from transopt.identified import PARTS
+from transopt.identified_model import Identified
 from transopt.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library, shared_left_out, temperature_is_in
 from transopt.problem import Status
 from transopt.recording import Recording
@@ -199,7 +201,10 @@ def _meta(
         "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
         "scene": scene.model_dump(mode="json"),
         "solver": asdict(options),
-        "sources": [source for r in references if r.between_m_s is None for source in _sources(scene, r)],
+        "sources": [
+            *(source for r in references if r.between_m_s is None for source in _sources(scene, r)),
+            *_model_sources(scene),
+        ],
         "versions": {
             **{name: metadata.version(name) for name in ("transopt", "casadi", "numpy", "scipy")},
             "python": platform.python_version(),
@@ -221,6 +226,23 @@ def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
         "recorded_speeds_m_s": recorded.speeds_m_s,
         "scene_grips_N": recorded.grips_N,
     }
+
+
+def _model_sources(scene: Scene) -> list[dict[str, Any]]:
+    """The model file, and what its parts were fitted to; nothing for a model that the scene states itself."""
+    if not isinstance(scene.model, Identified):
+        return []
+    own = {"file": scene.model.file, "origin": "model file", "sha256": scene.model.sha256}
+    parts = {name: getattr(scene.model, name) for name in PARTS}
+    return [
+        own,
+        *(
+            {**source.model_dump(), "origin": f"{name} of {scene.model.file} was identified from it"}
+            for name, part in parts.items()
+            if part is not None
+            for source in part.sources
+        ),
+    ]
 
 
 def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:

@@ -227,6 +227,7 @@ def solve(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.build import build_library
+    from transopt.identified_report import model_warning
     from transopt.refine import check_tolerance, refine_grid
     from transopt.solvers import SolverOptions, check_name, default_solver
     from transopt.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
@@ -282,6 +283,8 @@ def solve(
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
     if aftermath(build):
         console.print(aftermath(build), style="yellow", highlight=False, soft_wrap=True)
+    if model_warning(build):
+        console.print(model_warning(build), style="yellow", highlight=False, soft_wrap=True)
     for entry in build.refused:
         message = f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}"
         console.print(message, style="red", highlight=False, soft_wrap=True)

@@ -13,7 +13,7 @@ from transopt.parts import thermal_of
 from transopt.price import Price, prices
 from transopt.problem import Certificate, Solution, Status, TransientProblem, verdict
 from transopt.reference import Reference
-from transopt.replay import Replay, replay
+from transopt.replay import Replay, replay, replayed_errors
 from transopt.scene import Scene
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions
@@ -105,7 +105,9 @@ class Entry:
 
 def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
     """Parts that the scene does not ask for."""
-    idle = int(np.sum(~acting_states(problem.stage.plant)))
+    plant = problem.stage.plant
+    # A black box has no position, and the state of its other grip that a node does not need is none.
+    idle = int(np.sum(~acting_states(plant))) if plant.Ce.any() else 0
     parts = {
         "feedback": (problem.wall is None, "the scene has no wall"),
         "position": (
@@ -127,6 +129,11 @@ def scene_stage(scene: Scene, grip_N: float) -> StageModel:
     return discretise(
         scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s, position=scene.feedback is not None
     )
+
+
+def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
+    """Further devices that the commands of one grip shall serve."""
+    return tuple(scene_stage(of, grip) for of, grip in scene.spread(grip_N))
 
 
 def entry_problem(
@@ -164,13 +171,13 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     Solved one by one with one solver object; the optimum and the baselines of all speeds are replayed together.
     """
     stage = scene_stage(scene, grip_N)
-    spread = tuple(scene_stage(scene, grip) for grip in scene.spread_grips_N(grip_N))
+    spread = spread_stages(scene, grip_N)
     designed = [optimum(entry_problem(scene, stage, reference, spread), options) for reference in references]
     replays = replayed(scene.coil(), designed)
-    rivals = rivals_replayed(scene.coil(), scene.limits.steady_current_A, designed)
+    rivals = rivals_errors(scene.limits.steady_current_A, designed)
     return [
-        _entry(scene, grip_N, reference, d, played, rivals[4 * j : 4 * (j + 1)], options)
-        for j, (reference, d, played) in enumerate(zip(references, designed, replays, strict=True))
+        _entry(scene, grip_N, reference, d, played, baselines, options)
+        for reference, d, played, baselines in zip(references, designed, replays, rivals, strict=True)
     ]
 
 
@@ -195,23 +202,21 @@ def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Repla
     )
 
 
-def rivals_replayed(coil: CoilModel | None, steady_current_A: float, designed: Sequence[Designed]) -> list[Replay]:
-    """Replays of the four baselines of each entry: seed and clipped, at its transient limit and at the steady one."""
-    problems = [d.problem for d in designed]
-    rivals = np.stack(
-        [c for d in designed for A in (d.problem.limits.current_A, steady_current_A) for c in _rivals(d, A)]
-    )
-    references = np.repeat([problem.reference_m_s2 for problem in problems], 4, axis=0)
-    each = [p.thermal.budget for p in problems if p.thermal is not None for _ in range(4)]
-    return replay(problems[0].stage, problems[0].grid, rivals, references, coil, budgets=each or None)
-
-
-def _rivals(designed: Designed, limit_A: float) -> tuple[FloatArray, FloatArray]:
-    stage, grid, reference = designed.problem.stage, designed.problem.grid, designed.problem.reference_m_s2
-    return (
-        seed_inversion(stage, grid, reference, limit_A, designed.problem.hand_over_samples),
-        clipped_optimum(stage, grid, designed.unlimited_command_A, limit_A),
-    )
+def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list[Baselines]:
+    """The two other methods of each entry, at its transient limit and at the steady one, replayed."""
+    first = designed[0].problem
+    references = np.stack([d.problem.reference_m_s2 for d in designed])
+    free = np.stack([d.unlimited_command_A for d in designed])
+    played = [
+        rival
+        for limit_A in (first.limits.current_A, steady_current_A)
+        for rival in (
+            seed_inversion(first.stage, first.grid, references, limit_A, first.hand_over_samples),
+            clipped_optimum(first.stage, first.grid, free, limit_A),
+        )
+    ]
+    errors = replayed_errors(first.stage, first.grid, np.concatenate(played), np.tile(references, (len(played), 1)))
+    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(len(played), -1).T]
 
 
 def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: FloatArray) -> SpreadErrors | None:
@@ -233,14 +238,13 @@ def _entry(
     reference: Reference,
     designed: Designed,
     played: Replay,
-    rivals: Sequence[Replay],
+    baselines: Baselines,
     options: SolverOptions,
 ) -> Entry:
     problem, solution = designed.problem, designed.solution
     command = solution.command_A
     predicted, current = problem.stage.rollout(command)
     status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
-    seed, clipped, seed_steady, clipped_steady = (rival.nrmse for rival in rivals)
     spread = None
     if problem.spread and status is Status.OPTIMAL:
         nominal = optimum(replace(problem, spread=()), options).solution.command_A
@@ -257,7 +261,7 @@ def _entry(
         transient_command_A=problem.transient_command(command),
         floor=designed.floor,
         free_peak_A=designed.free_peak_A,
-        baselines=Baselines(seed, clipped, seed_steady, clipped_steady),
+        baselines=baselines,
         repeatability=reference.repeatability,
         status=status,
         shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],

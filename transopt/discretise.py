@@ -1,11 +1,13 @@
 """Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from transopt import recursion
 from transopt.amplifier import Amplifier
 from transopt.errors import InputError
 from transopt.models import StateSpace
@@ -101,13 +103,33 @@ class StageModel:
         """Whole servo periods in the amplifier's delay."""
         return 0 if self.amplifier is None else split_delay(self.amplifier.delay_s, self.dt_s)[0]
 
-    def _states(self, command_A: FloatArray) -> FloatArray:
-        """(N, n, M) states before each of N stages for commands (M, N)."""
-        M, N = command_A.shape
-        x = np.zeros((N, self.A.shape[0], M), dtype=np.result_type(self.A, command_A))
-        for k in range(N - 1):
-            x[k + 1] = self.A @ x[k] + self.B * command_A[:, k]
-        return x
+    @cached_property
+    def _forwards(self) -> FloatArray:
+        return recursion.constant_band(self.A)
+
+    @cached_property
+    def _backwards(self) -> FloatArray:
+        return recursion.constant_band(self.A.T)
+
+    @cached_property
+    def _outputs(self) -> tuple[FloatArray, FloatArray]:
+        """(rows, n), (rows,) what makes a motion of a state and of the command felt with it."""
+        nothing = np.zeros((1, 1), dtype=self.A.dtype)
+        rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
+        if self.Cp is not None and self.Dp is not None:
+            rows, direct = [*rows, self.Cp], [*direct, self.Dp]
+        return np.concatenate(rows), np.concatenate(direct)[:, 0]
+
+    def states(self, command_A: FloatArray) -> FloatArray:
+        """(N, n) states at the switching instants for one held command (N,)."""
+        dtype = np.result_type(self.A, command_A)
+        forcing = np.zeros((command_A.size, self.A.shape[0]), dtype=dtype)
+        forcing[1:] = command_A[:-1, None] * self.B[:, 0]
+        if dtype == np.float64:
+            return recursion.run(self.A, self._forwards, forcing)
+        for k in range(1, command_A.size):  # no library has extended precision
+            forcing[k] += self.A @ forcing[k - 1]
+        return forcing
 
     def motion(self, command_A: FloatArray) -> Motion:
         """Everything a held command does.
@@ -116,21 +138,13 @@ class StageModel:
         ----------
         command_A : (..., N).
         """
+        rows, direct = self._outputs
         c = command_A.reshape(-1, command_A.shape[-1])
-        x = self._states(c)
-
-        def output(row: FloatArray, direct: FloatArray | None) -> FloatArray:
-            values = np.einsum("n,knm->mk", row[0], x)
-            if direct is not None:
-                values = values + direct[0, 0] * c
-            return np.asarray(values.reshape(command_A.shape))
-
-        return Motion(
-            acceleration_m_s2=output(self.C, self.D),
-            current_A=output(self.Ci, self.Di),
-            velocity_m_s=output(self.Cv, None),
-            encoder_m=np.zeros(command_A.shape) if self.Cp is None else output(self.Cp, self.Dp),
-        )
+        found = [self.states(each) @ rows.T + each[:, None] * direct for each in c]
+        # (..., N) each, row after row of the outputs.
+        values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command_A.shape)
+        acceleration, current, velocity = values[:3]
+        return Motion(acceleration, current, velocity, np.zeros(command_A.shape) if self.Cp is None else values[3])
 
     def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
@@ -163,19 +177,18 @@ class StageModel:
 
         The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
-        rows = [(self.C, self.D, gradient.acceleration_m_s2), (self.Ci, self.Di, gradient.current_A)]
-        rows.append((self.Cv, np.zeros((1, 1)), gradient.velocity_m_s))
-        if self.Cp is not None and self.Dp is not None:
-            rows.append((self.Cp, self.Dp, gradient.encoder_m))
-        stacked = np.stack([row[0] for row, _, _ in rows], axis=1)
-        by_output = np.stack([values for _, _, values in rows], axis=1)
-        forcing = by_output @ stacked.T
-        by_command = by_output @ np.array([direct[0, 0] for _, direct, _ in rows])
-        costate = np.zeros(self.A.shape[0])
-        A_T, B = self.A.T.copy(), self.B[:, 0]
-        for k in range(forcing.shape[0] - 1, -1, -1):
-            by_command[k] += costate @ B
-            costate = A_T @ costate + forcing[k]
+        rows, direct = self._outputs
+        by_output = [gradient.acceleration_m_s2, gradient.current_A, gradient.velocity_m_s]
+        stacked = np.stack([*by_output, gradient.encoder_m][: direct.size], axis=1)
+        forcing = stacked @ rows
+        if forcing.dtype == np.float64:
+            costate = recursion.run(self.A.T, self._backwards, forcing[::-1])[::-1]
+        else:
+            costate = forcing
+            for k in range(costate.shape[0] - 2, -1, -1):
+                costate[k] += self.A.T @ costate[k + 1]
+        by_command = stacked @ direct
+        by_command[:-1] += costate[1:] @ self.B[:, 0]
         return np.asarray(by_command)
 
 

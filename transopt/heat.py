@@ -1,6 +1,7 @@
 """The winding's temperature over one transient, as the optimal-control problem states it (DESIGN 3.3)."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -8,6 +9,7 @@ from scipy import linalg
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
+from transopt.recursion import band, constant_band, run, substitute
 from transopt.signals import FloatArray
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
@@ -110,17 +112,21 @@ class HeatModel:
         P[:, :, 0] += self.b * (self.copper * h)[:, None]
         return P, self.b * (self.gain * h)[:, None]
 
-    def start(self, h: FloatArray) -> FloatArray:
+    def _course(self, lower: FloatArray, P: FloatArray, s: FloatArray, start: FloatArray) -> FloatArray:
+        """(N, m) rises at tau_1 to tau_N of th+ = P th + s, `lower` its band."""
+        forcing = s.copy()
+        forcing[0] += P[0] @ start
+        return substitute(lower, forcing)
+
+    def _start(self, lower: FloatArray, P: FloatArray, s: FloatArray) -> FloatArray:
         """(m,) rise at the first switching instant."""
         if self.closure is None:
             return np.zeros(self.nodes)
-        P, s = self._maps(h)
-        transition, offset = np.eye(self.nodes), np.zeros(self.nodes)
+        F, f = self.closure
+        units = [self._course(lower, P, np.zeros_like(s), unit)[-1] for unit in np.eye(self.nodes)]
+        offset = self._course(lower, P, s, np.zeros(self.nodes))[-1]
         with np.errstate(over="ignore", invalid="ignore"):  # a runaway, which the next test sees
-            for step, addition in zip(P, s, strict=True):
-                transition, offset = step @ transition, step @ offset + addition
-            F, f = self.closure
-            period = F @ transition
+            period = F @ np.stack(units, axis=1)
         if not (np.all(np.isfinite(period)) and np.abs(np.linalg.eigvals(period)).max() < 1):
             # Thermal runaway: every tap leaves it hotter. The fixed point lies below absolute zero and is never seen.
             return np.full(self.nodes, np.inf)
@@ -129,38 +135,40 @@ class HeatModel:
     def rise(self, h: FloatArray) -> FloatArray:
         """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]; infinite without a steady state."""
         P, s = self._maps(h)
-        course = np.full((h.size + 1, self.nodes), np.inf)
-        course[0] = self.start(h)
-        if not np.all(np.isfinite(course[0])):
-            return course
-        with np.errstate(over="ignore", invalid="ignore"):  # currents far outside every limit
-            for k in range(h.size):
-                course[k + 1] = P[k] @ course[k] + s[k]
-        return course
+        lower = _band(P)
+        start = self._start(lower, P, s)
+        if not np.all(np.isfinite(start)):
+            return np.full((h.size + 1, self.nodes), np.inf)
+        return np.concatenate([start[None], self._course(lower, P, s, start)])
 
     def adjoint(self, h: FloatArray, by_winding: FloatArray) -> FloatArray:
         """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,)."""
         course = self.rise(h)
         P, _ = self._maps(h)
-        N, m = h.size, self.nodes
+        lower, m = _band(P), self.nodes
 
         def backwards(at_end: FloatArray, forcing: FloatArray) -> FloatArray:
-            nu = np.empty((N + 1, m))
-            nu[N] = at_end
-            for k in range(N - 1, -1, -1):
-                nu[k + 1, 0] += forcing[k]
-                nu[k] = P[k].T @ nu[k + 1]
-            return nu
+            """(N, m) gradients by th_1 to th_N."""
+            by_rise = np.zeros((h.size, m))
+            by_rise[:, 0] = forcing
+            by_rise[-1] += at_end
+            return substitute(lower, by_rise, transposed=True)
 
         end = np.zeros(m)
         if self.closure is not None:
             F, _ = self.closure
             # What th_0 weighs comes back to th_N through the pause: nu_N = F' nu_0, a fixed point.
-            free = backwards(end, by_winding)[0]
-            transition = np.stack([backwards(unit, np.zeros(N))[0] for unit in np.eye(m)], axis=1)
+            free = P[0].T @ backwards(end, by_winding)[0]
+            silent = np.zeros(h.size)
+            transition = np.stack([P[0].T @ backwards(unit, silent)[0] for unit in np.eye(m)], axis=1)
             end = np.linalg.solve(np.eye(m) - F.T @ transition, F.T @ free)
         nu = backwards(end, by_winding)
-        return np.asarray((nu[1:] @ self.b) * (self.gain + self.copper * course[:-1, 0]))
+        return np.asarray((nu @ self.b) * (self.gain + self.copper * course[:-1, 0]))
+
+
+def _band(P: FloatArray) -> FloatArray:
+    """Of th_(k+1) = P_k th_k over k = 1..N-1: the first step starts from th_0, which is no unknown."""
+    return band(np.concatenate([P[1:], P[:1]]))
 
 
 @dataclass(frozen=True)
@@ -268,6 +276,7 @@ def _under_power(coil: CoilModel, held: FloatArray, effective_A: float) -> Float
     return found
 
 
+@lru_cache(maxsize=64)  # all entries of a scene without a wall have the same
 def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> ThermalLimit:
     """The temperature limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
     flow, inflow = coil.flow()
@@ -284,9 +293,9 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
         waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
         above = waiting[:m, :m] @ start + waiting[:m, m]
-        for k in range(N + 1):
-            unpowered[k] += above[0]
-            above = M @ above
+        cooling = np.zeros((N + 1, m))
+        cooling[0] = above
+        unpowered += run(M, constant_band(M), cooling)[:, 0]
     else:
         pause = _under_power(coil, held, budget.pause_A + PWM_RIPPLE_A)
         pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s

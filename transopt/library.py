@@ -153,9 +153,17 @@ class Waveform:
     silent: bool
 
 
-def _weights(nodes: FloatArray, value: float) -> FloatArray:
+def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
     """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
     return np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
+
+
+def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
+    """(nv,) weights by which references of the nodes make that of a speed on the grid (`transopt.reference.between`).
+
+    r = v ((1 - w) r_1 / v_1 + w r_2 / v_2): the shape r / v is linear in speed.
+    """
+    return np.asarray(speed_m_s * interpolation_weights(nodes_m_s, speed_m_s) / nodes_m_s)
 
 
 @dataclass(frozen=True)
@@ -250,18 +258,44 @@ class Library:
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
-        meta, grid, amplifier, coil, wall = self.meta, self.time_grid(), self.amplifier(), self.coil(), self.wall()
+        by_speed = np.eye(self.speeds_m_s.size)[iv]
+        stage = self.stage(ig) if stage is None else stage
+        speed, correction = float(self.speeds_m_s[iv]), self.correction_m_s2[iv, ig]
+        problem = self.posed(speed, by_speed, correction, stage, self.spread(ig), self.coil())
+        if problem.wall is None:
+            return problem
+        return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
+
+    def posed(
+        self,
+        speed_m_s: float,
+        by_speed: FloatArray,
+        correction_m_s2: FloatArray,
+        stage: StageModel,
+        spread: tuple[StageModel, ...],
+        coil: CoilModel | None,
+    ) -> TransientProblem:
+        """The problem of a tap with these limits; a wall pushes where the nominal motion is under the surface.
+
+        Parameters
+        ----------
+        by_speed : (nv,) weights of the nodes' references and nominal motions, see `speed_weights`.
+        correction_m_s2 : (N,) that is asked for beside the reference.
+        """
+        meta, grid, amplifier, wall = self.meta, self.time_grid(), self.amplifier(), self.wall()
         limits, supply, hand_over = meta["limits"], None, None
+        reference = by_speed @ self.reference_m_s2
         if limits["supply_V"] is not None and amplifier is not None:
             circuit = Circuit(**meta["circuit"])
-            supply = Supply(limits["supply_V"], circuit, amplifier.rate_rad_s, self.nominal_velocity_m_s[iv])
+            velocity = by_speed @ self.nominal_velocity_m_s
+            supply = Supply(limits["supply_V"], circuit, amplifier.rate_rad_s, velocity)
         if wall is not None:
-            nominal = self.nominal_position_at_ticks_m[iv]
-            hand_over = HandOver(wall, nominal, float(self.speeds_m_s[iv]), nominal < 0)
-        problem = TransientProblem(
-            stage=self.stage(ig) if stage is None else stage,
+            nominal = by_speed @ self.nominal_position_at_ticks_m
+            hand_over = HandOver(wall, nominal, speed_m_s, nominal < 0)
+        return TransientProblem(
+            stage=stage,
             grid=grid,
-            reference_m_s2=self.reference_m_s2[iv] + self.correction_m_s2[iv, ig],
+            reference_m_s2=reference + correction_m_s2,
             tracking_weights=np.asarray(meta["weights"]["tracking"], dtype=float),
             rho=meta["weights"]["rho"],
             limits=Limits(
@@ -272,13 +306,10 @@ class Library:
             hand_over_samples=meta["hand_over_samples"],
             supply=supply,
             wall=hand_over,
-            thermal=thermal_of(coil, amplifier, grid, self.budget(), hand_over, self.reference_m_s2[iv]),
+            thermal=thermal_of(coil, amplifier, grid, self.budget(), hand_over, reference),
             error_filter=error_filter(meta["weights"]["error_filter"], grid.dt_s),
-            spread=self.spread(ig),
+            spread=spread,
         )
-        if wall is None:
-            return problem
-        return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         return Multipliers(**{name: getattr(self, field)[iv, ig] for name, field in MULTIPLIER_FIELDS.items()})
@@ -299,10 +330,10 @@ class Library:
             raise InputError(f"speed {speed_m_s} m/s, grip {grip_N} N: both must be finite numbers")
         speed = float(np.clip(speed_m_s, self.speeds_m_s[0], self.speeds_m_s[-1]))
         grip = float(np.clip(grip_N, self.grips_N[0], self.grips_N[-1]))
-        by_speed, by_grip = _weights(self.speeds_m_s, speed), _weights(self.grips_N, grip)
+        by_speed, by_grip = interpolation_weights(self.speeds_m_s, speed), interpolation_weights(self.grips_N, grip)
         silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"])
         command, transient = (
-            np.einsum("v,g,vgk->k", by_speed, by_grip, waveforms) * (0.0 if silent else 1.0)
+            np.tensordot(np.outer(by_speed, by_grip), waveforms, 2) * (0.0 if silent else 1.0)
             for waveforms in (self.command_A, self.transient_command_A)
         )
         return Waveform(command, transient, speed, grip, speed != speed_m_s, grip != grip_N, silent)

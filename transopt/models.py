@@ -47,6 +47,20 @@ class StateSpace:
         return np.asarray((self.C @ np.linalg.solve(shifted, self.B) + self.D)[:, 0, 0])
 
 
+def blended(one: StateSpace, other: StateSpace, share: float) -> StateSpace:
+    """Both models side by side, their outputs weighted 1 - `share` and `share`; the orders add."""
+    n, m = one.order, other.order
+    A = np.zeros((n + m, n + m))
+    A[:n, :n], A[n:, n:] = one.A, other.A
+    return StateSpace(
+        A=A,
+        B=np.vstack([one.B, other.B]),
+        C=np.hstack([(1 - share) * one.C, share * other.C]),
+        D=(1 - share) * one.D + share * other.D,
+        Ce=np.hstack([(1 - share) * one.Ce, share * other.Ce]),
+    )
+
+
 @dataclass(frozen=True)
 class Link:
     """Spring and damper between two neighbours of a chain, or between the last mass and the ground."""
@@ -144,13 +158,20 @@ SEED_HAND_DAMPING_N_S_M = LinearInGrip(6.713, 0.369)  # seed Eq. 4
 SEED_HAND_STIFFNESS_N_M = LinearInGrip(75.65, 14.72)  # seed Eq. 5
 
 
-def second_order(grip_N: float, *, force_per_current_N_A: float) -> StateSpace:
-    """Seed Fig. 4a with the fits of Eqs. 3-5: stylus and hand as one mass on one spring and damper.
+def second_order(
+    grip_N: float,
+    *,
+    force_per_current_N_A: float,
+    mass_kg: LinearInGrip = SEED_HAND_MASS_KG,
+    damping_N_s_m: LinearInGrip = SEED_HAND_DAMPING_N_S_M,
+    stiffness_N_m: LinearInGrip = SEED_HAND_STIFFNESS_N_M,
+) -> StateSpace:
+    """Seed Fig. 4a, by default with the fits of Eqs. 3-5: stylus and hand as one mass on one spring and damper.
 
-    The fits describe the whole hand during real taps; they fall to zero mass at 65 N.
+    The fits describe the whole hand during real taps; the seed's fall to zero mass at 65 N.
     """
-    link = Link(SEED_HAND_STIFFNESS_N_M.at(grip_N), SEED_HAND_DAMPING_N_S_M.at(grip_N))
-    return chain([SEED_HAND_MASS_KG.at(grip_N)], [link], force_per_current_N_A=force_per_current_N_A, stylus=0)
+    link = Link(stiffness_N_m.at(grip_N), damping_N_s_m.at(grip_N))
+    return chain([mass_kg.at(grip_N)], [link], force_per_current_N_A=force_per_current_N_A, stylus=0)
 
 
 def _held(masses_kg: list[float], links: list[Link], hand: Hand, grip_N: float) -> tuple[list[float], list[Link]]:

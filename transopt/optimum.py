@@ -10,7 +10,7 @@ from transopt.explain import infeasibility, unavoidable, unstable_wall
 from transopt.parts import encoder_course, leave_out, pressing, reference_course, silence
 from transopt.problem import Certificate, Solution, Status, TransientProblem
 from transopt.signals import FloatArray, nrmse
-from transopt.solvers import SolverOptions, is_stationary, prove, solve, solve_certified, unlimited
+from transopt.solvers import SolverOptions, prove, solve, solve_certified, unlimited
 
 NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
 ROUNDED = 0.2  # of a gap: rounding of this size in its own proof, and no method that computes so gets far below it
@@ -196,22 +196,25 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     floor = nrmse(acceleration, problem.reference_m_s2)
     peak = float(np.abs(current).max())
 
-    def designed(answer: Solution, size: transcribe.Size | None, remarks: list[str]) -> Designed:
-        proof = prove(problem, answer.command_A, answer.multipliers, options)
+    def designed(
+        answer: Solution, size: transcribe.Size | None, remarks: list[str], proof: Certificate | None = None
+    ) -> Designed:
+        proof = prove(problem, answer.command_A, answer.multipliers, options) if proof is None else proof
         return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
 
     free_inside = inside(problem, free.command_A)
-    if free_inside and is_stationary(problem, free):
+    proof = certify(problem, free.command_A, free.multipliers) if free_inside else None
+    if proof is not None and free.status is Status.OPTIMAL and proof.is_stationary:
         left_out["limits"] = (
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
             f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
         )
-        return designed(free, None, [])
+        return designed(free, None, [], proof)
     hopeless = unavoidable(small)
     if hopeless:
         return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
     spent = free.solve_time_s
-    answer = solve_certified(replace(small, thermal=None), options)
+    answer, proof = solve_certified(replace(small, thermal=None), options)
     spent += answer.solve_time_s
     if small.thermal is not None:
         if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only="coil"):
@@ -223,9 +226,9 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
             return designed(answer, transcribe.size(replace(small, thermal=None)), [])
         # What no command can do in the cold, none can with the temperature on top.
         if answer.status is not Status.INFEASIBLE:
-            answer = solve_certified(small, options)
+            answer, proof = solve_certified(small, options)
             spent += answer.solve_time_s
-    proven = is_stationary(small, answer)
+    proven = answer.status is Status.OPTIMAL and proof.is_stationary
     if free_inside and not proven:
         answer = free
     answer = replace(answer, solve_time_s=spent)

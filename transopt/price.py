@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.certify import boxes
+from transopt.certify import boxes, inside
 from transopt.explain import rounded_up, widened
 from transopt.parts import leave_out
 from transopt.problem import Multipliers, Status, TransientProblem
@@ -89,10 +89,15 @@ def _without(problem: TransientProblem, name: str, unlimited_A: FloatArray, opti
         needed = max(_peak(problem, name, unlimited_A) / _bound(problem, name), 1.0)
         wide = [widened(problem)[name](ample * needed) for ample in AMPLE]
     for wider in wide:
-        answer = solve_certified(leave_out(wider).problem, options)
-        peak = _peak(problem, name, answer.command_A)
-        if answer.status is Status.OPTIMAL and (name == "coil" or peak < CLEAR * _bound(wider, name)):
-            acceleration, _ = problem.stage.rollout(answer.command_A)
+        if inside(wider, unlimited_A):
+            # No other limit binds: the optimum without any is the one without this one.
+            command, status = unlimited_A, Status.OPTIMAL
+        else:
+            answer, _ = solve_certified(leave_out(wider).problem, options)
+            command, status = answer.command_A, answer.status
+        peak = _peak(problem, name, command)
+        if status is Status.OPTIMAL and (name == "coil" or peak < CLEAR * _bound(wider, name)):
+            acceleration, _ = problem.stage.rollout(command)
             return _Without(peak, nrmse(acceleration, problem.reference_m_s2))
     return _Without(float("inf"), 0.0)
 

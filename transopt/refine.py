@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transopt.design import entry_problem, scene_stage
+from transopt.design import entry_problem, scene_stage, spread_stages
 from transopt.discretise import StageModel
 from transopt.errors import InputError
 from transopt.optimum import optimum
 from transopt.problem import Certificate, Status
 from transopt.recording import Recording
 from transopt.reference import Reference, between, build_references
-from transopt.replay import replay
+from transopt.replay import replayed_errors
 from transopt.scene import Scene
 from transopt.scene_sections import Grid
 from transopt.signals import FloatArray, nrmse
@@ -175,6 +175,7 @@ class Errors:
     def __init__(self, scene: Scene, recorded: list[Reference], options: SolverOptions) -> None:
         self._scene, self._recorded, self._options = scene, recorded, options
         self._stages: dict[float, StageModel] = {}
+        self._spreads: dict[float, tuple[StageModel, ...]] = {}
         self._references: dict[float, Reference] = {}
         self._optima: dict[Point, _Optimum] = {}
         self._excess: dict[tuple[Point, tuple[Interval, Interval]], float] = {}
@@ -183,6 +184,11 @@ class Errors:
         if grip_N not in self._stages:
             self._stages[grip_N] = scene_stage(self._scene, grip_N)
         return self._stages[grip_N]
+
+    def spread(self, grip_N: float) -> tuple[StageModel, ...]:
+        if grip_N not in self._spreads:
+            self._spreads[grip_N] = spread_stages(self._scene, grip_N)
+        return self._spreads[grip_N]
 
     def reference(self, speed_m_s: float) -> Reference:
         if speed_m_s not in self._references:
@@ -193,8 +199,7 @@ class Errors:
         """Raises InputError where no solver's answer can be proven: an excess over it would mean nothing."""
         if point not in self._optima:
             speed, grip = point
-            spread = tuple(self.stage(other) for other in self._scene.spread_grips_N(grip))
-            problem = entry_problem(self._scene, self.stage(grip), self.reference(speed), spread)
+            problem = entry_problem(self._scene, self.stage(grip), self.reference(speed), self.spread(grip))
             designed = optimum(problem, self._options)
             solution, proof = designed.solution, designed.certificate
             if solution.status is not Status.OPTIMAL or not proof.accepted:
@@ -251,7 +256,7 @@ class Errors:
                 ]
                 wanted = np.repeat([self.reference(speed).motor_m_s2 for speed, _ in part], 3, axis=0)
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
-                played = [r.nrmse for r in replay(self.stage(grip), grid, np.stack(commands), wanted, None)]
+                played = replayed_errors(self.stage(grip), grid, np.stack(commands), wanted).tolist()
                 found += [OffNode(*point, *played[3 * j : 3 * j + 3]) for j, point in enumerate(part)]
         return found
 

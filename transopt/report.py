@@ -9,6 +9,7 @@ import numpy as np
 
 from transopt.build import Build
 from transopt.design import Entry
+from transopt.identified_report import identified_lines, identified_rows
 from transopt.reference import Reference
 from transopt.refine import Refinement
 from transopt.signals import STANDARD_GRAVITY_M_S2
@@ -203,6 +204,7 @@ def build_markdown(build: Build) -> str:
         *_weighted_lines(entries),
         *_spread_lines(entries),
     ]
+    lines += identified_lines(build)
     if build.refinement is not None:
         lines += ["", *_between_lines(build.refinement)]
     lines += ["", "## Left out", "", *_left_out_lines(entries)]
@@ -257,6 +259,7 @@ def build_json(build: Build) -> str:
     content = {
         "scene": build.scene.name,
         "simulated_recordings": build.scene.recordings.simulated is not None,
+        "identified": identified_rows(build),
         "solver": build.solver,
         "elapsed_s": build.elapsed_s,
         "entries": rows,

@@ -9,6 +9,8 @@ from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
 from transopt.heat import Budget
+from transopt.identified import StateSpaceDevice
+from transopt.identified_model import Identified
 from transopt.problem import Limits
 from transopt.scene_sections import (
     AmplifierSection,
@@ -33,6 +35,8 @@ from transopt.thermal import CoilModel
 from transopt.wall import Wall
 from transopt.weighting import ErrorFilter, error_filter
 
+FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
+
 
 class Scene(Section):
     """One scene file; `name` defaults to the file's stem."""
@@ -42,7 +46,7 @@ class Scene(Section):
     grid: Grid
     time: Time = Time()
     recordings: Recordings
-    model: Annotated[SecondOrder | FourthOrder | Drive, Field(discriminator="kind")]
+    model: Annotated[SecondOrder | FourthOrder | Drive | Identified, Field(discriminator="kind")]
     motor: Motor | None = None
     transmission: Transmission | None = None
     tip: Tip | None = None
@@ -58,7 +62,9 @@ class Scene(Section):
     def _one_drive(self) -> Self:
         if (self.motor is None) != (self.transmission is None):
             raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
-        if (self.motor is None) == (self.tip is None):
+        if isinstance(self.model, Identified):
+            self._check_identified(self.model)
+        if not self._drive_in_file and (self.motor is None) == (self.tip is None):
             raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
         if (
             isinstance(self.model, Drive)
@@ -75,6 +81,7 @@ class Scene(Section):
                 f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
             )
+        self._check_amplifier()
         self._check_parts()
         if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
             raise ValueError(
@@ -112,14 +119,85 @@ class Scene(Section):
             raise ValueError(
                 "robust: feedback and supply depend on one device's motion, not on a spread of them: leave one out"
             )
-        if self.robust is not None and self.grid.grips_N[0] == 0:
+        if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
             raise ValueError("robust.grip_spread: the free device has no grip to spread")
+        if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, Identified):
+            raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
+
+    @property
+    def _drive_in_file(self) -> bool:
+        """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
+        return isinstance(self.model, Identified) and self.model.device is not None
+
+    def _check_identified(self, model: Identified) -> None:
+        """What the scene states beside a model file must not contradict it."""
+        for grip in self.grid.grips_N:
+            for served in (grip, *self.spread_grips_N(grip)):
+                try:
+                    model.check_grip(served)
+                except InputError as error:
+                    raise ValueError(f"grid.grips_N: {served:g} N: {error}") from None
+        tip = model.tip()
+        if self._drive_in_file and self.tip is not None:
+            raise ValueError(f"tip: the device in {model.file} has it all: take the tip table out")
+        if tip is not None and self.motor is not None and self.transmission is not None:
+            stated, known = self.motor.kt_Nm_A * self.transmission.ratio_1_m, tip.force_per_current_N_A
+            if not abs(stated / known - 1) <= FORCE_TOLERANCE:
+                raise ValueError(
+                    f"motor: kt_Nm_A * transmission.ratio_1_m = {stated:.4g} N/A, but {model.file} was identified "
+                    f"with force_per_current_N_A = {known:.4g} N/A: they must agree within {FORCE_TOLERANCE:.0%}; "
+                    "correct one of them, or identify again with this motor"
+                )
+        if isinstance(model.device, StateSpaceDevice):
+            for part, stated_in_scene in (
+                ("feedback", self.feedback is not None),
+                ("limits.supply_V", self.limits.supply_V is not None),
+            ):
+                if stated_in_scene:
+                    raise ValueError(
+                        f"{part}: needs the motor's motion, and the device in {model.file} is a state space, which "
+                        "knows none: identify a drive chain, or leave it out"
+                    )
+            if self.recordings.simulated is not None:
+                raise ValueError(
+                    f"recordings.simulated: the device in {model.file} is a state space, which has no stylus to "
+                    "strike with: give recorded files"
+                )
+        if self.robust is not None and self.robust.model_uncertainty:
+            try:
+                model.drawn(self.robust.samples, self.grid.grips_N)
+            except InputError as error:
+                raise ValueError(f"robust.model_uncertainty: {error}") from None
+
+    def _check_amplifier(self) -> None:
+        """Pole and delay are stated once: in the scene, or in its model file."""
+        identified = self.model.amplifier if isinstance(self.model, Identified) else None
+        if identified is None:
+            for name in ("pole_Hz", "delay_s"):
+                if isinstance(self.amplifier, AmplifierSection) and getattr(self.amplifier, name) is None:
+                    raise ValueError(f"amplifier.{name}: missing; add it to the scene")
+            return
+        assert isinstance(self.model, Identified)
+        if self.amplifier == "ideal":
+            raise ValueError(f"amplifier = 'ideal': {self.model.file} has an amplifier part: state [amplifier]")
+        assert isinstance(self.amplifier, AmplifierSection)
+        for name in ("pole_Hz", "delay_s"):
+            value = getattr(self.amplifier, name)
+            if value is not None:
+                raise ValueError(
+                    f"amplifier.{name} = {value:g}: {self.model.file} has it too ({getattr(identified, name):g}): "
+                    "take it out of the scene"
+                )
 
     def drive_at_tip(self) -> Tip:
         """What the stylus feels of the drive: force per ampere, rotor and link as one mass, transmission.
 
-        k_f = k_t ratio, m = J ratio^2 + m_link, with the ratio in shaft radian per metre of tip travel.
+        k_f = k_t ratio, m = J ratio^2 + m_link, with the ratio in shaft radian per metre of tip travel; or as it was
+        identified.
         """
+        identified = self.model.tip() if isinstance(self.model, Identified) else None
+        if identified is not None:
+            return identified
         if self.motor is None or self.transmission is None:
             assert self.tip is not None
             return self.tip
@@ -146,6 +224,9 @@ class Scene(Section):
             raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
 
     def _chain(self, grip_N: float, struck: bool) -> models.StateSpace:
+        if isinstance(self.model, Identified):
+            force = None if self._drive_in_file else self.drive_at_tip().force_per_current_N_A
+            return self.model.plant(grip_N, force, struck=struck)
         tip = self.drive_at_tip()
         gain = 1.0 if struck else tip.force_per_current_N_A
         match self.model:
@@ -177,7 +258,11 @@ class Scene(Section):
         if self.amplifier == "ideal":
             return None
         assert isinstance(self.amplifier, AmplifierSection)
-        return Amplifier(**self.amplifier.model_dump())
+        identified = self.model.amplifier if isinstance(self.model, Identified) else None
+        stated = self.amplifier if identified is None else identified
+        assert stated.pole_Hz is not None
+        assert stated.delay_s is not None
+        return Amplifier(stated.pole_Hz, stated.delay_s, self.amplifier.command_limit_A)
 
     def time_grid(self) -> TimeGrid:
         amplifier = self.amplifier_model()
@@ -213,23 +298,37 @@ class Scene(Section):
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
         """Grips around a node that its command shall serve besides, the node itself not among them."""
-        if self.robust is None:
+        if self.robust is None or self.robust.grip_spread is None:
             return []
         width = self.robust.grip_spread
         factors = [1 - width + 2 * width * j / (self.robust.samples - 1) for j in range(self.robust.samples)]
         return [grip_N * factor for factor in factors if abs(factor - 1) > 1e-9]
+
+    def spread(self, grip_N: float) -> list[tuple[Self, float]]:
+        """Further devices that the command of a node shall serve, each as its scene and its grip.
+
+        The scene itself at other grips, and what the uncertainty of its model makes of it at the node's own.
+        """
+        devices: list[tuple[Self, float]] = [(self, grip) for grip in self.spread_grips_N(grip_N)]
+        if self.robust is not None and self.robust.model_uncertainty:
+            assert isinstance(self.model, Identified)
+            drawn = self.model.drawn(self.robust.samples, self.grid.grips_N)
+            devices += [(self.model_copy(update={"model": model}), grip_N) for model in drawn]
+        return devices
 
     def coil(self) -> CoilModel | None:
         """None where the drive is stated at the tip: no motor, no temperature."""
         if self.motor is None:
             return None
         motor = self.motor
+        identified = self.model.coil if isinstance(self.model, Identified) else None
+        heat = motor if identified is None else identified
         return CoilModel(
             R_ohm=motor.R_ohm,
-            R_wh_K_W=motor.R_wh_K_W,
-            R_ha_K_W=motor.R_ha_K_W,
-            tau_w_s=motor.tau_w_s,
-            tau_h_s=motor.tau_h_s,
+            R_wh_K_W=heat.R_wh_K_W,
+            R_ha_K_W=heat.R_ha_K_W,
+            tau_w_s=heat.tau_w_s,
+            tau_h_s=heat.tau_h_s,
             limit_C=motor.winding_max_C,
             **self.thermal.model_dump(exclude={"headroom_K", "tap_rate_Hz", "idle_A"}),
         )

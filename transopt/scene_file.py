@@ -1,5 +1,6 @@
 """Reading scene files, with errors in the words of the file."""
 
+import hashlib
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from transopt.errors import InputError
+from transopt.identified import PARTS, parse_model, read_model
 from transopt.scene import Scene
 from transopt.scene_sections import Section
 
@@ -62,6 +64,10 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     where = ".".join(str(part) for part in keys)
     if first["type"] == "extra_forbidden":
         text = f"{where}: unknown key; known here: {_known_keys(keys, content)}"
+        if len(keys) > 1 and keys[-1] in Scene.model_fields:
+            text = (
+                f"{where}: {keys[-1]} is no key of this table but of the scene: put its line above the first [table]"
+            )
     elif first["type"] == "missing":
         text = f"{where}: missing; add it to the scene"
     else:
@@ -75,11 +81,21 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     return f"{source}: {text}{more}"
 
 
+def _identified(scene: Path, named: str) -> dict[str, Any]:
+    """The table that stands for a model file: all that it holds, so that nobody needs the file again."""
+    try:
+        raw = read_model(scene.parent / named)
+    except InputError as error:
+        raise InputError(f"{scene}: model = {named!r}: {error}") from None
+    found = parse_model(scene.parent / named, raw).model_dump(include=set(PARTS), exclude_none=True)
+    return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
+
+
 def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """Read and check a scene file.
 
     Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
-    not tables, are also looked for in the `search` folders.
+    not tables, are also looked for in the `search` folders. A model that is a file name is a model file.
 
     Raises
     ------
@@ -97,6 +113,8 @@ def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
             folders = ", ".join(str(place.parent) for place in places)
             raise InputError(f"{path}: {part} = {named!r}: no such file in {folders}")
         content[part] = read_toml(found)
+    if isinstance(content.get("model"), str):
+        content["model"] = _identified(path, content["model"])
     recordings = content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())

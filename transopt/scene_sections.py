@@ -113,13 +113,16 @@ class LinearParameter(Section):
     constant: Finite
     per_newton: Finite = 0.0
 
+    def linear(self) -> models.LinearInGrip:
+        return models.LinearInGrip(self.constant, self.per_newton)
+
 
 Parameter = LinearParameter | Finite
 
 
 def _linear(value: LinearParameter | float) -> models.LinearInGrip:
     if isinstance(value, LinearParameter):
-        return models.LinearInGrip(value.constant, value.per_newton)
+        return value.linear()
     return models.LinearInGrip(value, 0.0)
 
 
@@ -195,10 +198,13 @@ class Tip(Section):
 
 
 class AmplifierSection(Section):
-    """Current amplifier: pole, delay beyond the hold, range of the command."""
+    """Current amplifier: pole, delay beyond the hold, range of the command.
 
-    pole_Hz: Positive
-    delay_s: NonNegative
+    Pole and delay stand here unless the scene's model file has them.
+    """
+
+    pole_Hz: Positive | None = None
+    delay_s: NonNegative | None = None
     command_limit_A: Positive = 6.0
 
 
@@ -263,7 +269,17 @@ class Weights(Section):
 
 
 class Robust(Section):
-    """One command for a spread of grips around each node: the mean of the squared errors is minimised."""
+    """One command for a spread of devices around each node: the mean of the squared errors is minimised.
 
-    grip_spread: Annotated[float, Field(gt=0, lt=1)]
+    The spread is of grips, of devices that the uncertainty of the identified model allows, or of both side by side.
+    """
+
+    grip_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
+    model_uncertainty: bool = False
     samples: Annotated[int, Field(ge=2, le=15)] = 5
+
+    @model_validator(mode="after")
+    def _of_something(self) -> Self:
+        if self.grip_spread is None and not self.model_uncertainty:
+            raise ValueError("give grip_spread, or model_uncertainty = true, or both")
+        return self

@@ -7,10 +7,8 @@ import numpy as np
 from transopt.linear import LinearStage, hand_over_rows, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
 from transopt.signals import FloatArray
-from transopt.thermal import PWM_RIPPLE_A
+from transopt.stagewise import SIZE_BOUND, heat_values, held, kelvin, tracking_values
 from transopt.transcribe import Shape, nonzeros, program_shape, state_program, supply_mask
-
-SIZE_BOUND = 2.0  # of the limit current
 
 
 @dataclass(frozen=True)
@@ -47,12 +45,8 @@ class Statement:
         return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.current_A)
 
     def held(self, command_A: FloatArray) -> FloatArray:
-        """(N,) commands moved by rounding only: into the box, zero at a plain hand-over."""
-        problem = self.problem
-        c = np.clip(command_A, -problem.limits.command_bound_A, problem.limits.command_bound_A)
-        if problem.wall is None:
-            c[problem.free_stages :] = 0.0
-        return np.asarray(c)
+        """`stagewise.held`."""
+        return held(self.problem, command_A)
 
     def multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
         """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
@@ -96,42 +90,19 @@ class Statement:
         ).clipped()
 
 
-def _kelvin(problem: TransientProblem) -> float:
-    """Unit of the rises: the largest headroom."""
-    if problem.thermal is None:
-        return 0.0
-    headroom = problem.thermal.model.headroom_K
-    return max(float(headroom[np.isfinite(headroom)].max()), 1e-9)
-
-
-def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float) -> dict[str, FloatArray]:
+def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage) -> dict[str, FloatArray]:
     """Values of the statement's symbols; the reference enters as r / |r|."""
-    where, r = shape.layout, problem.reference_m_s2
-    filtered = r if problem.error_filter is None else problem.error_filter.apply(r)
+    where = shape.layout
     values: dict[str, FloatArray | list[float]] = {
         "A": nonzeros(stage.A, where.dynamics_mask()),
         "B": stage.A[:, -1],
         "C": nonzeros(stage.C, where.output_mask()),
         "E": stage.E,
-        "r": filtered / np.linalg.norm(r),
-        "w": problem.tracking_weights,
-        "rho": [problem.movement_weight * stage.current_A**2],
+        **tracking_values(problem, stage),
     }
     if problem.thermal is not None:
-        model, unit = problem.thermal.model, stage.current_A
-        F, f = (np.zeros_like(model.M), np.zeros_like(model.b)) if model.closure is None else model.closure
-        values |= {
-            "M": model.M.T.ravel(),
-            "b": model.b * unit**2 / kelvin,
-            "gain": model.gain,
-            "copper": [model.copper * kelvin],
-            "square": model.heating.square,
-            "share": [model.heating.share],
-            "decay": [model.heating.decay],
-            "ripple": [PWM_RIPPLE_A / unit],
-            "F": F.T.ravel(),
-            "f": f / kelvin,
-        }
+        # CasADi reads matrices column by column.
+        values |= {name: value.T.ravel() for name, value in heat_values(problem, stage.current_A).items()}
     if where.feedback_delay is not None:
         rows, _ = hand_over_rows(problem, stage)
         values["T"] = rows[:, where.wall].ravel()
@@ -143,7 +114,7 @@ def _parameters(problem: TransientProblem, shape: Shape, stage: LinearStage, kel
 
 
 def _variable_bounds(
-    problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin: float
+    problem: TransientProblem, shape: Shape, stage: LinearStage, kelvin_K: float
 ) -> tuple[FloatArray, FloatArray]:
     N, limits, where = shape.stages, problem.limits, shape.layout
     upper = np.full((N, shape.variables), np.inf)
@@ -160,7 +131,7 @@ def _variable_bounds(
         # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
         size = SIZE_BOUND * limits.current_A / stage.current_A
         lower[:, 1], upper[:, 1] = -size, size
-        upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin
+        upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin_K
     # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
     front = np.full(shape.first, np.inf)
     return np.append(np.zeros(shape.first), lower.ravel()), np.append(front, upper.ravel())
@@ -182,8 +153,8 @@ def _row_bounds(problem: TransientProblem, shape: Shape, stage: LinearStage) -> 
 
 def state(problem: TransientProblem) -> Statement:
     """Numbers of one problem for the program of its shape."""
-    shape, stage, kelvin = program_shape(problem), linear_stage(problem), _kelvin(problem)
-    lower_x, upper_x = _variable_bounds(problem, shape, stage, kelvin)
+    shape, stage, unit = program_shape(problem), linear_stage(problem), kelvin(problem)
+    lower_x, upper_x = _variable_bounds(problem, shape, stage, unit)
     lower_g, upper_g = _row_bounds(problem, shape, stage)
-    values = _parameters(problem, shape, stage, kelvin)
-    return Statement(problem, shape, stage, kelvin, values, lower_x, upper_x, lower_g, upper_g)
+    values = _parameters(problem, shape, stage)
+    return Statement(problem, shape, stage, unit, values, lower_x, upper_x, lower_g, upper_g)

@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from transopt.certify import binding_limits, boxes
-from transopt.design import entry_problem, replayed, rivals_replayed, scene_stage
+from transopt.design import Baselines, entry_problem, replayed, rivals_errors, scene_stage
 from transopt.discretise import StageModel
 from transopt.errors import InputError
 from transopt.optimum import Designed, optimum
@@ -178,7 +178,7 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
     if item.point not in scenes:
         scenes[item.point] = with_values(task.scene, task.points[item.point])
     scene = scenes[item.point]
-    spread = tuple(_stage(scene, grip) for grip in scene.spread_grips_N(task.grip_N))
+    spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
     reference = _reference(task, scene, item.speed_m_s)
     problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
     designed = optimum(problem, task.options)
@@ -196,7 +196,7 @@ def _largest(designed: Designed) -> dict[str, float]:
     return found
 
 
-def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Sequence[Replay], replay_s: float) -> Outcome:
+def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | None, replay_s: float) -> Outcome:
     start = time.perf_counter()
     designed, item = solved.designed, solved.item
     problem, answer, proof = designed.problem, designed.solution, designed.certificate
@@ -228,8 +228,8 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Sequence[Repla
         violation_V=proof.primal_violation_V,
         violation_K=proof.primal_violation_K,
         **(_largest(designed) if finite else {}),
-        nrmse_seed=rivals[0].nrmse if rivals else NAN,
-        nrmse_clipped=rivals[1].nrmse if rivals else NAN,
+        nrmse_seed=NAN if rivals is None else rivals.seed,
+        nrmse_clipped=NAN if rivals is None else rivals.clipped,
         binding=binding_limits(problem, command, answer.multipliers) if finite else "",
         price=price,
         solver=answer.solver,
@@ -279,9 +279,11 @@ def _finished(task: Task, group: Sequence[_Solved]) -> list[Outcome]:
     start = time.perf_counter()
     scene, designed = group[0].scene, [solved.designed for solved in group]
     replays = replayed(scene.coil(), designed)
-    rivals = rivals_replayed(scene.coil(), scene.limits.steady_current_A, designed) if task.rivals else []
+    rivals: Sequence[Baselines | None] = [None] * len(designed)
+    if task.rivals:
+        rivals = rivals_errors(scene.limits.steady_current_A, designed)
     share = (time.perf_counter() - start) / len(group)
     return [
-        _outcome(task, solved, played, rivals[4 * j : 4 * (j + 1)], share)
-        for j, (solved, played) in enumerate(zip(group, replays, strict=True))
+        _outcome(task, solved, played, baselines, share)
+        for solved, played, baselines in zip(group, replays, rivals, strict=True)
     ]

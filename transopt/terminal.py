@@ -4,6 +4,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -34,12 +35,34 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
 
 
-def run(app: Callable[[], object]) -> None:
+# Typer carries a Click of its own or uses the installed one; its public exception knows which.
+_ClickException: type[Exception] = typer.BadParameter.__mro__[2]
+
+
+def run(app: Callable[..., object]) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback."""
     try:
-        app()
+        code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
     except InputError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(2)
-    except KeyboardInterrupt:
+    except _ClickException as error:
+        _refuse(error)
+    except (KeyboardInterrupt, typer.Abort):
         sys.exit(130)
+    else:
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _refuse(error: Any) -> NoReturn:
+    """A command, option or value that does not exist; a command without arguments that needs some prints its help."""
+    said: str = error.format_message()
+    if type(error).__name__ == "NoArgsIsHelpError":
+        # Its message is the help, which Rich has printed already.
+        typer.echo(said, err=True, nl=bool(said))
+        sys.exit(2)
+    context = getattr(error, "ctx", None)
+    asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
+    words = " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
+    typer.echo(f"error: {words}{asking}", err=True)
+    sys.exit(2)

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.certify import binding_limits
+from transopt.continuous import AFTER_S
 from transopt.explain import unstable_wall
 from transopt.library import Library
 from transopt.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
-from transopt.replay import AFTER_S, SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
+from transopt.replay import SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
 from transopt.signals import FloatArray, nrmse
 from transopt.solvers import SolverOptions, prove, unlimited
 from transopt.thermal import COPPER_PER_K, RESISTANCE_REFERENCE_C, effective_square

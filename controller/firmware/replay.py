@@ -21,7 +21,8 @@ from transopt.signals import FloatArray
 
 REPLAY = FIRMWARE / "replay"
 MOST_EVENTS = 10
-RESET, DISARM, GAIN, ARM = 1, 2, 4, 8  # wishes, carried out before a tick in this order
+RESET, DISARM, GAIN, ARM, EXCITE = 1, 2, 4, 8, 16  # wishes, carried out before a tick in this order
+NEGATIVE = 32  # the excitation with the other sign
 # As td_replay.h has them.
 INPUT = np.dtype(
     [
@@ -89,6 +90,8 @@ class Recorder:
             servo.set_gain(gain)
         if wishes & ARM and servo.arm():
             answers |= ARM
+        if wishes & EXCITE and servo.excite(negative=bool(wishes & NEGATIVE)):
+            answers |= EXCITE
         output = servo.step(readings)
         counts = counts_of(r.encoder_counts)
         self.inputs.append((wishes, r.emergency_stop, 0, counts, gain, r.grip_N, r.current_A))

@@ -148,8 +148,7 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     return answer.status is Status.OPTIMAL and proof.is_stationary
 
 
-def solve_certified(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """The first answer that is certified or, if none is, the wanted solver's."""
+def solve_certified(problem: TransientProblem, options: SolverOptions) -> tuple[Solution, Certificate]:
+    """The first answer that is certified or, if none is, the wanted solver's; and its certificate."""
     answers = list(_answers(problem, options))
-    last, proof = answers[-1]
-    return last if proof.is_stationary else answers[0][0]
+    return answers[-1] if answers[-1][1].is_stationary else answers[0]

@@ -56,7 +56,10 @@ enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_
 
 static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
 static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
+static const double FARTHEST = 5e-3;  /* part of slacks and multipliers that a step leaves */
+static const double NEAREST = 1e-9, NEARNESS = 0.1;
 static const int PATIENCE = 6;        /* iterations without a better iterate */
+static const int REFINEMENTS = 4;     /* of a linear pass, each one more step with the same gains */
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
@@ -64,7 +67,8 @@ static const int PATIENCE = 6;        /* iterations without a better iterate */
 #define ALWAYS_INLINE static inline
 #endif
 /* The same code for wider registers, chosen when the library is loaded; no operation is contracted or reordered. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && \
+    !defined(__SANITIZE_ADDRESS__)
 #define CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 #else
 #define CLONES
@@ -117,16 +121,18 @@ static double *take(double **rest, size_t count)
     return found;
 }
 
-static void lay_out(tr_work *w, const tr_problem *q, double *rest)
+/* Arrays in the workspace, all zero but, with `keep_gains`, what a factorisation left: it stands in front. */
+static void lay_out(tr_work *w, const tr_problem *q, double *rest, int keep_gains)
 {
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t n = (size_t)q->states, ld = padded(n + t);
-    memset(rest, 0, tr_workspace(q) * sizeof(double));
+    const size_t kept = keep_gains ? (2 * ld + ny) * ld + N * (ld + 1) : 0;
+    memset(rest + kept, 0, (tr_workspace(q) - kept) * sizeof(double));
     w->q = q;
     w->ld = (int)ld;
     w->At = take(&rest, ld * ld), w->Acol = take(&rest, ld * ld), w->Cp = take(&rest, ny * ld);
-    w->K = take(&rest, N * ld), w->Ke = take(&rest, N * ld);
-    w->pivot = take(&rest, N), w->Ke_u = take(&rest, N), w->pivot_e = take(&rest, N);
+    w->K = take(&rest, N * ld), w->pivot = take(&rest, N);
+    w->Ke = take(&rest, N * ld), w->Ke_u = take(&rest, N), w->pivot_e = take(&rest, N);
     w->offset = take(&rest, N), w->offset_e = take(&rest, N);
     w->u = take(&rest, N), w->e = take(&rest, N), w->du = take(&rest, N), w->de = take(&rest, N);
     w->error = take(&rest, N * ny), w->d_error = take(&rest, N * ny);
@@ -635,14 +641,18 @@ static double start(tr_work *w)
     const tr_problem *q = w->q;
     const int N = q->stages, n = q->states, rows = (N + 1) * q->rows;
     static const double nothing[MOST_NODES] = {0};
+    int moves = q->nodes > 0;
     for (int k = q->free_stages; k < N; k++) {
         memcpy(w->K + k * w->ld, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
         w->offset[k] = q->rule_offset[k - q->free_stages];
+        moves = moves || w->offset[k] != 0.0;
     }
     if (q->nodes)
         for (int k = 0; k < N; k++) w->offset_e[k] = 1.0;
-    forward(w, nothing, w->offset, w->offset_e, 1);
-    advance(w, 1.0);
+    if (moves) {
+        forward(w, nothing, w->offset, w->offset_e, 1);
+        advance(w, 1.0);
+    }
     for (int k = 0; k < N; k++)
         for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
     const double scale = fmax(objective(w), 1.0) / 100.0;
@@ -774,7 +784,7 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
     if (!tr_workspace(q)) return TR_TOO_LARGE;
     tr_work work, *w = &work;
     memset(w, 0, sizeof work);
-    lay_out(w, q, workspace);
+    lay_out(w, q, workspace, 0);
     const double count = start(w);
     double best = INFINITY;
     for (int since = 0;; r->iterations++, since++) {
@@ -799,8 +809,36 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
             aim(w, 1);
             newton(w);
         }
-        const double step = slack_steps(w, count > 0.0, 0.005);
+        /* Closer to the walls as they matter less: the last iterations then gain more than two digits each. */
+        const double left = NEARNESS * now.complementarity / fmax(now.objective, 1.0);
+        const double step = slack_steps(w, count > 0.0, fmin(FARTHEST, fmax(left, NEAREST)));
         if (!(step > SHORTEST)) return near ? TR_ACCURACY : TR_STALLED;
         advance(w, step);
+    }
+}
+
+/* The problem without rows and nodes: one Newton step from rest, and as many more as refine it.
+ *
+ * The gains stay in the workspace: with `factored` they are those of the last call, of a problem that differs in
+ * nothing but `reference` and `rule_offset`. TR_BREAKDOWN leaves none.
+ */
+int tr_linear(const tr_problem *q, double tolerance, int factored, double *workspace, tr_result *r)
+{
+    r->iterations = 0;
+    if (!tr_workspace(q) || q->rows || q->nodes) return TR_TOO_LARGE;
+    tr_work work, *w = &work;
+    memset(w, 0, sizeof work);
+    lay_out(w, q, workspace, factored);
+    if (!factored && factor(w, 0)) return TR_BREAKDOWN;
+    start(w);
+    for (double best = INFINITY;;) {
+        newton(w);
+        advance(w, 1.0);
+        r->iterations++;
+        const tr_state now = judge(w);
+        const int better = now.stationarity < best;
+        if (better) best = now.stationarity, keep(w, &now, r);
+        if (best <= tolerance * fmax(now.objective, 1.0)) return TR_SOLVED;
+        if (!better || r->iterations > REFINEMENTS) return best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN;
     }
 }

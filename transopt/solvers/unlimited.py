@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt import native, stagewise
 from transopt.linear import hand_over_rows, layout, linear_stage
 from transopt.problem import OBJECTIVE_SCALE, Multipliers, Solution, Status, TransientProblem
 from transopt.signals import FloatArray
@@ -124,12 +125,39 @@ def _solution(problem: TransientProblem, run: Pass, found: _Candidate, start_s: 
     )
 
 
+def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | None:
+    """The pass of the extension, if it is there and its gap small enough."""
+    if not native.available or layout(problem).states > native.MOST_STATES:
+        return None
+    run = native.LinearPass(stagewise.without_limits(problem))
+    answer = run.solve(GAP)
+    if answer.code not in (native.SOLVED, native.ACCURACY) or not answer.relative_gap <= GAP:
+        return None
+    return Solution(
+        status=Status.OPTIMAL,
+        command_A=run.command_A(),
+        multipliers=replace(Multipliers.zero(problem), hand_over=run.hand_over()),
+        solver="unlimited",
+        message="Riccati pass",
+        iterations=answer.iterations,
+        solve_time_s=time.perf_counter() - start_s,
+    )
+
+
 def solve(problem: TransientProblem) -> Solution:
     """Minimise J subject to dynamics and hand-over only; see `Solution`.
 
-    `command_A` is not clipped: it is what the limits would have to allow. Where rounding leaves the Riccati pass a
-    gap above `GAP`, the sparse KKT system is solved too, and the better answer is returned.
+    `command_A` is not clipped: it is what the limits would have to allow. The compiled pass comes first. Where there
+    is none, or rounding leaves it a gap above `GAP`, the pass runs in CasADi's virtual machine; where that leaves
+    one too, the sparse KKT system is solved as well, and the better answer is returned.
     """
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _by_compiled_pass(problem, time.perf_counter())
+    return solve_in_casadi(problem) if found is None else found
+
+
+def solve_in_casadi(problem: TransientProblem) -> Solution:
+    """The same without the extension."""
     prepare(layout(problem).states, len(problem.devices), problem.free_stages)
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the gap

@@ -21,7 +21,8 @@ static td_refusal refuse(int reason, double value)
 static bool is_flag(int place)
 {
     return place == TD_CFG_HAS_SLEW_LIMIT_A_PER_S || place == TD_CFG_HAS_ASSUMED_GRIP_N ||
-           place == TD_CFG_HAS_AMPLIFIER || place == TD_CFG_HAS_WALL || place == TD_CFG_HAS_COIL;
+           place == TD_CFG_HAS_AMPLIFIER || place == TD_CFG_HAS_WALL || place == TD_CFG_HAS_COIL ||
+           place == TD_CFG_HOST_STARTS;
 }
 
 static bool is_whole(int place)
@@ -77,6 +78,8 @@ static bool holds(const double *n)
     }
     if (!(n[TD_CFG_GRIP_OPEN_N] < n[TD_CFG_GRIP_SHORT_N] && n[TD_CFG_AMPLIFIER_TOLERANCE] < 1 &&
           n[TD_CFG_WINDOW_TICKS] >= 4))
+        return false;
+    if (n[TD_CFG_HOST_STARTS] > 0 && n[TD_CFG_HAS_WALL] > 0)
         return false;
     if (n[TD_CFG_HAS_AMPLIFIER] > 0 && !(n[TD_CFG_AMPLIFIER_POLE_HZ] > 0 && n[TD_CFG_AMPLIFIER_DELAY_S] >= 0 &&
                                          n[TD_CFG_AMPLIFIER_COMMAND_LIMIT_A] > 0))

@@ -113,6 +113,7 @@ td_refusal td_check_image(const uint8_t *image, size_t size, const uint8_t *byte
     double scale_A, peak_A[2], limit_A[2];
     td_refusal found = check_size(image, size);
     uint32_t tail;
+    bool playable;
     int j;
 
     if (found.reason != 0)
@@ -130,6 +131,9 @@ td_refusal td_check_image(const uint8_t *image, size_t size, const uint8_t *byte
         if (!(value <= wanted && value >= wanted))
             return refuse(TD_REASON_BAD_TIMING, value);
     }
+    playable = bank->speed_m_s[0] > 0 && bank->grip_N[0] >= bank->grip_min_N;
+    if (number(bytes, TD_CFG_HOST_STARTS) > 0 && !(bank->speeds * bank->grips == 1 && playable))
+        return refuse(TD_REASON_ONE_WAVEFORM, bank->speeds * bank->grips);
     tail = td_get_u32(image + TD_IMAGE_TAIL_SAMPLES);
     scale_A = td_get_f64(image + TD_IMAGE_SCALE_A);
     if (tail < 1 || tail > (uint32_t)bank->samples ||

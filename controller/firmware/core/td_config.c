@@ -127,6 +127,7 @@ bool td_config_unpack(td_config *config, const uint8_t *bytes, size_t size)
     config->grip_short_N = narrow(&from, TD_CFG_GRIP_SHORT_N);
     config->grid_slack = number(&from, TD_CFG_GRID_SLACK);
     config->grid_slack_N = number(&from, TD_CFG_GRID_SLACK_N);
+    config->host_starts = flag(&from, TD_CFG_HOST_STARTS);
     unpack_motion(config, &from);
     unpack_wall(&config->wall, &from);
     unpack_faults(config, &from);

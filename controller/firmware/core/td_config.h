@@ -52,6 +52,7 @@ typedef struct {
     td_real fastest_m_s, current_range_A, over_current_A, no_current_A, no_current_part, stuck_A, stuck_A_s;
     int32_t missing_limit, still_limit; /* ticks */
     td_coil coil;
+    bool host_starts; /* the one waveform plays at the host's word; contacts are not looked at */
 } td_config;
 
 /* The table of float64 that controller/configuration.py writes; whether it is one, of this version, and every whole

@@ -134,6 +134,7 @@ static bool fits(uint8_t kind, size_t size)
         {TD_KIND_CHECKED, 0, TD_CHECKED_BYTES},
         {TD_KIND_EVENT_ACK, 0, TD_EVENT_ACK_BYTES},
         {TD_KIND_EMERGENCY_STOP, 0, TD_EMERGENCY_STOP_BYTES},
+        {TD_KIND_START, 0, TD_START_BYTES},
     };
     size_t j;
 

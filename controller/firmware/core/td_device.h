@@ -18,7 +18,7 @@
 #include "td_store.h"
 #include "td_wire.h"
 
-#define TD_FIRMWARE (1u << 16) /* major, minor, patch: 16, 8, 8 bits */
+#define TD_FIRMWARE (1u << 16 | 1u << 8) /* major, minor, patch: 16, 8, 8 bits */
 #define TD_REPLY_LIMIT (TD_HEADER_BYTES + TD_HELLO_REPLY_BYTES + 4 + 2 + 1) /* the longest answer as a frame */
 
 typedef struct {

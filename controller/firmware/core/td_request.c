@@ -178,6 +178,26 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks)
     return granted;
 }
 
+static td_refusal start(td_device *device, uint8_t negative)
+{
+    td_servo *servo = &device->servo;
+    const uint8_t state = td_device_state(device);
+
+    if (state == TD_STATE_FAULT)
+        return refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
+    if (state == TD_STATE_IDLE)
+        return refuse(TD_REASON_NOT_ARMED, (double)NAN);
+    if (!servo->config->host_starts)
+        return refuse(TD_REASON_BY_CONTACT, (double)NAN);
+    if (state == TD_STATE_PLAYING)
+        return refuse(TD_REASON_STILL_PLAYING, (double)NAN);
+    if (negative > 1)
+        return refuse(TD_REASON_BAD_VALUE, negative);
+    if (!td_servo_excite(servo, negative == 1))
+        return refuse(TD_REASON_TOO_HOT, servo->config->coil.present ? servo->guard.winding_C : (double)NAN);
+    return granted;
+}
+
 static td_refusal note_check(td_device *device, const uint8_t *sha256)
 {
     if (!device->store.configured)
@@ -229,6 +249,8 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
         return granted;
     case TD_KIND_PULSE:
         return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS));
+    case TD_KIND_START:
+        return start(device, body[TD_START_NEGATIVE]);
     default: /* TD_KIND_CHECKED: nothing else comes here */
         return note_check(device, body + TD_CHECKED_CONFIGURATION_SHA256);
     }

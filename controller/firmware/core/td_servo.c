@@ -180,17 +180,46 @@ static void start(td_servo *servo, td_wide phase)
     servo->state = TD_STATE_PLAYING;
 }
 
+/* Whether the stylus is not held, or too loosely to start. */
+static bool loose(const td_servo *servo)
+{
+    const td_config *config = servo->config;
+
+    return config->has_grip && !(servo->watch.raw_grip_N >= config->grip_min_N + config->grip_margin_N);
+}
+
+bool td_servo_excite(td_servo *servo, bool negative)
+{
+    const td_config *config = servo->config;
+    const td_bank *bank = servo->bank;
+    td_play *play = &servo->play;
+
+    if (servo->state != TD_STATE_ARMED || !config->host_starts)
+        return false;
+    td_bank_at(bank, bank->speed_m_s[0], bank->grip_N[0], play);
+    if (play->silent)
+        return false;
+    if (config->coil.present &&
+        td_guard_scale(&servo->guard, &config->coil, play->transient_A, play->feedback_A, bank->samples + 1) < 1)
+        return false;
+    servo->scale = negative ? -1 : 1;
+    servo->held = !loose(servo);
+    start(servo, 0);
+    return true;
+}
+
 /* Look for a contact, and start a transient if there is one to play. */
 static void touch(td_servo *servo, td_output *output, uint64_t tick)
 {
     const td_config *config = servo->config;
     const td_approach *approach = &servo->approach;
-    const td_touch found =
-        td_trigger_step(&servo->trigger, config, servo->z_m, approach->speed_m_s, approach->phase);
     const td_real speed = (td_real)approach->speed_m_s, grip = servo->watch.grip_N;
     td_wide scale = 1;
-    bool loose;
+    td_touch found;
 
+    if (config->host_starts)
+        return;
+    found = td_trigger_step(&servo->trigger, config, servo->z_m, approach->speed_m_s, approach->phase);
     if (found == TD_TOUCH_NOTHING)
         return;
     if (found == TD_TOUCH_CHATTER || servo->state == TD_STATE_PLAYING) {
@@ -198,8 +227,7 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
         return;
     }
     td_bank_at(servo->bank, approach->speed_m_s, (td_wide)grip, &servo->play);
-    loose = config->has_grip && !(servo->watch.raw_grip_N >= config->grip_min_N + config->grip_margin_N);
-    if (servo->play.silent || loose) {
+    if (servo->play.silent || loose(servo)) {
         note(servo, output, tick, TD_WHAT_NO_GRIP, speed, grip);
         return;
     }
@@ -216,6 +244,7 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
     if (scale < 1)
         note(servo, output, tick, TD_WHAT_SCALED_FOR_HEAT, speed, grip);
     servo->scale = (td_real)scale;
+    servo->held = true;
     if (servo->bank->samples > 0)
         start(servo, approach->phase);
 }
@@ -321,7 +350,8 @@ void td_servo_step(td_servo *servo, const td_readings *readings, td_output *outp
 
     output->command_A = output->transient_A = output->feedback_A = 0;
     output->event_count = 0;
-    td_watch_step(watch, config, readings, servo->expected_A, servo->transient_A, servo->state == TD_STATE_PLAYING);
+    td_watch_step(watch, config, readings, servo->expected_A, servo->transient_A,
+                  servo->state == TD_STATE_PLAYING && servo->held);
     if (config->coil.present) {
         /* The larger of the two: a sensor that reads low must not let the coil burn, nor one that reads nothing. */
         const td_real measured = watch->bad_current ? config->over_current_A : td_size(watch->current_A);

@@ -1,7 +1,7 @@
 /* The servo: sensors in, command and events out, once per servo period (controller/servo.py, its oracle).
  *
  *     IDLE     no command                                     arm -> ARMED
- *     ARMED    feedback                                       contact -> PLAYING, disarm -> IDLE
+ *     ARMED    feedback                                       contact or excite -> PLAYING, disarm -> IDLE
  *     PLAYING  feedback and transient                         end -> ARMED, disarm -> IDLE
  *     FAULT    no command, from the tick on that saw it       reset -> IDLE once the cause is gone
  *
@@ -38,6 +38,7 @@ typedef struct {
     int32_t index, last;   /* next sample; the one past the end of the waveform */
     bool engaged;          /* the stylus has been above the surface since arming: the wall may push */
     bool was_saturated, read;
+    bool held; /* what plays ends in a fault if the grip is lost */
     td_wide z_m, v_m_s;    /* encoder and its filtered difference, now */
     td_real ring_z[TD_MAX_LATENCY_TICKS + 1], ring_v[TD_MAX_LATENCY_TICKS + 1]; /* the law answers the oldest */
     int32_t ring_next;
@@ -54,6 +55,10 @@ void td_servo_start(td_servo *servo, const td_config *config, const td_bank *ban
 
 /* From IDLE; false in FAULT or without a bank. */
 bool td_servo_arm(td_servo *servo);
+
+/* From ARMED, where the host starts the waveform: play it from the coming tick on, `negative` with the other sign;
+ * false if it may not be played now. The heat allows all of it or none. */
+bool td_servo_excite(td_servo *servo, bool negative);
 
 /* To IDLE, with no command from the next tick on; a fault stays. */
 void td_servo_disarm(td_servo *servo);

@@ -33,6 +33,8 @@ static uint8_t grant(td_servo *servo, uint8_t wishes, td_wide gain)
         td_servo_set_gain(servo, gain);
     if ((wishes & TD_WISH_ARM) && td_servo_arm(servo))
         answers |= TD_WISH_ARM;
+    if ((wishes & TD_WISH_EXCITE) && td_servo_excite(servo, (wishes & TD_WISH_NEGATIVE) != 0))
+        answers |= TD_WISH_EXCITE;
     return answers;
 }
 

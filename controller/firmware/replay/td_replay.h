@@ -18,7 +18,14 @@
 #define TD_REPLAY_OUT 64
 
 /* Wishes, carried out before the tick in this order; answers holds the bits of those that were granted. */
-enum { TD_WISH_RESET = 1, TD_WISH_DISARM = 2, TD_WISH_GAIN = 4, TD_WISH_ARM = 8 };
+enum {
+    TD_WISH_RESET = 1,
+    TD_WISH_DISARM = 2,
+    TD_WISH_GAIN = 4,
+    TD_WISH_ARM = 8,
+    TD_WISH_EXCITE = 16,
+    TD_WISH_NEGATIVE = 32 /* the excitation with the other sign */
+};
 
 typedef struct {
     td_config config;

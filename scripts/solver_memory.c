@@ -1,0 +1,83 @@
+/* Runs the interior point on problems from a file, every array in memory of its exact size: for sanitizers and valgrind.
+ *
+ * Written by solver_memory.py: count, then per problem the integers and numbers of tr_problem in its order, the lengths
+ * of its arrays, the arrays. Prints per problem and entry point: code, iterations, objective, sum of the movement.
+ */
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "../transopt/solvers/riccati.c"
+
+enum { INTEGERS = 8, ARRAYS = 18, NUMBERS = 5 };
+
+static void read_or_stop(void *into, size_t size, size_t count, FILE *file)
+{
+    if (fread(into, size, count, file) != count) {
+        fputs("the file of problems is cut\n", stderr);
+        exit(2);
+    }
+}
+
+static double *doubles(size_t count)
+{
+    double *found = malloc((count ? count : 1) * sizeof(double));
+    if (!found) exit(2);
+    return found;
+}
+
+static void tell(const char *what, int code, const tr_result *r, int stages)
+{
+    double sum = 0.0;
+    for (int k = 0; k < stages; k++) sum += r->movement[k];
+    printf("%s %d %d %.17g %.17g\n", what, code, r->iterations, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
+}
+
+static void run(FILE *file)
+{
+    int of[INTEGERS];
+    long long lengths[ARRAYS];
+    double numbers[NUMBERS], *arrays[ARRAYS];
+    read_or_stop(of, sizeof(int), INTEGERS, file);
+    read_or_stop(numbers, sizeof(double), NUMBERS, file);
+    read_or_stop(lengths, sizeof(long long), ARRAYS, file);
+    for (int i = 0; i < ARRAYS; i++) {
+        arrays[i] = doubles((size_t)lengths[i]);
+        read_or_stop(arrays[i], sizeof(double), (size_t)lengths[i], file);
+    }
+    tr_problem q = {of[0], of[1], of[2], of[3], of[4], of[5], of[6], of[7],
+                    arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], arrays[5], arrays[6], arrays[7], arrays[8],
+                    arrays[9], arrays[10], arrays[11], arrays[12], arrays[13], arrays[14], arrays[15], arrays[16],
+                    arrays[17], numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]};
+    const size_t N = (size_t)q.stages, rows = (N + 1) * (size_t)q.rows;
+    const tr_options options = {60, 1e-9};
+    tr_result r = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),
+                   0, 0.0, 0.0, 0.0};
+    /* A result that is not written, as of a breakdown at once, is zero as from Python. */
+    for (size_t k = 0; k < N; k++) r.movement[k] = 0.0;
+    double *workspace = doubles(tr_workspace(&q));
+    const int code = tr_solve(&q, &options, workspace, &r);
+    tell("solve", code, &r, q.stages);
+    free(workspace);
+    if (!q.rows && !q.nodes) {
+        workspace = doubles(tr_workspace(&q));
+        for (int factored = 0; factored < 2; factored++) {
+            const int linear = tr_linear(&q, 1e-9, factored, workspace, &r);
+            tell(factored ? "again" : "linear", linear, &r, q.stages);
+            if (linear > TR_ACCURACY) break;
+        }
+        free(workspace);
+    }
+    for (int i = 0; i < ARRAYS; i++) free(arrays[i]);
+    free(r.movement), free(r.size), free(r.lower), free(r.upper), free(r.gradient), free(r.start);
+}
+
+int main(int argc, char **argv)
+{
+    int count = 0;
+    FILE *file = argc == 2 ? fopen(argv[1], "rb") : NULL;
+    if (!file) return 2;
+    read_or_stop(&count, sizeof count, 1, file);
+    for (int i = 0; i < count; i++) run(file);
+    fclose(file);
+    return 0;
+}

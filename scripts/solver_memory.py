@@ -1,0 +1,143 @@
+"""The interior point in C under AddressSanitizer, UndefinedBehaviorSanitizer and valgrind.
+
+    python scripts/solver_memory.py
+
+Problems of the built-in scenes (saturated, with temperature, with taps that repeat, over a wall, at a rail, ideal,
+for several devices), their limits taken away, horizons of one stage, limits that nothing meets and numbers that are
+none are solved by `solver_memory.c`, whose arrays have their exact sizes. Every run has to be clean and to give what
+the installed extension gives. Exit code 3: a tool is missing, and which is said.
+"""
+
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import problems
+from problems.simulate import recordings
+from transopt import native
+from transopt.design import entry_problem, scene_stage
+from transopt.parts import pressing, reference_course
+from transopt.problem import TransientProblem
+from transopt.reference import build_references
+from transopt.scene_file import load_scene
+from transopt.stagewise import Stages, runtime_stages, without_limits
+
+SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
+SOURCE = Path(__file__).with_suffix(".c")
+FLAGS = ("-std=c99", "-g", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra")
+SANITIZED = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+VALGRIND = ("valgrind", "--quiet", "--leak-check=full", "--error-exitcode=9")
+TOLERANCE = 1e-9  # relative, between compilations; strict IEEE makes it zero on most machines
+MISSING = 3
+
+
+def hardest(name: str) -> TransientProblem:
+    """The fastest tap under the firmest grip of a scene."""
+    scene = load_scene(problems.scene_path(name))
+    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
+    if problem.wall is None:
+        return problem
+    return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+
+
+def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
+    return replace(
+        problem,
+        grid=replace(problem.grid, stages=stages),
+        reference_m_s2=problem.reference_m_s2[:stages] + 1.0,
+        tracking_weights=np.ones(stages),
+        hand_over_samples=min(problem.hand_over_samples, stages),
+    )
+
+
+def cases() -> Iterator[Stages]:
+    found = {name: hardest(name) for name in SCENES}
+    plain = replace(found["wood_on_foam"], thermal=None)
+    for problem in found.values():
+        yield runtime_stages(problem)
+        yield without_limits(problem)
+    yield runtime_stages(replace(plain, spread=(plain.stage, plain.stage)))
+    for stages in (1, 2, 12):
+        yield runtime_stages(shortened(plain, stages))
+        yield without_limits(shortened(plain, stages))
+    tight = runtime_stages(found["walled"])
+    yield replace(tight, arrays=tight.arrays | {"upper": tight.arrays["upper"] - 2.0})  # below the lower limits
+    nothing = np.full_like(plain.reference_m_s2, np.nan)
+    given = runtime_stages(plain)
+    yield replace(given, arrays=given.arrays | {"reference": nothing})
+    yield without_limits(replace(plain, rho=0.0, tracking_weights=np.zeros(plain.grid.stages)))
+
+
+def written(stages: Stages) -> bytes:
+    """A problem as `solver_memory.c` reads it."""
+    names = [name for name, kind in native.PROBLEM_FIELDS if kind is native.DOUBLES]
+    integers = [stages.sizes[name] for name, kind in native.PROBLEM_FIELDS if kind is native.ct.c_int]
+    numbers = [stages.numbers[name] for name, kind in native.PROBLEM_FIELDS if kind is native.ct.c_double]
+    arrays = [stages.arrays[name] for name in names]
+    head = struct.pack(f"{len(integers)}i{len(numbers)}d", *integers, *numbers)
+    lengths = struct.pack(f"{len(arrays)}q", *(array.size for array in arrays))
+    return head + lengths + b"".join(array.tobytes() for array in arrays)
+
+
+def expected(stages: Stages) -> list[list[float]]:
+    """What the installed extension says of a problem, as the driver prints it."""
+    buffers = native.Buffers(stages.sizes)
+    answers = [native.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)]
+    sums = [buffers.movement.sum()]
+    if not stages.sizes["rows"] and not stages.sizes["nodes"]:
+        run = native.LinearPass(stages)
+        for _ in range(2):
+            answers.append(run.solve(1e-9))
+            sums.append(run.buffers.movement.sum())
+            if answers[-1].code > native.ACCURACY:
+                break
+    return [
+        [a.code, a.iterations, a.objective if a.code <= native.ACCURACY else 0.0, total]
+        for a, total in zip(answers, sums, strict=True)
+    ]
+
+
+def main() -> int:
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None or not native.available:
+        print("no C compiler, or the extension is not built: nothing to check")
+        return MISSING
+    given = list(cases())
+    wanted = [row for stages in given for row in expected(stages)]
+    runs = {"sanitizers": SANITIZED} | ({} if shutil.which("valgrind") is None else {"valgrind": ("-O2",)})
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder) / "problems"
+        data.write_bytes(struct.pack("i", len(given)) + b"".join(written(stages) for stages in given))
+        for name, flags in runs.items():
+            driver = str(Path(folder) / name)
+            subprocess.run([compiler, *FLAGS, *flags, str(SOURCE), "-o", driver, "-lm"], check=True)
+            command = [*(VALGRIND if name == "valgrind" else ()), driver, str(data)]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+            if done.returncode:
+                print(f"{name}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
+                return 1
+            found = [[float(word) for word in line.split()[1:]] for line in done.stdout.splitlines()]
+            codes = [[row[0] for row in rows] for rows in (found, wanted)]
+            answered = np.array([row[0] <= native.ACCURACY for row in wanted])
+            if codes[0] != codes[1] or not np.allclose(
+                np.array(found)[answered], np.array(wanted)[answered], rtol=TOLERANCE, atol=TOLERANCE
+            ):
+                print(f"{name}: other answers than the installed extension\n{found}\n{wanted}")
+                return 1
+            print(f"{name}: {len(given)} problems, {len(found)} answers, clean")
+    if "valgrind" not in runs:
+        print("valgrind is not installed: not run")
+        return MISSING
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

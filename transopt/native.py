@@ -1,0 +1,173 @@
+"""The compiled interior point (`solvers/riccati.c`) through ctypes, which releases the GIL; no CasADi.
+
+The extension is optional. Where it could not be built, `available` is False.
+"""
+
+import ctypes as ct
+from dataclasses import dataclass
+from importlib.machinery import PathFinder
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from transopt.problem import OBJECTIVE_SCALE
+from transopt.signals import FloatArray
+from transopt.stagewise import Stages
+
+EXTENSION = "_riccati"  # beside `transopt.solvers`, whose import would load CasADi
+MOST_STATES = 48  # of riccati.c
+DOUBLES = ct.POINTER(ct.c_double)
+
+
+# `tr_problem` of riccati.c.
+PROBLEM_FIELDS: list[tuple[str, Any]] = [
+    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "rows", "nodes")],
+    *[(name, ct.c_int) for name in ("current", "repeated")],
+    *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
+    *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
+    *[(name, DOUBLES) for name in ("M", "b", "gain", "square", "F", "f")],
+    *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound")],
+]
+
+
+class _Problem(ct.Structure):
+    _fields_ = PROBLEM_FIELDS
+
+
+class _Options(ct.Structure):
+    _fields_ = (("max_iterations", ct.c_int), ("tolerance", ct.c_double))
+
+
+class _Result(ct.Structure):
+    _fields_ = (
+        *[(name, DOUBLES) for name in ("movement", "size", "lower", "upper", "gradient", "start")],
+        ("iterations", ct.c_int),
+        *[(name, ct.c_double) for name in ("objective", "gap", "residual")],
+    )
+
+
+def _library() -> ct.CDLL | None:
+    found = PathFinder.find_spec(EXTENSION, [str(Path(__file__).parent / "solvers")])
+    if found is None or found.origin is None:
+        return None
+    library = ct.CDLL(found.origin)
+    library.tr_workspace.restype = ct.c_size_t
+    return library
+
+
+_LIBRARY = _library()
+available = _LIBRARY is not None
+SOLVED, ACCURACY = 0, 1  # codes of an answer; the others are failures
+
+
+def _pointer(array: FloatArray) -> Any:
+    return array.ctypes.data_as(DOUBLES)
+
+
+class Buffers:
+    """Result arrays and workspace of one size, to be used again and again, by one thread at a time.
+
+    Attributes
+    ----------
+    movement, size, gradient : (N,). lower, upper : (N + 1, rows) multipliers of the last answer.
+    """
+
+    def __init__(self, sizes: dict[str, int]) -> None:
+        assert _LIBRARY is not None
+        N, shape = sizes["stages"], (sizes["stages"] + 1, sizes["rows"])
+        self.movement, self.size, self.gradient = np.zeros(N), np.zeros(N), np.zeros(N)
+        # A pointer to nothing is none that C may copy no bytes to.
+        self._lower, self._upper, self._start = (np.zeros(max(count, 1)) for count in (*[shape[0] * shape[1]] * 2, 4))
+        self.lower, self.upper = (flat[: shape[0] * shape[1]].reshape(shape) for flat in (self._lower, self._upper))
+        self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
+        self.result = _Result(
+            *(_pointer(a) for a in (self.movement, self.size, self._lower, self._upper, self.gradient, self._start))
+        )
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the method says of its last iterate, which stands in the buffers.
+
+    Attributes
+    ----------
+    code : 0 solved, 1 solved to what rounding leaves, otherwise a failure. gap, objective : in units of 1e-3.
+    """
+
+    code: int
+    iterations: int
+    objective: float
+    gap: float
+    residual: float
+
+    @property
+    def relative_gap(self) -> float:
+        """Of max(J, 1e-3); inf for what is no number."""
+        relative = self.gap / max(self.objective, 1.0)
+        return relative if np.isfinite(relative) else np.inf
+
+
+def _stated(stages: Stages) -> _Problem:
+    arrays = {name: _pointer(array) for name, array in stages.arrays.items()}
+    return _Problem(**stages.sizes, **stages.numbers, **arrays)
+
+
+def _answer(code: int, result: _Result) -> Answer:
+    return Answer(code, result.iterations, result.objective, result.gap, result.residual)
+
+
+def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_iterations: int) -> Answer:
+    """Solve; the answer stands in the buffers, made for the same sizes.
+
+    Parameters
+    ----------
+    tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
+    """
+    assert _LIBRARY is not None
+    stated, asked = _stated(stages), _Options(max_iterations, tolerance)
+    code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), _pointer(buffers.workspace), ct.byref(buffers.result))
+    return _answer(code, buffers.result)
+
+
+class LinearPass:
+    """The optimum without limits for one device and one weight, its gains factored once and used for any reference.
+
+    Parameters
+    ----------
+    stages : `stagewise.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
+        references share gains only if they share rho |r|^2, as those of one (grip, speed) do.
+
+    Attributes
+    ----------
+    reference : (N,) of the stages' problem in units of its norm; writing into it is how it is changed.
+    """
+
+    def __init__(self, stages: Stages) -> None:
+        assert _LIBRARY is not None
+        self.stages = stages
+        self.buffers = Buffers(stages.sizes)
+        self.reference = stages.arrays["reference"].copy()
+        self._stated = _stated(stages)
+        self._stated.reference = _pointer(self.reference)
+        self._arguments = (_pointer(self.buffers.workspace), ct.byref(self.buffers.result))
+        self._problem, self._factored = ct.byref(self._stated), 0
+        self._pass = _LIBRARY.tr_linear
+
+    def solve(self, tolerance: float) -> Answer:
+        """Answer to `tolerance` on the gap, relative to max(J, 1e-3); movement and gradient stand in the buffers."""
+        code = self._pass(self._problem, ct.c_double(tolerance), self._factored, *self._arguments)
+        self._factored = int(code in (SOLVED, ACCURACY))
+        return _answer(code, self.buffers.result)
+
+    def command_A(self) -> FloatArray:
+        """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
+        command = np.cumsum(self.buffers.movement) * self.stages.current_A
+        if self.stages.problem.wall is None:
+            command[self.stages.problem.free_stages :] = 0.0
+        return np.asarray(command)
+
+    def hand_over(self) -> FloatArray:
+        """(hand_over_samples,) its multipliers of the hand-over [1/A]."""
+        tail = self.buffers.gradient[self.stages.problem.free_stages :]
+        return np.asarray(-tail * OBJECTIVE_SCALE / self.stages.current_A)
