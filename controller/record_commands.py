@@ -14,45 +14,48 @@ from transopt.errors import InputError
 
 record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
 DEFAULT_SCENE = "wood_on_foam"
-SIMULATED_ONLY = ("scene", "mismatch", "seed", "crossover")
-TAP_SIMULATED_ONLY = ("library", "real_object", "speeds", "grips", "repeats", "force_noise")
-TAP_ON_PORT_ONLY = ("taps", "seconds", "trigger", "count_um")
-SWEEP_ON_PORT_ONLY = ("gain", "grip", "library", "accelerometer_hz", "count_um", "patience", "reset")
+ON_PORT_ONLY = ("taps", "seconds", "trigger", "count_um")
+SIMULATED_ONLY = (
+    "library",
+    "real_object",
+    "speeds",
+    "grips",
+    "repeats",
+    "force_noise",
+    "scene",
+    "mismatch",
+    "seed",
+    "crossover",
+)
+
+SWEEP_ON_PORT_ONLY = ("gain", "library", "accelerometer_hz", "count_um", "patience", "reset")
+SWEEP_SIMULATED_ONLY = ("scene", "mismatch", "seed", "crossover")
 
 Folder = Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")]
-Port = Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists, or socket://HOST:PORT.")]
-CountUm = Annotated[float, typer.Option(help="On a device: one encoder count at the tip, in um.")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="From the simulator's truth, in virtual time.")]
 SceneName = Annotated[str | None, typer.Option(help="Whose device it really is: built-in name or .toml file.")]
 Mismatch = Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")]
 Seed = Annotated[int, typer.Option(help="Of mismatch and noise.")]
+CountUm = Annotated[float, typer.Option(help="On a device: one encoder count at the tip, in um.")]
 Crossover = Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")]
-
-
-def _one_device(what: str, simulate: bool, port: str | None) -> None:
-    """
-    Raises
-    ------
-    InputError : none or both are named.
-    """
-    if simulate == (port is not None):
-        raise InputError(
-            f"record {what}: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)"
-        )
 
 
 @record_app.callback()
 def record() -> None:
-    """Record what a device's sensors say: taps while it is idle, excitations while it plays them."""
+    """Record what a device's sensors say."""
 
 
 @record_app.command("sweep")
 def record_sweep(
     context: typer.Context,
-    out: Folder,
-    port: Port = None,
+    out: Annotated[Path, typer.Option(help="Folder for the trials.")],
     simulate: Simulate = False,
+    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
     purpose: Annotated[str, typer.Option("--for", help="What it identifies: device or amplifier.")] = "device",
+    grips: Annotated[
+        str | None,
+        typer.Option(help="Grips in N, 0 to let go; default 1,3,5, for an amplifier 3, on a port as you hold it."),
+    ] = None,
     trials: Annotated[int, typer.Option(help="Of each grip and offset, of alternating polarity.")] = 4,
     low: Annotated[
         float | None, typer.Option(help="First frequency in Hz; default 1, free device 20, amplifier 10.")
@@ -60,72 +63,69 @@ def record_sweep(
     high: Annotated[float | None, typer.Option(help="Last frequency in Hz; default 2000, amplifier 4000.")] = None,
     amplitude: Annotated[float | None, typer.Option(help="In A; default 0.75, amplifier 0.3.")] = None,
     offset: Annotated[
-        float | None, typer.Option(help="Of the sine's middle in A; default 0, amplifier simulated both 0 and 0.5.")
+        float | None, typer.Option(help="Of the sine's middle in A; default 0, amplifier both 0 and 0.5.")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Of each sweep; default 2.")] = None,
+    scene: SceneName = None,
+    mismatch: Mismatch = 0.0,
+    seed: Seed = 0,
+    crossover: Crossover = 0.01,
     gain: Annotated[
         float | None,
-        typer.Option(help="On a device: scale, 0 to 1; default 1, on its first run since its start 0.1."),
-    ] = None,
-    grip: Annotated[
-        float | None,
-        typer.Option(help="On a device: grip in N that you are asked to hold; 0 to let go; default any."),
+        typer.Option(
+            help="On a device: scale of what is played, 0 to 1; default 1, on its first run since start 0.1."
+        ),
     ] = None,
     library: Annotated[
-        Path | None,
-        typer.Option(help="On a device: library.npz whose limits, amplifier and coil hold; else the built-in ones."),
+        Path | None, typer.Option(help="On a device: whose limits, amplifier and coil hold; else the built-in ones.")
     ] = None,
     accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
     count_um: CountUm = 24.5,
     patience: Annotated[float, typer.Option(help="On a device: how long to wait for your hand, in s.")] = 60.0,
     reset: Reset = False,
-    grips: Annotated[
-        str | None, typer.Option(help="Simulated: grips in N, 0 the free device; default 1,3,5, for an amplifier 3.")
-    ] = None,
-    scene: SceneName = None,
-    mismatch: Mismatch = 0.0,
-    seed: Seed = 0,
-    crossover: Crossover = 0.01,
 ) -> None:
-    """Swept sines on a stylus held still: one file per trial, which `transopt identify amplifier|device` reads."""
+    """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads."""
     from controller.sweep_plan import Purpose, sweep_plan
 
-    _one_device("sweep", simulate, port)
+    if simulate == (port is not None):
+        raise InputError(
+            "record sweep: name the device: --simulate, or --port PORT (`transopt-play ports` lists them)"
+        )
     purposes = [choice.value for choice in Purpose]
     if purpose not in purposes:
         raise InputError(f"--for {purpose}: must be one of {', '.join(purposes)}")
-    stated = {"low_Hz": low, "high_Hz": high, "amplitude_A": amplitude, "seconds": seconds}
-    if port is not None:
-        refuse(context, ("grips", *SIMULATED_ONLY), "only with --simulate")
-        from controller.record_on_port import record_sweep_on_port
+    planned = sweep_plan(
+        Purpose(purpose),
+        numbers("grips", grips, 0.0, 50.0, " N, what a hand does"),
+        trials,
+        low_Hz=low,
+        high_Hz=high,
+        amplitude_A=amplitude,
+        offset_A=offset,
+        seconds=seconds,
+    )
+    if port is None:
+        from controller.record_simulated import simulate_sweeps
+        from controller.simulated_device import imperfect
 
-        held = 1.0 if grip is None else grip
-        [first, *_] = sweep_plan(Purpose(purpose), [held], 1, offset_A=offset or 0.0, **stated)
-        record_sweep_on_port(
-            port,
-            out,
-            low=first.low_Hz,
-            high=first.high_Hz,
-            amplitude=first.amplitude_A,
-            offset=first.offset_A,
-            seconds=first.seconds,
-            trials=trials,
-            gain=gain,
-            grip=grip,
-            library=library,
-            accelerometer_hz=accelerometer_hz,
-            count_um=count_um,
-            patience=patience,
-            reset=reset,
-        )
+        refuse(context, SWEEP_ON_PORT_ONLY, "only with --port")
+        simulate_sweeps(out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed)
         return
-    refuse(context, SWEEP_ON_PORT_ONLY, "only with --port")
-    from controller.record_simulated import simulate_sweeps
-    from controller.simulated_device import imperfect
+    from controller.record_on_port import Bench, sweep_on_port
 
-    chosen = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
-    planned = sweep_plan(Purpose(purpose), chosen, trials, offset_A=offset, **stated)
-    simulate_sweeps(out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed)
+    refuse(context, SWEEP_SIMULATED_ONLY, "only with --simulate")
+    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
+    within("count-um", count_um, 1e-3, 1e4, " um")
+    within("patience", patience, 0.1, 3600.0, " s")
+    if gain is not None:
+        within("gain", gain, 1e-3, 1.0)
+    if grips is None:
+        # One series, however the stylus is held.
+        planned = [trial for trial in planned if trial.grip_N == planned[-1].grip_N]
+    for grip in {trial.grip_N for trial in planned} - {0.0}:
+        within("grips", grip, 0.5, 50.0, " N, or 0 to let go")
+    bench = Bench(gain, library, accelerometer_hz, 1e-6 * count_um, patience, reset)
+    sweep_on_port(port, planned, out, bench, as_held=grips is None)
 
 
 @record_app.command("tap")
@@ -135,7 +135,7 @@ def record_tap(
     library: Annotated[
         Path | None, typer.Argument(help="Simulated: library.npz whose taps are played.", show_default=False)
     ] = None,
-    port: Port = None,
+    port: Annotated[str | None, typer.Option(help="On a device, idle: a name that `ports` lists.")] = None,
     simulate: Simulate = False,
     taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default: on Ctrl-C.")] = None,
     seconds: Seconds = None,
@@ -154,14 +154,17 @@ def record_tap(
     crossover: Crossover = 0.01,
 ) -> None:
     """Record taps: on a port on a real object, device idle; simulated a library's, or on the scene's object."""
-    _one_device("tap", simulate, port)
+    if simulate == (port is not None):
+        raise InputError("record tap: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
     if port is not None:
-        refuse(context, (*TAP_SIMULATED_ONLY, *SIMULATED_ONLY), "only with --simulate")
-        from controller.record_on_port import record_tap_on_port
+        from controller.record_on_port import tap_on_port
 
-        record_tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
+        refuse(context, SIMULATED_ONLY, "only with --simulate")
+        within("trigger", trigger, 0.05, 100.0, " g")
+        within("count-um", count_um, 1e-3, 1e4, " um")
+        tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
         return
-    refuse(context, TAP_ON_PORT_ONLY, "only with --port")
+    refuse(context, ON_PORT_ONLY, "only with --port")
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
     from controller.record_simulated import simulate_library_taps, simulate_object_taps
@@ -181,9 +184,9 @@ def record_tap(
 
 @record_app.command("heat")
 def record_heat(
-    out: Annotated[Path | None, typer.Option(help="Folder for heat.npz; must hold none yet.")] = None,
-    port: Port = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the recording; must hold none yet.")] = None,
     simulate: Simulate = False,
+    port: Annotated[str | None, typer.Option(help="Says how a device's heating is recorded.")] = None,
     current: Annotated[
         float | None, typer.Option(help="While heating, in A; default 0.9 of the continuous current.")
     ] = None,
@@ -198,17 +201,17 @@ def record_heat(
     seed: Seed = 0,
 ) -> None:
     """Heating and cooling of the coil: heat.npz with current, winding and housing for `transopt identify coil`."""
-    _one_device("heat", simulate, port)
-    if port is not None:
-        raise InputError(
-            f"record heat: the device on {port} measures neither the coil's voltage nor its temperature: log both, "
-            "every second or so, while a constant current flows and while the coil cools, as CSV with the columns "
-            "time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of the temperatures those that you have)"
-        )
-    if out is None:
-        raise InputError("record heat: give a folder: --out DIR")
     from controller.record_simulated import MOST_HEAT_S, simulate_heat
 
+    if not simulate:
+        raise InputError(
+            f"record heat: name the device: --simulate; {port or 'a device on a port'} measures neither the coil's "
+            "voltage nor its temperature: log both, every second or so, while a constant current flows and while the "
+            "coil cools, as CSV with the columns time_s, current_A, voltage_V, winding_C, housing_C, ambient_C (of "
+            "the temperatures those that you have)"
+        )
+    if port is not None or out is None:
+        raise InputError("record heat: give --simulate and --out DIR, and no --port")
     for name, value in (("heating", heating), ("cooling", cooling)):
         within(name, value, 0.0, MOST_HEAT_S, " s")
     within("every", every, 0.01, 60.0, " s")

@@ -1,43 +1,52 @@
-"""`transopt-play record --port`: what the sensors of a device on a port say.
+"""`transopt-play record --port`: what a device's sensors say, to files that `transopt` reads."""
 
-Heavy imports stand inside the commands, so that help and errors come at once.
-"""
-
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from controller import port_commands
-from controller.port_commands import (
-    STOPPED,
-    StoppedError,
-    connected,
-    disarmed_by_ctrl_c,
-    ends,
-    load,
-    no_long_pauses,
-    number,
-    run,
-)
+from controller.device_tables import sweep_table
+from controller.driver import Device, LinkLostError
+from controller.first_run import default_gain, remember
+from controller.image import sha256
+from controller.live import Monitor
+from controller.payload import excitation, excitation_settings
+from controller.port_commands import STOPPED, StoppedError, connected, disarmed_by_ctrl_c, ends, load, no_long_pauses
+from controller.recorder import Recorder, make_room
+from controller.sweep_plan import PlannedSweep
+from controller.sweeps import AbortedError, Sweeps, Trial, free_numbers
 from transopt import terminal
 from transopt.errors import InputError
-
-if TYPE_CHECKING:
-    from controller.driver import Device
-    from controller.sweeps import Trial
+from transopt.signals import STANDARD_GRAVITY_M_S2
 
 
-def record_tap_on_port(
+@dataclass(frozen=True)
+class Bench:
+    """How sweeps are played on a port.
+
+    Attributes
+    ----------
+    gain : scale of what is played; None for 1, on a device's first run since its start 0.1.
+    library : whose limits, amplifier and coil hold; None for the built-in ones.
+    accelerometer_Hz : its bandwidth. count_m : one encoder count at the tip. patience_s : with a hand.
+    reset : a latched fault first.
+    """
+
+    gain: float | None
+    library: Path | None
+    accelerometer_Hz: float
+    count_m: float
+    patience_s: float
+    reset: bool
+
+
+def tap_on_port(
     port: str, out: Path, *, taps: int | None, seconds: float | None, trigger: float, count_um: float
 ) -> None:
     """A real object's taps, the device idle: one file each, which `transopt taps` and scenes read."""
-    from controller.live import Monitor
-    from controller.recorder import Recorder, make_room
-    from transopt.signals import STANDARD_GRAVITY_M_S2
-
-    number("trigger", trigger, 0.05, 100.0, " g")
-    number("count-um", count_um, 1e-3, 1e4, " um")
     ends(taps, seconds)
     make_room(out)
     console = terminal.console()
@@ -45,7 +54,7 @@ def record_tap_on_port(
         dt_s, count_m = device.hello.dt_s, 1e-6 * count_um
         recorder = Recorder(out, dt_s, count_m, trigger_m_s2=trigger * STANDARD_GRAVITY_M_S2)
         shown = Monitor(console, f"recording on {port}", dt_s, count_m)
-        stopped = run(
+        stopped = port_commands.run(
             device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, None
         )
     console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
@@ -56,94 +65,75 @@ def record_tap_on_port(
         raise typer.Exit(1)
 
 
-def record_sweep_on_port(
-    port: str,
-    out: Path,
-    *,
-    low: float,
-    high: float,
-    amplitude: float,
-    offset: float,
-    seconds: float,
-    trials: int,
-    gain: float | None,
-    grip: float | None,
-    library: Path | None,
-    accelerometer_hz: float,
-    count_um: float,
-    patience: float,
-    reset: bool,
-) -> None:
-    """Swept sines played and what they do: one file per trial."""
-    from controller.device_tables import sweep_table
-    from controller.driver import LinkLostError
-    from controller.excitation import sweep_command
-    from controller.first_run import default_gain, remember
-    from controller.image import sha256
-    from controller.live import Monitor
-    from controller.payload import excitation, excitation_settings
-    from controller.sweeps import AbortedError, Sweeps, free_numbers
+def _alike(trial: PlannedSweep) -> PlannedSweep:
+    """What the device holds of a trial: the other sign is its own business."""
+    return replace(trial, polarity=1, number=1)
 
-    number("trials", trials, 1, 1000)
-    number("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
-    number("count-um", count_um, 1e-3, 1e4, " um")
-    number("patience", patience, 0.1, 3600.0, " s")
-    if gain is not None:
-        number("gain", gain, 1e-3, 1.0)
-    if grip is not None and grip != 0:
-        number("grip", grip, 0.5, 50.0, " N, or 0 to let go")
-    paths = free_numbers(out, trials)
+
+def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: Bench, *, as_held: bool) -> None:
+    """Trial after trial, one file each; the person at the device is asked for each grip, unless it is `as_held`.
+
+    Raises
+    ------
+    InputError : the device will not take it. typer.Exit : not every trial was had.
+    """
+    paths = free_numbers(out, len(planned))
     console = terminal.console()
     written: list[tuple[Path, Trial]] = []
     why = ""
-    with connected(port, reset) as device:
+
+    def told(words: str) -> None:
+        console.print(f"  {words}", highlight=False, soft_wrap=True)
+
+    with connected(port, bench.reset) as device:
         hello = device.hello
-        settings = excitation_settings(hello, library)
-        command_A = sweep_command(low, high, seconds, amplitude, settings.dt_s, offset)
-        given = excitation(settings, command_A, hello)
-        configuration = sha256(given.configuration)
-        _need_check(device, configuration, port, library)
-        load(device, given)
-        played_at = default_gain(hello.boot, configuration) if gain is None else gain
-        title = f"{low:g} to {high:g} Hz, {amplitude:g} A on {port}, gain {played_at:g}"
-        shown = Monitor(console, title, hello.dt_s, 1e-6 * count_um)
+        settings = excitation_settings(hello, bench.library)
+        commands = {alike: alike.command(settings.dt_s) for alike in map(_alike, planned)}
+        # All of them are tried before any of them is played.
+        loads = {alike: excitation(settings, command, hello) for alike, command in commands.items()}
+        configuration = sha256(next(iter(loads.values())).configuration)
+        _need_check(device, configuration, port, bench.library)
+        played_at = default_gain(hello.boot, configuration) if bench.gain is None else bench.gain
+        first = planned[0]
+        title = f"{first.low_Hz:g} to {first.high_Hz:g} Hz, {first.amplitude_A:g} A on {port}, gain {played_at:g}"
+        shown = Monitor(console, title, hello.dt_s, bench.count_m)
         stopped = False
-        sweeps = Sweeps(
-            device,
-            port_commands.ConsolePerson(),
-            command_A.size,
-            gain=played_at,
-            grip_N=grip,
-            count_m=1e-6 * count_um,
-            patience_s=patience,
-        )
-
-        def told(words: str) -> None:
-            console.print(f"  {words}", highlight=False, soft_wrap=True)
-
-        with sweeps, shown, no_long_pauses():
+        names = iter(paths)
+        with shown, no_long_pauses():
             device.listeners.append(shown.take)
             try:
-                with disarmed_by_ctrl_c(device):
-                    device.set_telemetry(1)
-                    for j, path in enumerate(paths):
-                        told(f"trial {j + 1} of {trials}")
-                        trial = sweeps.trial(negative=j % 2 == 1, told=told)
-                        trial.write(path, accelerometer_hz)
-                        written.append((path, trial))
-                        remember(hello.boot, configuration)
+                for alike, trials in itertools.groupby(planned, _alike):
+                    load(device, loads[alike])
+                    sweeps = Sweeps(
+                        device,
+                        port_commands.ConsolePerson(),
+                        commands[alike].size,
+                        gain=played_at,
+                        grip_N=None if as_held else alike.grip_N,
+                        count_m=bench.count_m,
+                        patience_s=bench.patience_s,
+                    )
+                    with sweeps, disarmed_by_ctrl_c(device):
+                        device.set_telemetry(1)
+                        for trial in trials:
+                            told(f"trial {len(written) + 1} of {len(planned)}")
+                            taken = sweeps.trial(negative=trial.polarity < 0, told=told)
+                            path = next(names)
+                            taken.write(path, bench.accelerometer_Hz)
+                            written.append((path, taken))
+                            remember(hello.boot, configuration)
             except StoppedError:
                 stopped = True
             except AbortedError as aborted:
                 why = str(aborted)
             except LinkLostError as lost:
-                raise LinkLostError(f"{lost}; {out}: {len(written)} of {trials} trials, all whole") from None
+                raise LinkLostError(f"{lost}; {out}: {len(written)} of {len(planned)} trials, all whole") from None
             finally:
                 device.listeners.remove(shown.take)
     console.print(sweep_table(written, title))
-    files = f"{len(written)} of {trials} trials, all whole"
+    files = f"{len(written)} of {len(planned)} trials, all whole"
     console.print(f"{out}: {files}", highlight=False, soft_wrap=True)
-    if gain is None and played_at < 1:
+    if bench.gain is None and played_at < 1:
         console.print(
             f"gain {played_at:g}: the first run since the device's start; the next one plays in full",
             highlight=False,

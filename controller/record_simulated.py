@@ -20,7 +20,7 @@ from controller.simulated_records import (
     true_coil,
 )
 from controller.simulator import Imperfections
-from controller.sweep_plan import Trial, check_plan
+from controller.sweep_plan import PlannedSweep, check_plan
 from transopt import terminal
 from transopt.errors import InputError
 from transopt.library_file import load_library
@@ -45,7 +45,7 @@ def _write(path: Path, taken: Record) -> str:
     return path.name
 
 
-def simulate_sweeps(out: Path, planned: Sequence[Trial], scene: str, wrong: Imperfections, seed: int) -> None:
+def simulate_sweeps(out: Path, planned: Sequence[PlannedSweep], scene: str, wrong: Imperfections, seed: int) -> None:
     """One file per trial; another noise in each, one device for all."""
     truth = find_scene(scene)
     dt = truth.time.dt_s

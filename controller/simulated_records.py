@@ -13,7 +13,7 @@ from controller.sensors import Sensors
 from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Coil, Imperfections, Simulator
-from controller.sweep_plan import Trial
+from controller.sweep_plan import PlannedSweep
 from controller.truth import Device
 from controller.user import TapUser
 from transopt.errors import InputError
@@ -52,8 +52,8 @@ def _record(times_s: FloatArray, command_A: FloatArray, sensed: Sensed, sensors:
 
 
 def sweep_records(
-    device: Device, trials: Sequence[Trial], dt_s: float, *, imperfections: Imperfections, seed: int
-) -> Iterator[tuple[Trial, Record]]:
+    device: Device, trials: Sequence[PlannedSweep], dt_s: float, *, imperfections: Imperfections, seed: int
+) -> Iterator[tuple[PlannedSweep, Record]]:
     """Each trial played while the user holds still.
 
     Parameters

@@ -41,7 +41,7 @@ PRESETS = {
 
 
 @dataclass(frozen=True)
-class Trial:
+class PlannedSweep:
     """One sweep.
 
     Attributes
@@ -91,7 +91,7 @@ def sweep_plan(
     amplitude_A: float | None = None,
     offset_A: float | None = None,
     seconds: float | None = None,
-) -> list[Trial]:
+) -> list[PlannedSweep]:
     """Trials grip by grip, offset by offset, of alternating polarity; what is None is as in `PRESETS`.
 
     Parameters
@@ -118,7 +118,7 @@ def sweep_plan(
         lowest = max(preset.low_Hz, FREE_LOW_HZ) if grip == 0 else preset.low_Hz
         for offset in preset.offsets_A if offset_A is None else (offset_A,):
             for number in range(1, trials + 1):
-                trial = Trial(
+                trial = PlannedSweep(
                     purpose=purpose,
                     grip_N=grip,
                     number=number,
@@ -133,7 +133,7 @@ def sweep_plan(
     return planned
 
 
-def check_plan(planned: Sequence[Trial], dt_s: float, limit_A: float) -> None:
+def check_plan(planned: Sequence[PlannedSweep], dt_s: float, limit_A: float) -> None:
     """Refuse a plan before any of it is played.
 
     Parameters

@@ -25,12 +25,18 @@ APPROACH_S = 30e-3  # recorded before contact
 ENCODER_COUNT_M = 24.5e-6
 
 
-def _rk4(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
+def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
     k1 = rate(state)
     k2 = rate(state + h_s / 2 * k1)
     k3 = rate(state + h_s / 2 * k2)
     k4 = rate(state + h_s * k3)
     return state + h_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def contact_force(target: SimulatedTaps, depth_m: FloatArray, closing_m_s: FloatArray) -> FloatArray:
+    """k delta^n (1 + c d delta/dt) >= 0 on the stylus [N], for indentations and their rates of any one shape."""
+    elastic = target.contact_stiffness_N_m * np.maximum(depth_m, 0.0) ** target.contact_exponent
+    return np.asarray(np.maximum(elastic * (1 + target.contact_damping_s_m * closing_m_s), 0.0))
 
 
 def strike(
@@ -60,10 +66,7 @@ def strike(
     def force(state: FloatArray, time_s: float) -> FloatArray:
         stylus_z = position_of_stylus @ state[:n] - speeds_m_s * time_s
         stylus_v = state[masses + stylus] - speeds_m_s
-        depth = np.maximum(state[n] - stylus_z, 0.0)
-        closing = state[n + 1] - stylus_v
-        elastic = target.contact_stiffness_N_m * depth**target.contact_exponent
-        return np.asarray(np.maximum(elastic * (1 + target.contact_damping_s_m * closing), 0.0))
+        return contact_force(target, state[n] - stylus_z, state[n + 1] - stylus_v)
 
     def rate(state: FloatArray) -> FloatArray:
         F = force(state, state[-1, 0])
@@ -78,7 +81,7 @@ def strike(
     steps = int(np.ceil(duration_s / step_s))
     states = np.zeros((steps + 1, n + 3, V))  # device, object, and time itself
     for k in range(steps):
-        states[k + 1] = _rk4(rate, states[k], step_s)
+        states[k + 1] = rk4_step(rate, states[k], step_s)
     times = states[:, -1, 0]
     forces = np.stack([force(state, t) for state, t in zip(states, times, strict=True)])
     acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces

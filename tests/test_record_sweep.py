@@ -58,11 +58,11 @@ def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Play, desk:
     assert outcome.code == 0, outcome.out + outcome.err
     assert "trial-sweep: passed: played to its end" in outcome.out
     checked = desk
-    first = play(*SHORT, "--trials", 2, "--grip", 3)
+    first = play(*SHORT, "--trials", 2, "--grips", 3)
     assert first.code == 0, first.out + first.err
     assert "gain 0.1: the first run since the device's start; the next one plays in full" in first.out
     assert checked.requests[-1] == "hold the stylus still, at 3 N"
-    second = play(*SHORT, "--trials", 2, "--grip", 3, "--accelerometer-hz", 1600)
+    second = play(*SHORT, "--trials", 2, "--grips", 3, "--accelerometer-hz", 1600)
     assert second.code == 0, second.out + second.err
     assert "the next one plays in full" not in second.out
     assert "rec: 2 of 2 trials, all whole" in second.out
@@ -144,7 +144,7 @@ def test_what_the_device_cannot_hold_or_the_limits_forbid(
         (("--amplitude", 1, "--offset", -0.5), "lower --amplitude or --offset"),
         (("--high", 6000), "below half the servo's rate, 5000 Hz"),
         (("--low", 1), "one period of 1 Hz takes 1 s"),
-        (("--grip", 0.2), "--grip 0.2: must be 0.5 to 50 N, or 0 to let go"),
+        (("--grips", 0.2), "--grips 0.2: must be 0.5 to 50 N, or 0 to let go"),
         (("--gain", 2), "--gain 2"),
         (("--trials", 0), "--trials 0"),
         (("--count-um", 0), "--count-um 0"),
@@ -156,14 +156,14 @@ def test_what_the_device_cannot_hold_or_the_limits_forbid(
 
 
 def test_the_free_device_is_asked_for_and_written_as_such(play: Play, checked: Desk) -> None:
-    outcome = play(*SHORT, "--trials", 1, "--grip", 0)
+    outcome = play(*SHORT, "--trials", 1, "--grips", 0)
     assert outcome.code == 0, outcome.out + outcome.err
     assert checked.requests[-1].startswith("let go of the stylus")
     assert read("sweep_001.npz")["grip_N"] == 0.0
 
 
 def test_another_grip_than_asked_is_no_trial(play: Play, checked: Desk) -> None:
-    refused = play(*SHORT, "--grip", 5, "--patience", 1)
+    refused = play(*SHORT, "--grips", 5, "--patience", 1)
     assert refused.code == 1
     assert "not as asked within 1 s: 3.0" in refused.out
     assert "0 of 4 trials" in refused.out
@@ -172,7 +172,7 @@ def test_another_grip_than_asked_is_no_trial(play: Play, checked: Desk) -> None:
         checked.hand.held_N = 2.0 if checked.firmware.state is State.PLAYING else 3.0
 
     checked.each_ms = slip
-    refused = play(*SHORT, "--grip", 3)
+    refused = play(*SHORT, "--grips", 3)
     assert refused.code == 1
     assert refused.out.count("not whole, once more: the grip was 2.") == 3
     assert "3 attempts at a trial, none whole: the grip was" in refused.out
@@ -232,7 +232,7 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(
             checked.link.plug()
 
     checked.each_ms = look
-    outcome = play(*SHORT, "--trials", 3, "--grip", 3)
+    outcome = play(*SHORT, "--trials", 3, "--grips", 3)
     if how == "unplugged":
         assert_refused(outcome, "it does not arm by itself", "rec: 1 of 3 trials, all whole")
     else:
@@ -328,7 +328,22 @@ def transfer(plant: TrueDevice, grip_N: float, frequency_Hz: np.ndarray) -> np.n
 
 def test_what_is_recorded_over_a_port_is_the_device(play: Play, served: CompiledDevice) -> None:
     """Its transfer function, from the files alone: signs, units and instants are right."""
-    options = ("--out", "rec", "--low", 10, "--high", 1500, "--seconds", 0.5, "--trials", 2, "--grip", 3, "--gain", 1)
+    options = (
+        "--out",
+        "rec",
+        "--low",
+        10,
+        "--high",
+        1500,
+        "--seconds",
+        0.5,
+        "--trials",
+        2,
+        "--grips",
+        3,
+        "--gain",
+        1,
+    )
     outcome = play("record", "sweep", "--port", served.name, *options)
     assert outcome.code == 0, outcome.out + outcome.err
     currents, accelerations = 0j, 0j

@@ -236,9 +236,7 @@ class TestCommands:
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [
-            (("sweep", "--out", "x"), "record sweep: name one device"),
-            (("sweep", "--out", "x", *PORT, "--grips", "1"), "--grips: only with --simulate"),
-            (("sweep", "--out", "x", "--simulate", "--gain", 1), "--gain: only with --port"),
+            (("sweep", "--out", "x"), "record sweep: name the device"),
             (("sweep", "--simulate", "--out", "x", "--for", "hand"), "--for hand: must be one of amplifier, device"),
             (("sweep", "--simulate", "--out", "x", "--grips", "a"), "--grips a: must be numbers with commas between"),
             (("sweep", "--simulate", "--out", "x", "--high", 6000), "sweep: high 6000 Hz"),
@@ -255,8 +253,7 @@ class TestCommands:
             (("tap", "--out", "x", "--object", "--simulate", "--grips", "0,3"), "--grips 0: only a sweep"),
             (("tap", "--out", "x", "--object", "--simulate", "--scene", "own_taps"), "states no simulated object"),
             (("tap", "none.npz", "--out", "x", "--simulate"), "none.npz: no such file"),
-            (("heat", "--out", "x"), "record heat: name one device"),
-            (("heat", "--simulate"), "record heat: give a folder"),
+            (("heat", "--out", "x"), "record heat: name the device"),
             (("heat", "--simulate", "--out", "x", "--current", 9), "--current 9: must be 0 to 4 A"),
             (("heat", "--simulate", "--out", "x", "--current", 2), "would pass its limit of 100 C"),
             (("heat", "--simulate", "--out", "x", "--heating", 1, "--cooling", 1), "fewer than ten readings"),

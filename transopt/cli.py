@@ -1,4 +1,4 @@
-"""The solve-library command line: scene, taps, solve, verify, show, export (DESIGN 10).
+"""The solve-library command line: scene, taps, identify, solve, verify, show, export (DESIGN 10).
 
 Exit codes: 0 done, 1 a result fell short, 2 bad input. Heavy imports stand inside the commands, so that help and
 errors come at once.
@@ -18,6 +18,7 @@ from rich.console import Console
 from transopt import terminal
 from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
+from transopt.identify.commands import app as identify
 
 if TYPE_CHECKING:
     from transopt.build import Build
@@ -32,6 +33,7 @@ app = typer.Typer(
 )
 scenes = typer.Typer(no_args_is_help=True, help="Built-in scenes: list, show, copy.")
 app.add_typer(scenes, name="scene")
+app.add_typer(identify, name="identify")
 
 DEFAULT_SCENE = "wood_on_foam"
 

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -260,8 +260,8 @@ class Library:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
         by_speed = np.eye(self.speeds_m_s.size)[iv]
         stage = self.stage(ig) if stage is None else stage
-        speed, correction = float(self.speeds_m_s[iv]), self.correction_m_s2[iv, ig]
-        problem = self.posed(speed, by_speed, correction, stage, self.spread(ig), self.coil())
+        problem = self.posed(float(self.speeds_m_s[iv]), by_speed, stage, self.spread(ig), self.coil())
+        problem = replace(problem, reference_m_s2=problem.reference_m_s2 + self.correction_m_s2[iv, ig])
         if problem.wall is None:
             return problem
         return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
@@ -270,7 +270,6 @@ class Library:
         self,
         speed_m_s: float,
         by_speed: FloatArray,
-        correction_m_s2: FloatArray,
         stage: StageModel,
         spread: tuple[StageModel, ...],
         coil: CoilModel | None,
@@ -280,7 +279,6 @@ class Library:
         Parameters
         ----------
         by_speed : (nv,) weights of the nodes' references and nominal motions, see `speed_weights`.
-        correction_m_s2 : (N,) that is asked for beside the reference.
         """
         meta, grid, amplifier, wall = self.meta, self.time_grid(), self.amplifier(), self.wall()
         limits, supply, hand_over = meta["limits"], None, None
@@ -295,7 +293,7 @@ class Library:
         return TransientProblem(
             stage=stage,
             grid=grid,
-            reference_m_s2=reference + correction_m_s2,
+            reference_m_s2=reference,
             tracking_weights=np.asarray(meta["weights"]["tracking"], dtype=float),
             rho=meta["weights"]["rho"],
             limits=Limits(

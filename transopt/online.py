@@ -112,9 +112,13 @@ class Online:
         library = self._library
         by_speed = speed_weights(library.speeds_m_s, speed_m_s)
         stage, *spread = self._devices(grip_N)
-        by_grip = interpolation_weights(library.grips_N, grip_N)
-        correction = np.einsum("v,g,vgk->k", by_speed, by_grip, library.correction_m_s2)
-        problem = library.posed(speed_m_s, by_speed, correction, stage, tuple(spread), coil)
+        problem = library.posed(speed_m_s, by_speed, stage, tuple(spread), coil)
+        if np.any(library.correction_m_s2):
+            # What the device was found to need at the nodes, blended as it is between them.
+            own = interpolation_weights(library.speeds_m_s, speed_m_s)
+            by_grip = interpolation_weights(library.grips_N, grip_N)
+            correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
+            problem = replace(problem, reference_m_s2=problem.reference_m_s2 + correction)
         if problem.wall is None:
             return problem
         return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))

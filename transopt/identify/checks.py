@@ -1,0 +1,340 @@
+"""Bad records, each by its name, with what to record again: nothing wrong is fitted in silence.
+
+What makes a fit worthless is fatal; what only narrows it is told.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from transopt.errors import InputError
+from transopt.identify.measurement import Measurement
+from transopt.identify.spectrum import TransferEstimate, Trial
+from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+
+LEAST_CYCLES = 1.0  # per octave, in all trials together
+LEAST_TRIALS = 2
+JITTER_TOLD, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid
+FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
+CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
+END_SAMPLES, END_PART = 3, 0.1  # the last samples, and how large they may be against the peak
+GRAVITY_TOLERANCE = 0.25  # a nominal model may be that wrong; nothing else changes a gain tenfold
+AGAINST = 0.5  # a passive device explains the reversed record with less than this part of the misfit
+PASSIVE_BAND_HZ = (2.0, 150.0)  # where motor and stylus of such a device move as one
+COHERENT = 0.8
+RATE_TOLERANCE = 1e-4
+LEAST_STRETCH = 3  # bins
+GRIP_STEP_N = 0.25  # trials whose grips are closer than that are of one grip
+
+
+class Fault(StrEnum):
+    """What can be wrong with records."""
+
+    TOO_FEW_CYCLES = "too few cycles"
+    CLIPPED = "clipped sensor"
+    SATURATED = "saturated command"
+    NO_EXCITATION = "no excitation"
+    CUT_SHORT = "not at rest at the end"
+    JITTER = "jittered sampling"
+    RATES = "rates that differ"
+    POLARITY = "wrong polarity"
+    UNITS = "units off by 9.81"
+    MISSING_GRIP = "missing grip"
+    INCOHERENT = "coherence low"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing wrong: what, where, and what to record again.
+
+    Attributes
+    ----------
+    where : file, grip or band. text : value, limit and remedy. fatal : no fit should follow.
+    """
+
+    fault: Fault
+    where: str
+    text: str
+    fatal: bool
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.fault}: {self.text}"
+
+
+def refuse(findings: Iterable[Finding]) -> list[Finding]:
+    """The findings that are not fatal.
+
+    Raises
+    ------
+    InputError : one is; the message is the first and says how many more there are.
+    """
+    listed = list(findings)
+    fatal = [finding for finding in listed if finding.fatal]
+    if fatal:
+        more = f" (and {len(fatal) - 1} more such findings)" if len(fatal) > 1 else ""
+        raise InputError(f"{fatal[0]}{more}")
+    return listed
+
+
+def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Finding]:
+    """One file by itself: its time stamps, and the extremes and the end of each signal.
+
+    Parameters
+    ----------
+    quantities : names of the signals in use, such as command, current, acceleration; those not recorded are skipped.
+    """
+    found = []
+    if run.off_grid > JITTER_TOLD:
+        found.append(_jitter(run, quantities))
+    for quantity in quantities:
+        x = getattr(run, quantity)
+        if x is not None:
+            found += _signal(run.name, quantity, x)
+    return found
+
+
+def _jitter(run: Measurement, quantities: Sequence[str]) -> Finding:
+    dt_s = next(x.dt_s for q in quantities if (x := getattr(run, q)) is not None)
+    late_us = 1e6 * run.off_grid * dt_s
+    fatal = run.off_grid > JITTER_LIMIT
+    effect = f"phases are off by up to {360e-6 * late_us * 1000:.2g} deg at 1 kHz, delays by {late_us:.2g} us"
+    remedy = f"must be at most {JITTER_LIMIT:g}; sample by the servo's timer and record again"
+    text = f"time stamps up to {run.off_grid:.2g} steps off the uniform grid, resampled to it: {effect}"
+    return Finding(Fault.JITTER, run.name, f"{text}; {remedy}" if fatal else text, fatal)
+
+
+def _signal(name: str, quantity: str, x: Signal) -> list[Finding]:
+    unit = "A" if quantity in {"command", "current"} else "m/s^2" if quantity == "acceleration" else "SI"
+    values = x.values
+    if np.ptp(values) == 0:
+        where = "the cable and the channel" if quantity != "command" else "what the device was told"
+        text = f"{quantity} stays at {values[0]:g} {unit}; check {where} and record again"
+        return [Finding(Fault.NO_EXCITATION, name, text, True)]
+    found = []
+    for side, at in ((1.0, "highest"), (-1.0, "lowest")):
+        flat = flat_extreme(side * values)
+        if flat.size:
+            level = f"{flat.size} samples at the {at} value {values[flat[0]]:.4g} {unit}, first at"
+            moment = f"{x.start_s + flat[0] * x.dt_s:.4g} s"
+            if quantity == "command":
+                text = f"{level} {moment}; lower amplitude or offset and record again"
+                found.append(Finding(Fault.SATURATED, name, text, True))
+            else:
+                remedy = "lower the amplitude, or take a sensor of wider range, and record again"
+                found.append(Finding(Fault.CLIPPED, name, f"{quantity}: {level} {moment}; {remedy}", True))
+    centred = values - np.median(values[:END_SAMPLES])
+    last, peak = float(np.abs(centred[-END_SAMPLES:]).max()), float(np.abs(centred).max())
+    if quantity != "command" and last > END_PART * peak:
+        text = f"{quantity} ends {last:.3g} {unit} off its rest, {100 * last / peak:.0f} % of its peak"
+        remedy = f"must be below {100 * END_PART:.0f} %; record until everything rests"
+        found.append(Finding(Fault.CUT_SHORT, name, f"{text}, {remedy}", False))
+    return found
+
+
+def flat_extreme(values: FloatArray) -> NDArray[np.intp]:
+    """Indices of the samples at the maximum, if so many are exactly there that a sensor must have stopped them.
+
+    A sine dwells at its peak, and a coarse converter shows that as runs of one value: only runs that outnumber all
+    samples just below are clipped.
+    """
+    top = float(values.max())
+    at = np.flatnonzero(values >= top - 1e-9 * float(np.ptp(values)))
+    if at.size < FLAT_COUNT or top <= 0:
+        return np.zeros(0, dtype=np.intp)
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+    if max(run.size for run in runs) < FLAT_RUN:
+        return np.zeros(0, dtype=np.intp)
+    levels = np.unique(values[values >= 0.9 * top])
+    quantum = float(np.diff(levels).min()) if levels.size > 1 else 0.0
+    below = max(CROWD * top, 4.5 * quantum)
+    crowd = int(np.count_nonzero((values < top) & (values >= top - below)))
+    return at if at.size > crowd else np.zeros(0, dtype=np.intp)
+
+
+def check_rates(trials: Sequence[Trial]) -> list[Finding]:
+    """Every trial at the rate of the first."""
+    rate, first = trials[0].input.rate_Hz, trials[0].name
+    remedy = "must be one rate; record all trials at the servo's"
+    return [
+        Finding(Fault.RATES, trial.name, f"{trial.input.rate_Hz:.6g} Hz, {first} {rate:.6g} Hz: {remedy}", True)
+        for trial in trials
+        if not np.isclose(trial.input.rate_Hz, rate, rtol=RATE_TOLERANCE, atol=0)
+    ]
+
+
+def cycles_per_octave(trials: Sequence[Trial], frequencies_Hz: FloatArray) -> FloatArray:
+    """(m,) cycles of the input, all trials together, in the octave above or below each frequency, whichever has more.
+
+    A sine of amplitude A that dwells dt/df at a frequency has |U|^2 = A^2/4 dt/df there (stationary phase), so the
+    octave holds the integral of f 4 |U|^2 / A^2 df. A is the largest deviation of the input from its middle.
+    """
+    above, below = np.zeros(frequencies_Hz.size), np.zeros(frequencies_Hz.size)
+    for trial in trials:
+        values, dt_s = trial.input.values, trial.input.dt_s
+        lines = np.fft.rfftfreq(values.size, dt_s)
+        dwell_s_Hz = (
+            4 * np.abs(np.fft.rfft(values) * dt_s) ** 2 / float(np.abs(values - np.median(values)).max()) ** 2
+        )
+        cycles = np.cumsum(lines * dwell_s_Hz) * (lines[1] - lines[0])
+        at, half, twice = (np.interp(factor * frequencies_Hz, lines, cycles) for factor in (1.0, 0.5, 2.0))
+        above += twice - at
+        below += at - half
+    return np.maximum(above, below)
+
+
+def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate, low_Hz: float) -> list[Finding]:
+    """Where in the band from `low_Hz` on the input has too few cycles for a response to be known from them."""
+    cycles = cycles_per_octave(trials, estimate.frequencies_Hz)
+    inside = estimate.frequencies_Hz >= low_Hz
+    few = inside & (cycles < LEAST_CYCLES)
+    if not np.any(few):
+        return []
+    worst, up_to = float(cycles[few].min()), float(estimate.frequencies_Hz[few].max())
+    longer = LEAST_CYCLES / max(worst, 0.05)
+    limit = (
+        f"must be at least {LEAST_CYCLES:g}; sweep {longer:.1f} times as long, or add trials from {low_Hz:.3g} Hz on"
+    )
+    text = f"{worst:.2g} cycles per octave below {up_to:.3g} Hz in {len(trials)} trials, {limit}"
+    return [Finding(Fault.TOO_FEW_CYCLES, where, text, bool(np.mean(few[inside]) > 0.5))]
+
+
+def check_sign(where: str, estimate: TransferEstimate, what: str, remedy: str) -> list[Finding]:
+    """A gain that must be positive at low frequencies: fatal where the response points the other way."""
+    low = estimate.frequencies_Hz <= 4 * estimate.frequencies_Hz[0]
+    mean = complex(np.mean(estimate.response[low]))
+    if mean.real >= 0:
+        return []
+    phase = f"phase {np.degrees(np.angle(mean)):.0f} deg at {estimate.frequencies_Hz[0]:.3g} Hz, must be near 0"
+    return [Finding(Fault.POLARITY, where, f"{what}: {phase}; {remedy}", True)]
+
+
+def low_coherence(where: str, estimate: TransferEstimate, least: float = COHERENT) -> list[Finding]:
+    """Each stretch of the band whose output is mostly something else than the answer to the input."""
+    low = np.concatenate([[0], (estimate.coherence < least).astype(int), [0]])
+    starts, ends = np.flatnonzero(np.diff(low) == 1), np.flatnonzero(np.diff(low) == -1)
+    f = estimate.frequencies_Hz
+    found = []
+    for a, b in zip(starts, ends, strict=True):
+        if b - a < LEAST_STRETCH:
+            continue  # a bin or two are the luck of the noise
+        band = f"{f[a]:.3g} to {f[b - 1]:.3g} Hz"
+        worst = float(estimate.coherence[a:b].min())
+        text = f"{worst:.2f} at {band}, must be {least:g}; record again there, longer or with more current"
+        found.append(Finding(Fault.INCOHERENT, where, text, False))
+    return found
+
+
+def passive_misfit(estimate: TransferEstimate, sign: float) -> float:
+    """How badly one mass on one spring and damper, none negative, explains `sign` times the response; 0 to 1.
+
+    current / acceleration = m + b / (jw) - k / w^2, per newton per ampere: linear in m, b, k >= 0, so that
+    non-negative least squares finds the best passive device.
+    """
+    f = estimate.frequencies_Hz
+    good = (f >= PASSIVE_BAND_HZ[0]) & (f <= PASSIVE_BAND_HZ[1]) & (estimate.coherence >= COHERENT)
+    if np.count_nonzero(good) < 3:
+        return float("nan")  # no word either way
+    w, response = 2 * np.pi * f[good], sign * estimate.response[good]
+    inverse = response**-1
+    columns = np.stack([np.ones(w.size), -1j / w, -1 / w**2], axis=1)
+    weight = np.abs(response)  # relative errors
+    wide = np.vstack([(columns * weight[:, None]).real, (columns * weight[:, None]).imag])
+    wanted = np.concatenate([(inverse * weight).real, (inverse * weight).imag])
+    scale = np.linalg.norm(wide, axis=0)
+    return float(nnls(wide / scale, wanted)[1] / np.linalg.norm(wanted))
+
+
+def check_passive(where: str, estimate: TransferEstimate) -> list[Finding]:
+    """Polarity from current to acceleration: a passive device answers the reversed record worse, not better."""
+    as_recorded, reversed_ = passive_misfit(estimate, 1.0), passive_misfit(estimate, -1.0)
+    if not reversed_ < AGAINST * as_recorded:
+        return []
+    band = f"{PASSIVE_BAND_HZ[0]:g} to {PASSIVE_BAND_HZ[1]:g} Hz"
+    text = f"the phase from current to acceleration at {band} is that of a passive device turned by 180 deg"
+    remedy = "turn the accelerometer or swap the motor's leads (positive current pushes out), and record again"
+    return [Finding(Fault.POLARITY, where, f"{text}; {remedy}", True)]
+
+
+def check_gravity(
+    where: str, estimate: TransferEstimate, expected: FloatArray, against: str, tolerance: float = GRAVITY_TOLERANCE
+) -> list[Finding]:
+    """Acceleration in the wrong unit: the gain off by 9.81 or its inverse.
+
+    Parameters
+    ----------
+    expected : (m,) magnitudes of a nominal model or of other files. against : what those are, for the message.
+    tolerance : relative, of the ratio.
+    """
+    good = (estimate.coherence >= COHERENT) & (expected > 0)
+    if not np.any(good):
+        return []
+    ratio = float(np.exp(np.median(np.log(np.abs(estimate.response[good]) / expected[good]))))
+    for factor, is_, called in (
+        (STANDARD_GRAVITY_M_S2, "m/s^2", "acceleration_g"),
+        (1 / STANDARD_GRAVITY_M_S2, "g", "acceleration_m_s2"),
+    ):
+        if abs(np.log(ratio / factor)) < np.log1p(tolerance):
+            text = f"acceleration is {ratio:.3g} times that of {against}, 9.81 {'' if factor > 1 else 'inverted '}"
+            remedy = f"is the column in {is_} but named {called}? Correct its name"
+            return [Finding(Fault.UNITS, where, f"{text.rstrip()}; {remedy}", True)]
+    return []
+
+
+def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
+    """Runs of one grip together, in order of the grips: their mean [N] -> runs; those without a grip are left out."""
+    groups: dict[int, list[Measurement]] = defaultdict(list)
+    stated = sorted((run for run in runs if run.grip_N is not None), key=lambda run: run.grip_N or 0.0)
+    last, group = -np.inf, -1
+    for run in stated:
+        assert run.grip_N is not None
+        # The free device is never one group with a held one.
+        if run.grip_N - last >= GRIP_STEP_N or (last == 0 < run.grip_N):
+            group += 1
+        last = run.grip_N
+        groups[group].append(run)
+    return {
+        float(np.mean([run.grip_N for run in group if run.grip_N is not None])): group for group in groups.values()
+    }
+
+
+def check_grips(runs: Sequence[Measurement], wanted_N: Sequence[float] = ()) -> list[Finding]:
+    """Every file states its grip, every grip has trials enough, of either polarity.
+
+    Parameters
+    ----------
+    wanted_N : grips that must have been recorded.
+    """
+    found = [
+        Finding(Fault.MISSING_GRIP, run.name, "no grip stated; add # grip_N: 3 (0 if nobody holds it)", True)
+        for run in runs
+        if run.grip_N is None
+    ]
+    groups = by_grip(runs)
+    for grip in wanted_N:
+        if not any(abs(grip - other) < 2 * GRIP_STEP_N for other in groups):
+            text = f"no trial; record at least {LEAST_TRIALS}, one of each polarity"
+            found.append(Finding(Fault.MISSING_GRIP, f"grip {grip:g} N", text, True))
+    for grip, group in groups.items():
+        where = f"grip {grip:.3g} N"
+        if len(group) < LEAST_TRIALS:
+            text = f"{len(group)} trial, at least {LEAST_TRIALS} are needed; record another one of the other polarity"
+            found.append(Finding(Fault.MISSING_GRIP, where, text, False))
+        elif len({polarity(run) for run in group} - {0}) == 1:
+            text = "all trials have one polarity, so that distortion of even order stays; record reversed ones too"
+            found.append(Finding(Fault.MISSING_GRIP, where, text, False))
+    return found
+
+
+def polarity(run: Measurement) -> int:
+    """+1 or -1: the way the first half-wave of the excitation goes; 0 without any."""
+    x = run.command if run.command is not None else run.current
+    if x is None:
+        return 0
+    centred = x.values - np.median(x.values)
+    large = np.flatnonzero(np.abs(centred) > 0.3 * np.abs(centred).max())
+    return int(np.sign(centred[large[0]])) if large.size else 0

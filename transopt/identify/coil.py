@@ -1,0 +1,399 @@
+"""Thermal resistances and time constants of a coil from a heating and cooling record (DESIGN 3.3).
+
+The two-node model of `transopt.thermal`, copper's resistance rise and the ripple of seed Eq. 7 included, is driven by
+the recorded current and compared with the recorded temperatures: nonlinear least squares in the logarithms of the
+four parameters from several starts. With `ambient_C` recorded the ambient is known and the start temperatures are
+fitted too; without it the record must begin cold, everything at one temperature, which is fitted.
+
+Row k of a record is read at its instant, and its current flows until row k + 1.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import optimize, stats
+
+from transopt.errors import InputError
+from transopt.identify.measurement import Measurement
+from transopt.signals import FloatArray, Signal
+from transopt.thermal import (
+    COPPER_PER_K,
+    PWM_RIPPLE_A,
+    RESISTANCE_REFERENCE_C,
+    CoilModel,
+    effective_square,
+)
+
+NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
+LEVEL = 0.95
+STARTS = 5
+MOST_UNCERTAIN = 0.25  # half width of an interval, relative
+LEAST_RISE_K, LEAST_RISE_NOISE = 10.0, 5.0
+STEADY_TAU = 1.0  # of the housing, that current must flow; at twice that 95 % of the rise is reached
+MOST_MISFIT = 1.5  # of residuals over noise
+COARSEST = 0.2  # of the winding's time constant, between two rows
+DRIFT_K = 2.0  # of the ambient, unaccounted for
+_SENSING = 0.2  # of the largest current, below which voltage over current tells no temperature
+_CREDIBLE_C = (-50.0, 400.0)  # of a winding
+_GROWTH = 0.03  # of the time since the current last changed: how long one step of the simulation may be
+_CHANGE = 0.1  # of the largest heating
+_LEAST_NOISE_K = 1e-3
+_FAR = np.log(100.0)  # from the guess
+_STEP = 1e-5
+_WIDE_K = 50.0  # around the first reading, for start temperatures
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One recorded temperature: rows (n,) [C], what each weighs (0 where unknown), rms noise of a row of weight 1."""
+
+    values_C: FloatArray
+    weight: FloatArray
+    noise_K: float
+
+
+@dataclass(frozen=True)
+class HeatRecord:
+    """A heating and cooling record, ready for the fit.
+
+    Attributes
+    ----------
+    dt_s : between rows. heating_A2 : (n,) i_eff^2 from each row to the next.
+    winding, housing : what was recorded of them. ambient_C : mean, None if not recorded. ambient_drift_K : its range.
+    R_ohm : at 25 C.
+    """
+
+    dt_s: float
+    heating_A2: FloatArray
+    winding: Channel
+    housing: Channel | None
+    ambient_C: float | None
+    ambient_drift_K: float
+    R_ohm: float
+
+    @cached_property
+    def rise_K(self) -> float:
+        """From the first rows to the hottest hundredth of them: means, since the extreme is the noise's."""
+        known = self.winding.values_C[self.winding.weight > 0]
+        few = max(known.size // 100, 3)
+        return float(np.sort(known)[-few:].mean() - known[:few].mean())
+
+    @cached_property
+    def powered_s(self) -> float:
+        """For how long most of the largest heating was on."""
+        return float(self.dt_s * np.count_nonzero(self.heating_A2 > 0.5 * self.heating_A2.max()))
+
+
+@dataclass(frozen=True)
+class CoilFit:
+    """What a record tells of a coil.
+
+    Attributes
+    ----------
+    coil : the model with its start temperatures as fitted. intervals : (4, 2) 95 % of `NAMES`; covariance : (4, 4).
+    misfit : rms of residuals over the sensors' noise, 1 where the model explains all.
+    starts : costs from each start, the best first.
+    winding_C, housing_C : (n,) of the model at the record's rows.
+    """
+
+    record: HeatRecord
+    coil: CoilModel
+    intervals: FloatArray
+    covariance: FloatArray
+    misfit: float
+    starts: tuple[float, ...]
+    winding_C: FloatArray
+    housing_C: FloatArray
+
+    def shortfalls(self) -> list[str]:
+        """Why these parameters are not to be relied upon, and what to record again; none if they are."""
+        found = []
+        coil, record = self.coil, self.record
+        half = (self.intervals[:, 1] - self.intervals[:, 0]) / 2
+        wide = [
+            f"{name} to {100 * h / getattr(coil, name):.0f} %"
+            for name, h in zip(NAMES, half, strict=True)
+            if h > MOST_UNCERTAIN * getattr(coil, name)
+        ]
+        if record.rise_K < LEAST_RISE_K:
+            found.append(
+                f"the winding rises by {record.rise_K:.1f} K (at least {LEAST_RISE_K:g} K): heat with more current"
+            )
+        short = record.powered_s < STEADY_TAU * coil.tau_h_s
+        if short:
+            found.append(
+                f"current flows for {record.powered_s:.0f} s, the housing is not steady before {coil.tau_h_s:.0f} s "
+                f"have passed several times: heat for {2.5 * coil.tau_h_s:.0f} s and let cool as long"
+            )
+        if record.dt_s > COARSEST * coil.tau_w_s:
+            found.append(
+                f"one row in {record.dt_s:g} s, the winding's time constant is {coil.tau_w_s:.3g} s: record every "
+                f"{0.1 * coil.tau_w_s:.2g} s or faster"
+            )
+        if coil.tau_h_s < 3 * coil.tau_w_s:
+            found.append(
+                "only one node shows in the record (both time constants are alike): switch the current on and off in "
+                "steps, record faster, and the housing too"
+            )
+        if wide:
+            found.append(
+                f"known only {', '.join(wide)} (at most {100 * MOST_UNCERTAIN:.0f} %): record heating and cooling "
+                f"longer, with more current{'' if record.housing else ', or the housing too (housing_C)'}"
+            )
+        if self.misfit > MOST_MISFIT:
+            found.append(
+                f"the model misses the record by {self.misfit:.2g} times its noise (at most {MOST_MISFIT:g}): did "
+                "the coil begin cold, is the current as recorded, R_25 that of this motor, the ambient steady? "
+                "Record ambient_C and housing_C too"
+            )
+        if record.ambient_drift_K > DRIFT_K:
+            found.append(
+                f"the ambient drifts by {record.ambient_drift_K:.1f} K (at most {DRIFT_K:g} K): shield the motor"
+            )
+        return found
+
+
+def heat_record(run: Measurement, R_ohm: float) -> HeatRecord:
+    """The record of a file; without `winding_C` the winding from voltage over current.
+
+    Parameters
+    ----------
+    R_ohm : resistance at 25 C, > 0.
+
+    Raises
+    ------
+    InputError : a column is missing, nothing heats, or the temperature does not rise out of its noise.
+    """
+    current = run.require("current", "current_A")
+    if not 0 < R_ohm < np.inf:
+        raise InputError(f"--resistance-ohm {R_ohm:g}: must be > 0 and finite")
+    largest = float(np.abs(current.values).max())
+    if not largest > PWM_RIPPLE_A:
+        raise InputError(
+            f"{run.name}: current stays below {largest:.2g} A: nothing heats the coil; record current_A "
+            "while it is heated"
+        )
+    if run.winding is not None:
+        winding = _channel(run.winding, np.ones(current.values.size))
+    elif run.voltage is not None:
+        winding = _by_resistance(run.name, current.values, run.voltage.values, R_ohm)
+    else:
+        raise InputError(f"{run.name}: neither winding_C nor voltage_V: record one of them")
+    ambient = run.ambient
+    record = HeatRecord(
+        dt_s=current.dt_s,
+        heating_A2=effective_square(current.values),
+        winding=winding,
+        housing=None if run.housing is None else _channel(run.housing, np.ones(current.values.size)),
+        ambient_C=None if ambient is None else float(ambient.values.mean()),
+        ambient_drift_K=0.0 if ambient is None else _drift(ambient.values),
+        R_ohm=R_ohm,
+    )
+    if np.ptp(record.heating_A2) < _CHANGE * record.heating_A2.max():
+        raise InputError(
+            f"{run.name}: no step: the current stays at {np.abs(current.values).mean():.3g} A throughout; record "
+            "from before it is switched on until long after it is switched off"
+        )
+    least = LEAST_RISE_NOISE * winding.noise_K
+    if record.rise_K < least:
+        raise InputError(
+            f"{run.name}: the winding rises by {record.rise_K:.2g} K, its noise is {winding.noise_K:.2g} K: at least "
+            f"{least:.2g} K are needed; heat longer and with more current"
+        )
+    return record
+
+
+def _drift(ambient_C: FloatArray) -> float:
+    """Range of the means of tenths of the record [K]."""
+    return float(np.ptp([part.mean() for part in np.array_split(ambient_C, min(10, ambient_C.size))]))
+
+
+def _channel(x: Signal, weight: FloatArray) -> Channel:
+    return Channel(x.values, weight, _noise(x.values))
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of the rows' noise, from second differences, which a smooth course does not enter."""
+    return max(float(np.sqrt(np.median(np.diff(values, 2) ** 2) / 6 / 0.4549)), _LEAST_NOISE_K)
+
+
+def _by_resistance(name: str, current_A: FloatArray, voltage_V: FloatArray, R_ohm: float) -> Channel:
+    """Winding temperature where enough current flows; its variance goes with 1 / i^2.
+
+    Noise in the divisor biases the temperature by (noise / i)^2 / alpha: 0.1 K for 5 mA in 0.25 A, hence the limit.
+    """
+    share = np.abs(current_A) / np.abs(current_A).max()
+    known = share > _SENSING
+    resistance = np.where(known, voltage_V / np.where(known, current_A, 1.0), R_ohm)
+    temperature = RESISTANCE_REFERENCE_C + (resistance / R_ohm - 1) / COPPER_PER_K
+    strong = temperature[share > 0.5]
+    if strong.size < 4 or not _CREDIBLE_C[0] < float(np.median(strong)) < _CREDIBLE_C[1]:
+        raise InputError(
+            f"{name}: voltage over current is {np.median(resistance[known]):.3g} ohm, which makes the winding "
+            f"{np.median(temperature[known]):.0f} C at R_25 = {R_ohm:g} ohm: check sign and unit of voltage_V and "
+            "the resistance at 25 C of this motor (--resistance-ohm)"
+        )
+    return Channel(temperature, np.where(known, share**2, 0.0), _noise(strong))
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The record in few long steps: short after each change of the current, then longer and longer.
+
+    Attributes
+    ----------
+    heating_A2, lengths_s : (K,). first : (K + 1,) row at which each begins.
+    """
+
+    heating_A2: FloatArray
+    lengths_s: FloatArray
+    first: np.ndarray
+
+    @classmethod
+    def of(cls, record: HeatRecord) -> "_Steps":
+        heat = record.heating_A2[:-1]
+        threshold = _CHANGE * heat.max()
+        first, changed, level = [0], 0, heat[0]
+        for k in range(1, heat.size):
+            if abs(heat[k] - level) > threshold:
+                changed, level = k, heat[k]
+                first.append(k)
+            elif k - first[-1] >= max(1.0, _GROWTH * (k - changed)):
+                first.append(k)
+        edges = np.array([*first, heat.size])
+        return cls(np.add.reduceat(heat, edges[:-1]) / np.diff(edges), record.dt_s * np.diff(edges), edges)
+
+
+class _Misfit:
+    """Weighted residuals of a record for theta: logarithms of `NAMES`, then temperatures."""
+
+    def __init__(self, record: HeatRecord) -> None:
+        self.record, self.steps = record, _Steps.of(record)
+        self._channels = [
+            (which, channel, self._means(channel))
+            for which, channel in ((0, record.winding), (1, record.housing))
+            if channel is not None
+        ]
+
+    def _means(self, channel: Channel) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Per step: summed weight, mean temperature, and where in the step the mean row lies, 0 to 1."""
+        first, rows = self.steps.first[:-1], np.diff(self.steps.first)
+        n = self.steps.first[-1]
+        weight = channel.weight[:n]
+        total = np.add.reduceat(weight, first)
+        safe = np.where(total > 0, total, 1.0)
+        place = (np.arange(n) - np.repeat(first, rows)) / np.repeat(rows, rows)
+        return (
+            total,
+            np.add.reduceat(weight * channel.values_C[:n], first) / safe,
+            np.add.reduceat(weight * place, first) / safe,
+        )
+
+    def coil(self, theta: FloatArray) -> CoilModel:
+        R_wh, R_ha, tau_w, tau_h = np.exp(theta[:4]).tolist()
+        ambient, winding, housing = self._temperatures(theta)
+        return CoilModel(
+            self.record.R_ohm,
+            R_wh,
+            R_ha,
+            tau_w,
+            tau_h,
+            limit_C=np.inf,
+            ambient_C=ambient,
+            start_winding_C=winding,
+            start_housing_C=housing,
+        )
+
+    def _temperatures(self, theta: FloatArray) -> tuple[float, float, float]:
+        if self.record.ambient_C is None:
+            cold = float(theta[4])
+            return cold, cold, cold
+        return self.record.ambient_C, float(theta[4]), float(theta[5])
+
+    def __call__(self, theta: FloatArray) -> FloatArray:
+        courses = self.coil(theta).simulate(self.steps.heating_A2[None], self.steps.lengths_s)
+        parts = []
+        for which, channel, (weight, mean, place) in self._channels:
+            course = courses[which][0]
+            expected = (1 - place) * course[:-1] + place * course[1:]
+            parts.append(np.sqrt(weight) * (expected - mean) / channel.noise_K)
+        return np.concatenate(parts)
+
+    def jacobian(self, theta: FloatArray) -> FloatArray:
+        centre = self(theta)
+        columns = []
+        for j in range(theta.size):
+            step = _STEP if j < 4 else 1e2 * _STEP
+            columns.append((self(theta + step * np.eye(theta.size)[j]) - centre) / step)
+        return np.stack(columns, axis=1)
+
+    @property
+    def informed(self) -> int:
+        """Steps in which something was read."""
+        return sum(int(np.count_nonzero(means[0])) for _, _, means in self._channels)
+
+
+def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = STARTS, seed: int = 0) -> CoilFit:
+    """The four parameters of a record.
+
+    Parameters
+    ----------
+    limit_C : of the winding, for the continuous current of the model. starts : log-uniform within a factor of 3
+        around a guess from the record. seed : of their draw.
+    """
+    misfit = _Misfit(record)
+    guess = _guess(record)
+    reach = np.concatenate([np.full(4, _FAR), np.full(guess.size - 4, _WIDE_K)])
+    random = np.random.default_rng(seed)
+    shifts = np.log(3.0) * random.uniform(-1, 1, (starts, 4))
+    shifts[0] = 0.0
+    solved = []
+    for shift in shifts:
+        start = guess + np.concatenate([shift, np.zeros(guess.size - 4)])
+        solved.append(
+            optimize.least_squares(
+                misfit,
+                start,
+                jac=misfit.jacobian,
+                bounds=(guess - reach, guess + reach),
+                x_scale=np.concatenate([np.ones(4), np.full(guess.size - 4, 10.0)]),
+                max_nfev=60,
+            )
+        )
+    solved.sort(key=lambda found: float(found.cost))
+    theta = solved[0].x
+    J = misfit.jacobian(theta)
+    free = max(misfit.informed - theta.size, 1)
+    excess = float(2 * solved[0].cost / free)
+    # Noise that is not white shows as misfit, and widens the intervals.
+    covariance = np.linalg.pinv(J.T @ J) * max(excess, 1.0)
+    half = float(stats.t.ppf((1 + LEVEL) / 2, free)) * np.sqrt(np.diagonal(covariance)[:4])
+    values = np.exp(theta[:4])
+    with np.errstate(over="ignore"):  # a parameter that the record does not determine
+        intervals = np.exp(np.clip(np.stack([theta[:4] - half, theta[:4] + half], axis=1), -300, 300))
+    coil = misfit.coil(theta)
+    rows = np.full(record.heating_A2.size - 1, record.dt_s)
+    winding, housing = coil.simulate(record.heating_A2[None, :-1], rows)
+    return CoilFit(
+        record=record,
+        coil=replace(coil, limit_C=limit_C),
+        intervals=intervals,
+        covariance=np.outer(values, values) * covariance[:4, :4],
+        misfit=float(np.sqrt(excess)),
+        starts=tuple(float(found.cost) for found in solved),
+        winding_C=winding[0],
+        housing_C=housing[0],
+    )
+
+
+def _guess(record: HeatRecord) -> FloatArray:
+    """Within a factor of ten: most of the rise is the housing's, and most of the heating time its time constant."""
+    known = record.winding.weight > 0
+    cold = float(record.winding.values_C[known][:3].mean())
+    hot = cold + record.rise_K
+    power = record.R_ohm * (1 + COPPER_PER_K * (hot - RESISTANCE_REFERENCE_C)) * float(record.heating_A2.max())
+    total = record.rise_K / power
+    slow = max(record.powered_s / 4, 10 * record.dt_s)
+    temperatures = [cold] if record.ambient_C is None else [cold, cold]
+    return np.concatenate([np.log([0.2 * total, 0.8 * total, slow / 30, slow]), temperatures])
