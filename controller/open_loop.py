@@ -11,7 +11,7 @@ import numpy as np
 from controller.sensors import SensorBench
 from controller.simulator import Imperfections, Simulator
 from controller.truth import COMMAND, INTENTION, Device, Layout, nonlinear
-from controller.user import StillUser
+from controller.user import StillHand
 from transopt.signals import FloatArray
 
 
@@ -32,7 +32,7 @@ class Sensed:
 
 def true_device(device: Device, imperfections: Imperfections, seed: int) -> Device:
     """The device that a simulator of this seed has, mismatch and amplifier's crossover included."""
-    still = StillUser(0.0)
+    still = StillHand(0.0)
     return Simulator(device, still, 1e-4, imperfections=imperfections, seed=seed).device
 
 
@@ -92,7 +92,7 @@ def play_still(
     ------
     ValueError : a device with friction, whose motion is not linear.
     """
-    user = StillUser(grip_N)
+    user = StillHand(grip_N)
     simulator = Simulator(device, user, dt_s, imperfections=replace(imperfections, mismatch=0.0), seed=seed)
     if nonlinear(simulator.device, None):
         raise ValueError("friction to ground: step the simulator instead")

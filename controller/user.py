@@ -100,23 +100,6 @@ class TapUser:
         return max(self.held_N + self.grip_rate_N_s * max(time_s - self.contact_s, 0.0), 0.0)
 
 
-@dataclass(frozen=True)
-class StillUser:
-    """Holds the stylus where it is, above the surface."""
-
-    held_N: float
-    height_m: float = 5e-3
-
-    def intention_m(self, time_s: float) -> float:
-        return self.height_m
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        return self.held_N
-
-
 class RecordedUser:
     """One tap by a hand that moves as in the recordings: along z_nom, giving all it moves the acceleration r_u.
 

@@ -14,7 +14,7 @@ from controller.simulated_records import heat_record, noise_seed, object_record,
 from controller.simulator import Imperfections, Simulator
 from controller.sweep_plan import FREE_LOW_HZ, Purpose, check_plan, sweep_plan
 from controller.truth import Device, Ground, device_of
-from controller.user import StillUser
+from controller.user import StillHand
 from tests.desk import PORT, Desk, Play
 from tests.test_cli import assert_refused
 from transopt.errors import InputError
@@ -36,7 +36,7 @@ def device(scene: Scene) -> Device:
 def stepped(device: Device, grip_N: float, command_A: FloatArray, seed: int) -> FloatArray:
     """(N, 4) readings of the simulator, one period after the other."""
     wrong = replace(WRONG, mismatch=0.0)
-    simulator = Simulator(device, StillUser(grip_N), DT, imperfections=wrong, seed=seed)
+    simulator = Simulator(device, StillHand(grip_N), DT, imperfections=wrong, seed=seed)
     rows = []
     for command in command_A.tolist():
         read = simulator.readings()
@@ -70,7 +70,7 @@ class TestOpenLoop:
 
     def test_mismatch_is_put_on_once(self, scene: Scene, device: Device) -> None:
         """The device of a seed is that of a tap of the same seed."""
-        played = Simulator(device_of(scene), StillUser(3.0), DT, imperfections=WRONG, seed=4)
+        played = Simulator(device_of(scene), StillHand(3.0), DT, imperfections=WRONG, seed=4)
         assert device == played.device
         assert true_device(device_of(scene), WRONG, 5) != device
 

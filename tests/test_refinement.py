@@ -27,9 +27,12 @@ from tests.test_cli import assert_refused
 from transopt.errors import InputError
 from transopt.library import SHAPES, Library
 from transopt.library_file import load_library
+from transopt.online import Online
 from transopt.plotting import save_figure
 from transopt.resolve import resolve
+from transopt.scene import Scene
 from transopt.signals import FloatArray, nrmse
+from transopt.solvers import riccati
 from transopt.verify import verify_library
 
 DT = 1e-4
@@ -187,6 +190,20 @@ class TestResolve:
         assert loaded.peak_current_A.max() <= loaded.meta["limits"]["current_A"] + 1e-6
         np.testing.assert_array_equal(loaded.command_A[0, 1], small.command_A[0, 1])
         assert loaded.at(0.2, 3.0).command_A == pytest.approx(loaded.command_A[0, 0])
+
+    @pytest.mark.skipif(not riccati.available, reason="the solver's extension is not built")
+    def test_a_tap_solved_anew_asks_for_the_same(self, small: Library, scene: Scene) -> None:
+        """At a node, and between nodes by a correction blended like the reference."""
+        share = 0.2
+        asked = {node: share * small.reference_m_s2[node[0]] for node in nodes_of(small)}
+        refined, _ = resolve(small, asked, {"rounds": []})
+        online = Online(refined, scene.plant, lambda grip: ())
+        at_node = online.solve(0.2, 3.0).wave
+        np.testing.assert_allclose(at_node.command_A, refined.command_A[0, 0], atol=1e-6)
+        plain = Online(small, scene.plant, lambda grip: ()).solve(0.22, 4.0).wave
+        between = online.solve(0.22, 4.0).wave
+        # But for the weight of the command's movement, which is relative to the limit.
+        assert nrmse(between.command_A, (1 + share) * plain.command_A) < 0.02
 
     def test_another_correction_than_the_one_solved_for_is_found_out(self, small: Library) -> None:
         refined, _ = resolve(small, {(0, 0): 0.2 * small.reference_m_s2[0]}, {"rounds": []})
