@@ -160,6 +160,10 @@ class LinearPass:
         self._factored = int(code in (SOLVED, ACCURACY))
         return _answer(code, self.buffers.result)
 
+    def forget(self) -> None:
+        """Factor again at the next solve."""
+        self._factored = 0
+
     def command_A(self) -> FloatArray:
         """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
         command = np.cumsum(self.buffers.movement) * self.stages.current_A
