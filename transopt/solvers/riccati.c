@@ -809,9 +809,10 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
             aim(w, 1);
             newton(w);
         }
-        /* Closer to the walls as they matter less: the last iterations then gain more than two digits each. */
+        /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
+         * sizes, whose two rows share a multiplier: how, only a centred iterate tells. */
         const double left = NEARNESS * now.complementarity / fmax(now.objective, 1.0);
-        const double step = slack_steps(w, count > 0.0, fmin(FARTHEST, fmax(left, NEAREST)));
+        const double step = slack_steps(w, count > 0.0, q->nodes ? FARTHEST : fmin(FARTHEST, fmax(left, NEAREST)));
         if (!(step > SHORTEST)) return near ? TR_ACCURACY : TR_STALLED;
         advance(w, step);
     }
