@@ -22,6 +22,7 @@
 
 #define MOST_STATES 48
 #define MOST_NODES 2
+#define MOST_ROWS 16
 
 typedef struct {
     int stages, free_stages, states, outputs, rows, nodes;
@@ -101,6 +102,7 @@ typedef struct {
     double P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
     double eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
     double closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
+    int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
 } tr_work;
 
 static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
@@ -109,6 +111,7 @@ static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
 size_t tr_workspace(const tr_problem *q)
 {
     if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
+    if (q->rows < 0 || q->rows > MOST_ROWS) return 0;
     const size_t N = (size_t)q->stages, m = (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t ld = padded((size_t)q->states + t);
     return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 22 * m);
@@ -157,6 +160,12 @@ static void lay_out(tr_work *w, const tr_problem *q, double *rest, int keep_gain
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) w->At[i * ld + j] = w->Acol[j * ld + i] = q->A[i * n + j];
     for (size_t s = 0; s < ny; s++) memcpy(w->Cp + s * ld, q->C + s * n, n * sizeof(double));
+    for (int j = 0; j < q->rows; j++) {
+        const double *c = q->G + (size_t)j * n;
+        w->from[j] = 0, w->to[j] = q->states;
+        while (w->to[j] > 0 && c[w->to[j] - 1] == 0.0) w->to[j]--;
+        while (w->from[j] < w->to[j] && c[w->from[j]] == 0.0) w->from[j]++;
+    }
     /* The nodes' own flow; what the current adds changes from stage to stage. */
     for (size_t i = 0; i < t; i++)
         for (size_t j = 0; j < t; j++) w->At[(n + i) * ld + n + j] = w->Acol[(n + j) * ld + n + i] = q->M[i * t + j];
@@ -262,10 +271,9 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *
             const double weight = sigma[j];
             if (weight == 0.0) continue;
             const double *c = q->G + j * n, d = weight * q->d[j], size = weight * q->d_size[j];
-            for (int i = 0; i < n; i++) {
-                if (c[i] == 0.0) continue;
+            for (int i = w->from[j]; i < w->to[j]; i++) {
                 const double by = weight * c[i];
-                for (int l = i; l < n; l++) H[i * ld + l] += by * c[l];
+                for (int l = i; l < w->to[j]; l++) H[i * ld + l] += by * c[l];
                 hu[i] += d * c[i];
                 he[i] += size * c[i];
             }
@@ -356,7 +364,7 @@ ALWAYS_INLINE void backward_sized(const int n, const int ld, tr_work *w, const i
                 if (v == 0.0) continue;
                 by_movement += q->d[j] * v;
                 by_size += q->d_size[j] * v;
-                for (int i = 0; i < n; i++) a[i] += c[i] * v;
+                for (int i = w->from[j]; i < w->to[j]; i++) a[i] += c[i] * v;
             }
         }
         if (newton) {
@@ -415,7 +423,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int ld, tr_work *w, const in
             if (t) w->dV[k * m] = th[0];
             for (int i = t ? 1 : 0; i < m; i++) {
                 double v = q->d[i] * u + q->d_size[i] * e;
-                for (int j = 0; j < n; j++) v += q->G[i * n + j] * x[j];
+                for (int j = w->from[i]; j < w->to[i]; j++) v += q->G[i * n + j] * x[j];
                 w->dV[k * m + i] = v;
             }
         }
