@@ -52,6 +52,8 @@ def _library() -> ct.CDLL | None:
     if found is None or found.origin is None:
         return None
     library = ct.CDLL(found.origin)
+    if not hasattr(library, "tr_linear"):
+        return None  # left behind by an earlier version: as good as none
     library.tr_workspace.restype = ct.c_size_t
     return library
 
