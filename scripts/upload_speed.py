@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmark import machine
 from compiled_device import DT_S, SETTINGS, TAIL, CompiledDevice, plant_of, smooth_bank
+from measuring import machine
 
 from controller.configuration import configuration_of
 from controller.driver import Device

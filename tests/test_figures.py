@@ -235,6 +235,20 @@ def test_speeds_differ_in_colour_and_in_grey() -> None:
     assert max(luminance) < 0.75  # still seen on white paper
 
 
+def test_of_a_large_grid_some_nodes_are_drawn_and_the_axis_says_so() -> None:
+    library = make_library(nv=20, ng=10)
+    figure = library_figure(library)
+    columns = figure.axes[: len(figure.axes) // 2]
+    assert [axes.get_title() for axes in columns][:: len(columns) - 1] == ["grip 1 N", "grip 19 N"]
+    assert len(columns) == 6
+    curves = solid_curves(figure.axes[-1], 300)
+    assert len(curves) == 8
+    np.testing.assert_array_equal(curves[0].get_ydata(), library.current_A[0, -1])
+    np.testing.assert_array_equal(curves[-1].get_ydata(), library.current_A[-1, -1])
+    assert "8 of 20 speeds, 6 of 10 grips" in figure.get_supxlabel()
+    assert "speeds" not in library_figure(make_library(nv=8, ng=6)).get_supxlabel()
+
+
 def test_a_zero_reference_can_be_drawn() -> None:
     library = make_library()
     zero = {name: 0 * getattr(library, name) for name in ("reference_m_s2", "acceleration_m_s2", "current_A")}
@@ -286,6 +300,14 @@ def test_zero_and_infinite_errors_do_not_break_the_axis() -> None:
     assert 0 < bottom < top < 1000
     np.testing.assert_allclose(optimum, [bottom, 10.0])
     assert_nothing_clipped(figure)
+
+
+def test_many_entries_have_one_label_for_each_speed() -> None:
+    figure = method_figure(make_build([[make_entry(0.1 * i + 0.1, j + 0.5) for j in range(10)] for i in range(7)]))
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_xticklabels()] == [f"{0.1 * i + 0.1:.3g}" for i in range(7)]
+    np.testing.assert_allclose(axes.get_xticks(), 4.5 + 10 * np.arange(7))
+    assert axes.get_xlabel() == "speed [m/s], grips 0.5 to 9.5 N in each stripe"
 
 
 @pytest.mark.parametrize(("nv", "ng"), [(1, 1), (4, 3), (10, 6)])

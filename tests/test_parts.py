@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import problems
-from tests.conftest import ProblemMaker
+from tests.conftest import ProblemMaker, is_stationary
 from transopt import transcribe
 from transopt.certify import certify, inside
 from transopt.design import entry_problem, scene_stage
@@ -19,7 +19,7 @@ from transopt.reference import Reference
 from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
-from transopt.solvers import SolverOptions, is_stationary, solve
+from transopt.solvers import SolverOptions, solve
 from transopt.statement import state
 from transopt.wall import HandOver, Wall
 

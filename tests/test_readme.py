@@ -5,21 +5,36 @@ from pathlib import Path
 
 import pytest
 
+from transopt import native
 from transopt.library import Library
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
-def test_readme_has_the_two_examples() -> None:
-    assert len(BLOCKS) == 2
-    assert "build_library" in BLOCKS[0]
-    assert "transopt" not in re.sub("#.*", "", BLOCKS[1])
+ONLINE, API, NUMPY = BLOCKS
+
+
+def test_readme_has_the_three_examples() -> None:
+    assert "Online" in ONLINE
+    assert "build_library" in API
+    assert "transopt" not in re.sub("#.*", "", NUMPY)
+
+
+@pytest.mark.skipif(not native.available, reason="the extension is not built")
+def test_online(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out/wood_on_foam").mkdir(parents=True)
+    library.save(tmp_path / "out/wood_on_foam/library.npz")
+    exec(ONLINE, {})
+    assert re.search(r"J = 0\.\d+, gap \de-\d+, ", capsys.readouterr().out)
 
 
 def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(BLOCKS[0], {})  # the block is this repository's own text
+    exec(API, {})  # the block is this repository's own text
     assert "0.4 m/s, 5 N: 19.08%" in capsys.readouterr().out
     assert (tmp_path / "library.npz").exists()
 
@@ -36,9 +51,9 @@ class TestNumpyAlone:
     ) -> None:
         monkeypatch.chdir(tmp_path)
         library.save(tmp_path / "library.npz")
-        assert "iv, ig = 3, 2" in BLOCKS[1]
+        assert "iv, ig = 3, 2" in NUMPY
         names: dict[str, float] = {}
-        exec(BLOCKS[1].replace("iv, ig = 3, 2", f"iv, ig = {entry}"), names)
+        exec(NUMPY.replace("iv, ig = 3, 2", f"iv, ig = {entry}"), names)
         iv, ig = (int(part) for part in entry.split(","))
         assert names["J"] == pytest.approx(library.objective[iv, ig], rel=1e-9)
         assert "above the optimum" in capsys.readouterr().out
@@ -53,4 +68,4 @@ class TestNumpyAlone:
         command[3, 2, 100] += 0.01
         replace(library, command_A=command).save(tmp_path / "library.npz")
         with pytest.raises(AssertionError):
-            exec(BLOCKS[1], {})
+            exec(NUMPY, {})

@@ -10,6 +10,7 @@ from problems.stress_cases import Coil, Current, Demand, Device, Horizon, Stress
 from problems.stress_draw import drawn
 from problems.stress_families import SMALL_A
 from problems.stress_judge import played
+from tests.conftest import is_stationary
 from transopt import optimum as optimum_module
 from transopt.certify import certify
 from transopt.errors import InputError
@@ -18,7 +19,7 @@ from transopt.linear import wall_growth
 from transopt.optimum import Designed, optimum
 from transopt.parts import encoder_course, silence
 from transopt.problem import Status, TransientProblem
-from transopt.solvers import SolverOptions, is_stationary, solve
+from transopt.solvers import SolverOptions, solve
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.polish import polished
 from transopt.thermal import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.conftest import is_stationary
 from transopt.certify import binding_limits, certify, inside
 from transopt.design import design_grip, entry_problem, scene_stage
 from transopt.discretise import Motion
@@ -17,7 +18,7 @@ from transopt.problem import Status, TransientProblem
 from transopt.reference import Reference
 from transopt.replay import replay
 from transopt.scene import Scene
-from transopt.solvers import SolverOptions, is_stationary, solve
+from transopt.solvers import SolverOptions, solve
 
 SOLVERS = ("casadi-piqp", "casadi-ipopt", "casadi-fatrop")
 # Problems without an answer keep an interior-point method busy until its last iteration.

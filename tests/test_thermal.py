@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from transopt.errors import InputError
 from transopt.scene import Scene
-from transopt.thermal import CoilModel, effective_square, effective_square_mean
+from transopt.thermal import CoilModel, effective_square, following_square_mean
 
 
 @pytest.fixture
@@ -71,12 +71,26 @@ def test_the_adiabatic_bound_holds_and_is_not_idle(
             assert bound - run.y[0].max() < 0.01
 
 
-def test_mean_square_is_exact_for_a_ramp() -> None:
-    fine = np.abs(np.linspace(1.0, 3.0, 200001)) + 0.02
-    assert effective_square_mean(np.array(1.0), np.array(3.0)) == pytest.approx(np.mean(fine**2), rel=1e-5)
-
-
 def test_a_start_above_the_limit_is_named(scene: Scene) -> None:
     hot = scene.model_copy(update={"thermal": scene.thermal.model_copy(update={"start_winding_C": 101.0})})
     with pytest.raises(InputError, match=r"start_winding_C = 101 C is above the winding limit 100 C"):
         hot.coil()
+
+
+@pytest.mark.parametrize("pole_Hz", [100.0, 1050.0, 30e3, 1e6])
+@pytest.mark.parametrize(("before", "command"), [(0.0, 4.0), (-2.5, 2.5), (4.0, -0.01), (1.0, 1.0), (0.3, 0.0)])
+def test_heat_of_a_current_that_follows_a_held_command(pole_Hz: float, before: float, command: float) -> None:
+    """Against quadrature on points that are dense where the current moves; poles far below and above the step."""
+    w, step = 2 * np.pi * pole_Hz, 12.5e-6
+    t = (
+        np.concatenate([[0.0], np.geomspace(1e-4 / w, step, 200_000)])
+        if 1e-4 / w < step
+        else np.linspace(0, step, 2000)
+    )
+    wanted = np.trapezoid(effective_square(command + (before - command) * np.exp(-w * t)), t) / step
+    found = following_square_mean(np.array([before]), np.array([command]), np.array([w * step]))
+    assert found[0] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_step_without_length_heats_as_its_current() -> None:
+    assert following_square_mean(np.array([3.0]), np.array([-1.0]), np.array([0.0]))[0] == pytest.approx(3.02**2)

@@ -236,6 +236,8 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
 
     A limit binds at a stage where its multiplier is positive beyond rounding and its slack is gone.
     """
+    if multipliers.largest <= BINDING_MULTIPLIER:
+        return "none"
     limits = boxes(problem, command_A, problem.stage.motion(command_A), multipliers)
     rows: dict[str, NDArray[np.bool_]] = {}
     for box in limits:

@@ -223,9 +223,9 @@ def _play(
     x = np.zeros((M, n))
     if loop is None:
         forced = issued[:periods, :, None] * Q[0] + issued[late : late + periods, :, None] * Q[1]
-        for k in range(periods):
-            starts[k] = x
-            x = x @ P + forced[k]
+        for k in range(periods - 1):
+            np.matmul(starts[k], P, out=starts[k + 1])
+            starts[k + 1] += forced[k]
     else:
         feedback = loop.start(stage, grid.dt_s)
         for k in range(periods):

@@ -33,6 +33,9 @@ LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1.2)), (0, (6, 1.5, 1, 
 VIRIDIS_RANGE = (0.12, 0.8)  # darker hides the reference drawn over it, lighter fades on white paper
 BINDING = "0.86"
 
+MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
+MOST_LABELLED = 60  # entries that have a label each
+
 QUIET = 0.1  # of the reference's peak: the time axis is compressed once all references stay below it
 PROMINENT = 0.7  # share of the time axis before that
 TICK_STEPS = (1, 2, 5, 10)
@@ -128,6 +131,11 @@ def _time_axis(times_ms: FloatArray, end_ms: float, reference: FloatArray) -> _T
 # ---------------------------------------------------------------------------------------------------- library
 
 
+def _some(count: int, most: int) -> list[int]:
+    """At most so many of 0..count-1, evenly spread, the first and the last among them."""
+    return [int(j) for j in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
 def _binding_spans_ms(library: Library, ig: int) -> list[tuple[float, float]]:
     """When the current limit binds at a grip, for at least one speed, as in `certify.binding_limits`."""
     limit = library.meta["limits"]["current_A"]
@@ -148,21 +156,22 @@ def library_figure(library: Library) -> Figure:
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
     current [A] with its limit. The whole horizon is shown; where the references have died away the time axis is
-    compressed, and says so.
+    compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
     """
     grid = library.time_grid()
     times_ms, end_ms = grid.switching_times_s * 1e3, grid.end_s * 1e3
     axis = _time_axis(times_ms, end_ms, library.reference_m_s2)
     speeds, grips = library.speeds_m_s, library.grips_N
+    shown_speeds, shown_grips = _some(speeds.size, MOST_SPEEDS), _some(grips.size, MOST_GRIPS)
     limit = library.meta["limits"]["current_A"]
     hand_over_ms = (grid.issue_times_s[-library.meta["hand_over_samples"]] + grid.delay_s) * 1e3
-    colours = _colours(speeds.size)
+    colours = _colours(len(shown_speeds))
 
-    figure = Figure(figsize=(max(1.0 + 2.1 * grips.size, 4.4), 5.0), layout="constrained")
-    rows = figure.subplots(2, grips.size, sharex=True, sharey="row", squeeze=False)
+    figure = Figure(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0), layout="constrained")
+    rows = figure.subplots(2, len(shown_grips), sharex=True, sharey="row", squeeze=False)
     binds = False
-    for ig, grip in enumerate(grips):
-        above, below = rows[:, ig]
+    for column, ig in enumerate(shown_grips):
+        above, below = rows[:, column]
         spans = _binding_spans_ms(library, ig)
         binds = binds or bool(spans)
         for axes in (above, below):
@@ -172,21 +181,21 @@ def library_figure(library: Library) -> Figure:
                 axes.axvline(axis.knee_ms, color="0.6", linewidth=0.8)
             for span in spans:
                 axes.axvspan(*span, color=BINDING, linewidth=0)
-        for iv in range(speeds.size):
+        for line, iv in enumerate(shown_speeds):
             style: dict[str, Any] = {
                 "label": f"{speeds[iv]:g} m/s",
-                "color": colours[iv],
-                "marker": MARKERS[iv % len(MARKERS)],
+                "color": colours[line],
+                "marker": MARKERS[line % len(MARKERS)],
                 "markersize": 3.5,
-                "markevery": axis.spread(times_ms, 7, (iv + 0.5) / speeds.size),
+                "markevery": axis.spread(times_ms, 7, (line + 0.5) / len(shown_speeds)),
             }
             above.plot(times_ms, library.acceleration_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2, linewidth=2.0, **style)
             below.plot(times_ms, library.current_A[iv, ig], linewidth=1.3, **style)
-        for reference in library.reference_m_s2:
+        for reference in library.reference_m_s2[shown_speeds]:
             above.plot(times_ms, reference / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
         for sign in (1, -1):
             below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
-        above.set_title(_grip(grip), fontsize=LABEL_PT)
+        above.set_title(_grip(grips[ig]), fontsize=LABEL_PT)
     rows[0, 0].set_xscale("function", functions=(axis.forward, axis.inverse))
     rows[0, 0].set_xlim(*axis.limits_ms)
     rows[0, 0].set_xticks(axis.ticks_ms, [_plain(tick) for tick in axis.ticks_ms])
@@ -195,7 +204,9 @@ def library_figure(library: Library) -> Figure:
     rows[0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
     rows[1, 0].set_ylabel("current [A]", fontsize=LABEL_PT)
     squeezed = f"compressed {axis.factor:.1f} times after {axis.knee_ms:g} ms, " if axis.factor > 1 else ""
-    label = f"time after contact [ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms"
+    whole = len(shown_speeds) == speeds.size and len(shown_grips) == grips.size
+    some = "" if whole else f"; {len(shown_speeds)} of {speeds.size} speeds, {len(shown_grips)} of {grips.size} grips"
+    label = f"time after contact [ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
     handles = [
@@ -290,14 +301,21 @@ def method_figure(build: "Build") -> Figure:
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylabel("NRMSE after replay [%]", fontsize=LABEL_PT)
     axes.set_xlim(-0.5, len(entries) - 0.5)
-    rotation = 90 if crowded else 0
-    labels = [_entry_label(entry, ", " if crowded else "\n") for entry in entries]
-    axes.set_xticks(positions, labels, rotation=rotation, fontsize=SMALL_PT)
-    above = axes.secondary_xaxis("top")
-    numbers = [f"{value:#.3g}".rstrip(".") for value in percent[0]]
-    above.set_xticks(positions, numbers, rotation=rotation, fontsize=SMALL_PT)
-    above.tick_params(length=0)
-    above.set_xlabel("NRMSE of the optimum [%]", fontsize=LABEL_PT)
+    if len(entries) > MOST_LABELLED:
+        # One label for each speed, and what stands in its stripe.
+        middles = np.cumsum([len(group) for group in build.entries]) - 0.5 - 0.5 * len(build.entries[0])
+        axes.set_xticks(middles, [f"{group[0].speed_m_s:.3g}" for group in build.entries], fontsize=SMALL_PT)
+        grips = [entry.grip_N for entry in build.entries[0]]
+        axes.set_xlabel(f"speed [m/s], grips {grips[0]:g} to {grips[-1]:g} N in each stripe", fontsize=LABEL_PT)
+    else:
+        rotation = 90 if crowded else 0
+        labels = [_entry_label(entry, ", " if crowded else "\n") for entry in entries]
+        axes.set_xticks(positions, labels, rotation=rotation, fontsize=SMALL_PT)
+        above = axes.secondary_xaxis("top")
+        numbers = [f"{value:#.3g}".rstrip(".") for value in percent[0]]
+        above.set_xticks(positions, numbers, rotation=rotation, fontsize=SMALL_PT)
+        above.tick_params(length=0)
+        above.set_xlabel("NRMSE of the optimum [%]", fontsize=LABEL_PT)
 
     handles, _ = axes.get_legend_handles_labels()
     _legend_above(figure, handles, entry_in=1.8)
@@ -378,6 +396,3 @@ def taps_figure(taps: Sequence["Tap"]) -> Figure:
     axes.set_ylabel("acceleration [g]", fontsize=LABEL_PT)
     figure.legend(loc="outside right upper", ncols=columns, fontsize=SMALL_PT, frameon=False)
     return figure
-
-
-# ---------------------------------------------------------------------------------------------------- file

@@ -52,6 +52,8 @@ def _library() -> ct.CDLL | None:
     if found is None or found.origin is None:
         return None
     library = ct.CDLL(found.origin)
+    if not hasattr(library, "tr_linear"):
+        return None  # left behind by an earlier version: as good as none
     library.tr_workspace.restype = ct.c_size_t
     return library
 
@@ -159,6 +161,10 @@ class LinearPass:
         code = self._pass(self._problem, ct.c_double(tolerance), self._factored, *self._arguments)
         self._factored = int(code in (SOLVED, ACCURACY))
         return _answer(code, self.buffers.result)
+
+    def forget(self) -> None:
+        """Factor again at the next solve."""
+        self._factored = 0
 
     def command_A(self) -> FloatArray:
         """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""

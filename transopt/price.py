@@ -118,6 +118,8 @@ def prices(
     """
     if problem.error_filter is not None or problem.spread or problem.reference_is_zero:
         return []
+    if multipliers.largest * problem.grid.stages <= WORTH_SAYING:
+        return []
     stage, r = problem.stage, problem.reference_m_s2
     motion, free = stage.motion(command_A), stage.motion(unlimited_A)
     error, floor = nrmse(motion.acceleration_m_s2, r), nrmse(free.acceleration_m_s2, r)

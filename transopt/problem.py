@@ -18,6 +18,7 @@ AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
 AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, about 1.8 dB
 ZERO_REFERENCE_M_S2 = 1e-3  # a reference with a smaller rms is zero
 LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
+NO_LIMITS = frozenset({"hand_over", "current_sign"})  # among the multipliers: of an equation, and a slope
 SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
 
 
@@ -255,10 +256,14 @@ class Multipliers:
         N = problem.grid.stages
         return cls(**{name: np.zeros(N) for name in names}, hand_over=np.zeros(problem.hand_over_samples))
 
+    @property
+    def largest(self) -> float:
+        """The largest multiplier of a limit, whatever its unit."""
+        return max(float(getattr(self, f.name).max()) for f in fields(self) if f.name not in NO_LIMITS)
+
     def clipped(self) -> "Multipliers":
         """The same with every negative multiplier of a limit set to zero."""
-        free = {"hand_over", "current_sign"}
-        limits = {f.name: np.maximum(getattr(self, f.name), 0.0) for f in fields(self) if f.name not in free}
+        limits = {f.name: np.maximum(getattr(self, f.name), 0.0) for f in fields(self) if f.name not in NO_LIMITS}
         return replace(self, **limits, current_sign=np.clip(self.current_sign, -1.0, 1.0))
 
 

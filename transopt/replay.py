@@ -9,13 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from transopt.amplifier import Amplifier
 from transopt.continuous import AGREEMENT, Loop, Trajectory, accurate, fine, peak_scale
 from transopt.discretise import StageModel, TimeGrid
 from transopt.heat import Budget
 from transopt.problem import Certificate, TransientProblem
 from transopt.signals import FloatArray, nrmse
 from transopt.supply import Supply
-from transopt.thermal import CoilModel, effective_square_mean
+from transopt.thermal import CoilModel, effective_square, following_square_mean
 from transopt.wall import HandOver
 
 TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
@@ -116,12 +117,16 @@ def _peak_voltages(run: Trajectory, supplies: Sequence[Supply], grid: TimeGrid) 
 
 
 def _temperatures(
-    run: Trajectory, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
+    run: Trajectory, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
 ) -> tuple[FloatArray, FloatArray]:
     """(M,) highest winding and housing temperature; the heat is summed over each segment."""
     steps = np.diff(run.times_s)
-    # Exact for a current that is linear within a fine step; the steps between segments have no length.
-    heat = steps * effective_square_mean(run.current_A[:, :-1], run.current_A[:, 1:])
+    # Exact, as the command is held within a segment; the steps between segments have no length.
+    before, felt = run.current_A[:, :-1], run.felt_A[:, :-1]
+    if amplifier is None:
+        heat = steps * effective_square(before)
+    else:
+        heat = steps * following_square_mean(before, felt, amplifier.rate_rad_s * steps)
     lengths = np.add.reduceat(np.append(steps, 0.0), run.segment_starts)
     energy = np.add.reduceat(
         np.append(heat, np.zeros((run.current_A.shape[0], 1)), axis=1), run.segment_starts, axis=1
@@ -169,7 +174,9 @@ def replay(
     current = run.current_A[:, run.at_switching]
     M, after = commands_A.shape[0], run.times_s > grid.end_s
     unknown = np.full(M, np.nan)
-    winding, housing = (unknown, unknown) if coil is None else _temperatures(run, coil, budgets, grid)
+    winding, housing = (
+        (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
+    )
     voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
     return [
         Replay(

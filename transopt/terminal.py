@@ -1,5 +1,6 @@
 """What the two command lines share: the console, folders that can be written, errors in one line."""
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -41,6 +42,9 @@ _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 def run(app: Callable[..., object]) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback."""
+    # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
+    # processor and gain nothing, and with --jobs they fight. Read when numpy is loaded, which is inside the commands.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
     except InputError as error:

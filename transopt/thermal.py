@@ -18,13 +18,25 @@ def effective_square(current_A: FloatArray) -> FloatArray:
     return np.asarray((np.abs(current_A) + PWM_RIPPLE_A) ** 2)
 
 
-def effective_square_mean(before_A: FloatArray, after_A: FloatArray) -> FloatArray:
-    """Mean of i_eff^2 over a step in which |i| goes linearly from one value to the other [A^2].
+def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: FloatArray) -> FloatArray:
+    """Mean of i_eff^2 over a step in which the current follows a held command through one pole, exactly [A^2].
 
-    A change of sign within the step is taken for a change of size; on the replay's fine steps that is nothing.
+    i(t) = c + (i_0 - c) exp(-w t): however fast the pole beside the step, and through a change of sign.
+
+    Parameters
+    ----------
+    before_A, command_A : (..., K) i_0 and c. decays : (K,) w times the length of the step, >= 0.
     """
-    a, b = np.abs(before_A) + PWM_RIPPLE_A, np.abs(after_A) + PWM_RIPPLE_A
-    return np.asarray((a * a + a * b + b * b) / 3)
+    x = np.maximum(decays, np.finfo(float).tiny)
+    away = before_A - command_A
+    mean = command_A - away * np.expm1(-x) / x
+    square = command_A**2 - 2 * command_A * away * np.expm1(-x) / x - away**2 * np.expm1(-2 * x) / (2 * x)
+    turns = before_A * (command_A + away * np.exp(-x)) < 0
+    # Zero is crossed where exp(-w t) = -c / (i_0 - c); what lies before it has the other sign.
+    share = np.where(turns, -command_A / np.where(turns, away, 1.0), 1.0)
+    first = np.where(turns, (-command_A * np.log(share) + away * (1 - share)) / x, 0.0)
+    size = np.abs(first) + np.abs(mean - first)
+    return np.asarray(square + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ __all__ = [
     "check_name",
     "default_solver",
     "global_bound",
-    "is_stationary",
     "prove",
     "solve",
     "solve_certified",
@@ -140,12 +139,6 @@ def feasible(problem: TransientProblem) -> bool:
     """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
     found = least_widening(problem, LIMITS)
     return found is None or found[0] == 1.0
-
-
-def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
-    """Whether an answer is certified, but for the global bound where the temperature binds."""
-    proof = certify(problem, answer.command_A, answer.multipliers)
-    return answer.status is Status.OPTIMAL and proof.is_stationary
 
 
 def solve_certified(problem: TransientProblem, options: SolverOptions) -> tuple[Solution, Certificate]:

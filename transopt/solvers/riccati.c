@@ -22,6 +22,7 @@
 
 #define MOST_STATES 48
 #define MOST_NODES 2
+#define MOST_ROWS 16
 
 typedef struct {
     int stages, free_stages, states, outputs, rows, nodes;
@@ -101,6 +102,7 @@ typedef struct {
     double P0[MOST_NODES * MOST_NODES], p0[MOST_NODES], th_end[MOST_NODES];
     double eta[MOST_NODES], d_eta[MOST_NODES], d_start[MOST_NODES];
     double closing[4 * MOST_NODES * MOST_NODES]; /* matrix of the closure's equations */
+    int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
 } tr_work;
 
 static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
@@ -109,6 +111,7 @@ static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
 size_t tr_workspace(const tr_problem *q)
 {
     if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
+    if (q->rows < 0 || q->rows > MOST_ROWS) return 0;
     const size_t N = (size_t)q->stages, m = (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
     const size_t ld = padded((size_t)q->states + t);
     return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 22 * m);
@@ -157,9 +160,12 @@ static void lay_out(tr_work *w, const tr_problem *q, double *rest, int keep_gain
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < n; j++) w->At[i * ld + j] = w->Acol[j * ld + i] = q->A[i * n + j];
     for (size_t s = 0; s < ny; s++) memcpy(w->Cp + s * ld, q->C + s * n, n * sizeof(double));
-    /* The nodes' own flow; what the current adds changes from stage to stage. */
-    for (size_t i = 0; i < t; i++)
-        for (size_t j = 0; j < t; j++) w->At[(n + i) * ld + n + j] = w->Acol[(n + j) * ld + n + i] = q->M[i * t + j];
+    for (int j = 0; j < q->rows; j++) {
+        const double *c = q->G + (size_t)j * n;
+        w->from[j] = 0, w->to[j] = q->states;
+        while (w->to[j] > 0 && c[w->to[j] - 1] == 0.0) w->to[j]--;
+        while (w->from[j] < w->to[j] && c[w->from[j]] == 0.0) w->from[j]++;
+    }
 }
 
 /* Z = X Y for z columns, or only the upper triangle with its diagonal blocks; rows and columns are padded with zeros. */
@@ -195,32 +201,94 @@ static void add_at(double *H, int ld, int i, int j, double value)
     H[i < j ? i * ld + j : j * ld + i] += value;
 }
 
+/* Add outer product c d' to the upper triangle of H; both padded with zeros. */
+ALWAYS_INLINE void add_product(const int z, const int ld, const double *restrict c, const double *restrict d,
+                               double *restrict H)
+{
+    for (int i = 0; i < z; i++)
+        for (int j = i & ~3; j < ld; j++) H[i * ld + j] += c[i] * d[j];
+}
+
+/* What the nodes add to H = A' P A: their flow is [B M] with B in the columns of current and command only.
+ *
+ * Cost to go P (states), Q (nodes, n), R (nodes, nodes). In: H = A' P A of the states. Out: H of the states, HQ and HR;
+ * U = A' Q' + B' R and RM = R M, which are the nodes' rows of P A.
+ */
+ALWAYS_INLINE void add_nodes(const int n, const int t, const int ld, const tr_work *w, const double *heat,
+                             const double *restrict Q, const double *restrict R, double *restrict H,
+                             double *restrict HQ, double *restrict HR, double *restrict U, double *restrict RM)
+{
+    const tr_problem *q = w->q;
+    const int last = n - 1, a = q->current;
+    double M[MOST_NODES * MOST_NODES], by_current[MOST_STATES] = {0}, by_command[MOST_STATES] = {0};
+    double cc = 0.0, cd = 0.0, dd = 0.0;
+    for (int i = 0; i < t; i++)
+        for (int j = 0; j < t; j++) M[i * t + j] = q->M[i * t + j] + (j == 0 ? q->b[i] * heat[3] : 0.0);
+    for (int i = 0; i < t; i++) {
+        double *u = U + i * ld;
+        for (int j = 0; j < ld; j++) u[j] = w->At[j] * Q[i * ld];
+        for (int l = 1; l < n; l++) {
+            const double v = Q[i * ld + l];
+            for (int j = 0; j < ld; j++) u[j] += w->At[l * ld + j] * v;
+        }
+        const double c = a >= 0 ? q->b[i] * heat[0] : 0.0, d = q->b[i] * heat[1];
+        for (int j = 0; j < n; j++) by_current[j] += u[j] * c, by_command[j] += u[j] * d;
+        double rb = 0.0;
+        for (int j = 0; j < t; j++) rb += R[i * t + j] * q->b[j];
+        cc += c * rb * heat[0], cd += c * rb * heat[1], dd += d * rb * heat[1];
+        if (a >= 0) u[a] += heat[0] * rb;
+        u[last] += heat[1] * rb;
+        for (int j = 0; j < t; j++) {
+            RM[i * t + j] = 0.0;
+            for (int l = 0; l < t; l++) RM[i * t + j] += R[i * t + l] * M[l * t + j];
+        }
+    }
+    for (int j = 0; j < n; j++) {
+        if (a >= 0) add_at(H, ld, j, a, by_current[j]);
+        add_at(H, ld, j, last, by_command[j]);
+    }
+    if (a >= 0) {
+        add_at(H, ld, a, a, by_current[a] + cc);
+        add_at(H, ld, a, last, cd);
+    }
+    add_at(H, ld, last, last, by_command[last] + dd);
+    for (int i = 0; i < t; i++) {
+        for (int j = 0; j < ld; j++) HQ[i * ld + j] = U[j] * M[i];
+        for (int l = 1; l < t; l++)
+            for (int j = 0; j < ld; j++) HQ[i * ld + j] += U[l * ld + j] * M[l * t + i];
+        for (int j = 0; j < t; j++) {
+            HR[i * t + j] = 0.0;
+            for (int l = 0; l < t; l++) HR[i * t + j] += M[l * t + i] * RM[l * t + j];
+        }
+    }
+}
+
 /* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in. */
 ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *w, const int curved)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, m = q->rows, z = n + t, last = n - 1, a = q->current;
     double P[MOST_STATES * MOST_STATES], PA[MOST_STATES * MOST_STATES], H[MOST_STATES * MOST_STATES];
-    double hu[MOST_STATES], he[MOST_STATES];
+    double hu[MOST_STATES], he[MOST_STATES], hu_x[MOST_STATES], he_x[MOST_STATES], g_x[MOST_STATES];
+    double Q[MOST_NODES * MOST_STATES], HQ[MOST_NODES * MOST_STATES], U[MOST_NODES * MOST_STATES];
+    double R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], RM[MOST_NODES * MOST_NODES];
     const double e1 = q->decay, e2 = 1.0 - e1, *s = q->square;
     const double haa = t ? 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1) : 0.0;
     const double hac = t ? (s[1] + 2.0 * s[2] * e1) * e2 : 0.0, hcc = t ? 2.0 * s[2] * e2 * e2 : 0.0;
     memset(P, 0, (size_t)(ld * ld) * sizeof(double));
-    memset(hu, 0, sizeof hu);
-    memset(he, 0, sizeof he);
-    if (t) P[n * ld + n] = w->sigma[N * m];
+    memset(hu_x, 0, sizeof hu_x);
+    memset(he_x, 0, sizeof he_x);
+    memset(g_x, 0, sizeof g_x);
+    memset(Q, 0, sizeof Q);
+    memset(R, 0, sizeof R);
+    if (t) R[0] = w->sigma[N * m];
     for (int k = N - 1; k >= 0; k--) {
         const double *heat = w->heat + 4 * k, *sigma = w->sigma + k * m;
-        for (int i = 0; i < t; i++) {
-            const int row = n + i;
-            const double b = q->b[i];
-            if (a >= 0) w->At[row * ld + a] = w->Acol[a * ld + row] = b * heat[0];
-            w->At[row * ld + last] = w->Acol[last * ld + row] = b * heat[1];
-            w->At[row * ld + n] = w->Acol[n * ld + row] = q->M[i * t] + b * heat[3];
-        }
-        multiply(z, ld, P, w->At, PA, 0);
-        multiply(z, ld, w->Acol, PA, H, 1);
-        for (int i = 0; i < z; i++) hu[i] = i <= last ? H[i * ld + last] : H[last * ld + i];
+        multiply(n, ld, P, w->At, PA, 0);
+        multiply(n, ld, w->Acol, PA, H, 1);
+        if (t) add_nodes(n, t, ld, w, heat, Q, R, H, HQ, HR, U, RM);
+        for (int i = 0; i < n; i++) hu[i] = H[i * ld + last];
+        for (int j = 0; j < t; j++) hu[n + j] = HQ[j * ld + last];
         double r = hu[last] + q->movement_weight, hee = 0.0, heu = 0.0;
         for (int o = 0; o < q->outputs; o++) {
             add_square(n, ld, q->weight[k], w->Cp + o * ld, H);
@@ -235,8 +303,11 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *
             const double by = 2.0 * q->ripple * heat[2];
             for (int j = 0; j < z; j++) he[j] = 0.0;
             for (int i = 0; i < t; i++) {
-                for (int j = 0; j < z; j++) he[j] += by * q->b[i] * PA[(n + i) * ld + j];
-                for (int j = 0; j < t; j++) hee += by * by * q->b[i] * q->b[j] * P[(n + i) * ld + n + j];
+                for (int j = 0; j < n; j++) he[j] += by * q->b[i] * U[i * ld + j];
+                for (int j = 0; j < t; j++) {
+                    he[n + j] += by * q->b[i] * RM[i * t + j];
+                    hee += by * by * q->b[i] * q->b[j] * R[i * t + j];
+                }
             }
             heu = he[last];
             /* Curvature of the heat, weighed by what a kelvin at the next instant costs. */
@@ -251,23 +322,22 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *
             r += bend * hcc;
             if (curved && heat[2] > 0.0) {
                 const double cross = price * q->copper / heat[2];
-                if (a >= 0) add_at(H, ld, a, n, cross * heat[0]);
-                add_at(H, ld, last, n, cross * heat[1]);
+                if (a >= 0) HQ[a] += cross * heat[0];
+                HQ[last] += cross * heat[1];
                 hu[n] += cross * heat[1];
                 he[n] += price * q->copper * 2.0 * q->ripple;
             }
-            H[n * ld + n] += sigma[0];
+            HR[0] += sigma[0];
         }
         for (int j = t ? 1 : 0; j < m; j++) {
             const double weight = sigma[j];
             if (weight == 0.0) continue;
             const double *c = q->G + j * n, d = weight * q->d[j], size = weight * q->d_size[j];
-            for (int i = 0; i < n; i++) {
-                if (c[i] == 0.0) continue;
+            for (int i = w->from[j]; i < w->to[j]; i++) {
                 const double by = weight * c[i];
-                for (int l = i; l < n; l++) H[i * ld + l] += by * c[l];
+                for (int l = i; l < w->to[j]; l++) H[i * ld + l] += by * c[l];
                 hu[i] += d * c[i];
-                he[i] += size * c[i];
+                if (t) he[i] += size * c[i];
             }
             r += d * q->d[j];
             heu += size * q->d[j];
@@ -280,34 +350,42 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *
             w->pivot_e[k] = inverse;
             w->Ke_u[k] = -heu * inverse;
             for (int i = 0; i < z; i++) gain_e[i] = -he[i] * inverse;
-            for (int i = 0; i < z; i++) {
-                hu[i] += heu * gain_e[i];
-                for (int j = i; j < z; j++) H[i * ld + j] += he[i] * gain_e[j];
+            for (int i = 0; i < z; i++) hu[i] += heu * gain_e[i];
+            for (int i = 0; i < n; i++) he_x[i] = he[i], g_x[i] = gain_e[i];
+            add_product(n, ld, he_x, g_x, H);
+            for (int j = 0; j < t; j++) {
+                for (int i = 0; i < n; i++) HQ[j * ld + i] += he[i] * gain_e[n + j];
+                for (int i = 0; i < t; i++) HR[i * t + j] += he[n + i] * gain_e[n + j];
             }
             r += heu * w->Ke_u[k];
         }
         if (k >= q->free_stages) {
             const double *f = q->rule_gain + (k - q->free_stages) * n;
-            for (int i = 0; i < n; i++) gain[i] = f[i];
             for (int i = 0; i < n; i++) {
+                gain[i] = f[i];
                 for (int j = i; j < n; j++) H[i * ld + j] += f[i] * hu[j] + hu[i] * f[j] + f[i] * r * f[j];
-                for (int j = n; j < z; j++) H[i * ld + j] += f[i] * hu[j];
+                for (int j = 0; j < t; j++) HQ[j * ld + i] += f[i] * hu[n + j];
             }
         } else {
             if (!(r > 0.0)) return 1;
             const double inverse = 1.0 / r;
             w->pivot[k] = inverse;
-            double g[MOST_STATES];
-            for (int i = 0; i < ld; i++) g[i] = -hu[i] * inverse;
-            for (int i = 0; i < z; i++)
-                for (int j = i & ~3; j < ld; j++) H[i * ld + j] += hu[i] * g[j];
-            for (int i = 0; i < ld; i++) gain[i] = g[i];
+            for (int i = 0; i < z; i++) gain[i] = -hu[i] * inverse;
+            for (int i = 0; i < n; i++) hu_x[i] = hu[i], g_x[i] = gain[i];
+            add_product(n, ld, hu_x, g_x, H);
+            for (int j = 0; j < t; j++) {
+                for (int i = 0; i < n; i++) HQ[j * ld + i] += hu[i] * gain[n + j];
+                for (int i = 0; i < t; i++) HR[i * t + j] += hu[n + i] * gain[n + j];
+            }
         }
-        for (int i = 0; i < z; i++)
-            for (int j = i; j < z; j++) P[i * ld + j] = P[j * ld + i] = H[i * ld + j];
+        for (int i = 0; i < n; i++)
+            for (int j = i; j < n; j++) P[i * ld + j] = P[j * ld + i] = H[i * ld + j];
+        for (int j = 0; j < t; j++) {
+            for (int i = 0; i < n; i++) Q[j * ld + i] = HQ[j * ld + i];
+            for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
+        }
     }
-    for (int i = 0; i < t; i++)
-        for (int j = 0; j < t; j++) w->P0[i * t + j] = P[(n + i) * ld + n + j];
+    memcpy(w->P0, R, (size_t)(t * t) * sizeof(double));
     return 0;
 }
 
@@ -356,7 +434,7 @@ ALWAYS_INLINE void backward_sized(const int n, const int ld, tr_work *w, const i
                 if (v == 0.0) continue;
                 by_movement += q->d[j] * v;
                 by_size += q->d_size[j] * v;
-                for (int i = 0; i < n; i++) a[i] += c[i] * v;
+                for (int i = w->from[j]; i < w->to[j]; i++) a[i] += c[i] * v;
             }
         }
         if (newton) {
@@ -415,7 +493,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int ld, tr_work *w, const in
             if (t) w->dV[k * m] = th[0];
             for (int i = t ? 1 : 0; i < m; i++) {
                 double v = q->d[i] * u + q->d_size[i] * e;
-                for (int j = 0; j < n; j++) v += q->G[i * n + j] * x[j];
+                for (int j = w->from[i]; j < w->to[i]; j++) v += q->G[i * n + j] * x[j];
                 w->dV[k * m + i] = v;
             }
         }
@@ -809,9 +887,10 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
             aim(w, 1);
             newton(w);
         }
-        /* Closer to the walls as they matter less: the last iterations then gain more than two digits each. */
+        /* Closer to the limits as they matter less: the last iterations then gain more than two digits each. Not with
+         * sizes, whose two rows share a multiplier: how, only a centred iterate tells. */
         const double left = NEARNESS * now.complementarity / fmax(now.objective, 1.0);
-        const double step = slack_steps(w, count > 0.0, fmin(FARTHEST, fmax(left, NEAREST)));
+        const double step = slack_steps(w, count > 0.0, q->nodes ? FARTHEST : fmin(FARTHEST, fmax(left, NEAREST)));
         if (!(step > SHORTEST)) return near ? TR_ACCURACY : TR_STALLED;
         advance(w, step);
     }
