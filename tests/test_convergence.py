@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from problems.simulate import _rk4
+from problems.simulate import rk4_step
 from problems.stress_cases import Current, Demand, Device, Horizon, StressCase
 from problems.stress_families import SMALL_A
 from transopt.amplifier import Amplifier
@@ -59,7 +59,7 @@ def test_the_recordings_integrator_has_order_four() -> None:
     for count in counts:
         x = x0
         for _ in range(count):
-            x = _rk4(lambda state: A @ state, x, whole_s / count)
+            x = rk4_step(lambda state: A @ state, x, whole_s / count)
         errors.append(float(np.abs(x - exact).max()))
     assert slope([1 / count for count in counts], errors) == pytest.approx(4, abs=0.3)
 

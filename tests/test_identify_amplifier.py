@@ -1,11 +1,13 @@
 """The amplifier from its sweeps: exact records in, pole, delay and crossover out, with intervals that mean it."""
 
 import json
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 from typer.testing import CliRunner
 
 from controller.measurement_file import write_measurement
@@ -83,21 +85,29 @@ SETS = {
     "through zero": [{"amplitude_A": 1.0}, {"amplitude_A": 1.0, "sign": -1}],
     "with offset": [{"offset_A": 1.0}, {"offset_A": 1.0, "sign": -1}],
 }
-SEEDS = 50
+SEEDS, LONG_SEEDS = 15, 50
 
 
 @cache
-def fits(name: str) -> list[AmplifierFit]:
-    """Of so many repeated experiments."""
+def repeated(name: str, seeds: int) -> list[AmplifierFit]:
     return [
         fit_amplifier([amplifier_trial(1000 * seed + j, seconds=0.4, **one) for j, one in enumerate(SETS[name])])
-        for seed in range(SEEDS)
+        for seed in range(seeds)
     ]
+
+
+@pytest.fixture
+def fits(long: bool) -> Callable[[str], list[AmplifierFit]]:
+    """Of so many repeated experiments."""
+    return lambda name: repeated(name, LONG_SEEDS if long else SEEDS)
+
+
+Fits = Callable[[str], list[AmplifierFit]]
 
 
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", SETS)
-def test_pole_and_delay_at_realistic_noise_over_fifty_seeds(name: str) -> None:
+def test_pole_and_delay_at_realistic_noise_over_many_seeds(name: str, fits: Fits) -> None:
     for fit in fits(name):
         assert fit.pole_Hz == pytest.approx(POLE_HZ, rel=0.02)
         assert fit.delay_s == pytest.approx(DELAY_S, abs=3e-6)
@@ -107,24 +117,30 @@ def test_pole_and_delay_at_realistic_noise_over_fifty_seeds(name: str) -> None:
 
 
 @pytest.mark.timeout(300)
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say(fits: Fits, long: bool) -> None:
     truth = {"pole_Hz": POLE_HZ, "delay_s": DELAY_S, "gain": 1.0}
 
     def share(name: str, key: str) -> float:
         return float(np.mean([fit.intervals[key][0] <= truth[key] <= fit.intervals[key][1] for fit in fits(name)]))
 
-    # 100 experiments for pole and delay: 95 % with a standard deviation of 2.2 %; 50 for the gain.
+    def least(experiments: int) -> float:
+        """One in 200 such series holds the truth less often."""
+        return float(binom.ppf(5e-3, experiments, 0.95)) / experiments
+
+    seeds = len(fits("through zero"))
     for key in ("pole_Hz", "delay_s"):
-        assert np.mean([share(name, key) for name in SETS]) > 0.88
-    assert share("through zero", "gain") > 0.85
+        assert np.mean([share(name, key) for name in SETS]) >= least(seeds * len(SETS))
+    assert share("through zero", "gain") >= least(seeds)
     errors = np.array([[fit.pole_Hz - POLE_HZ, fit.delay_s - DELAY_S] for fit in fits("through zero")])
     stated = np.mean([fit.covariance for fit in fits("through zero")], axis=0)[:2, :2]
     scale = np.sqrt(np.diag(stated))
-    np.testing.assert_allclose(np.cov(errors.T) / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.45)
+    np.testing.assert_allclose(
+        np.cov(errors.T) / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.45 if long else 1.0
+    )
 
 
 @pytest.mark.timeout(300)
-def test_the_crossover_is_found_where_the_records_hold_it() -> None:
+def test_the_crossover_is_found_where_the_records_hold_it(fits: Fits) -> None:
     widths = np.array([fit.crossover.half_width_A for fit in fits("through zero")])
     deviations = [fit.crossover.deviation_A for fit in fits("through zero")]
     assert widths.mean() == pytest.approx(0.01, abs=1e-4)
