@@ -15,6 +15,7 @@ from transopt.certify import certify, inside
 from transopt.discretise import StageModel, discretise
 from transopt.errors import InputError
 from transopt.library import Library, Waveform, interpolation_weights, speed_weights
+from transopt.linear import LinearStage, linear_stage
 from transopt.models import StateSpace
 from transopt.native import ACCURACY, MOST_STATES, SOLVED, Buffers, LinearPass, available, interior_point
 from transopt.parts import encoder_course, leave_out, pressing, reference_course
@@ -184,7 +185,8 @@ class Online:
         if problem.reference_is_zero:
             return self._judged(problem, np.zeros(problem.grid.stages), Multipliers.zero(problem))
         small = leave_out(problem).problem
-        linear = LinearPass(without_limits(small))
+        stage = linear_stage(small)
+        linear = LinearPass(without_limits(small, stage))
         if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
             free = linear.command_A()
             if inside(problem, free):
@@ -192,13 +194,15 @@ class Online:
                 found = self._judged(problem, free, multipliers)
                 if found.proof.accepted:
                     return found
-        answer = self._by_interior_point(replace(small, thermal=None))
+        answer = self._by_interior_point(replace(small, thermal=None), stage)
         if small.thermal is not None and answer is not None and not inside(problem, answer[0], only="coil"):
-            answer = self._by_interior_point(small)
+            answer = self._by_interior_point(small, stage)
         return None if answer is None else self._judged(problem, *answer)
 
-    def _by_interior_point(self, problem: TransientProblem) -> tuple[FloatArray, Multipliers] | None:
-        stages = runtime_stages(problem)
+    def _by_interior_point(
+        self, problem: TransientProblem, stage: LinearStage | None = None
+    ) -> tuple[FloatArray, Multipliers] | None:
+        stages = runtime_stages(problem, stage)
         key = tuple(sorted(stages.sizes.items()))
         if key not in self._buffers:
             self._buffers[key] = Buffers(stages.sizes)

@@ -24,7 +24,7 @@ def band(P: FloatArray) -> FloatArray:
 
 def constant_band(A: FloatArray) -> FloatArray:
     """The band of `CHUNK` stages with one matrix A (m, m)."""
-    return band(np.broadcast_to(A, (CHUNK, *A.shape)))
+    return np.tile(band(A[None]).T, (CHUNK, 1)).T
 
 
 def substitute(lower: FloatArray, forcing: FloatArray, *, transposed: bool = False) -> FloatArray:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import integrate, interpolate, signal
+from scipy import integrate, signal
 
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
@@ -125,17 +125,15 @@ def build_reference(
     velocity += -speed_m_s - velocity[contact]
     position = integrate.cumulative_trapezoid(velocity, times, initial=0)
     position -= position[contact]
-    # As `Signal.at`, all courses with one factorisation.
-    courses = np.stack([raw.values, motor.values, position, velocity], axis=1)
-    spline = interpolate.CubicSpline(times, courses, extrapolate=False)
-    at_tau, at_ticks = (np.nan_to_num(spline(t), nan=0.0).T for t in (grid.switching_times_s, grid.issue_times_s))
+    tau = grid.switching_times_s
+    nominal = Signal(raw.start_s, raw.dt_s, position)
     return Reference(
         speed_m_s=speed_m_s,
-        raw_m_s2=at_tau[0].copy(),
-        motor_m_s2=at_tau[1].copy(),
-        nominal_position_m=at_tau[2].copy(),
-        nominal_velocity_m_s=at_tau[3].copy(),
-        nominal_position_at_ticks_m=at_ticks[2].copy(),
+        raw_m_s2=raw.at(tau),
+        motor_m_s2=motor.at(tau),
+        nominal_position_m=nominal.at(tau),
+        nominal_velocity_m_s=Signal(raw.start_s, raw.dt_s, velocity).at(tau),
+        nominal_position_at_ticks_m=nominal.at(grid.issue_times_s),
         repeatability=_spread(repeats),
         repeatability_unaligned=unaligned,
         taps=tuple(taps),

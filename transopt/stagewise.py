@@ -174,6 +174,11 @@ def _rows(problem: TransientProblem, stage: LinearStage, where: Layout, data: De
     return Rows(tuple(kinds), G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, unit)
 
 
+def _no_rows(n: int) -> Rows:
+    none = np.zeros(0)
+    return Rows((), np.zeros((0, n)), none, none, np.zeros((0, 0)), np.zeros((0, 0)), none)
+
+
 @dataclass(frozen=True)
 class Stages:
     """One problem as the method takes it, in the statement's units.
@@ -220,11 +225,11 @@ class Stages:
         return Multipliers(**{**stated, "hand_over": tail}).clipped()
 
 
-def stages(problem: TransientProblem, stage: LinearStage, data: Derivatives) -> Stages:
-    """The problem around what one stage is."""
+def stages(problem: TransientProblem, stage: LinearStage, data: Derivatives, *, limited: bool = True) -> Stages:
+    """The problem around what one stage is; not `limited`, without any row."""
     where, m = layout(problem), 0 if problem.thermal is None else problem.thermal.model.nodes
     values = tracking_values(problem, stage)
-    limits = _rows(problem, stage, where, data)
+    limits = _rows(problem, stage, where, data) if limited else _no_rows(where.states)
     gains, offsets = hand_over_rows(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
     nothing = np.zeros(4)
@@ -268,16 +273,14 @@ def stages(problem: TransientProblem, stage: LinearStage, data: Derivatives) -> 
     )
 
 
-def runtime_stages(problem: TransientProblem) -> Stages:
-    """Stage data of a problem without the CasADi statement."""
-    stage = linear_stage(problem)
+def runtime_stages(problem: TransientProblem, stage: LinearStage | None = None) -> Stages:
+    """Stage data of a problem without the CasADi statement; `stage` spares computing the linear part again."""
+    stage = linear_stage(problem) if stage is None else stage
     return stages(problem, stage, derivatives(problem, stage, layout(problem)))
 
 
-def without_limits(problem: TransientProblem) -> Stages:
+def without_limits(problem: TransientProblem, stage: LinearStage | None = None) -> Stages:
     """Stage data of the same problem without rows and temperature: what a linear pass takes."""
-    bare = runtime_stages(replace(problem, supply=None, thermal=None))
-    n, none = bare.sizes["states"], np.zeros(1)
-    empty = Rows((), np.zeros((0, n)), none[:0], none[:0], np.zeros((0, 0)), np.zeros((0, 0)), none[:0])
-    arrays = bare.arrays | dict.fromkeys(("G", "d", "d_size", "lower", "upper"), none)
-    return replace(bare, limits=empty, sizes={**bare.sizes, "rows": 0}, arrays=arrays)
+    bare = replace(problem, supply=None, thermal=None)
+    stage = linear_stage(bare) if stage is None else stage
+    return stages(bare, stage, derivatives(bare, stage, layout(bare)), limited=False)
