@@ -1,6 +1,7 @@
 """What all command lines do with words they do not know: one line, exit code 2."""
 
 import importlib
+import subprocess
 import sys
 
 import pytest
@@ -48,3 +49,11 @@ def test_help_once(line: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys
 def test_the_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("transopt", "--version", monkeypatch) == 0
     assert capsys.readouterr().out.strip().count(".") >= 1
+
+
+@pytest.mark.parametrize("module", MAINS.values())
+def test_help_comes_at_once(module: str) -> None:
+    """No command line loads what only its commands need."""
+    program = f"import sys, {module}; print(sorted({{'numpy', 'scipy', 'casadi', 'matplotlib'}} & set(sys.modules)))"
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    assert said.strip() == "[]"

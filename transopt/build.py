@@ -1,6 +1,5 @@
 """From a scene and its recordings to a library: every entry designed, the file assembled."""
 
-import multiprocessing
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from transopt import workers
 from transopt.design import Entry, design_grip
 from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
@@ -87,9 +87,7 @@ def build_library(
             columns[j] = design_grip(scene, grip, references, options)
             progress(len(speeds))
     else:
-        # Spawned, not forked: the parent has solver objects and threads that a fork would copy half-alive.
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(jobs, len(grips)), spawn) as pool:
+        with ProcessPoolExecutor(min(jobs, len(grips)), workers.context()) as pool:
             with ctrl_c_waits():
                 futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
             try:

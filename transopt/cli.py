@@ -228,6 +228,10 @@ def solve(
     """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from transopt import workers
+
+    if jobs > 1:
+        workers.prepare()
     from transopt.build import build_library
     from transopt.identified_report import model_warning
     from transopt.refine import check_tolerance, refine_grid

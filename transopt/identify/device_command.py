@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from transopt import terminal
-from transopt.amplifier import Amplifier
 from transopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -124,6 +123,7 @@ def _settings(
     ------
     InputError : options that exclude each other, a value out of range, a scene or a model file that cannot be read.
     """
+    from transopt.amplifier import Amplifier
     from transopt.identified import load_model
     from transopt.identify.device import Kind, Settings
 

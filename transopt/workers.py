@@ -1,0 +1,28 @@
+"""Processes that solve entries."""
+
+import multiprocessing
+from multiprocessing.context import BaseContext
+
+FORKS = "forkserver" in multiprocessing.get_all_start_methods()
+
+
+def context() -> BaseContext:
+    """How worker processes start: forked from a server process of their own that has the designer loaded.
+
+    Not from this one, whose solver objects and threads a fork would copy half-alive; and not each anew, which takes
+    longer than solving a hundred entries. Where there is no such server, each anew.
+    """
+    if not FORKS:
+        return multiprocessing.get_context("spawn")
+    forks = multiprocessing.get_context("forkserver")
+    forks.set_forkserver_preload(["transopt.design"])
+    return forks
+
+
+def prepare() -> None:
+    """Let the server load the designer while this process does something else."""
+    if FORKS:
+        from multiprocessing import forkserver
+
+        context()
+        forkserver.ensure_running()
