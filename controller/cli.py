@@ -58,13 +58,20 @@ def tap(
         float | None,
         typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
     ] = None,
-    method: Annotated[str, typer.Option(help="How taps are rendered.")] = "bilinear",
+    method: Annotated[
+        str,
+        typer.Option(
+            help="How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
+            "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum."
+        ),
+    ] = "bilinear",
     seed: Annotated[int, typer.Option(help="Of phase, noise and mismatch.")] = 0,
     mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
     device: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="True device of the simulator: scene .toml or library.npz; default the library's own scene."
+            help="True device of the simulator, before --mismatch: built-in scene, .toml or library.npz; "
+            "default the library's own model."
         ),
     ] = None,
     crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
@@ -98,9 +105,10 @@ def tap(
     from controller.experiment import Tap, play_tap
     from controller.interface import Notice
     from controller.loop import WallClock
-    from controller.prediction import scene_like, scene_of
+    from controller.prediction import scene_of
     from controller.servo import Servo
     from controller.settings import Settings
+    from controller.simulated_device import scene_like
     from controller.simulator import Imperfections
     from controller.tables import tap_table
     from controller.telemetry import Telemetry

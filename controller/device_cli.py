@@ -40,7 +40,7 @@ def _taps(said: list[str]) -> list[tuple[float, float]]:
 
 
 def simulated(
-    like: Path | None,
+    like: str | Path | None,
     taps: list[tuple[float, float]],
     rest_s: float,
     mismatch: float,
@@ -56,7 +56,7 @@ def simulated(
     InputError : the file is none of these.
     """
     from controller.default_device import DEFAULT_DEVICE
-    from controller.prediction import scene_like
+    from controller.simulated_device import scene_like
     from controller.simulator import Imperfections, Simulator
     from controller.truth import device_of
     from controller.user import StillHand, TapsInTurn
@@ -103,7 +103,9 @@ def _run_compiled(program: Path, options: list[str], plant: bytes) -> int:
 @app.command()
 def device(
     listen: Annotated[str | None, typer.Option(help="HOST:PORT of a socket instead of a pseudo-terminal.")] = None,
-    like: Annotated[Path | None, typer.Option(help="library.npz or scene.toml whose device it is.")] = None,
+    like: Annotated[
+        str | None, typer.Option(help="Whose device it is: built-in scene, .toml or library.npz.")
+    ] = None,
     tap: Annotated[
         list[str] | None, typer.Option(help="SPEED,GRIP in m/s and N; give several, done in turn.")
     ] = None,

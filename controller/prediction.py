@@ -1,7 +1,6 @@
 """What a library says that a tap will do, at its nodes and between them."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
@@ -9,10 +8,8 @@ from pydantic import ValidationError
 from transopt.discretise import discretise
 from transopt.errors import InputError
 from transopt.library import Library, interpolation_weights, speed_weights
-from transopt.library_file import load_library
 from transopt.replay import replay
 from transopt.scene import Scene
-from transopt.scene_file import load_scene
 from transopt.signals import FloatArray
 from transopt.wall import HandOver
 
@@ -56,16 +53,6 @@ def scene_of(library: Library) -> Scene:
         key = ".".join(str(part) for part in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
         raise InputError(f"meta.scene: {key}: {message}; solve the scene again") from None
-
-
-def scene_like(path: Path) -> Scene:
-    """The scene of a .toml file, or the one that a library was solved from.
-
-    Raises
-    ------
-    InputError : the file is neither.
-    """
-    return load_scene(path) if path.suffix.lower() == ".toml" else scene_of(load_library(path))
 
 
 def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:

@@ -48,7 +48,7 @@ def record() -> None:
 @record_app.command("sweep")
 def record_sweep(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(help="Folder for the trials.")],
+    out: Annotated[Path, typer.Option(help="Folder for the trials; none is written over.")],
     simulate: Simulate = False,
     port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
     purpose: Annotated[str, typer.Option("--for", help="What it identifies: device or amplifier.")] = "device",
@@ -144,9 +144,21 @@ def record_tap(
     real_object: Annotated[
         bool, typer.Option("--object", help="Simulated: the undriven device on the scene's object, with force_N.")
     ] = False,
-    speeds: Annotated[str | None, typer.Option(help="Simulated: speeds in m/s, like 0.15,0.25.")] = None,
-    grips: Annotated[str | None, typer.Option(help="Simulated: grips in N, like 1,3,5.")] = None,
-    repeats: Annotated[int, typer.Option(help="Simulated: taps at each speed and grip.")] = 1,
+    speeds: Annotated[
+        str | None, typer.Option(help="Simulated: speeds in m/s, like 0.15,0.25; default the grid's.")
+    ] = None,
+    grips: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulated: grips in N, like 1,3,5; default the library's, or the one of the scene's taps."
+        ),
+    ] = None,
+    repeats: Annotated[
+        int,
+        typer.Option(
+            help="Simulated: taps at each speed and grip; `transopt identify hand` wants 12 or more in all."
+        ),
+    ] = 1,
     force_noise: Annotated[float, typer.Option(help="Simulated: rms of the force sensor, in N.")] = 0.02,
     scene: SceneName = None,
     mismatch: Mismatch = 0.0,
@@ -184,7 +196,9 @@ def record_tap(
 
 @record_app.command("heat")
 def record_heat(
-    out: Annotated[Path | None, typer.Option(help="Folder for the recording; must hold none yet.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the recording; must hold none yet. Needed with --simulate.")
+    ] = None,
     simulate: Simulate = False,
     port: Annotated[str | None, typer.Option(help="Says how a device's heating is recorded.")] = None,
     current: Annotated[

@@ -31,7 +31,11 @@ MOST_HEAT_S = 24 * 3600.0
 def _empty_folder(out: Path, pattern: str) -> None:
     """Recordings are never written over."""
     terminal.make_folder(out)
-    old = next(iter(sorted(path.name for path in out.glob(pattern))), None)
+    _refuse_old(out, sorted(path.name for path in out.glob(pattern)))
+
+
+def _refuse_old(out: Path, names: Sequence[str]) -> None:
+    old = next((name for name in names if (out / name).exists()), None)
     if old is not None:
         raise InputError(f"--out {out}: holds a recording already ({old}); choose another folder")
 
@@ -51,7 +55,9 @@ def simulate_sweeps(out: Path, planned: Sequence[PlannedSweep], scene: str, wron
     dt = truth.time.dt_s
     check_plan(planned, dt, truth.limits.transient_current_A)
     purpose = planned[0].purpose.value
-    _empty_folder(out, f"{purpose}_*.npz")
+    terminal.make_folder(out)
+    # Sweeps at other grips may join those that are there: a series is recorded in one folder, as on a port.
+    _refuse_old(out, [trial.file_name for trial in planned])
     device = device_in(truth, wrong, seed)
     for trial, taken in sweep_records(device, planned, dt, imperfections=wrong, seed=seed):
         _write(out / trial.file_name, taken)
@@ -98,7 +104,11 @@ def simulate_object_taps(
                     force_noise_N=force_noise_N,
                 )
                 names.append(_write(out / f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz", taken))
-    _say(f"{out}: {len(names)} taps, {names[0]} to {names[-1]}")
+    _say(
+        f"{out}: {len(names)} taps, {names[0]} to {names[-1]}",
+        f"next: transopt taps {out}/tap_*.npz, and with 12 taps or more at several --grips "
+        f"transopt identify hand {out}/tap_*.npz --out MODEL.json",
+    )
 
 
 def simulate_library_taps(

@@ -168,7 +168,7 @@ def _finish(before: "Library", refined: "Refined", path: Path, out: Path) -> Non
             highlight=False,
             soft_wrap=True,
         )
-    words, good = summary(before, refined)
+    words, good = summary(before, refined, out / "library.npz")
     if refined.better:
         refined.library.save(out / "library.npz")
         save_figure(refine_figure(before, refined), out / "refinement.png")

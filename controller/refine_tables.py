@@ -1,5 +1,7 @@
 """What a refinement did, in words and numbers."""
 
+from pathlib import Path
+
 import numpy as np
 from rich.table import Table
 
@@ -78,8 +80,8 @@ def refine_table(before: Library, refined: Refined, title: str) -> Table:
     return table
 
 
-def summary(before: Library, refined: Refined) -> tuple[str, bool]:
-    """One line, and whether it is good news."""
+def summary(before: Library, refined: Refined, written: Path) -> tuple[str, bool]:
+    """One line, and whether it is good news; `written` is the refined library's file."""
     limit = float(before.meta["limits"]["current_A"])
     peaks = [node.peak_current_A for results in refined.rounds for node in results.values()]
     if refined.simulated and max(peaks, default=0.0) > limit + OVER:
@@ -96,6 +98,6 @@ def summary(before: Library, refined: Refined) -> tuple[str, bool]:
     held = f"at most {max(peaks):.3f} A of {limit:g} A"
     return (
         f"{len(refined.better)} of {len(nodes_of(before))} nodes refined: NRMSE {100 * np.mean(first):.2f} % to "
-        f"{100 * np.mean(last):.2f} % on average; {held}; check it: transopt verify",
+        f"{100 * np.mean(last):.2f} % on average; {held}; check it: transopt verify {written}",
         True,
     )

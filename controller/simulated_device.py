@@ -4,8 +4,10 @@ from pathlib import Path
 
 from controller.open_loop import true_device
 from controller.options import within
+from controller.prediction import scene_of
 from controller.simulator import Imperfections
 from controller.truth import Device, device_of
+from transopt.library_file import load_library
 from transopt.scene import Scene
 
 
@@ -21,6 +23,17 @@ def find_scene(scene: str) -> Scene:
 
     path = Path(scene) if scene.lower().endswith(".toml") else problems.scene_path(scene)
     return load_scene(path, search=[problems.FOLDER])
+
+
+def scene_like(named: str | Path) -> Scene:
+    """A scene by built-in name or by path, or the one that a library was solved from.
+
+    Raises
+    ------
+    InputError : it is none of these.
+    """
+    path = Path(named)
+    return scene_of(load_library(path)) if path.suffix.lower() == ".npz" else find_scene(str(named))
 
 
 def imperfect(mismatch: float, seed: int, crossover: float) -> Imperfections:

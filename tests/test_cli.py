@@ -201,6 +201,7 @@ class TestSolve:
 
     def test_recordings_folder_is_named_by_the_user(self, run) -> None:
         assert_refused(run("solve", "measured_impacts"), "acc_base_a*.txt", "--recordings FOLDER", "github.com")
+        assert not Path("out/measured_impacts").exists()  # no empty folder is left behind
         assert_refused(
             run("solve", "measured_impacts", "--recordings", "absent"), "--recordings absent", "no such folder"
         )
@@ -407,6 +408,14 @@ def test_shipped_recordings_are_what_the_generator_writes(tmp_path: Path) -> Non
     for name in names:
         fresh, shipped = (np.loadtxt(f / name, delimiter=",", skiprows=4) for f in (tmp_path, EXAMPLES))
         np.testing.assert_allclose(fresh, shipped, atol=2e-4)  # the last digit may round differently elsewhere
+
+
+def test_help_and_errors_come_at_once() -> None:
+    """The commands load what they compute with when they run, not before."""
+    program = (
+        "import sys, transopt.cli, controller.cli; assert not {'scipy', 'casadi', 'matplotlib'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_reading_a_library_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import problems
 from controller.bank import Method, bank
 from controller.experiment import Tap, play_tap
 from controller.servo import Servo
@@ -135,6 +136,11 @@ class TestPlayed:
         on_another = play("tap", "own.npz", "--simulate", "--device", "library.npz")
         assert alone.code == on_another.code == 0, on_another.err
         assert "on the device of library.npz" in on_another.out
+        copied = Path("copied.toml")
+        copied.write_text(problems.scene_path("wood_on_foam").read_text())
+        tables = [play("tap", "own.npz", "--simulate", "--device", name) for name in ("wood_on_foam", copied)]
+        figures = [[line for line in table.out.splitlines() if "NRMSE" in line] for table in tables]
+        assert figures[0] == figures[1]
         refused = play("tap", "box.npz", "--simulate")
         assert refused.code == 2
         assert "--device" in refused.err

@@ -330,6 +330,8 @@ def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> No
     assert code == 1  # the free device has nothing to be judged by
     assert "free device: nothing kept for validation" in output
     assert "verdict: supports design errors down to" in output
+    assert "which sweeps cannot tell (--force-per-current)" in output
+    assert "next:" not in output
     assert "moving_mass_kg" in output
     part = load_model(out).device
     assert part is not None
@@ -338,6 +340,7 @@ def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> No
     assert (tmp_path / "MODEL_device.png").read_bytes()[:4] == b"\x89PNG"
     code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive")
     assert code == 0, output
+    assert f'model = "{out}" above the first [table] takes the place of [model]' in output
 
 
 def test_a_force_per_ampere_scales_the_masses(folder: Path, tmp_path: Path) -> None:

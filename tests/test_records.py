@@ -19,6 +19,7 @@ from tests.desk import PORT, Desk, Play
 from tests.test_cli import assert_refused
 from transopt.errors import InputError
 from transopt.identify.measurement import load_measurement
+from transopt.importers import load_recording
 from transopt.library import Library
 from transopt.scene import Scene
 from transopt.signals import FloatArray
@@ -205,6 +206,9 @@ class TestCommands:
         assert free.grip_N == 0.0
         again = play("record", "sweep", "--simulate", "--out", "sweeps", *arguments)
         assert_refused(again, "--out sweeps: holds a recording already (device_0N_1_pos.npz)", "another folder")
+        joined = play("record", "sweep", "--simulate", "--out", "sweeps", "--grips", 4, *arguments[2:])
+        assert joined.code == 0, joined.err
+        assert len(list(Path("sweeps").iterdir())) == 6
 
     def test_taps_of_a_library(self, play: Play) -> None:
         outcome = play("record", "tap", "library.npz", "--simulate", "--speeds", 0.25, "--grips", "2,4", "--out", "t")
@@ -224,6 +228,10 @@ class TestCommands:
         one, other = (load_measurement(Path(f"t/tap_0.2m_s_3N_{n}.npz")) for n in (1, 2))
         assert one.require("force", "").values.max() > 1
         assert one.require("force", "").start_s != other.require("force", "").start_s
+        assert "transopt taps t/tap_*.npz" in outcome.out
+        as_a_tap = load_recording(Path("t/tap_0.2m_s_3N_1.npz"))
+        assert as_a_tap.speed_m_s == 0.2
+        np.testing.assert_array_equal(as_a_tap.acceleration.values, one.require("acceleration", "").values)
 
     def test_heat(self, play: Play) -> None:
         outcome = play(

@@ -293,7 +293,7 @@ class TestRounds:
         assert refined.rounds[1][0, 0].condition is not None
         assert not refined.rounds[1][0, 0].condition.met
         np.testing.assert_array_equal(refined.library.command_A, small.command_A)
-        words, good = summary(small, refined)
+        words, good = summary(small, refined, Path("library.npz"))
         assert not good
         assert "no node became better" in words
 
@@ -311,9 +311,10 @@ class TestRounds:
         assert table.row_count == 5
         save_figure(refine_figure(small, refined), tmp_path / "refinement.png")
         assert (tmp_path / "refinement.png").stat().st_size > 10_000
-        words, good = summary(small, refined)
+        words, good = summary(small, refined, tmp_path / "library.npz")
         assert good
         assert "4 of 4 nodes refined" in words
+        assert f"transopt verify {tmp_path / 'library.npz'}" in words
 
 
 class TestCommand:

@@ -9,6 +9,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -278,6 +279,10 @@ def solve(
         writers = _writers(build)
         leftovers = ["refused.md", "refused.json", "grid_error.png"] if build.library is not None else []
         _publish(folder, writers, stale=[name for name in leftovers if name not in writers])
+    except InputError:
+        with suppress(OSError):  # holds earlier results: it stays
+            folder.rmdir()
+        raise
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None

@@ -24,6 +24,7 @@ TAPS = Vocabulary(
         "position_mm": ("position", 1e-3),
         "force_N": ("force", 1.0),
         "current_A": ("current", 1.0),
+        "command_A": ("command", 1.0),  # as the simulator records it; a tap on a real object has none
     },
     header={
         "speed_m_s": Scalar("speed", 1.0, "m/s"),
@@ -73,5 +74,6 @@ def load_recording(
         sha256=table.sha256,
         speed_m_s=table.scalars.get("speed"),
         grip_N=table.scalars.get("grip"),
-        **table.signals,  # acceleration and whatever else there is
+        # Acceleration and whatever else there is, but for a command: nobody played the real object.
+        **{name: signal for name, signal in table.signals.items() if name != "command"},
     )

@@ -159,12 +159,13 @@ def _spread_lines(entries: Sequence[Entry]) -> list[str]:
         f"{percent(s.nominal_worst)} | {percent(e.nrmse)} / {percent(s.robust_rms)} / {percent(s.robust_worst)} |"
         for e, s in spreads
     ]
-    gains = [1 - s.robust_rms / s.nominal_rms for _, s in spreads]
+    gains = [100 * (1 - s.robust_rms / s.nominal_rms) for _, s in spreads]
+    least, most = (round(gain, 1) + 0.0 for gain in (min(gains), max(gains)))  # no -0.0
     return [
         *lines,
         "",
         f"rms: root of the mean squared NRMSE over the spread, which is what the design minimises; it falls by "
-        f"{100 * min(gains):.1f} to {100 * max(gains):.1f} % of itself. What remains is the difference between the "
+        f"{least:.1f} to {most:.1f} % of itself. What remains is the difference between the "
         "devices: one command gives each its own acceleration, and only their mean can be moved onto the reference.",
     ]
 

@@ -1,6 +1,7 @@
 """Reading scene files, with errors in the words of the file."""
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,15 +15,25 @@ from transopt.identified import PARTS, parse_model, read_model
 from transopt.scene import Scene
 from transopt.scene_sections import Section
 
+_MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
+_MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; `transopt scene list` names the built-in scenes") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text ({error}); a scene is a TOML file") from None
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
+        if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
+            clash = (
+                "states a model file (model = ...) and [model] tables: delete [model] and [model.hand], or the line"
+            )
+            raise InputError(f"{path}: {clash}") from None
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
 

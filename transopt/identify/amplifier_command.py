@@ -29,14 +29,16 @@ def identify_amplifier(
     from transopt.identify.amplifier import fit_amplifier
     from transopt.identify.figures_amplifier import amplifier_figure
     from transopt.identify.measurement import load_measurement
+    from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
     if out.suffix.lower() != ".json":
         raise InputError(f"--out {out}: a model file ends in .json")
     terminal.make_folder(out.parent)
-    runs = [load_measurement(file) for file in files]
-    trials, findings = prepare(runs)
-    fit = fit_amplifier(trials)
+    with terminal.console().status("fitting"):
+        runs = [load_measurement(file) for file in files]
+        trials, findings = prepare(runs)
+        fit = fit_amplifier(trials)
     part = amplifier_part(fit, runs)
     figure = out.with_name(f"{out.stem}_amplifier.png")
     save_part(out, "amplifier", part)
@@ -52,6 +54,7 @@ def identify_amplifier(
     console.print(f"amplifier: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
     if told:
         raise typer.Exit(1)
+    console.print(next_step(out), highlight=False, soft_wrap=True)
 
 
 def prepare(runs: "Sequence[Measurement]") -> "tuple[list[Trial], list[Finding]]":

@@ -40,6 +40,7 @@ def identify_coil(
     from transopt.identify.coil import fit_coil, heat_record
     from transopt.identify.figures_coil import coil_figure
     from transopt.identify.measurement import load_measurement
+    from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
     if out.suffix.lower() != ".json":
@@ -65,6 +66,7 @@ def identify_coil(
     console.print(f"coil: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
     if told:
         raise typer.Exit(1)
+    console.print(next_step(out), highlight=False, soft_wrap=True)
 
 
 def _coil_of(scene: str) -> "CoilModel":

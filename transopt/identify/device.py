@@ -248,7 +248,9 @@ def _advice(grips: Sequence[Grip], instrument: Instrument, chosen: Candidate, pl
             )
     held = [grip.grip_N for grip in grips if grip.grip_N > 0]
     if held and len(held) == len(grips):
-        said.append("no free device (grip 0): record it too, it tells the drive's masses apart from the hand's")
+        said.append(
+            "no free device: record it too (record sweep --grips 0): it tells the drive's masses from the hand's"
+        )
     if len(held) == 1:
         said.append(f"one held grip, {held[0]:.3g} N: the hand is taken to be the same at all; record at least three")
     for wanted in played_N:

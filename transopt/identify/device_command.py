@@ -44,9 +44,10 @@ def identify_device(
 ) -> None:
     """Identify drive and hand from swept sines, all grips together, and say what the model is good for."""
     from transopt.identified import save_part
-    from transopt.identify.device import device_part, identify
+    from transopt.identify.device import Kind, device_part, identify
     from transopt.identify.figures_device import device_figure
     from transopt.identify.measurement import load_measurement
+    from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
     console = terminal.console()
@@ -67,9 +68,18 @@ def identify_device(
         save_figure(device_figure(result), picture)
         step("figure")
     _show(console, result)
-    console.print(f"{out} written, figure {picture}", soft_wrap=True)
+    console.print(f"{out}, {picture.name}", highlight=False, soft_wrap=True)
+    if result.chosen.kind is Kind.DRIVE:
+        console.print(
+            f"taken for {settings.nominal.force_per_current_N_A:.4g} N/A, which sweeps cannot tell "
+            "(--force-per-current): masses, springs and dampers are in proportion to it, what a current makes the "
+            "stylus do is not",
+            highlight=False,
+            soft_wrap=True,
+        )
     if result.short:
         raise typer.Exit(1)
+    console.print(next_step(out), highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -155,7 +165,7 @@ def _settings(
 
 def _show(console: "Console", result: "DeviceResult") -> None:
     """Tables and the verdict."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from transopt.identify.device import Kind, intervals
     from transopt.identify.device_chain import unit_of
@@ -164,7 +174,8 @@ def _show(console: "Console", result: "DeviceResult") -> None:
     if result.chosen.kind is Kind.DRIVE and result.chain is not None:
         names, values, covariance = result.chain.stated()
         span = intervals(names, values, covariance)
-        table = Table("parameter", "value", "95 % interval", "unit", title="drive chain")
+        # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
+        table = Table(Column("parameter", overflow="fold"), "value", "95 % interval", "unit", title="drive chain")
         for name, value in zip(names, values, strict=True):
             low, high = span[name]
             table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
@@ -184,8 +195,14 @@ def _show(console: "Console", result: "DeviceResult") -> None:
         errors = number(recorded, grip, 100), number(between, grip, 100)
         table.add_row(called(grip), str(trials.get(grip, 0)), *errors, number(residual, grip), number(own, grip))
     console.print(table)
-    console.print("residual: mean square over the noise's, 1 for a model that is right", style="dim")
-    if result.other is not None:
+    console.print(
+        "unknown to the model: NRMSE at this grip of a fit without it. residual: mean square over the noise's, 1 for "
+        "a model that is right; hand of its own: the same with a hand fitted to this grip alone",
+        style="dim",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if result.other is not None and recorded:
         ours, theirs = 100 * result.chosen.error, 100 * result.other.error
         console.print(f"{result.chosen.kind} chosen: held-out error {ours:.2g} %, {result.other.kind} {theirs:.2g} %")
     for finding in result.findings:

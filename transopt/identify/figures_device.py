@@ -36,11 +36,11 @@ def device_figure(result: DeviceResult) -> Figure:
         above, below = axes[2 * (j // columns), j % columns], axes[2 * (j // columns) + 1, j % columns]
         _grip(above, below, result, grip)
         if j % columns == 0:
-            above.set_ylabel("acceleration / current (g/A)", fontsize=LABEL_PT)
-            below.set_ylabel("phase (deg)", fontsize=LABEL_PT)
+            above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
+            below.set_ylabel("phase [deg]", fontsize=LABEL_PT)
         last = j + columns >= len(result.grips)
         if last:
-            below.set_xlabel("frequency (Hz)", fontsize=LABEL_PT)
+            below.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
             below.tick_params(labelbottom=True)
     for j in range(len(result.grips), rows * columns):
         axes[2 * (j // columns), j % columns].set_visible(False)

@@ -124,7 +124,10 @@ def fit_hand(taps: Sequence[Tap], *, resamples: int = RESAMPLES, seed: int = 0) 
     """
     grips = np.array([tap.grip_N for tap in taps])
     if len(taps) < LEAST_TRIALS:
-        raise InputError(f"{len(taps)} taps: at least {LEAST_TRIALS} are needed for intervals, 81 are good; tap more")
+        raise InputError(
+            f"{len(taps)} taps: at least {LEAST_TRIALS} are needed for intervals, 81 are good: tap more, "
+            "simulated with record tap --grips 1,3,5 --repeats 3"
+        )
     groups = grip_groups(grips)
     if len(groups) < LEAST_GRIPS:
         felt = ", ".join(f"{grips[group].mean():.2g}" for group in groups)

@@ -75,7 +75,8 @@ class ChainFit:
                 "%; faster taps on a harder surface tell stylus, skin and hand mass apart, softer ones show the arm)"
             )
         if self.entangled:
-            text += f"; only together: {', '.join(' with '.join(pair) for pair in self.entangled)}"
+            # The names once each: of six, up to fifteen pairs are entangled.
+            text += f"; only together: {', '.join(dict.fromkeys(name for pair in self.entangled for name in pair))}"
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
         return f"{text}; {agreeing} of {len(self.starts)} starts end in the same optimum"
 

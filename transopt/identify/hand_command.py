@@ -37,6 +37,7 @@ def identify_hand(
     from transopt.identify.hand_chain import fit_chain
     from transopt.identify.hand_tap import usable_taps
     from transopt.identify.measurement import load_measurement
+    from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
     if out.suffix.lower() != ".json":
@@ -44,10 +45,11 @@ def identify_hand(
     if not 0.01 <= window <= 0.1:
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     terminal.make_folder(out.parent)
-    runs = [load_measurement(file) for file in files]
-    taps, left_out = usable_taps(runs, window)
-    fit = fit_hand(taps)
-    chain = fit_chain(taps, fit)
+    with terminal.console().status("fitting"):
+        runs = [load_measurement(file) for file in files]
+        taps, left_out = usable_taps(runs, window)
+        fit = fit_hand(taps)
+        chain = fit_chain(taps, fit)
     told = fit.shortfalls()
 
     console = terminal.console()
@@ -71,6 +73,7 @@ def identify_hand(
     console.print(f"hand: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
     if told:
         raise typer.Exit(1)
+    console.print(next_step(out), highlight=False, soft_wrap=True)
 
 
 def verdict(fit: "HandFit") -> str:
