@@ -33,7 +33,10 @@ SWEEP_SIMULATED_ONLY = ("scene", "mismatch", "seed", "crossover")
 
 Folder = Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="From the simulator's truth, in virtual time.")]
-SceneName = Annotated[str | None, typer.Option(help="Whose device it really is: built-in name or .toml file.")]
+SceneName = Annotated[
+    str | None,
+    typer.Option("--device", help="Whose device it is, before --mismatch: built-in scene, .toml or library.npz."),
+]
 Mismatch = Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")]
 Seed = Annotated[int, typer.Option(help="Of mismatch and noise.")]
 CountUm = Annotated[float, typer.Option(help="On a device: one encoder count at the tip, in um.")]

@@ -9,7 +9,7 @@ from controller.measurement_file import write_measurement
 from controller.prediction import scene_of
 from controller.sensors import SEED_SENSORS
 from controller.settings import Settings
-from controller.simulated_device import device_in, find_scene
+from controller.simulated_device import device_in, scene_like
 from controller.simulated_records import (
     Record,
     heat_record,
@@ -51,7 +51,7 @@ def _write(path: Path, taken: Record) -> str:
 
 def simulate_sweeps(out: Path, planned: Sequence[PlannedSweep], scene: str, wrong: Imperfections, seed: int) -> None:
     """One file per trial; another noise in each, one device for all."""
-    truth = find_scene(scene)
+    truth = scene_like(scene)
     dt = truth.time.dt_s
     check_plan(planned, dt, truth.limits.transient_current_A)
     purpose = planned[0].purpose.value
@@ -82,11 +82,11 @@ def simulate_object_taps(
     for grip in grips or ():
         if grip == 0:
             raise InputError("--grips 0: only a sweep is played on the free device: name grips above 0")
-    truth = find_scene(scene)
+    truth = scene_like(scene)
     target = truth.recordings.simulated
     if target is None:
         raise InputError(
-            f"--object: {truth.name} states no simulated object: give --scene with one, like wood_on_foam"
+            f"--object: {truth.name} states no simulated object: give --device with one, like wood_on_foam"
         )
     _empty_folder(out, "tap_*.npz")
     device, names = device_in(truth, wrong, seed), []
@@ -127,7 +127,7 @@ def simulate_library_taps(
     if settings.assumed_grip_N == 0 and any(grips or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
     _empty_folder(out, "tap_*.npz")
-    device = device_in(scene_of(loaded) if scene is None else find_scene(scene), wrong, seed)
+    device = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
     names, silent = [], []
     for i, speed in enumerate(speeds or loaded.speeds_m_s.tolist()):
         for j, grip in enumerate(grips or loaded.grips_N.tolist()):
@@ -156,10 +156,10 @@ def simulate_heat(
     seed: int,
 ) -> None:
     """One file; without a current 0.9 of the one that the motor bears for ever."""
-    truth = find_scene(scene)
+    truth = scene_like(scene)
     coil, limits = truth.coil(), truth.limits
     if coil is None:
-        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --scene")
+        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --device")
     amount = 0.9 * limits.steady_current_A if current_A is None else current_A
     if not 0 <= amount <= limits.transient_current_A:
         raise InputError(f"--current {amount:g}: must be 0 to {limits.transient_current_A:g} A")

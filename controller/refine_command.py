@@ -100,11 +100,11 @@ def _simulated(
     from controller import refinement
     from controller.prediction import scene_of
     from controller.refine_simulated import SimulatedTaps
-    from controller.simulated_device import device_in, find_scene, imperfect
+    from controller.simulated_device import device_in, imperfect, scene_like
     from transopt.resolve import resolve
 
     wrong = imperfect(mismatch, seed, crossover)
-    device = device_in(scene_of(library) if scene is None else find_scene(scene), wrong, seed)
+    device = device_in(scene_of(library) if scene is None else scene_like(scene), wrong, seed)
     total = (rounds + 1) * taps * len(refinement.nodes_of(library))
     bar = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     console = Console(stderr=True)

@@ -254,7 +254,10 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
     """The scene's own library and the wide one, warm and from process start."""
     taps, taps_of_wide = recordings(scene), recordings(wide(scene))
     times = timed(
-        runs, library=lambda: build_library(scene, taps), wide=lambda: build_library(wide(scene), taps_of_wide)
+        runs,
+        library=lambda: build_library(scene, taps),
+        wide=lambda: build_library(wide(scene), taps_of_wide),
+        two=lambda: build_library(wide(scene), taps_of_wide, jobs=2),
     )
     told = "solved, certified, priced, replayed, baselines"
     library = build_library(scene, taps).library
@@ -262,10 +265,12 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
     found = [
         row("library", "transopt", f"12 entries {told}", 600, times["library"]),
         row("library", "transopt, 20 x 10", f"200 entries {told}", 600, times["wide"]),
+        row("library", "two processes, 20 x 10", f"200 entries {told}", 600, times["two"]),
     ]
     with tempfile.TemporaryDirectory() as folder:
-        cold, _ = cold_start(3, str(wide_scene_file(Path(folder))))
-    found.append(row("library", "transopt solve, 20 x 10", "cold process, report and figures included", 600, cold))
+        cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), "--jobs", "2")
+    told = "cold, two processes, report and figures included"
+    found.append(row("library", "transopt solve, 20 x 10", told, 600, cold))
     return found, library
 
 

@@ -235,7 +235,7 @@ class TestCommands:
 
     def test_heat(self, play: Play) -> None:
         outcome = play(
-            "record", "heat", "--simulate", "--heating", 60, "--cooling", 30, "--out", "h", "--scene", "hot_coil"
+            "record", "heat", "--simulate", "--heating", 60, "--cooling", 30, "--out", "h", "--device", "hot_coil"
         )
         assert outcome.code == 0, outcome.err
         taken = load_measurement(Path("h/heat.npz"))
@@ -250,7 +250,7 @@ class TestCommands:
             (("sweep", "--simulate", "--out", "x", "--high", 6000), "sweep: high 6000 Hz"),
             (("sweep", "--simulate", "--out", "x", "--amplitude", 5), "above the limit of 4 A"),
             (("sweep", "--simulate", "--out", "x", "--mismatch", 2), "--mismatch 2: must be 0 to 0.5"),
-            (("sweep", "--simulate", "--out", "x", "--scene", "none"), "none: no built-in scene"),
+            (("sweep", "--simulate", "--out", "x", "--device", "none"), "none: no built-in scene"),
             (("tap", "--out", "x"), "record tap: name one device"),
             (("tap", "--out", "x", "--simulate", *PORT), "record tap: name one device"),
             (("tap", "--out", "x", "--simulate"), "name either a LIBRARY whose taps are played, or --object"),
@@ -259,7 +259,7 @@ class TestCommands:
             (("tap", "--out", "x", "--object", *PORT), "--object: only with --simulate"),
             (("tap", "--out", "x", "--object", "--simulate", "--for", 3), "--for: only with --port"),
             (("tap", "--out", "x", "--object", "--simulate", "--grips", "0,3"), "--grips 0: only a sweep"),
-            (("tap", "--out", "x", "--object", "--simulate", "--scene", "own_taps"), "states no simulated object"),
+            (("tap", "--out", "x", "--object", "--simulate", "--device", "own_taps"), "states no simulated object"),
             (("tap", "none.npz", "--out", "x", "--simulate"), "none.npz: no such file"),
             (("heat", "--out", "x"), "record heat: name the device"),
             (("heat", "--simulate", "--out", "x", "--current", 9), "--current 9: must be 0 to 4 A"),

@@ -384,7 +384,7 @@ class TestCommand:
             (("--simulate", "--rounds", 0), "--rounds 0: must be 1 to 20"),
             (("--simulate", "--taps", 1), "--taps 1: must be 2 to 100"),
             (("--simulate", "--mismatch", 0.9), "--mismatch 0.9: must be 0 to 0.5"),
-            (("--simulate", "--scene", "none"), "none: no built-in scene"),
+            (("--simulate", "--device", "none"), "none: no built-in scene"),
         ],
     )
     def test_bad_input_is_one_line(self, play: Play, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
