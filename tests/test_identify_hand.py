@@ -253,6 +253,8 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
         assert fit.lines[name].at(5.5) == pytest.approx(getattr(FOURTH_ORDER_HAND, name).at(5.5), rel=tolerance)
     assert not fit.undetermined
     assert "3 of 3 starts" in fit.word()
+    assert "wrong structure" not in fit.word()
+    assert "missed by 12 %" in replace(fit, unexplained=0.12).word()
     truth = [FOURTH_ORDER_STYLUS_KG]
     for name in OF_HAND:
         truth += [getattr(FOURTH_ORDER_HAND, name).constant, getattr(FOURTH_ORDER_HAND, name).per_newton]

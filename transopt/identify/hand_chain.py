@@ -25,6 +25,7 @@ OF_HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness
 NAMES = ("stylus_mass_kg", *(f"hand.{name}.{part}" for name in OF_HAND for part in ("constant", "per_newton")))
 STARTS = 6
 DETERMINED = 0.25  # half width of the interval at the middle grip, relative
+MISSED = 0.05  # NRMSE of the acceleration above which more than noise and scatter of hands is to be feared
 ENTANGLED = 0.95  # correlation
 _FEW = 18  # taps that the starts are tried on
 _STEP = 1e-6  # relative, of differences
@@ -77,6 +78,11 @@ class ChainFit:
         if self.entangled:
             # The names once each: of six, up to fifteen pairs are entangled.
             text += f"; only together: {', '.join(dict.fromkeys(name for pair in self.entangled for name in pair))}"
+        if self.unexplained > MISSED:
+            text += (
+                f"; the acceleration is missed by {100 * self.unexplained:.0f} %: these intervals hold for a hand that "
+                "is such a chain, and say nothing of what a wrong structure does to its parameters"
+            )
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
         return f"{text}; {agreeing} of {len(self.starts)} starts end in the same optimum"
 
