@@ -80,8 +80,8 @@ class ChainFit:
             text += f"; only together: {', '.join(dict.fromkeys(name for pair in self.entangled for name in pair))}"
         if self.unexplained > MISSED:
             text += (
-                f"; the acceleration is missed by {100 * self.unexplained:.0f} %: these intervals hold for a hand that "
-                "is such a chain, and say nothing of what a wrong structure does to its parameters"
+                f"; the acceleration is missed by {100 * self.unexplained:.0f} %: these intervals hold for a hand "
+                "that is such a chain, and say nothing of what a wrong structure does to its parameters"
             )
         agreeing = sum(cost <= 1.01 * self.starts[0] for cost in self.starts)
         return f"{text}; {agreeing} of {len(self.starts)} starts end in the same optimum"
