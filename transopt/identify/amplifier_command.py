@@ -62,6 +62,7 @@ def prepare(runs: "Sequence[Measurement]") -> "tuple[list[Trial], list[Finding]]
     InputError : a finding that is.
     """
     from transopt.identify import checks
+    from transopt.identify.amplifier import check_alike
     from transopt.identify.spectrum import Trial, estimate_transfer
 
     signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
@@ -70,8 +71,10 @@ def prepare(runs: "Sequence[Measurement]") -> "tuple[list[Trial], list[Finding]]
     )
     trials = [Trial(run.name, command, current) for run, command, current in signals]
     checks.refuse(checks.check_rates(trials))
-    for trial in trials:  # each by itself, so that the message names the file
-        alone = estimate_transfer([trial])
+    # Each by itself, so that the message names the file.
+    each = [estimate_transfer([trial]) for trial in trials]
+    checks.refuse(check_alike([trial.name for trial in trials], each))
+    for trial, alone in zip(trials, each, strict=True):
         checks.refuse(
             checks.check_sign(
                 trial.name,
