@@ -28,13 +28,13 @@ def identify_amplifier(
     from transopt.identified import save_part
     from transopt.identify.amplifier import fit_amplifier
     from transopt.identify.figures_amplifier import amplifier_figure
-    from transopt.identify.measurement import load_measurement
+    from transopt.identify.measurement import load_measurements
     from transopt.plotting import save_figure
 
     if out.suffix.lower() != ".json":
         raise InputError(f"--out {out}: a model file ends in .json")
     terminal.make_folder(out.parent)
-    runs = [load_measurement(file) for file in files]
+    runs = load_measurements(files)
     trials, findings = prepare(runs)
     fit = fit_amplifier(trials)
     part = amplifier_part(fit, runs)
