@@ -55,6 +55,7 @@ def test_a_part_is_written_where_it_belongs(tmp_path: Path) -> None:
     ("damaged", "message"),
     [
         ("", "damaged or no model file"),
+        ("[" * 100_000, "damaged or no model file"),
         ("[1, 2]", "schema is missing"),
         ('{"amplifier": {}}', "schema is missing"),
         ('{"schema": 2, "versions": {}}', "schema = 2"),

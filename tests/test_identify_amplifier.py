@@ -1,7 +1,9 @@
 """The amplifier from its sweeps: exact records in, pole, delay and crossover out, with intervals that mean it."""
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from transopt.errors import InputError
 from transopt.identified import load_model
 from transopt.identify.amplifier import (
     AmplifierFit,
+    check_alike,
     continuous_response,
     estimate_crossover,
     fit_amplifier,
@@ -25,7 +28,7 @@ from transopt.identify.amplifier import (
     simulate_current,
 )
 from transopt.identify.figures_amplifier import amplifier_figure, prefilter_response
-from transopt.identify.spectrum import Trial
+from transopt.identify.spectrum import Trial, estimate_transfer
 from transopt.signals import Signal
 
 FINE = 100  # steps of a microsecond in a servo period
@@ -188,6 +191,39 @@ def test_a_gain_off_one_is_told() -> None:
     fit = fit_amplifier([Trial("half", trial.input, trial.output.scaled(0.5))])
     assert fit.gain == pytest.approx(0.5, abs=2e-3)
     assert "gain from command to current is 0.5, must be near 1" in fit.verdict()
+
+
+SPOILT = {
+    "a tick late": (
+        lambda x: np.roll(x, 1),
+        "trial 2: samples shifted: the current comes [+](0.9|1.0). samples later",
+    ),
+    "in mA": (lambda x: 1e3 * x, "trial 2: current off scale: the gain from command to current is 1.*e[+]03 times"),
+    "dead": (
+        lambda x: np.random.default_rng(2).normal(0, 5e-3, x.size),
+        "trial 2: coherence low: the current does not follow the command",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT)
+def test_a_file_that_is_not_like_the_others_is_named(case: str) -> None:
+    spoil, message = SPOILT[case]
+    trials = [amplifier_trial(j, offset_A=0.7 * (j // 2), sign=(-1) ** j, seconds=1.0) for j in range(4)]
+    each = [estimate_transfer([trial]) for trial in trials]
+    names = [trial.name for trial in trials]
+    assert check_alike(names, each) == []
+    output = replace(trials[2].output, values=np.asarray(spoil(trials[2].output.values)))
+    each[2] = estimate_transfer([replace(trials[2], output=output)])
+    (finding,) = check_alike(names, each)
+    assert finding.fatal
+    assert re.match(message, str(finding))
+
+
+def test_records_too_short_are_said_to_be_that() -> None:
+    short = estimate_transfer([amplifier_trial(0, seconds=0.012, low_Hz=100.0)])
+    (finding,) = check_alike(["short"], [short])
+    assert str(finding).startswith("short: too few cycles: resolves ")
 
 
 def test_a_faint_sweep_is_refused_or_told() -> None:

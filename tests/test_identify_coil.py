@@ -138,6 +138,16 @@ def test_records_that_fall_short_say_what_to_record(kind: dict[str, Any], messag
     assert any(re.search(message, text) for text in told), told
 
 
+def test_a_unit_that_is_wrong_is_asked_for() -> None:
+    """It fits as well as the right one."""
+    run = measured(3)
+    assert run.current is not None
+    in_mA = replace(run, current=run.current.scaled(1e3))
+    assert any(
+        "K/W is that of no such motor" in text and "current_A in A" in text for text in fitted(in_mA).shortfalls()
+    )
+
+
 def test_an_ambient_that_drifts_is_told() -> None:
     run = measured(ambient=True)
     assert run.ambient is not None

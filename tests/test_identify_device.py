@@ -19,6 +19,7 @@ from tests.identification_bench import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_
 from tests.test_black_box import four_masses
 from transopt.errors import InputError
 from transopt.identified import load_model
+from transopt.identify.checks import Fault
 from transopt.identify.device import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
 from transopt.identify.device_chain import DriveChain
 from transopt.identify.device_command import identify_device
@@ -26,7 +27,7 @@ from transopt.identify.measurement import Measurement
 from transopt.identify.validation import compare, short_of, verdict
 from transopt.models import StateSpace
 from transopt.scene import Scene
-from transopt.signals import Signal
+from transopt.signals import FloatArray, Signal
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
 SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
@@ -226,6 +227,16 @@ def scaled(run: Measurement, factor: float) -> Measurement:
     return replace(run, acceleration=run.require("acceleration", "").scaled(factor))
 
 
+def driven(run: Measurement, spoil: Callable[[FloatArray], FloatArray]) -> Measurement:
+    signal = run.require("current", "")
+    return replace(run, current=replace(signal, values=spoil(signal.values)))
+
+
+def cut(run: Measurement, samples: int) -> Measurement:
+    signals = {name: run.require(name, "") for name in ("command", "current", "acceleration")}
+    return replace(run, **{name: replace(x, values=x.values[:samples]) for name, x in signals.items()})
+
+
 def clipped(run: Measurement) -> Measurement:
     signal = run.require("acceleration", "")
     return replace(run, acceleration=replace(signal, values=np.clip(signal.values, -20.0, 20.0)))
@@ -242,6 +253,31 @@ BAD = {
     "one reversed": (lambda runs: spoiled(runs, 1, lambda run: scaled(run, -1.0)), "sweep_3N_1.npz: wrong polarity"),
     "one in g": (lambda runs: spoiled(runs, 2, lambda run: scaled(run, 1 / 9.80665)), "sweep_3N_2.npz: units off"),
     "clipped": (lambda runs: spoiled(runs, 0, clipped), "sweep_3N_0.npz: clipped sensor: acceleration"),
+    # The last trial of three or more is kept for validation.
+    "kept one reversed": (
+        lambda runs: spoiled(runs, 3, lambda run: scaled(run, -1.0)),
+        "sweep_3N_3.npz: wrong polarity: .* than in the sweeps of 3 N",
+    ),
+    "kept one in g": (
+        lambda runs: spoiled(runs, 3, lambda run: scaled(run, 1 / 9.80665)),
+        "sweep_3N_3.npz: units off by 9.81: .* of the sweeps of 3 N",
+    ),
+    "current in mA": (
+        lambda runs: [driven(run, lambda current: 1e3 * current) for run in runs],
+        "sweep_3N_0.npz: current off scale.*are both in A",
+    ),
+    "current reversed": (
+        lambda runs: spoiled(runs, 1, lambda run: driven(run, np.negative)),
+        "sweep_3N_1.npz: wrong polarity: current_A is opposite to command_A",
+    ),
+    "current monitor dead": (
+        lambda runs: spoiled(
+            runs, 1, lambda run: driven(run, lambda x: 0.005 * np.random.default_rng(1).standard_normal(x.size))
+        ),
+        "sweep_3N_1.npz: coherence low: the measured current does not follow the command",
+    ),
+    "ten samples": (lambda runs: [cut(run, 10) for run in runs], "3 N: too few cycles: .* bands of frequency"),
+    "a hundred samples": (lambda runs: [cut(run, 100) for run in runs], "3 N: too few cycles"),
     "no grip": (lambda runs: spoiled(runs, 0, lambda run: replace(run, grip_N=None)), "sweep_3N_0.npz: missing grip"),
     "no acceleration": (
         lambda runs: spoiled(runs, 0, lambda run: replace(run, acceleration=None)),
@@ -264,6 +300,33 @@ def test_a_bad_record_is_named_with_what_to_do(case: str, held: list[Measurement
     with pytest.raises(InputError, match=message) as raised:
         identify(spoil(held), [], SETTINGS)
     assert "\n" not in str(raised.value)
+
+
+def test_a_transient_that_is_reversed_is_no_error_of_the_model(rig: Rig, held: list[Measurement]) -> None:
+    (burst,) = rig.transients((3.0,))
+    assert identify(held, [burst], SETTINGS).chosen.recorded[3.0] < 0.05
+    with pytest.raises(InputError, match=r"burst_3N.npz: wrong polarity.* sweeps of 3 N"):
+        identify(held, [scaled(burst, -1.0)], SETTINGS)
+
+
+@pytest.mark.parametrize(("shift", "told"), [(1, "1 samples later"), (-1, "1 samples earlier")])
+def test_a_current_that_is_read_at_another_tick_is_told(held: list[Measurement], shift: int, told: str) -> None:
+    result = identify([driven(run, lambda x: np.roll(x, shift)) for run in held], [], SETTINGS)
+    findings = [str(finding) for finding in result.findings if finding.fault is Fault.SHIFTED]
+    assert len(findings) == len(held)
+    assert told in findings[0]
+    assert "their intervals do not hold" in result.verdict
+    assert "their intervals do not hold" in device_part(result).verdict
+
+
+def test_good_records_raise_no_doubt(found: DeviceResult) -> None:
+    assert "do not hold" not in found.verdict
+    assert [f for f in found.findings if f.fault in {Fault.SHIFTED, Fault.CURRENT_SCALE, Fault.BANDWIDTH}] == []
+
+
+def test_an_accelerometer_of_unknown_bandwidth_is_told(held: list[Measurement]) -> None:
+    result = identify([replace(run, accelerometer_Hz=None) for run in held], [], SETTINGS)
+    assert any(finding.fault is Fault.BANDWIDTH for finding in result.findings)
 
 
 def test_too_few_cycles_are_told(rig: Rig) -> None:
@@ -295,6 +358,9 @@ def test_the_verdict_speaks_of_the_worst_grip() -> None:
     assert "down to 3.1 % (worst held-out NRMSE, 5 N); below that you design the model's error" in text
     assert "not validated: 3 N" in text
     assert "between recorded grips down to 5 % (at 2 N" in text
+    assert verdict({1.0: 0.02, 5.0: 1.99}, {}) == (
+        "supports no design: at 5 N it misses 199 % of what was kept out of the fit"
+    )
     assert len(short_of({1.0: 0.02, 5.0: 0.06}, {2.0: 0.09})) == 2
     assert short_of({1.0: 0.02}, {2.0: 0.03}) == []
 

@@ -150,6 +150,25 @@ def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cu
     assert bias > 1.08
 
 
+@pytest.mark.parametrize(("by", "told"), [(1, "later"), (-1, "earlier")])
+def test_a_force_that_is_read_a_sample_apart_is_told(trials: Trials, hand: HandFit, by: int, told: str) -> None:
+    """It takes half of the spring's constant away, or adds as much, and is no hand."""
+    assert not any("read about a sample" in text for text in hand.shortfalls())
+    force = np.roll(trials.force_N, by, axis=1)
+    force[:, [0, -1]] = trials.force_N[:, [0, -1]]
+    apart = fit_hand(cut(replace(trials, force_N=force)), resamples=200)
+    assert any(f"the force is read about a sample {told} than" in text for text in apart.shortfalls())
+
+
+def test_a_bandwidth_that_is_not_stated_is_seen(trials: Trials) -> None:
+    taps = [
+        cut_tap(f"{j}", trials.force_N[j], trials.acceleration_m_s2[j], 1e-4, grip_N=float(trials.grip_N[j]))
+        for j in range(81)
+    ]
+    told = fit_hand(taps, resamples=200).shortfalls()
+    assert any("read about a sample earlier" in text and "state accelerometer_Hz" in text for text in told)
+
+
 def test_onset_is_where_the_force_rises(trials: Trials) -> None:
     # Contact is less than a sample after 30 ms.
     assert all(abs(onset(force, DT_S) - 300) <= 4 for force in trials.force_N)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from transopt.errors import InputError
-from transopt.identify.measurement import load_measurement
+from transopt.identify.measurement import load_measurement, load_measurements
 from transopt.signals import STANDARD_GRAVITY_M_S2
 
 TIMES_S = np.arange(20) * 1e-4
@@ -66,3 +66,15 @@ def test_jitter_is_told(tmp_path: Path) -> None:
     jittered = TIMES_S + 3e-5 * np.sin(np.arange(20.0))
     np.savez(tmp_path / "jitter.npz", time_s=jittered, command_A=RAMP)
     assert 0.1 < load_measurement(tmp_path / "jitter.npz").off_grid < 0.5
+
+
+def test_a_record_given_twice_counts_once_or_not_at_all(tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a.npz", "b.npz", "copy_of_a.npz")]
+    for path, factor in zip(paths, (1.0, 2.0, 1.0), strict=True):
+        np.savez(path, time_s=TIMES_S, current_A=factor * RAMP)
+    assert [run.name for run in load_measurements(paths[:2])] == ["a.npz", "b.npz"]
+    with pytest.raises(InputError, match=r"a.npz: given twice; give every record once"):
+        load_measurements([paths[0], paths[1], paths[0]])
+    paths[2].write_bytes(paths[0].read_bytes())
+    with pytest.raises(InputError, match=r"copy_of_a.npz: the same record as .*a.npz; give every record once"):
+        load_measurements(paths)

@@ -311,7 +311,7 @@ def parse_model(source: Path | str, content: bytes) -> ModelFile:
         parsed = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
     except UnicodeDecodeError:
         raise InputError(f"{source}: not a text file, so no model file; {advice}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{source}: damaged or no model file ({error}); {advice}") from None
     if not isinstance(parsed, dict) or "schema" not in parsed:
         raise InputError(f"{source}: no model file (schema is missing); {advice}")

@@ -8,6 +8,7 @@ from scipy import optimize, signal, special
 
 from transopt.discretise import split_delay
 from transopt.errors import InputError
+from transopt.identify.checks import Fault, Finding
 from transopt.identify.spectrum import ComplexArray, TransferEstimate, Trial, estimate_transfer
 from transopt.signals import FloatArray, Signal
 
@@ -24,6 +25,7 @@ MISFIT_dB, MISFIT_deg = 1.0, 5.0
 CERTAIN = 3.0  # standard deviations by which a misfit must stand out of its noise
 GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
 LEVEL = 0.95
+APART_TICKS, APART_GAIN = 0.3, 1.5  # between one trial and the others; a crossover alone takes less off the gain
 
 
 @dataclass(frozen=True)
@@ -222,6 +224,46 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         trial_gains=each,
         dt_s=dt_s,
     )
+
+
+def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> list[Finding]:
+    """Trials by themselves: those whose current does not follow the command, or not as in the other ones.
+
+    All trials together would hide it: one of eight that is read a tick late moves the pole by 7 %.
+
+    Parameters
+    ----------
+    estimates : of each trial alone, from command to current.
+    """
+    again = "check the current monitor and record again"
+    found, delays, gains = [], [], []
+    for name, one in zip(names, estimates, strict=True):
+        good = one.coherence >= COHERENT
+        if good.size < LEAST_BINS:
+            text = f"resolves {good.size} bands of frequency, at least {LEAST_BINS} are needed; sweep longer"
+            found.append(Finding(Fault.TOO_FEW_CYCLES, name, text, True))
+            continue
+        if np.count_nonzero(good) < LEAST_BINS:
+            share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
+            text = f"the current does not follow the command: {share}, at least {LEAST_BINS} are needed; {again}"
+            found.append(Finding(Fault.INCOHERENT, name, text, True))
+            continue
+        w, phase = 2 * np.pi * one.frequencies_Hz[good], np.unwrap(np.angle(one.response[good]))
+        delays.append((name, float(-np.polynomial.Polynomial.fit(w, phase, 1).convert().coef[1] / one.dt_s)))
+        gains.append((name, float(np.median(np.abs(one.response[good][:LEAST_BINS])))))
+    if found or len(estimates) < 3:
+        return found
+    usual_delay, usual_gain = (float(np.median([value for _, value in each])) for each in (delays, gains))
+    for (name, delay), (_, gain) in zip(delays, gains, strict=True):
+        if abs(np.log(gain / usual_gain)) > np.log(APART_GAIN):
+            text = (
+                f"the gain from command to current is {gain / usual_gain:.3g} times that of the other files; {again}"
+            )
+            found.append(Finding(Fault.CURRENT_SCALE, name, text, True))
+        elif abs(delay - usual_delay) > APART_TICKS:
+            text = f"the current comes {delay - usual_delay:+.2f} samples later than in the other files"
+            found.append(Finding(Fault.SHIFTED, name, f"{text}; read both at the same tick and record again", True))
+    return found
 
 
 def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) -> Crossover:

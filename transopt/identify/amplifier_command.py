@@ -28,7 +28,7 @@ def identify_amplifier(
     from transopt.identified import save_part
     from transopt.identify.amplifier import fit_amplifier
     from transopt.identify.figures_amplifier import amplifier_figure
-    from transopt.identify.measurement import load_measurement
+    from transopt.identify.measurement import load_measurements
     from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
@@ -36,7 +36,7 @@ def identify_amplifier(
         raise InputError(f"--out {out}: a model file ends in .json")
     terminal.make_folder(out.parent)
     with terminal.console().status("fitting"):
-        runs = [load_measurement(file) for file in files]
+        runs = load_measurements(files)
         trials, findings = prepare(runs)
         fit = fit_amplifier(trials)
     part = amplifier_part(fit, runs)
@@ -65,6 +65,7 @@ def prepare(runs: "Sequence[Measurement]") -> "tuple[list[Trial], list[Finding]]
     InputError : a finding that is.
     """
     from transopt.identify import checks
+    from transopt.identify.amplifier import check_alike
     from transopt.identify.spectrum import Trial, estimate_transfer
 
     signals = [(run, run.require("command", "command_A"), run.require("current", "current_A")) for run in runs]
@@ -73,8 +74,10 @@ def prepare(runs: "Sequence[Measurement]") -> "tuple[list[Trial], list[Finding]]
     )
     trials = [Trial(run.name, command, current) for run, command, current in signals]
     checks.refuse(checks.check_rates(trials))
-    for trial in trials:  # each by itself, so that the message names the file
-        alone = estimate_transfer([trial])
+    # Each by itself, so that the message names the file.
+    each = [estimate_transfer([trial]) for trial in trials]
+    checks.refuse(check_alike([trial.name for trial in trials], each))
+    for trial, alone in zip(trials, each, strict=True):
         checks.refuse(
             checks.check_sign(
                 trial.name,

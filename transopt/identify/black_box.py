@@ -35,6 +35,7 @@ REACH = 1e3  # poles stay within this factor of their start
 MOST_STEPS = 60
 TOLERANCE = 1e-6
 RANK = 1e-12
+RESOLVED = 0.5  # of the distance between bins: no resonance may be narrower, since nothing was measured within
 NUDGE = 1e-3  # least damping ratio that a relocated pole starts with
 
 
@@ -233,24 +234,60 @@ class _Projected:
         return self._last
 
 
+class _Narrowest:
+    """Keeps resonances as wide as what was measured can resolve.
+
+    Between two bins a pole of next to no damping and a zero beside it cost nothing and explain a little noise; a
+    design would play into them.
+    """
+
+    def __init__(self, frequencies_Hz: FloatArray) -> None:
+        self._log_w = np.log(2 * np.pi * frequencies_Hz)
+        self._log_a = np.log(2 * np.pi * RESOLVED * np.gradient(frequencies_Hz))
+
+    def _least(self, log_w: FloatArray) -> FloatArray:
+        return np.asarray(np.interp(log_w, self._log_w, self._log_a))
+
+    def widened(self, poles: FloatArray) -> FloatArray:
+        """(order,) log w and log a of the sections, with log a at least that of the distance between bins."""
+        found = poles.copy()
+        found[1::2] = np.maximum(poles[1::2], self._least(poles[::2]))
+        return found
+
+    def through(self, poles: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """(2 m, order) by the poles from that by the widened ones."""
+        found, step = jacobian.copy(), 1e-6
+        held = poles[1::2] < self._least(poles[::2])
+        along = (self._least(poles[::2] + step) - self._least(poles[::2] - step)) / (2 * step)
+        found[:, ::2] += np.where(held, along, 0.0) * jacobian[:, 1::2]
+        found[:, 1::2] = np.where(held, 0.0, jacobian[:, 1::2])
+        return found
+
+
 def _polished(
     one: GripResponse, instrument: Instrument, sections: _Sections, poles: ComplexArray
 ) -> tuple[StateSpace, float]:
     """Poles and output from least squares on the exact sampled response: plant, sum of squares."""
-    projected, start = _Projected(one, instrument, sections), _start(poles)
+    projected, narrowest = _Projected(one, instrument, sections), _Narrowest(one.estimate.frequencies_Hz)
+    start = narrowest.widened(_start(poles))
     low, high = start - np.log(REACH), start + np.log(REACH)
 
+    def bounded(unknowns: FloatArray) -> FloatArray:
+        return narrowest.widened(np.clip(unknowns, low, high))
+
     def value(unknowns: FloatArray) -> FloatArray:
-        return projected.at(np.clip(unknowns, low, high))[0]
+        return projected.at(bounded(unknowns))[0]
 
     def slope(unknowns: FloatArray) -> FloatArray:
-        return np.where((unknowns < low) | (unknowns > high), 0.0, projected.at(np.clip(unknowns, low, high))[1])
+        inside = np.clip(unknowns, low, high)
+        jacobian = narrowest.through(inside, projected.at(narrowest.widened(inside))[1])
+        return np.where((unknowns < low) | (unknowns > high), 0.0, jacobian)
 
     # MINPACK: the factorisations of scipy's own methods take ten times as long when their threads meet busy cores.
     found = optimize.least_squares(
         value, start, jac=slope, method="lm", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
     )
-    return sections.plant(projected.at(np.clip(found.x, low, high))[2]), 2 * float(found.cost)
+    return sections.plant(projected.at(bounded(found.x))[2]), 2 * float(found.cost)
 
 
 def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:

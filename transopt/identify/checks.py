@@ -44,6 +44,9 @@ class Fault(StrEnum):
     RATES = "rates that differ"
     POLARITY = "wrong polarity"
     UNITS = "units off by 9.81"
+    CURRENT_SCALE = "current off scale"
+    SHIFTED = "samples shifted"
+    BANDWIDTH = "bandwidth not stated"
     MISSING_GRIP = "missing grip"
     INCOHERENT = "coherence low"
 

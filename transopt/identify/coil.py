@@ -15,6 +15,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from transopt.errors import InputError
+from transopt.identify.coil_units import unbelievable
 from transopt.identify.measurement import Measurement
 from transopt.signals import FloatArray, Signal
 from transopt.thermal import (
@@ -36,6 +37,7 @@ COARSEST = 0.2  # of the winding's time constant, between two rows
 DRIFT_K = 2.0  # of the ambient, unaccounted for
 _SENSING = 0.2  # of the largest current, below which voltage over current tells no temperature
 _CREDIBLE_C = (-50.0, 400.0)  # of a winding
+_TOLD = 10.0  # times the value; what is wider is open
 _GROWTH = 0.03  # of the time since the current last changed: how long one step of the simulation may be
 _CHANGE = 0.1  # of the largest heating
 _LEAST_NOISE_K = 1e-3
@@ -108,11 +110,10 @@ class CoilFit:
 
     def shortfalls(self) -> list[str]:
         """Why these parameters are not to be relied upon, and what to record again; none if they are."""
-        found = []
-        coil, record = self.coil, self.record
+        coil, record, found = self.coil, self.record, unbelievable(self.coil)
         half = (self.intervals[:, 1] - self.intervals[:, 0]) / 2
         wide = [
-            f"{name} to {100 * h / getattr(coil, name):.0f} %"
+            f"{name} to {100 * min(h / getattr(coil, name), _TOLD):.0f} %"
             for name, h in zip(NAMES, half, strict=True)
             if h > MOST_UNCERTAIN * getattr(coil, name)
         ]

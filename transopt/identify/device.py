@@ -103,7 +103,10 @@ class DeviceResult:
 
     @property
     def verdict(self) -> str:
-        return verdict(self.chosen.recorded, self.chosen.between)
+        words = [verdict(self.chosen.recorded, self.chosen.between)]
+        if self.chosen.kind is Kind.DRIVE and self.chain is not None:
+            words += _not_the_devices(self.chain)
+        return "; ".join(words)
 
 
 @dataclass(frozen=True)
@@ -258,6 +261,19 @@ def _advice(grips: Sequence[Grip], instrument: Instrument, chosen: Candidate, pl
             said.append(f"the scene plays {wanted:g} N, recorded are {held[0]:.3g} to {held[-1]:.3g} N: record there")
         if wanted == 0 and len(held) == len(grips):
             said.append("the scene plays the free device, which was not recorded: record at grip 0")
+    return said
+
+
+def _not_the_devices(fit: ChainFit) -> list[str]:
+    """Why parameters that predict well may be no masses, springs and dampers of the device all the same."""
+    said = []
+    if fit.scatter > MISFIT:
+        said.append(
+            f"residuals of {fit.scatter:.2g} times the noise: the parameters make up for what the chain lacks "
+            "(further masses, samples not read together, accelerometer_Hz), so that their intervals do not hold"
+        )
+    if fit.at_bounds:
+        said.append(f"at a bound, so without meaning by themselves: {', '.join(fit.at_bounds)}")
     return said
 
 

@@ -46,7 +46,7 @@ def identify_device(
     from transopt.identified import save_part
     from transopt.identify.device import Kind, device_part, identify
     from transopt.identify.figures_device import device_figure
-    from transopt.identify.measurement import load_measurement
+    from transopt.identify.measurement import load_measurements
     from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
@@ -56,10 +56,7 @@ def identify_device(
     terminal.make_folder(out.parent)
     settings = _settings(out, scene, force_per_current, order, kind)
     with _progress(console) as step:
-        read = []
-        for path in (*files, *(validate or [])):
-            read.append(load_measurement(path))
-            step("reading")
+        read = load_measurements((*files, *(validate or [])), read=lambda: step("reading"))
         runs, transients = read[: len(files)], read[len(files) :]
         result = identify(runs, transients, settings, tick=step)
         part = device_part(result)

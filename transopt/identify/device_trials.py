@@ -1,7 +1,7 @@
 """Records of a device sorted for identification: by grip, checked, split into what is fitted and what is kept out."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,10 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 
 QUANTITIES = ("command", "current", "acceleration")
 LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validation
+LEAST_BINS = 30  # of a response: every fourth of them still outnumbers the unknowns of a grip
+ALIKE = 0.5  # correlation of measured and expected acceleration from which on sign and size mean something
+MOST_GAIN = 2.0  # by which current and command may differ either way
+MOST_LAG = 20  # ticks searched for a shift between them
 BAND_HZ = (2.0, 800.0)  # where a design needs the model
 FREE_BAND_HZ = (20.0, 800.0)  # below, a free device only drifts, further than its stroke
 
@@ -107,6 +111,40 @@ def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> I
     return Instrument(runs[0].require("acceleration", "acceleration_m_s2").dt_s, amplifier, poles[first])
 
 
+def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> list[Finding]:
+    """Where both were recorded: a current in another unit, the wrong way round, or not read when the command was.
+
+    A shift of whole ticks between current and acceleration looks like a device of other masses, which a record with
+    the same shift cannot tell from the true one: only the command can.
+    """
+    if run.command is None or run.current is None:
+        return []
+    modelled = felt_current(replace(run, current=None), amplifier).values
+    modelled = modelled - modelled.mean()
+    measured = run.current.values - run.current.values.mean()
+    size, power = 2 * measured.size, float(modelled @ modelled)
+    if power == 0:
+        return []
+    along = np.fft.irfft(np.fft.rfft(measured, size) * np.fft.rfft(modelled, size).conj(), size)
+    lags = np.concatenate([along[-MOST_LAG:], along[: MOST_LAG + 1]])
+    best = int(np.argmax(np.abs(lags)))
+    gain, lag = float(lags[best]) / power, best - MOST_LAG
+    if not abs(gain) * np.sqrt(power) > ALIKE * float(np.linalg.norm(measured)):
+        text = "the measured current does not follow the command; check the current monitor, and record again"
+        return [Finding(Fault.INCOHERENT, run.name, text, True)]
+    if gain < 0:
+        text = "current_A is opposite to command_A; turn the sign of the one that is not positive when pushing out"
+        return [Finding(Fault.POLARITY, run.name, text, True)]
+    if abs(np.log(gain)) > np.log(MOST_GAIN):
+        text = f"current_A is {gain:.3g} times what the amplifier makes of command_A; are both in A?"
+        return [Finding(Fault.CURRENT_SCALE, run.name, text, True)]
+    if lag == 0:
+        return []
+    late = f"{abs(lag)} samples {'later' if lag > 0 else 'earlier'} than the known amplifier makes it"
+    remedy = "read command, current and acceleration at the same tick, or identify this amplifier into --out first"
+    return [Finding(Fault.SHIFTED, run.name, f"current_A comes {late} of command_A; {remedy}", False)]
+
+
 def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -> list[Finding]:
     """A trial that answers against the others, or in another unit: the mean of all would hide it."""
     if estimate.trials < 2:
@@ -129,6 +167,42 @@ def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -
                 text = f"acceleration is {ratio:.3g} times that of the other trials of {where}"
                 found.append(Finding(Fault.UNITS, name, f"{text}; is its column in g or in m/s^2?", True))
     return found
+
+
+def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate, where: str) -> list[Finding]:
+    """A run kept for validation that answers against the response of its grip, or in another unit.
+
+    Such a run would be taken for an error of the model.
+    """
+    given, answer = np.fft.rfft(trial.input.values), np.fft.rfft(trial.output.values)
+    lines = np.fft.rfftfreq(trial.input.values.size, trial.input.dt_s)
+    f = estimate.frequencies_Hz
+    inside = (lines >= f[0]) & (lines <= f[-1])
+    expected = np.interp(lines[inside], f, estimate.response) * given[inside]
+    found, along = answer[inside], float(np.vdot(expected, answer[inside]).real)
+    size = float(np.linalg.norm(expected) * np.linalg.norm(found))
+    if not abs(along) > ALIKE * size:
+        return []  # no word either way
+    if along < 0:
+        text = f"acceleration answers the current the other way than in the sweeps of {where}"
+        remedy = "turn the accelerometer or the current's sign in this file, or record it again"
+        return [Finding(Fault.POLARITY, run.name, f"{text}; {remedy}", True)]
+    ratio = along / float(np.linalg.norm(expected)) ** 2
+    if min(abs(np.log(ratio / factor)) for factor in (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2)) < np.log1p(
+        GRAVITY_TOLERANCE
+    ):
+        text = f"acceleration is {ratio:.3g} times that of the sweeps of {where}"
+        return [Finding(Fault.UNITS, run.name, f"{text}; is its column in g or in m/s^2?", True)]
+    return []
+
+
+def _too_short(where: str, estimate: TransferEstimate) -> list[Finding]:
+    """A response of too few bins for any fit."""
+    bins = estimate.frequencies_Hz.size
+    if bins >= LEAST_BINS:
+        return []
+    text = f"the sweeps resolve {bins} bands of frequency, at least {LEAST_BINS} are needed; sweep longer and wider"
+    return [Finding(Fault.TOO_FEW_CYCLES, where, text, True)]
 
 
 def sort_trials(
@@ -161,6 +235,9 @@ def sort_trials(
     found += refuse(check_rates(list(trials_of.values())) + check_grips(runs))
     found += refuse(f for f in check_grips(transients) if f.fatal)
     instrument = instrument_of(together, amplifier)
+    if instrument.accelerometer_Hz is None:
+        text = "taken as ideal, so that its delay goes into the masses; add # accelerometer_Hz: 2500, or what it has"
+        found.append(Finding(Fault.BANDWIDTH, "accelerometer_Hz", text, False))
     groups, grips = by_grip(runs), []
     apart = [run for run in transients if _recorded_at(run, list(groups)) is None]
     found += [finding for run in apart for finding in _outside(run, list(groups))]
@@ -172,16 +249,29 @@ def sort_trials(
         kept = in_order[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
         trials = [trials_of[id(run)] for run in fitted]
         estimate = estimate_transfer(trials)
-        again = _odd_one_out(where, [run.name for run in fitted], estimate)
-        again += check_passive(where, estimate)
+        # What is too short answers any way: that comes first.
+        again = _too_short(where, estimate)
         again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
+        for run in (*fitted, *kept):
+            again += _current_against_command(run, amplifier)
+        again += _odd_one_out(where, [run.name for run in fitted], estimate)
+        again += check_passive(where, estimate)
         if nominal is not None:
             expected = sampled_response(nominal(grip_N), instrument, estimate.frequencies_Hz)[0]
             again += check_gravity(where, estimate, np.abs(expected), "the scene's device")
+        for run in kept:
+            again += _against_response(run, trials_of[id(run)], estimate, where)
         found += refuse(again)
         grips.append(Grip(grip_N, GripResponse(grip_N, estimate), tuple(fitted), tuple(kept)))
         tick()
     between = [run for run in apart if not _outside(run, list(groups))]
+    for run in between:
+        beside = min(
+            (grip for grip in grips if grip.grip_N > 0), key=lambda grip: abs(grip.grip_N - (run.grip_N or 0.0))
+        )
+        where = f"{beside.grip_N:.3g} N"
+        again = _current_against_command(run, amplifier)
+        found += refuse(again + _against_response(run, trials_of[id(run)], beside.response.estimate, where))
     return Records(grips, instrument, between, found)
 
 

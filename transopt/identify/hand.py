@@ -1,7 +1,7 @@
 """The hand over grip: lines through the taps' mass, damping and stiffness, with intervals (seed Eqs. 3-5, Fig. 5)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -22,6 +22,7 @@ _PLAUSIBLE_KG = (0.03, 1.0)  # of a hand with a stylus
 MOST_UNEXPLAINED = 0.10
 MOST_UNCERTAIN = 0.25  # half width of the interval at the middle grip, relative
 LACK_OF_FIT_P = 0.01
+MOST_SHIFTED = 1.25  # times more unexplained than with force and acceleration shifted by a sample
 
 
 @dataclass(frozen=True)
@@ -52,12 +53,14 @@ class HandFit:
     ----------
     grips_N : (T,). fits : one per tap. lines : of `QUANTITIES`.
     covariance : (6, 6) of `COEFFICIENTS`, of the bootstrap, SI.
+    shifted : median unexplained part with the force a sample earlier, and a sample later, than it was recorded.
     """
 
     grips_N: FloatArray
     fits: tuple[TapFit, ...]
     lines: tuple[GripLine, GripLine, GripLine]
     covariance: FloatArray
+    shifted: tuple[float, float]
 
     @property
     def unexplained(self) -> float:
@@ -74,6 +77,13 @@ class HandFit:
                 "fourth order, or force and acceleration are not sampled at the same time (accelerometer_Hz)"
             ]
         found = []
+        if min(self.shifted) * MOST_SHIFTED < self.unexplained:
+            late = "later" if self.shifted[0] < self.shifted[1] else "earlier"
+            found.append(
+                f"the force is read about a sample {late} than the acceleration: shifted by one, mass, spring and "
+                f"damper leave {100 * min(self.shifted):.2g} % unexplained, not {100 * self.unexplained:.2g} %, "
+                "and damping and stiffness are others; state accelerometer_Hz, or read both at the same time"
+            )
         low, high = float(self.grips_N.min()), float(self.grips_N.max())
         for line in self.lines:
             # At both ends, and so in between.
@@ -163,7 +173,15 @@ def fit_hand(taps: Sequence[Tap], *, resamples: int = RESAMPLES, seed: int = 0) 
             )
         )
     drawn = np.concatenate([again.coefficients[j] for j in range(3)], axis=1)
-    return HandFit(grips, fits, (lines[0], lines[1], lines[2]), np.cov(drawn, rowvar=False))
+    shifted = tuple(float(np.median([fit_tap(_shifted(tap, by)).unexplained for tap in taps])) for by in (1, -1))
+    return HandFit(grips, fits, (lines[0], lines[1], lines[2]), np.cov(drawn, rowvar=False), (shifted[0], shifted[1]))
+
+
+def _shifted(tap: Tap, by: int) -> Tap:
+    """The tap with its force `by` samples earlier."""
+    if by > 0:
+        return replace(tap, force_N=tap.force_N[by:], acceleration_m_s2=tap.acceleration_m_s2[:-by])
+    return replace(tap, force_N=tap.force_N[:by], acceleration_m_s2=tap.acceleration_m_s2[-by:])
 
 
 def grip_groups(grips_N: FloatArray) -> list[np.ndarray]:

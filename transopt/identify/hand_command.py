@@ -36,7 +36,7 @@ def identify_hand(
     from transopt.identify.hand import fit_hand
     from transopt.identify.hand_chain import fit_chain
     from transopt.identify.hand_tap import usable_taps
-    from transopt.identify.measurement import load_measurement
+    from transopt.identify.measurement import load_measurements
     from transopt.identify.next_step import next_step
     from transopt.plotting import save_figure
 
@@ -46,7 +46,7 @@ def identify_hand(
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     terminal.make_folder(out.parent)
     with terminal.console().status("fitting"):
-        runs = [load_measurement(file) for file in files]
+        runs = load_measurements(files)
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
         chain = fit_chain(taps, fit)

@@ -1,6 +1,7 @@
 """What was recorded on a device to identify it: signals of one run, and what its file states about it."""
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -88,6 +89,29 @@ class Measurement:
             raise InputError(f"{self.name}: no column {column}; record it too")
         assert isinstance(found, Signal)
         return found
+
+
+def load_measurements(paths: Sequence[Path], *, read: Callable[[], None] = lambda: None) -> list[Measurement]:
+    """Several runs. One given twice would count twice, and one kept for validation would be no validation.
+
+    Parameters
+    ----------
+    read : called after each file.
+
+    Raises
+    ------
+    InputError : see `load_measurement`; or two files with the same content.
+    """
+    runs, sources = [], dict[str, str]()
+    for path in paths:
+        run = load_measurement(path)
+        if run.sha256 in sources:
+            same = f"the same record as {sources[run.sha256]}" if str(path) != sources[run.sha256] else "given twice"
+            raise InputError(f"{path}: {same}; give every record once, and none of the fit to validate with")
+        sources[run.sha256] = str(path)
+        runs.append(run)
+        read()
+    return runs
 
 
 def load_measurement(path: Path) -> Measurement:

@@ -20,6 +20,7 @@ from transopt.signals import FloatArray, Signal, highpass, nrmse
 HIGHPASS_HZ = 8.0
 PADDING_S = 0.5  # after a record, for what still rings when it ends
 RECORDED_LIMIT, BETWEEN_LIMIT = 0.05, 0.08  # NRMSE that a model is to keep at recorded grips, and between them
+WORTHLESS = 0.5  # NRMSE from which on a model says nothing of use
 NEAR_ZERO = 1e-3  # of a spectrum's line: a free device has no finite state at exactly 0 Hz, but a response beside it
 
 
@@ -103,6 +104,9 @@ def verdict(recorded: Mapping[float, float], between: Mapping[float, float]) -> 
             "FILES before trusting a design"
         )
     worst = max(judged, key=lambda grip: judged[grip])
+    if judged[worst] >= WORTHLESS:
+        missed = f"{100 * judged[worst]:.0f} % of what was kept out of the fit"
+        return f"supports no design: at {called(worst)} it misses {missed}"
     text = (
         f"supports design errors down to {100 * judged[worst]:.2g} % (worst held-out NRMSE, {called(worst)}); "
         "below that you design the model's error"
