@@ -121,7 +121,7 @@ def identified_lines(build: Build) -> list[str]:
     lines += _outside(scene, model)
     if model.device is not None and model.device.nrmse:
         errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
-        lines += ["", f"Held-out NRMSE of the model on transients outside its fit: {errors}."]
+        lines += ["", f"Held-out NRMSE of the model on trials outside its fit: {errors}."]
     warning = model_warning(build)
     return [*lines, *(["", f"**{warning[0].upper()}{warning[1:]}.**"] if warning else []), *_spread_words(scene)]
 

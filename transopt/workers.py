@@ -3,6 +3,8 @@
 import multiprocessing
 from multiprocessing.context import BaseContext
 
+from transopt.files import ctrl_c_waits
+
 FORKS = "forkserver" in multiprocessing.get_all_start_methods()
 
 
@@ -25,4 +27,5 @@ def prepare() -> None:
         from multiprocessing import forkserver
 
         context()
-        forkserver.ensure_running()
+        with ctrl_c_waits():
+            forkserver.ensure_running()
