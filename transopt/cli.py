@@ -232,7 +232,7 @@ def solve(
     from transopt import workers
 
     if jobs > 1:
-        workers.prepare()
+        workers.context()
     from transopt.build import build_library
     from transopt.identified_report import model_warning
     from transopt.refine import check_tolerance, refine_grid

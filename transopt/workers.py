@@ -12,20 +12,16 @@ def context() -> BaseContext:
     """How worker processes start: forked from a server process of their own that has the designer loaded.
 
     Not from this one, whose solver objects and threads a fork would copy half-alive; and not each anew, which takes
-    longer than solving a hundred entries. Where there is no such server, each anew.
+    longer than solving a hundred entries. Where there is no such server, each anew. The server is started here and loads
+    while this process does something else: call it as soon as workers are known to be wanted.
     """
     if not FORKS:
         return multiprocessing.get_context("spawn")
+    from multiprocessing import forkserver, resource_tracker
+
     forks = multiprocessing.get_context("forkserver")
     forks.set_forkserver_preload(["transopt.design"])
+    resource_tracker.ensure_running()  # which would let Ctrl-C through again
+    with ctrl_c_waits():
+        forkserver.ensure_running()
     return forks
-
-
-def prepare() -> None:
-    """Let the server load the designer while this process does something else."""
-    if FORKS:
-        from multiprocessing import forkserver
-
-        context()
-        with ctrl_c_waits():
-            forkserver.ensure_running()
