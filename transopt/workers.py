@@ -12,8 +12,8 @@ def context() -> BaseContext:
     """How worker processes start: forked from a server process of their own that has the designer loaded.
 
     Not from this one, whose solver objects and threads a fork would copy half-alive; and not each anew, which takes
-    longer than solving a hundred entries. Where there is no such server, each anew. The server is started here and loads
-    while this process does something else: call it as soon as workers are known to be wanted.
+    longer than solving a hundred entries. Where there is no such server, each anew. The server is started here and
+    loads while this process does something else: call it as soon as workers are known to be wanted.
     """
     if not FORKS:
         return multiprocessing.get_context("spawn")
