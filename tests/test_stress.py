@@ -53,6 +53,11 @@ def test_random_cases_are_certified_or_refused_by_name() -> None:
     assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(cases) / 2
 
 
+def test_what_the_compiled_pass_cannot_prove_is_tried_again() -> None:
+    """Masses of 1.5 mg over ticks of 0.8 ms: rounding rules, and the refusal says so."""
+    assert judge(drawn(1, 204)).kind == "refused: PRECISION"
+
+
 def test_a_case_follows_from_seed_and_index_alone() -> None:
     forwards = [drawn(7, index) for index in range(20)]
     assert forwards == [drawn(7, index) for index in range(19, -1, -1)][::-1]

@@ -204,6 +204,12 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
 
     free_inside = inside(problem, free.command_A)
     proof = certify(problem, free.command_A, free.multipliers) if free_inside else None
+    if proof is not None and not proof.is_stationary:
+        # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
+        other = unlimited.solve_in_casadi(small)
+        its_proof = certify(problem, other.command_A, other.multipliers)
+        if inside(problem, other.command_A) and its_proof.relative_gap < proof.relative_gap:
+            free, proof = other, its_proof
     if proof is not None and free.status is Status.OPTIMAL and proof.is_stationary:
         left_out["limits"] = (
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
