@@ -38,7 +38,7 @@ def assert_entries_are_proven(build: Build) -> None:
         assert entry.played.peak_current_A <= build.scene.limits.transient_current_A + 1e-6
         assert entry.played.step_error <= 1e-10
         assert entry.played.scale_m_s2 == np.abs(entry.played.acceleration_m_s2).max()
-        # What changes of sign within a period add for ever, at most 1e-4 of the rise.
+        # What changes of sign within a period add for ever.
         steady = build.scene.thermal.tap_rate_Hz is not None
         assert np.isnan(entry.played.winding_C) or entry.played.winding_C <= 100 + (7.5e-3 if steady else 1e-5)
 

@@ -15,7 +15,7 @@ from transopt.build import build_library
 from transopt.certify import certify, inside
 from transopt.design import entry_problem, scene_stage
 from transopt.errors import InputError
-from transopt.heat import thermal_limit
+from transopt.heat import STEADY_MARGIN, thermal_limit
 from transopt.library_file import load_library
 from transopt.optimum import optimum
 from transopt.problem import Solution, Status, TransientProblem
@@ -284,7 +284,7 @@ class TestRepetition:
         steady = np.append(np.linalg.solve(np.eye(2) - transition, offset), 1.0)
         forever = max(float((step @ steady)[0]) for step in maps)
         # Below the limit by the margin for changes of sign, which heat a little more than the statement says.
-        assert predicted == pytest.approx(thermal.limit_C - 1e-4 * (thermal.limit_C - 60), abs=1e-6)
+        assert predicted == pytest.approx(thermal.limit_C - STEADY_MARGIN * (thermal.limit_C - 60), abs=1e-6)
         assert forever <= thermal.limit_C
         assert -2e-3 <= predicted - forever <= 1e-6
         assert played.winding_C == pytest.approx(forever, abs=5e-4)

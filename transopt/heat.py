@@ -13,7 +13,7 @@ from transopt.recursion import band, constant_band, run, substitute
 from transopt.signals import FloatArray
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
-STEADY_MARGIN = 1e-4  # of the rise: for ever adds up what a change of sign within a period heats
+STEADY_MARGIN = 2e-4  # of the rise: for ever adds up what a change of sign within a period heats
 ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
 
 
