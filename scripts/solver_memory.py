@@ -4,8 +4,9 @@
 
 Problems of the built-in scenes (saturated, with temperature, with taps that repeat, over a wall, at a rail, ideal,
 for several devices), their limits taken away, horizons of one stage, limits that nothing meets and numbers that are
-none are solved by `solver_memory.c`, whose arrays have their exact sizes. Every run has to be clean and to give what
-the installed extension gives. Exit code 3: a tool is missing, and which is said.
+none are solved by `solver_memory.c`, whose arrays have their exact sizes, in every width of registers that the method
+is compiled for. Every run has to be clean and to give what the installed extension gives. Exit code 3: a tool is
+missing, and which is said.
 """
 
 import shutil
@@ -112,12 +113,16 @@ def main() -> int:
         return MISSING
     given = list(cases())
     wanted = [row for stages in given for row in expected(stages)]
-    runs = {"sanitizers": SANITIZED} | ({} if shutil.which("valgrind") is None else {"valgrind": ("-O2",)})
+    runs = {"sanitizers": SANITIZED} | {
+        f"sanitizers, {width} wide": (*SANITIZED, f"-DONLY_WIDTH={width}") for width in (1, 2)
+    }
+    if shutil.which("valgrind") is not None:
+        runs["valgrind"] = ("-O2",)
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder) / "problems"
         data.write_bytes(struct.pack("i", len(given)) + b"".join(written(stages) for stages in given))
         for name, flags in runs.items():
-            driver = str(Path(folder) / name)
+            driver = str(Path(folder) / "driver")
             subprocess.run([compiler, *FLAGS, *flags, str(SOURCE), "-o", driver, "-lm"], check=True)
             command = [*(VALGRIND if name == "valgrind" else ()), driver, str(data)]
             done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)

@@ -16,13 +16,13 @@
  * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
  * floating-point expressions off. All arrays are row by row.
  */
+#if !defined(WIDTH)
 #include <math.h>
 #include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
-#define MOST_STATES 48
-#define MOST_NODES 2
-#define MOST_ROWS 16
+enum { MOST_STATES = 48, MOST_NODES = 2, MOST_ROWS = 16 };
 
 typedef struct {
     int stages, free_stages, states, outputs, rows, nodes;
@@ -55,38 +55,205 @@ typedef struct {
 
 enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_TOO_LARGE };
 
+/* Constants of the method. */
 static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
 static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
 static const double FARTHEST = 5e-3;  /* part of slacks and multipliers that a step leaves */
 static const double NEAREST = 1e-9, NEARNESS = 0.1;
-static const int PATIENCE = 6;        /* iterations without a better iterate */
-static const int REFINEMENTS = 4;     /* of a linear pass, each one more step with the same gains */
+static const double LEAST = 1e-290;   /* nothing beside a multiplier, and never zero */
+enum {
+    PATIENCE = 6,    /* iterations without a better iterate */
+    SYMMETRISED = 4, /* stages after which the cost to go is made symmetric again */
+    REFINEMENTS = 4  /* of a linear pass, each one more step with the same gains */
+};
+
+/* Where an iterate stands. */
+typedef struct {
+    double complementarity, residual, stationarity, objective;
+} tr_state;
+
+static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
+
+/* Solve the closure's equations in place, by elimination with row pivoting; they are at most four. */
+static void eliminate(int count, const double *matrix, double *right)
+{
+    double A[4 * MOST_NODES * MOST_NODES];
+    memcpy(A, matrix, (size_t)(count * count) * sizeof(double));
+    for (int c = 0; c < count; c++) {
+        int best = c;
+        for (int i = c + 1; i < count; i++)
+            if (fabs(A[i * count + c]) > fabs(A[best * count + c])) best = i;
+        for (int j = 0; j < count; j++) {
+            const double swap = A[c * count + j];
+            A[c * count + j] = A[best * count + j], A[best * count + j] = swap;
+        }
+        const double swap = right[c];
+        right[c] = right[best], right[best] = swap;
+        for (int i = c + 1; i < count; i++) {
+            const double by = A[i * count + c] / A[c * count + c];
+            for (int j = c; j < count; j++) A[i * count + j] -= by * A[c * count + j];
+            right[i] -= by * right[c];
+        }
+    }
+    for (int i = count - 1; i >= 0; i--) {
+        for (int j = i + 1; j < count; j++) right[i] -= A[i * count + j] * right[j];
+        right[i] /= A[i * count + i];
+    }
+}
 
 #if defined(__GNUC__)
 #define ALWAYS_INLINE static inline __attribute__((always_inline))
 #else
 #define ALWAYS_INLINE static inline
 #endif
-/* The same code for wider registers, chosen when the library is loaded; no operation is contracted or reordered. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && \
-    !defined(__SANITIZE_ADDRESS__)
-#define CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define CLONES
+#define AT(rows, i) (((double *)(rows))[i]) /* one double of a row of lanes */
+#define MOST_BLOCKS (MOST_STATES / WIDTH)
+
+/* The second half of this file is compiled once for each width of registers, its names with that width behind them. */
+#define PASTE(name, width) name##_##width
+#define OF_WIDTH(name, width) PASTE(name, width)
+#define lanes OF_WIDTH(lanes, WIDTH)
+#define choice OF_WIDTH(choice, WIDTH)
+#define tr_side OF_WIDTH(tr_side, WIDTH)
+#define tr_work OF_WIDTH(tr_work, WIDTH)
+#define raise_to OF_WIDTH(raise_to, WIDTH)
+#define total OF_WIDTH(total, WIDTH)
+#define largest OF_WIDTH(largest, WIDTH)
+#define take OF_WIDTH(take, WIDTH)
+#define lay_out OF_WIDTH(lay_out, WIDTH)
+#define workspace OF_WIDTH(workspace, WIDTH)
+#define prepare OF_WIDTH(prepare, WIDTH)
+#define combine OF_WIDTH(combine, WIDTH)
+#define dot OF_WIDTH(dot, WIDTH)
+#define add OF_WIDTH(add, WIDTH)
+#define add_product OF_WIDTH(add_product, WIDTH)
+#define add_nodes OF_WIDTH(add_nodes, WIDTH)
+#define factor_sized OF_WIDTH(factor_sized, WIDTH)
+#define backward_sized OF_WIDTH(backward_sized, WIDTH)
+#define forward_sized OF_WIDTH(forward_sized, WIDTH)
+#define factor OF_WIDTH(factor, WIDTH)
+#define backward OF_WIDTH(backward, WIDTH)
+#define forward OF_WIDTH(forward, WIDTH)
+#define roll_heat OF_WIDTH(roll_heat, WIDTH)
+#define closure_residual OF_WIDTH(closure_residual, WIDTH)
+#define closure_price OF_WIDTH(closure_price, WIDTH)
+#define close_course OF_WIDTH(close_course, WIDTH)
+#define newton OF_WIDTH(newton, WIDTH)
+#define cost OF_WIDTH(cost, WIDTH)
+#define move OF_WIDTH(move, WIDTH)
+#define advance OF_WIDTH(advance, WIDTH)
+#define begin OF_WIDTH(begin, WIDTH)
+#define judge_rows OF_WIDTH(judge_rows, WIDTH)
+#define judge OF_WIDTH(judge, WIDTH)
+#define aim OF_WIDTH(aim, WIDTH)
+#define slack_steps OF_WIDTH(slack_steps, WIDTH)
+#define centre OF_WIDTH(centre, WIDTH)
+#define keep OF_WIDTH(keep, WIDTH)
+#define solve OF_WIDTH(solve, WIDTH)
+#define linear OF_WIDTH(linear, WIDTH)
+
+#if !defined(ONLY_WIDTH) && !defined(__GNUC__)
+#define ONLY_WIDTH 1
+#elif !defined(ONLY_WIDTH) && (defined(__clang__) || !defined(__x86_64__))
+#define ONLY_WIDTH 2
 #endif
+#if defined(ONLY_WIDTH)
+#define WIDTH ONLY_WIDTH
+#include "riccati.c"
+#define BY_WIDTH(name) name
+#else
+#pragma GCC push_options
+#pragma GCC target("avx2")
+#define WIDTH 4
+#include "riccati.c"
+#undef WIDTH
+#pragma GCC pop_options
+#define WIDTH 2
+#include "riccati.c"
+#define BY_WIDTH(name) (__builtin_cpu_supports("avx2") ? name##_4 : name##_2)
+#endif
+
+/* Doubles of workspace that a problem needs; 0 if it is too large for this method. */
+size_t tr_workspace(const tr_problem *q)
+{
+    if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
+    if (q->rows < 0 || q->rows > MOST_ROWS) return 0;
+    return BY_WIDTH(workspace)(q);
+}
+
+/* Solve; the answer is judged by the caller.
+ *
+ * Near the answer rounding wins over progress at last: the best iterate is returned, as TR_ACCURACY where it is not
+ * quite what was asked for. Far from it the last iterate is, whose multipliers tell of infeasibility.
+ */
+int tr_solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r)
+{
+    r->iterations = 0;
+    return tr_workspace(q) ? BY_WIDTH(solve)(q, options, space, r) : TR_TOO_LARGE;
+}
+
+/* The problem without rows and nodes: one Newton step from rest, and as many more as refine it.
+ *
+ * The gains stay in the workspace: with `factored` they are those of the last call, of a problem that differs in
+ * nothing but `reference` and `rule_offset`. TR_BREAKDOWN leaves none.
+ */
+int tr_linear(const tr_problem *q, double tolerance, int factored, double *space, tr_result *r)
+{
+    r->iterations = 0;
+    if (!tr_workspace(q) || q->rows || q->nodes) return TR_TOO_LARGE;
+    return BY_WIDTH(linear)(q, tolerance, factored, space, r);
+}
+
+#else
+/* Doubles that are worked on side by side; every array of the workspace begins with whole ones. */
+#if WIDTH > 1
+typedef double lanes __attribute__((vector_size(8 * WIDTH), may_alias));
+typedef long long choice __attribute__((vector_size(8 * WIDTH), may_alias));
+
+/* The larger, lane by lane; what is no number is passed over. */
+ALWAYS_INLINE void raise_to(lanes *most, const lanes *than)
+{
+    const choice above = *than > *most;
+    *most = (lanes)((above & (choice)*than) | (~above & (choice)*most));
+}
+#else
+typedef double lanes;
+
+ALWAYS_INLINE void raise_to(lanes *most, const lanes *than) { *most = *than > *most ? *than : *most; }
+#endif
+
+ALWAYS_INLINE double total(const lanes *of)
+{
+    double sum[WIDTH];
+    for (int j = 0; j < WIDTH; j++) sum[j] = AT(of, j);
+    for (int half = WIDTH / 2; half > 0; half /= 2)
+        for (int j = 0; j < half; j++) sum[j] += sum[j + half];
+    return sum[0];
+}
+
+ALWAYS_INLINE double largest(const lanes *of)
+{
+    double most = AT(of, 0);
+    for (int j = 1; j < WIDTH; j++) most = AT(of, j) > most ? AT(of, j) : most;
+    return most;
+}
+
 
 /* One side of every row: slack s = sign (value - bound), s * l -> 0. Where `there` is 0 there is no limit: l = 0. */
 typedef struct {
     double sign;
-    double *there, *bound, *s, *l, *inverse, *residual, *ds, *dl, *target;
+    lanes *there, *bound, *s, *l, *inverse, *residual, *ds, *dl, *target;
 } tr_side;
 
 /* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
 typedef struct {
     const tr_problem *q;
-    int ld;                              /* row length of (n + nodes, n + nodes) matrices */
-    double *At, *Acol, *Cp;              /* padded A, its transpose, C */
-    double *K, *pivot, *Ke, *Ke_u, *pivot_e; /* gains of u and e, inverse pivots */
+    int ld;                              /* length of a row of states, padded with zeros */
+    int blocks;                          /* of all values of the rows */
+    lanes *A, *At, *C, *G;              /* padded A, its transpose, C and G */
+    lanes *K, *Ke;
+    double *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
+    double *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
     double *offset, *offset_e;           /* Newton step without feedback */
     double *u, *e, *du, *de;
     double *error, *d_error;
@@ -94,7 +261,7 @@ typedef struct {
     double *heat;                        /* (N, 4): dh/di, dh/dc, times resistance; resistance; copper h */
     double *theta;                       /* (N + 1, nodes) */
     double *by_heat;                     /* (N) b' costate of th_(k+1) */
-    double *V, *dV, *sigma, *y;          /* rows: values, weights, gradients */
+    lanes *V, *dV, *sigma, *y;           /* rows: values, weights, gradients */
     tr_side side[2];                     /* their lower and their upper limits */
     double *unit_offset, *unit_offset_e; /* (nodes, N) response to the closure's multiplier */
     double *still;                       /* (N) zeros */
@@ -105,283 +272,281 @@ typedef struct {
     int from[MOST_ROWS], to[MOST_ROWS];          /* states between which a row of G has all that is not zero */
 } tr_work;
 
-static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
-
-/* Doubles of workspace that a problem needs; 0 if it is too large for this method. */
-size_t tr_workspace(const tr_problem *q)
+/* The next `count` doubles of the workspace, if there is one yet. */
+static void *take(double *workspace, size_t *taken, size_t count)
 {
-    if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
-    if (q->rows < 0 || q->rows > MOST_ROWS) return 0;
-    const size_t N = (size_t)q->stages, m = (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
-    const size_t ld = padded((size_t)q->states + t);
-    return (2 * ld + ny) * ld + N * (2 * ld + 19 + 2 * ny + 2 * t) + (N + 1) * (t + 22 * m);
-}
-
-static double *take(double **rest, size_t count)
-{
-    double *found = *rest;
-    *rest += count;
+    void *found = workspace ? workspace + *taken : NULL;
+    *taken += (count + WIDTH - 1) / WIDTH * WIDTH;
     return found;
 }
 
-/* Arrays in the workspace, all zero but, with `keep_gains`, what a factorisation left: it stands in front. */
-static void lay_out(tr_work *w, const tr_problem *q, double *rest, int keep_gains)
+/* Arrays in the workspace. In front stand those that outlive a linear pass: the problem's matrices and the gains. Returns
+ * the doubles that are taken, and in `kept` how many of them stand in front. */
+static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *kept)
 {
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
-    const size_t n = (size_t)q->states, ld = padded(n + t);
-    const size_t kept = keep_gains ? (2 * ld + ny) * ld + N * (ld + 1) : 0;
-    memset(rest + kept, 0, (tr_workspace(q) - kept) * sizeof(double));
+    const size_t ld = padded((size_t)q->states);
+    size_t taken = 0;
     w->q = q;
     w->ld = (int)ld;
-    w->At = take(&rest, ld * ld), w->Acol = take(&rest, ld * ld), w->Cp = take(&rest, ny * ld);
-    w->K = take(&rest, N * ld), w->pivot = take(&rest, N);
-    w->Ke = take(&rest, N * ld), w->Ke_u = take(&rest, N), w->pivot_e = take(&rest, N);
-    w->offset = take(&rest, N), w->offset_e = take(&rest, N);
-    w->u = take(&rest, N), w->e = take(&rest, N), w->du = take(&rest, N), w->de = take(&rest, N);
-    w->error = take(&rest, N * ny), w->d_error = take(&rest, N * ny);
-    w->current = take(&rest, N), w->command = take(&rest, N);
-    w->d_current = take(&rest, N), w->d_command = take(&rest, N);
-    w->heat = take(&rest, 4 * N), w->by_heat = take(&rest, N);
-    w->unit_offset = take(&rest, N * t), w->unit_offset_e = take(&rest, N * t);
-    w->still = take(&rest, N), w->theta = take(&rest, (N + 1) * t);
-    w->V = take(&rest, m), w->dV = take(&rest, m), w->sigma = take(&rest, m), w->y = take(&rest, m);
+    w->blocks = (int)((m + WIDTH - 1) / WIDTH);
+    w->A = take(space, &taken, ld * ld), w->At = take(space, &taken, ld * ld);
+    w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
+    w->K = take(space, &taken, N * ld), w->pivot = take(space, &taken, N);
+    *kept = taken;
+    w->Kth = take(space, &taken, N * t), w->Ke = take(space, &taken, t ? N * ld : 0), w->Keth = take(space, &taken, N * t);
+    w->Ke_u = take(space, &taken, N), w->pivot_e = take(space, &taken, N);
+    w->offset = take(space, &taken, N), w->offset_e = take(space, &taken, N);
+    w->u = take(space, &taken, N), w->e = take(space, &taken, N), w->du = take(space, &taken, N), w->de = take(space, &taken, N);
+    w->error = take(space, &taken, N * ny), w->d_error = take(space, &taken, N * ny);
+    w->current = take(space, &taken, N), w->command = take(space, &taken, N);
+    w->d_current = take(space, &taken, N), w->d_command = take(space, &taken, N);
+    w->heat = take(space, &taken, 4 * N), w->by_heat = take(space, &taken, N);
+    w->unit_offset = take(space, &taken, N * t), w->unit_offset_e = take(space, &taken, N * t);
+    w->still = take(space, &taken, N), w->theta = take(space, &taken, (N + 1) * t);
+    w->V = take(space, &taken, m), w->dV = take(space, &taken, m), w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
+    for (tr_side *z = w->side; z < w->side + 2; z++) {
+        z->there = take(space, &taken, m), z->bound = take(space, &taken, m), z->s = take(space, &taken, m), z->l = take(space, &taken, m);
+        z->inverse = take(space, &taken, m), z->residual = take(space, &taken, m);
+        z->ds = take(space, &taken, m), z->dl = take(space, &taken, m), z->target = take(space, &taken, m);
+    }
+    return taken;
+}
+
+/* Doubles that a problem needs, wherever they begin. */
+static size_t workspace(const tr_problem *q)
+{
+    tr_work w;
+    size_t kept;
+    return lay_out(&w, q, NULL, &kept) + WIDTH - 1;
+}
+
+/* The workspace, all zero but the problem's matrices; what stands in front is left alone with `keep_gains`. */
+static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains)
+{
+    const size_t n = (size_t)q->states, ny = (size_t)q->outputs;
+    const size_t ld = padded(n), rows = (size_t)((q->stages + 1) * q->rows);
+    size_t kept;
+    while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
+    memset(w, 0, sizeof *w);
+    const size_t all = lay_out(w, q, space, &kept);
+    if (!keep_gains) kept = 0;
+    memset(space + kept, 0, (all - kept) * sizeof(double));
     for (int side = 0; side < 2; side++) {
         tr_side *z = w->side + side;
         const double *limit = side ? q->upper : q->lower;
         z->sign = side ? -1.0 : 1.0;
-        z->l = take(&rest, m);
-        z->there = take(&rest, m), z->bound = take(&rest, m), z->s = take(&rest, m), z->inverse = take(&rest, m);
-        z->residual = take(&rest, m), z->ds = take(&rest, m), z->dl = take(&rest, m), z->target = take(&rest, m);
-        for (size_t i = 0; i < m; i++) {
-            z->s[i] = 1.0, z->l[i] = 0.0;
-            if (limit[i] > -INFINITY && limit[i] < INFINITY) z->there[i] = 1.0, z->bound[i] = limit[i];
-        }
+        for (int i = 0; i < w->blocks * WIDTH; i++) AT(z->s, i) = 1.0;
+        for (size_t i = 0; i < rows; i++)
+            if (limit[i] > -INFINITY && limit[i] < INFINITY) AT(z->there, i) = 1.0, AT(z->bound, i) = limit[i];
     }
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < n; j++) w->At[i * ld + j] = w->Acol[j * ld + i] = q->A[i * n + j];
-    for (size_t s = 0; s < ny; s++) memcpy(w->Cp + s * ld, q->C + s * n, n * sizeof(double));
     for (int j = 0; j < q->rows; j++) {
         const double *c = q->G + (size_t)j * n;
         w->from[j] = 0, w->to[j] = q->states;
         while (w->to[j] > 0 && c[w->to[j] - 1] == 0.0) w->to[j]--;
         while (w->from[j] < w->to[j] && c[w->from[j]] == 0.0) w->from[j]++;
     }
+    if (keep_gains) return;
+    for (size_t k = (size_t)q->free_stages; k < (size_t)q->stages; k++)
+        memcpy(&AT(w->K, k * ld), q->rule_gain + (k - (size_t)q->free_stages) * n, n * sizeof(double));
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < n; j++) AT(w->A, i * ld + j) = AT(w->At, j * ld + i) = q->A[i * n + j];
+    for (size_t s = 0; s < ny; s++) memcpy(&AT(w->C, s * ld), q->C + s * n, n * sizeof(double));
+    for (size_t j = 0; j < (size_t)q->rows; j++) memcpy(&AT(w->G, j * ld), q->G + j * n, n * sizeof(double));
 }
 
-/* Z = X Y for z columns, or only the upper triangle with its diagonal blocks; rows and columns are padded with zeros. */
-ALWAYS_INLINE void multiply(const int z, const int ld, const double *restrict X, const double *restrict Y,
-                            double *restrict Z, const int upper)
+/* out = M' v, four rows of M at a time: short chains of additions. */
+ALWAYS_INLINE void combine(const int blocks, const lanes *restrict M, const double *restrict v, lanes *restrict out)
 {
-    for (int i = 0; i < z; i += 2)
-        for (int j = upper ? (i & ~3) : 0; j < z; j += 4) {
-            double a0 = 0, a1 = 0, a2 = 0, a3 = 0, b0 = 0, b1 = 0, b2 = 0, b3 = 0;
-            for (int l = 0; l < z; l++) {
-                const double a = X[i * ld + l], b = X[(i + 1) * ld + l];
-                const double *y = Y + l * ld + j;
-                a0 += a * y[0], a1 += a * y[1], a2 += a * y[2], a3 += a * y[3];
-                b0 += b * y[0], b1 += b * y[1], b2 += b * y[2], b3 += b * y[3];
-            }
-            double *first = Z + i * ld + j, *second = first + ld;
-            first[0] = a0, first[1] = a1, first[2] = a2, first[3] = a3;
-            second[0] = b0, second[1] = b1, second[2] = b2, second[3] = b3;
+    for (int j = 0; j < blocks; j++) {
+        const lanes *m = M + j;
+        lanes sum = (v[0] * m[0] + v[1] * m[blocks]) + (v[2] * m[2 * blocks] + v[3] * m[3 * blocks]);
+        for (int l = 4; l < blocks * WIDTH; l += 4) {
+            m += 4 * blocks;
+            sum += (v[l] * m[0] + v[l + 1] * m[blocks]) + (v[l + 2] * m[2 * blocks] + v[l + 3] * m[3 * blocks]);
         }
-}
-
-/* Add weight c c' to the upper triangle of H. */
-ALWAYS_INLINE void add_square(const int z, const int ld, double weight, const double *restrict c, double *restrict H)
-{
-    for (int i = 0; i < z; i++) {
-        const double by = weight * c[i];
-        for (int j = i & ~3; j < ld; j++) H[i * ld + j] += by * c[j];
+        out[j] = sum;
     }
 }
 
-static void add_at(double *H, int ld, int i, int j, double value)
+ALWAYS_INLINE double dot(const int blocks, const lanes *restrict a, const lanes *restrict b)
 {
-    H[i < j ? i * ld + j : j * ld + i] += value;
+    lanes sum = a[0] * b[0];
+    for (int j = 1; j < blocks; j++) sum += a[j] * b[j];
+    return total(&sum);
 }
 
-/* Add outer product c d' to the upper triangle of H; both padded with zeros. */
-ALWAYS_INLINE void add_product(const int z, const int ld, const double *restrict c, const double *restrict d,
-                               double *restrict H)
+ALWAYS_INLINE void add(const int blocks, const double by, const lanes *restrict c, lanes *restrict to)
 {
-    for (int i = 0; i < z; i++)
-        for (int j = i & ~3; j < ld; j++) H[i * ld + j] += c[i] * d[j];
+    for (int j = 0; j < blocks; j++) to[j] += by * c[j];
 }
 
-/* What the nodes add to H = A' P A: their flow is [B M] with B in the columns of current and command only.
+/* Add c d' to H. */
+ALWAYS_INLINE void add_product(const int blocks, const lanes *restrict c, const lanes *restrict d, lanes *restrict H)
+{
+    for (int i = 0; i < blocks * WIDTH; i++) add(blocks, AT(c, i), d, H + i * blocks);
+}
+
+/* What the nodes add to H = A' P A of the states: their flow is B x + M th with B = b g', where g = `by_x`.
  *
- * Cost to go P (states), Q (nodes, n), R (nodes, nodes). In: H = A' P A of the states. Out: H of the states, HQ and HR;
- * U = A' Q' + B' R and RM = R M, which are the nodes' rows of P A.
+ * Cost to go P (states), Q (nodes, states), R (nodes, nodes). Out: H; HQ and HR; f = sum_i b_i U_i and fR = b' R M,
+ * where [U R M] are the nodes' rows of P times the flow. Returns b' R b.
  */
-ALWAYS_INLINE void add_nodes(const int n, const int t, const int ld, const tr_work *w, const double *heat,
-                             const double *restrict Q, const double *restrict R, double *restrict H,
-                             double *restrict HQ, double *restrict HR, double *restrict U, double *restrict RM)
+ALWAYS_INLINE double add_nodes(const int t, const int blocks, const tr_work *w, const double *heat,
+                               const lanes *restrict by_x, const lanes *restrict Q, const double *restrict R,
+                               lanes *restrict H, lanes *restrict HQ, double *restrict HR, lanes *restrict f,
+                               double *restrict fR)
 {
     const tr_problem *q = w->q;
-    const int last = n - 1, a = q->current;
-    double M[MOST_NODES * MOST_NODES], by_current[MOST_STATES] = {0}, by_command[MOST_STATES] = {0};
-    double cc = 0.0, cd = 0.0, dd = 0.0;
+    double M[MOST_NODES * MOST_NODES], RM[MOST_NODES * MOST_NODES], bRb = 0.0;
+    lanes U[MOST_NODES * MOST_BLOCKS], half[MOST_BLOCKS];
     for (int i = 0; i < t; i++)
         for (int j = 0; j < t; j++) M[i * t + j] = q->M[i * t + j] + (j == 0 ? q->b[i] * heat[3] : 0.0);
     for (int i = 0; i < t; i++) {
-        double *u = U + i * ld;
-        for (int j = 0; j < ld; j++) u[j] = w->At[j] * Q[i * ld];
-        for (int l = 1; l < n; l++) {
-            const double v = Q[i * ld + l];
-            for (int j = 0; j < ld; j++) u[j] += w->At[l * ld + j] * v;
-        }
-        const double c = a >= 0 ? q->b[i] * heat[0] : 0.0, d = q->b[i] * heat[1];
-        for (int j = 0; j < n; j++) by_current[j] += u[j] * c, by_command[j] += u[j] * d;
-        double rb = 0.0;
-        for (int j = 0; j < t; j++) rb += R[i * t + j] * q->b[j];
-        cc += c * rb * heat[0], cd += c * rb * heat[1], dd += d * rb * heat[1];
-        if (a >= 0) u[a] += heat[0] * rb;
-        u[last] += heat[1] * rb;
+        double Rb = 0.0;
+        for (int j = 0; j < t; j++) Rb += R[i * t + j] * q->b[j];
+        bRb += q->b[i] * Rb;
+        combine(blocks, w->A, (const double *)(Q + i * blocks), U + i * blocks);
+        add(blocks, Rb, by_x, U + i * blocks);
         for (int j = 0; j < t; j++) {
             RM[i * t + j] = 0.0;
             for (int l = 0; l < t; l++) RM[i * t + j] += R[i * t + l] * M[l * t + j];
         }
     }
-    for (int j = 0; j < n; j++) {
-        if (a >= 0) add_at(H, ld, j, a, by_current[j]);
-        add_at(H, ld, j, last, by_command[j]);
-    }
-    if (a >= 0) {
-        add_at(H, ld, a, a, by_current[a] + cc);
-        add_at(H, ld, a, last, cd);
-    }
-    add_at(H, ld, last, last, by_command[last] + dd);
+    for (int j = 0; j < blocks; j++) f[j] = q->b[0] * U[j];
+    for (int i = 1; i < t; i++) add(blocks, q->b[i], U + i * blocks, f);
+    for (int j = 0; j < blocks; j++) half[j] = f[j] - 0.5 * bRb * by_x[j];
+    for (int i = 0; i < blocks * WIDTH; i++)
+        for (int j = 0; j < blocks; j++) H[i * blocks + j] += AT(half, i) * by_x[j] + AT(by_x, i) * half[j];
     for (int i = 0; i < t; i++) {
-        for (int j = 0; j < ld; j++) HQ[i * ld + j] = U[j] * M[i];
-        for (int l = 1; l < t; l++)
-            for (int j = 0; j < ld; j++) HQ[i * ld + j] += U[l * ld + j] * M[l * t + i];
+        for (int j = 0; j < blocks; j++) HQ[i * blocks + j] = M[i] * U[j];
+        for (int l = 1; l < t; l++) add(blocks, M[l * t + i], U + l * blocks, HQ + i * blocks);
+        fR[i] = 0.0;
+        for (int l = 0; l < t; l++) fR[i] += q->b[l] * RM[l * t + i];
         for (int j = 0; j < t; j++) {
             HR[i * t + j] = 0.0;
             for (int l = 0; l < t; l++) HR[i * t + j] += M[l * t + i] * RM[l * t + j];
         }
     }
+    return bRb;
 }
 
 /* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in. */
-ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *w, const int curved)
+ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, m = q->rows, z = n + t, last = n - 1, a = q->current;
-    double P[MOST_STATES * MOST_STATES], PA[MOST_STATES * MOST_STATES], H[MOST_STATES * MOST_STATES];
-    double hu[MOST_STATES], he[MOST_STATES], hu_x[MOST_STATES], he_x[MOST_STATES], g_x[MOST_STATES];
-    double Q[MOST_NODES * MOST_STATES], HQ[MOST_NODES * MOST_STATES], U[MOST_NODES * MOST_STATES];
-    double R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], RM[MOST_NODES * MOST_NODES];
+    const int N = q->stages, m = q->rows, last = n - 1, a = q->current, ld = blocks * WIDTH;
+    const int of_current = t && a >= 0;
+    lanes P[MOST_STATES * MOST_BLOCKS], PA[MOST_STATES * MOST_BLOCKS], H[MOST_STATES * MOST_BLOCKS];
+    lanes hu[MOST_BLOCKS], he[MOST_BLOCKS], by_x[MOST_BLOCKS], bend_a[MOST_BLOCKS], bend_c[MOST_BLOCKS];
+    lanes Q[MOST_NODES * MOST_BLOCKS], HQ[MOST_NODES * MOST_BLOCKS];
+    double R[MOST_NODES * MOST_NODES], HR[MOST_NODES * MOST_NODES], hu_th[MOST_NODES], he_th[MOST_NODES];
     const double e1 = q->decay, e2 = 1.0 - e1, *s = q->square;
-    const double haa = t ? 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1) : 0.0;
-    const double hac = t ? (s[1] + 2.0 * s[2] * e1) * e2 : 0.0, hcc = t ? 2.0 * s[2] * e2 * e2 : 0.0;
     memset(P, 0, (size_t)(ld * ld) * sizeof(double));
-    memset(hu_x, 0, sizeof hu_x);
-    memset(he_x, 0, sizeof he_x);
-    memset(g_x, 0, sizeof g_x);
+    memset(by_x, 0, sizeof by_x);
+    memset(bend_a, 0, sizeof bend_a);
+    memset(bend_c, 0, sizeof bend_c);
     memset(Q, 0, sizeof Q);
     memset(R, 0, sizeof R);
-    if (t) R[0] = w->sigma[N * m];
+    if (t) R[0] = AT(w->sigma, N * m), AT(bend_c, last) = 2.0 * s[2] * e2 * e2;
+    if (of_current) {
+        AT(bend_a, a) = 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1);
+        AT(bend_a, last) = AT(bend_c, a) = (s[1] + 2.0 * s[2] * e1) * e2;
+    }
     for (int k = N - 1; k >= 0; k--) {
-        const double *heat = w->heat + 4 * k, *sigma = w->sigma + k * m;
-        multiply(n, ld, P, w->At, PA, 0);
-        multiply(n, ld, w->Acol, PA, H, 1);
-        if (t) add_nodes(n, t, ld, w, heat, Q, R, H, HQ, HR, U, RM);
-        for (int i = 0; i < n; i++) hu[i] = H[i * ld + last];
-        for (int j = 0; j < t; j++) hu[n + j] = HQ[j * ld + last];
-        double r = hu[last] + q->movement_weight, hee = 0.0, heu = 0.0;
-        for (int o = 0; o < q->outputs; o++) {
-            add_square(n, ld, q->weight[k], w->Cp + o * ld, H);
-            const double direct = q->weight[k] * q->E[o];
-            if (direct != 0.0) {
-                for (int i = 0; i < n; i++) hu[i] += direct * w->Cp[o * ld + i];
-                r += direct * q->E[o];
-            }
-        }
+        const double *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
+        double r = q->movement_weight, hee = 0.0, heu = 0.0;
+        lanes *gain = w->K + k * blocks;
+        for (int i = 0; i < ld; i++) combine(blocks, w->A, (const double *)(P + i * blocks), PA + i * blocks);
+        for (int i = 0; i < ld; i++) combine(blocks, PA, (const double *)(w->At + i * blocks), H + i * blocks);
         if (t) {
             /* e moves the nodes only: column 2 ripple resistance b. */
             const double by = 2.0 * q->ripple * heat[2];
-            for (int j = 0; j < z; j++) he[j] = 0.0;
-            for (int i = 0; i < t; i++) {
-                for (int j = 0; j < n; j++) he[j] += by * q->b[i] * U[i * ld + j];
-                for (int j = 0; j < t; j++) {
-                    he[n + j] += by * q->b[i] * RM[i * t + j];
-                    hee += by * by * q->b[i] * q->b[j] * R[i * t + j];
-                }
-            }
-            heu = he[last];
+            if (of_current) AT(by_x, a) = heat[0];
+            AT(by_x, last) = heat[1];
+            hee = by * by * add_nodes(t, blocks, w, heat, by_x, Q, R, H, HQ, HR, he, he_th);
+            for (int j = 0; j < blocks; j++) he[j] *= by;
+            for (int j = 0; j < t; j++) he_th[j] *= by;
+            heu = AT(he, last);
             /* Curvature of the heat, weighed by what a kelvin at the next instant costs. */
             const double price = w->by_heat[k], bend = price * heat[2];
-            if (a >= 0) {
-                add_at(H, ld, a, a, bend * haa);
-                add_at(H, ld, a, last, bend * hac);
-                hu[a] += bend * hac;
-            }
-            add_at(H, ld, last, last, bend * hcc);
-            hu[last] += bend * hcc;
-            r += bend * hcc;
+            if (of_current) add(blocks, bend, bend_a, H + a * blocks);
+            add(blocks, bend, bend_c, H + last * blocks);
             if (curved && heat[2] > 0.0) {
-                const double cross = price * q->copper / heat[2];
-                if (a >= 0) HQ[a] += cross * heat[0];
-                HQ[last] += cross * heat[1];
-                hu[n] += cross * heat[1];
-                he[n] += price * q->copper * 2.0 * q->ripple;
+                add(blocks, price * q->copper / heat[2], by_x, HQ);
+                he_th[0] += price * q->copper * 2.0 * q->ripple;
             }
             HR[0] += sigma[0];
+            for (int j = 0; j < t; j++) hu_th[j] = AT(HQ + j * blocks, last);
+        }
+        for (int j = 0; j < blocks; j++) hu[j] = H[last * blocks + j];
+        r += AT(hu, last);
+        for (int o = 0; o < q->outputs; o++) {
+            const lanes *c = w->C + o * blocks;
+            const double weight = q->weight[k], direct = weight * q->E[o];
+            for (int i = 0; i < ld; i++) add(blocks, weight * AT(c, i), c, H + i * blocks);
+            if (direct != 0.0) {
+                add(blocks, direct, c, hu);
+                r += direct * q->E[o];
+            }
         }
         for (int j = t ? 1 : 0; j < m; j++) {
-            const double weight = sigma[j];
-            if (weight == 0.0) continue;
-            const double *c = q->G + j * n, d = weight * q->d[j], size = weight * q->d_size[j];
-            for (int i = w->from[j]; i < w->to[j]; i++) {
-                const double by = weight * c[i];
-                for (int l = i; l < w->to[j]; l++) H[i * ld + l] += by * c[l];
-                hu[i] += d * c[i];
-                if (t) he[i] += size * c[i];
+            const double weight = sigma[j], d = weight * q->d[j], size = weight * q->d_size[j];
+            const lanes *c = w->G + j * blocks;
+            for (int i = w->from[j]; i < w->to[j]; i++) add(blocks, weight * AT(c, i), c, H + i * blocks);
+            if (d != 0.0) {
+                add(blocks, d, c, hu);
+                r += d * q->d[j];
+                heu += size * q->d[j];
             }
-            r += d * q->d[j];
-            heu += size * q->d[j];
-            hee += size * q->d_size[j];
+            if (size != 0.0) {
+                add(blocks, size, c, he);
+                hee += size * q->d_size[j];
+            }
         }
-        double *gain = w->K + k * ld, *gain_e = w->Ke + k * ld;
         if (t) {
+            lanes *gain_e = w->Ke + k * blocks;
+            double *gain_e_th = w->Keth + k * t;
             if (!(hee > 0.0)) return 1;
-            const double inverse = 1.0 / hee;
+            const double inverse = 1.0 / hee, Ke_u = -heu * inverse;
             w->pivot_e[k] = inverse;
-            w->Ke_u[k] = -heu * inverse;
-            for (int i = 0; i < z; i++) gain_e[i] = -he[i] * inverse;
-            for (int i = 0; i < z; i++) hu[i] += heu * gain_e[i];
-            for (int i = 0; i < n; i++) he_x[i] = he[i], g_x[i] = gain_e[i];
-            add_product(n, ld, he_x, g_x, H);
+            w->Ke_u[k] = Ke_u;
+            for (int j = 0; j < blocks; j++) gain_e[j] = -inverse * he[j];
+            for (int j = 0; j < t; j++) gain_e_th[j] = -he_th[j] * inverse;
+            add(blocks, Ke_u, he, hu);
+            add_product(blocks, he, gain_e, H);
             for (int j = 0; j < t; j++) {
-                for (int i = 0; i < n; i++) HQ[j * ld + i] += he[i] * gain_e[n + j];
-                for (int i = 0; i < t; i++) HR[i * t + j] += he[n + i] * gain_e[n + j];
+                hu_th[j] += Ke_u * he_th[j];
+                add(blocks, gain_e_th[j], he, HQ + j * blocks);
+                for (int i = 0; i < t; i++) HR[i * t + j] += he_th[i] * gain_e_th[j];
             }
-            r += heu * w->Ke_u[k];
+            r += heu * Ke_u;
         }
         if (k >= q->free_stages) {
-            const double *f = q->rule_gain + (k - q->free_stages) * n;
-            for (int i = 0; i < n; i++) {
-                gain[i] = f[i];
-                for (int j = i; j < n; j++) H[i * ld + j] += f[i] * hu[j] + hu[i] * f[j] + f[i] * r * f[j];
-                for (int j = 0; j < t; j++) HQ[j * ld + i] += f[i] * hu[n + j];
+            for (int i = 0; i < ld; i++) {
+                const double f = AT(gain, i), g = AT(hu, i) + f * r;
+                for (int j = 0; j < blocks; j++) P[i * blocks + j] = H[i * blocks + j] + (f * hu[j] + g * gain[j]);
             }
+            for (int j = 0; j < t; j++) add(blocks, hu_th[j], gain, HQ + j * blocks);
         } else {
             if (!(r > 0.0)) return 1;
             const double inverse = 1.0 / r;
             w->pivot[k] = inverse;
-            for (int i = 0; i < z; i++) gain[i] = -hu[i] * inverse;
-            for (int i = 0; i < n; i++) hu_x[i] = hu[i], g_x[i] = gain[i];
-            add_product(n, ld, hu_x, g_x, H);
+            for (int j = 0; j < blocks; j++) gain[j] = -inverse * hu[j];
+            for (int i = 0; i < ld; i++)
+                for (int j = 0; j < blocks; j++) P[i * blocks + j] = H[i * blocks + j] + AT(hu, i) * gain[j];
             for (int j = 0; j < t; j++) {
-                for (int i = 0; i < n; i++) HQ[j * ld + i] += hu[i] * gain[n + j];
-                for (int i = 0; i < t; i++) HR[i * t + j] += hu[n + i] * gain[n + j];
+                w->Kth[k * t + j] = -hu_th[j] * inverse;
+                add(blocks, hu_th[j], gain, HQ + j * blocks);
             }
+            for (int i = 0; i < t; i++)
+                for (int j = 0; j < t; j++) HR[i * t + j] += hu_th[i] * w->Kth[k * t + j];
         }
-        for (int i = 0; i < n; i++)
-            for (int j = i; j < n; j++) P[i * ld + j] = P[j * ld + i] = H[i * ld + j];
+        if (k % SYMMETRISED == 0)
+            for (int i = 1; i < n; i++)
+                for (int j = 0; j < i; j++) AT(P, i * ld + j) = AT(P, j * ld + i);
         for (int j = 0; j < t; j++) {
-            for (int i = 0; i < n; i++) Q[j * ld + i] = HQ[j * ld + i];
+            for (int i = 0; i < blocks; i++) Q[j * blocks + i] = HQ[j * blocks + i];
             for (int i = 0; i <= j; i++) R[i * t + j] = R[j * t + i] = HR[i * t + j];
         }
     }
@@ -391,71 +556,69 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int ld, tr_work *
 
 /* Backward with the gains: steps without feedback into `offset`; without them: the gradient into `offset`, and the
  * heat's prices. `own` is 0 for the response to the closure's multiplier alone. */
-ALWAYS_INLINE void backward_sized(const int n, const int ld, tr_work *w, const int t, const double *end, const int own,
-                                  double *offset, double *offset_e, const int newton)
+ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, const int t, const double *end,
+                                  const int own, double *restrict offset, double *restrict offset_e, const int newton)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, m = q->rows, last = n - 1;
-    double p[MOST_STATES], a[MOST_STATES], th[MOST_NODES] = {0};
+    const lanes nothing = {0};
+    lanes p[MOST_BLOCKS], a[MOST_BLOCKS], by_x[MOST_BLOCKS], drive[MOST_BLOCKS];
+    double th[MOST_NODES] = {0};
     memset(p, 0, sizeof p);
+    memset(by_x, 0, sizeof by_x);
     for (int i = 0; i < t; i++) th[i] = end[i];
-    if (t && own) th[0] += w->y[N * m];
+    if (t && own) th[0] += AT(w->y, N * m);
     for (int k = N - 1; k >= 0; k--) {
-        const double *y = w->y + k * m;
-        for (int j = 0; j < ld; j++) a[j] = w->At[j] * p[0];
-        for (int l = 1; l < n; l++) {
-            const double v = p[l];
-            for (int j = 0; j < ld; j++) a[j] += w->At[l * ld + j] * v;
+        const double *y = &AT(w->y, k * m);
+        double by_size = 0.0, th_before[MOST_NODES] = {0}, direct = 0.0;
+        /* What does not depend on later stages stands apart, to be ready before they are. */
+        for (int j = 0; j < blocks; j++) drive[j] = nothing;
+        if (own) {
+            direct = q->movement_weight * w->u[k];
+            for (int o = 0; o < q->outputs; o++) {
+                const double v = q->weight[k] * w->error[k * q->outputs + o];
+                direct += q->E[o] * v;
+                add(blocks, v, w->C + o * blocks, drive);
+            }
+            if (t) th_before[0] = y[0];
+            for (int j = t ? 1 : 0; j < m; j++) {
+                direct += q->d[j] * y[j];
+                by_size += q->d_size[j] * y[j];
+                add(blocks, y[j], w->G + j * blocks, drive);
+            }
         }
-        double by_size = 0.0, th_before[MOST_NODES] = {0};
+        combine(blocks, w->A, (const double *)p, a);
         if (t) {
             const double *heat = w->heat + 4 * k;
             double beta = 0.0;
             for (int i = 0; i < t; i++) beta += q->b[i] * th[i];
-            if (q->current >= 0) a[q->current] += heat[0] * beta;
-            a[last] += heat[1] * beta;
-            by_size = 2.0 * q->ripple * heat[2] * beta;
+            if (q->current >= 0) AT(by_x, q->current) = heat[0];
+            AT(by_x, last) = heat[1];
+            add(blocks, beta, by_x, a);
+            by_size += 2.0 * q->ripple * heat[2] * beta;
             for (int j = 0; j < t; j++)
                 for (int i = 0; i < t; i++) th_before[j] += q->M[i * t + j] * th[i];
             th_before[0] += heat[3] * beta;
             if (!newton) w->by_heat[k] = beta;
         }
-        double by_movement = a[last];
-        if (own) {
-            by_movement += q->movement_weight * w->u[k];
-            for (int o = 0; o < q->outputs; o++) {
-                const double v = q->weight[k] * w->error[k * q->outputs + o];
-                by_movement += q->E[o] * v;
-                for (int j = 0; j < ld; j++) a[j] += w->Cp[o * ld + j] * v;
-            }
-            if (t) th_before[0] += y[0];
-            for (int j = t ? 1 : 0; j < m; j++) {
-                const double v = y[j], *c = q->G + j * n;
-                if (v == 0.0) continue;
-                by_movement += q->d[j] * v;
-                by_size += q->d_size[j] * v;
-                for (int i = w->from[j]; i < w->to[j]; i++) a[i] += c[i] * v;
-            }
-        }
+        double by_movement = AT(a, last) + direct;
+        for (int j = 0; j < blocks; j++) a[j] += drive[j];
         if (newton) {
-            const double *gain = w->K + k * ld, *gain_e = w->Ke + k * ld;
+            const lanes *gain = w->K + k * blocks;
             if (t) {
                 offset_e[k] = -by_size * w->pivot_e[k];
                 by_movement += w->Ke_u[k] * by_size;
-                for (int j = 0; j < n; j++) a[j] += gain_e[j] * by_size;
-                for (int j = 0; j < t; j++) th_before[j] += gain_e[n + j] * by_size;
+                add(blocks, by_size, w->Ke + k * blocks, a);
+                for (int j = 0; j < t; j++) th_before[j] += w->Keth[k * t + j] * by_size;
             }
             offset[k] = -by_movement * w->pivot[k];
-            for (int j = 0; j < n; j++) p[j] = a[j] + gain[j] * by_movement;
-            for (int j = 0; j < t; j++) th[j] = th_before[j] + gain[n + j] * by_movement;
+            for (int j = 0; j < blocks; j++) p[j] = a[j] + by_movement * gain[j];
+            for (int j = 0; j < t; j++) th[j] = th_before[j] + w->Kth[k * t + j] * by_movement;
         } else {
             offset[k] = by_movement;
             if (t) offset_e[k] = by_size;
-            memcpy(p, a, (size_t)n * sizeof(double));
-            if (k >= q->free_stages) {
-                const double *f = q->rule_gain + (k - q->free_stages) * n;
-                for (int j = 0; j < n; j++) p[j] += f[j] * by_movement;
-            }
+            for (int j = 0; j < blocks; j++) p[j] = a[j];
+            if (k >= q->free_stages) add(blocks, by_movement, w->K + k * blocks, p);
             for (int j = 0; j < t; j++) th[j] = th_before[j];
         }
     }
@@ -463,46 +626,42 @@ ALWAYS_INLINE void backward_sized(const int n, const int ld, tr_work *w, const i
 }
 
 /* Forward by the gains from x_0 = 0 and th_0 = `th`: what a step changes, to first order. */
-ALWAYS_INLINE void forward_sized(const int n, const int ld, tr_work *w, const int t, const double *start,
-                                 const double *offset, const double *offset_e, const int full)
+ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, const int t, const double *start,
+                                 const double *restrict offset, const double *restrict offset_e, const int full)
 {
     const tr_problem *q = w->q;
     const int N = q->stages, m = q->rows, last = n - 1;
-    double x[MOST_STATES], next[MOST_STATES], th[MOST_NODES] = {0};
+    lanes x[MOST_BLOCKS], next[MOST_BLOCKS];
+    double th[MOST_NODES] = {0};
     memset(x, 0, sizeof x);
     for (int i = 0; i < t; i++) th[i] = start[i];
     for (int k = 0; k < N; k++) {
-        const double *gain = w->K + k * ld;
         double u = offset[k], e = 0.0;
-        for (int j = 0; j < n; j++) u += gain[j] * x[j];
-        for (int j = 0; j < t; j++) u += gain[n + j] * th[j];
+        for (int j = 0; j < t; j++) u += w->Kth[k * t + j] * th[j];
+        u += dot(blocks, w->K + k * blocks, x);
         if (t) {
-            const double *gain_e = w->Ke + k * ld;
             e = offset_e[k] + w->Ke_u[k] * u;
-            for (int j = 0; j < n; j++) e += gain_e[j] * x[j];
-            for (int j = 0; j < t; j++) e += gain_e[n + j] * th[j];
+            for (int j = 0; j < t; j++) e += w->Keth[k * t + j] * th[j];
+            e += dot(blocks, w->Ke + k * blocks, x);
         }
+        const double current = q->current >= 0 ? AT(x, q->current) : 0.0, command = AT(x, last) + u;
         if (full) {
             w->du[k] = u;
             w->de[k] = e;
-            for (int o = 0; o < q->outputs; o++) {
-                double v = q->E[o] * u;
-                for (int j = 0; j < n; j++) v += w->Cp[o * ld + j] * x[j];
-                w->d_error[k * q->outputs + o] = v;
-            }
-            if (t) w->dV[k * m] = th[0];
+            w->d_current[k] = current;
+            w->d_command[k] = command;
+            for (int o = 0; o < q->outputs; o++)
+                w->d_error[k * q->outputs + o] = q->E[o] * u + dot(blocks, w->C + o * blocks, x);
+            if (t) AT(w->dV, k * m) = th[0];
             for (int i = t ? 1 : 0; i < m; i++) {
                 double v = q->d[i] * u + q->d_size[i] * e;
-                for (int j = w->from[i]; j < w->to[i]; j++) v += q->G[i * n + j] * x[j];
-                w->dV[k * m + i] = v;
+                for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
+                AT(w->dV, k * m + i) = v;
             }
         }
-        const double before = q->current >= 0 ? x[q->current] : 0.0;
-        x[last] += u;
-        if (full) w->d_current[k] = before, w->d_command[k] = x[last];
         if (t) {
             const double *heat = w->heat + 4 * k;
-            const double h = heat[0] * before + heat[1] * x[last] + heat[3] * th[0] + 2.0 * q->ripple * heat[2] * e;
+            const double h = heat[0] * current + heat[1] * command + heat[3] * th[0] + 2.0 * q->ripple * heat[2] * e;
             double th_next[MOST_NODES];
             for (int i = 0; i < t; i++) {
                 th_next[i] = q->b[i] * h;
@@ -510,42 +669,38 @@ ALWAYS_INLINE void forward_sized(const int n, const int ld, tr_work *w, const in
             }
             for (int i = 0; i < t; i++) th[i] = th_next[i];
         }
-        for (int i = 0; i < ld; i++) next[i] = w->Acol[i] * x[0];
-        for (int l = 1; l < n; l++) {
-            const double v = x[l];
-            for (int i = 0; i < ld; i++) next[i] += w->Acol[l * ld + i] * v;
-        }
-        memcpy(x, next, (size_t)n * sizeof(double));
+        combine(blocks, w->At, (const double *)x, next);
+        for (int j = 0; j < blocks; j++) x[j] = next[j] + u * w->At[last * blocks + j];
     }
-    if (full && t) w->dV[N * m] = th[0];
+    if (full && t) AT(w->dV, N * m) = th[0];
     for (int i = 0; i < t; i++) w->th_end[i] = th[i];
 }
 
 /* Sizes that are known when compiled keep their rows in registers. */
-#define BY_SIZE(call)                                          \
-    switch (w->q->nodes * 100 + w->q->states) {                \
-    case 5: call(5, 0, 8);                                     \
-    case 7: call(7, 0, 8);                                     \
-    case 8: call(8, 0, 8);                                     \
-    case 108: call(8, 1, 12);                                  \
-    case 208: call(8, 2, 12);                                  \
-    default: call(w->q->states, w->q->nodes, w->ld);           \
+#define BY_SIZE(call)                                              \
+    switch (w->q->nodes * 100 + w->q->states) {                    \
+    case 5: call(5, 0, 8 / WIDTH);                                 \
+    case 7: call(7, 0, 8 / WIDTH);                                 \
+    case 8: call(8, 0, 8 / WIDTH);                                 \
+    case 108: call(8, 1, 8 / WIDTH);                               \
+    case 208: call(8, 2, 8 / WIDTH);                               \
+    default: call(w->q->states, w->q->nodes, w->ld / WIDTH);       \
     }
-#define FACTOR(n, t, ld) return factor_sized(n, t, ld, w, curved)
-#define BACKWARD(n, t, ld) backward_sized(n, ld, w, t, end, own, offset, offset_e, newton); return
-#define FORWARD(n, t, ld) forward_sized(n, ld, w, t, start, offset, offset_e, full); return
+#define FACTOR(n, t, blocks) return factor_sized(n, t, blocks, w, curved)
+#define BACKWARD(n, t, blocks) backward_sized(n, blocks, w, t, end, own, offset, offset_e, newton); return
+#define FORWARD(n, t, blocks) forward_sized(n, blocks, w, t, start, offset, offset_e, full); return
 
-CLONES static int factor(tr_work *w, int curved)
+static int factor(tr_work *w, int curved)
 {
     BY_SIZE(FACTOR)
 }
 
-CLONES static void backward(tr_work *w, const double *end, int own, double *offset, double *offset_e, int newton)
+static void backward(tr_work *w, const double *end, int own, double *offset, double *offset_e, int newton)
 {
     BY_SIZE(BACKWARD)
 }
 
-CLONES static void forward(tr_work *w, const double *start, const double *offset, const double *offset_e, int full)
+static void forward(tr_work *w, const double *start, const double *offset, const double *offset_e, int full)
 {
     BY_SIZE(FORWARD)
 }
@@ -572,7 +727,7 @@ static void roll_heat(tr_work *w)
             for (int j = 0; j < t; j++) after[i] += q->M[i * t + j] * th[j];
         }
     }
-    for (int k = 0; k <= q->stages; k++) w->V[k * q->rows] = w->theta[k * t];
+    for (int k = 0; k <= q->stages; k++) AT(w->V, k * q->rows) = w->theta[k * t];
 }
 
 /* th_0 - F th_N - f. */
@@ -593,33 +748,6 @@ static void closure_price(const tr_work *w, const double *eta, double *end)
     for (int j = 0; j < q->nodes; j++) {
         end[j] = 0.0;
         for (int i = 0; q->repeated && i < q->nodes; i++) end[j] -= q->F[i * q->nodes + j] * eta[i];
-    }
-}
-
-/* Solve the closure's equations in place, by elimination with row pivoting; they are at most four. */
-static void eliminate(int count, const double *matrix, double *right)
-{
-    double A[4 * MOST_NODES * MOST_NODES];
-    memcpy(A, matrix, (size_t)(count * count) * sizeof(double));
-    for (int c = 0; c < count; c++) {
-        int best = c;
-        for (int i = c + 1; i < count; i++)
-            if (fabs(A[i * count + c]) > fabs(A[best * count + c])) best = i;
-        for (int j = 0; j < count; j++) {
-            const double swap = A[c * count + j];
-            A[c * count + j] = A[best * count + j], A[best * count + j] = swap;
-        }
-        const double swap = right[c];
-        right[c] = right[best], right[best] = swap;
-        for (int i = c + 1; i < count; i++) {
-            const double by = A[i * count + c] / A[c * count + c];
-            for (int j = c; j < count; j++) A[i * count + j] -= by * A[c * count + j];
-            right[i] -= by * right[c];
-        }
-    }
-    for (int i = count - 1; i >= 0; i--) {
-        for (int j = i + 1; j < count; j++) right[i] -= A[i * count + j] * right[j];
-        right[i] /= A[i * count + i];
     }
 }
 
@@ -680,7 +808,7 @@ static void newton(tr_work *w)
     forward(w, w->d_start, w->offset, w->offset_e, 1);
 }
 
-static double objective(const tr_work *w)
+static double cost(const tr_work *w)
 {
     const tr_problem *q = w->q;
     double twice = 0.0;
@@ -694,19 +822,22 @@ static double objective(const tr_work *w)
     return 0.5 * twice;
 }
 
+static void move(int count, double step, const double *restrict by, double *restrict what)
+{
+    for (int i = 0; i < count; i++) what[i] += step * by[i];
+}
+
 /* Move everything by a part of the Newton step. */
 static void advance(tr_work *w, double step)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, rows = (N + 1) * q->rows;
-    for (int k = 0; k < N; k++) {
-        w->u[k] += step * w->du[k], w->e[k] += step * w->de[k];
-        w->current[k] += step * w->d_current[k], w->command[k] += step * w->d_command[k];
-    }
-    for (int i = 0; i < N * q->outputs; i++) w->error[i] += step * w->d_error[i];
-    for (int i = 0; i < rows; i++) w->V[i] += step * w->dV[i];
+    const int N = q->stages;
+    move(N, step, w->du, w->u), move(N, step, w->de, w->e);
+    move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
+    move(N * q->outputs, step, w->d_error, w->error);
+    for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
     for (tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < rows; i++) z->s[i] += step * z->ds[i], z->l[i] += step * z->dl[i];
+        for (int i = 0; i < w->blocks; i++) z->s[i] += step * z->ds[i], z->l[i] += step * z->dl[i];
     if (q->repeated)
         for (int i = 0; i < q->nodes; i++) w->theta[i] += step * w->d_start[i], w->eta[i] += step * w->d_eta[i];
     roll_heat(w);
@@ -714,14 +845,13 @@ static void advance(tr_work *w, double step)
 
 /* Start at rest, where symmetric limits have all their room, slacks and multipliers well inside. Returns the number of
  * limits. */
-static double start(tr_work *w)
+static double begin(tr_work *w)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, n = q->states, rows = (N + 1) * q->rows;
+    const int N = q->stages, rows = (N + 1) * q->rows;
     static const double nothing[MOST_NODES] = {0};
     int moves = q->nodes > 0;
     for (int k = q->free_stages; k < N; k++) {
-        memcpy(w->K + k * w->ld, q->rule_gain + (k - q->free_stages) * n, (size_t)n * sizeof(double));
         w->offset[k] = q->rule_offset[k - q->free_stages];
         moves = moves || w->offset[k] != 0.0;
     }
@@ -733,45 +863,52 @@ static double start(tr_work *w)
     }
     for (int k = 0; k < N; k++)
         for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
-    const double scale = fmax(objective(w), 1.0) / 100.0;
+    const double scale = fmax(cost(w), 1.0) / 100.0;
     double count = 0.0;
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < rows; i++) {
-            if (z->there[i] == 0.0) continue;
-            z->s[i] = fmax(z->sign * (w->V[i] - z->bound[i]), 0.1);
-            z->l[i] = scale / z->s[i];
+            if (AT(z->there, i) == 0.0) continue;
+            AT(z->s, i) = fmax(z->sign * (AT(w->V, i) - AT(z->bound, i)), 0.1);
+            AT(z->l, i) = scale / AT(z->s, i);
             count += 1.0;
         }
     return count;
 }
 
-typedef struct {
-    double complementarity, residual, stationarity, objective;
-} tr_state;
+/* Residuals of the slacks, the inverse slacks, and the gradients of the rows. */
+static void judge_rows(tr_work *w, tr_state *found)
+{
+    lanes sum = {0}, most = {0};
+    for (const tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < w->blocks; i++) {
+            const lanes residual = z->there[i] * (z->sign * (w->V[i] - z->bound[i]) - z->s[i]), below = -residual;
+            z->inverse[i] = 1.0 / z->s[i];
+            z->residual[i] = residual;
+            sum += z->s[i] * z->l[i];
+            raise_to(&most, &residual);
+            raise_to(&most, &below);
+        }
+    for (int i = 0; i < w->blocks; i++) w->y[i] = w->side[1].l[i] - w->side[0].l[i];
+    found->complementarity = total(&sum);
+    found->residual = largest(&most);
+}
 
 /* Where the iterate stands; leaves the gradient by the movements in `offset` and the heat's prices. */
 static tr_state judge(tr_work *w)
 {
     const tr_problem *q = w->q;
-    const int N = q->stages, rows = (N + 1) * q->rows;
-    tr_state found = {0.0, 0.0, 0.0, objective(w)};
-    double end[MOST_NODES] = {0}, closure[MOST_NODES];
-    for (tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < rows; i++) {
-            z->inverse[i] = 1.0 / z->s[i];
-            z->residual[i] = z->there[i] * (z->sign * (w->V[i] - z->bound[i]) - z->s[i]);
-            found.complementarity += z->s[i] * z->l[i];
-            found.residual = fmax(found.residual, fabs(z->residual[i]));
-        }
-    for (int i = 0; i < rows; i++) w->y[i] = w->side[1].l[i] - w->side[0].l[i];
+    const int N = q->stages;
+    tr_state found = {0.0, 0.0, 0.0, cost(w)};
+    double end[MOST_NODES] = {0}, closure[MOST_NODES], sum[WIDTH] = {0.0};
+    judge_rows(w, &found);
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
-    for (int k = 0; k < N; k++) {
+    for (int k = 0; k < q->free_stages; k++) {
         const double after = k + 1 < q->free_stages ? w->offset[k + 1] : 0.0;
-        if (k < q->free_stages)
-            found.stationarity += fabs(w->offset[k] - after) * (q->command_bound + fabs(w->command[k]));
-        if (q->nodes) found.stationarity += 2.0 * fabs(w->offset_e[k]);
+        sum[k % WIDTH] += fabs(w->offset[k] - after) * (q->command_bound + fabs(w->command[k]));
     }
+    for (int k = 0; q->nodes && k < N; k++) sum[k % WIDTH] += 2.0 * fabs(w->offset_e[k]);
+    found.stationarity = total((const lanes *)sum);
     if (q->repeated) {
         closure_residual(w, closure);
         for (int i = 0; i < q->nodes; i++) {
@@ -783,56 +920,47 @@ static tr_state judge(tr_work *w)
 }
 
 /* Weights and gradients of the rows for a step that aims at s l = target, or at 0. */
-CLONES static void aim(tr_work *w, int corrector)
+static void aim(tr_work *w, int corrector)
 {
-    const tr_problem *q = w->q;
-    const int rows = (q->stages + 1) * q->rows;
     const tr_side *low = w->side, *up = low + 1;
-    double *restrict sigma = w->sigma, *restrict y = w->y;
-    for (int i = 0; i < rows; i++) {
-        const double of_low = low->l[i] * low->inverse[i], of_up = up->l[i] * up->inverse[i];
-        sigma[i] = of_low + of_up;
-        y[i] = of_low * low->residual[i] - of_up * up->residual[i];
+    for (int i = 0; i < w->blocks; i++) {
+        const lanes of_low = low->l[i] * low->inverse[i], of_up = up->l[i] * up->inverse[i];
+        w->sigma[i] = of_low + of_up;
+        w->y[i] = of_low * low->residual[i] - of_up * up->residual[i];
+        if (corrector) w->y[i] += up->target[i] * up->inverse[i] - low->target[i] * low->inverse[i];
     }
-    if (!corrector) return;
-    for (int i = 0; i < rows; i++) y[i] += up->target[i] * up->inverse[i] - low->target[i] * low->inverse[i];
 }
 
 /* Steps of slacks and multipliers that belong to the Newton step; the longest part of it, at most 1, that leaves
  * `rest` of each. */
-CLONES static double slack_steps(tr_work *w, int corrector, double rest)
+static double slack_steps(tr_work *w, int corrector, double rest)
 {
-    const tr_problem *q = w->q;
-    const int rows = (q->stages + 1) * q->rows;
-    double fastest = 1.0 - rest; /* fall relative to the value */
-    for (tr_side *z = w->side; z < w->side + 2; z++) {
-        double *restrict ds = z->ds, *restrict dl = z->dl;
-        const double *restrict inverse = z->inverse, *restrict l = z->l;
-        for (int i = 0; i < rows; i++) {
-            ds[i] = z->there[i] * (z->sign * w->dV[i] + z->residual[i]);
-            dl[i] = -l[i] * (ds[i] * inverse[i] + 1.0);
+    lanes fastest = {0}; /* fall relative to the value */
+    fastest += 1.0 - rest;
+    for (const tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < w->blocks; i++) {
+            const lanes ds = z->there[i] * (z->sign * w->dV[i] + z->residual[i]), of_s = -ds * z->inverse[i];
+            lanes dl = z->l[i] * (of_s - 1.0);
+            if (corrector) dl += z->target[i] * z->inverse[i];
+            const lanes of_l = -dl / (z->l[i] + LEAST);
+            z->ds[i] = ds;
+            z->dl[i] = dl;
+            raise_to(&fastest, &of_s);
+            raise_to(&fastest, &of_l);
         }
-        for (int i = 0; corrector && i < rows; i++) dl[i] += z->there[i] * z->target[i] * inverse[i];
-        for (int i = 0; i < rows; i++) {
-            const double of_s = -ds[i] * inverse[i];
-            fastest = of_s > fastest ? of_s : fastest;
-            if (-dl[i] > fastest * l[i] && l[i] > 0.0) fastest = -dl[i] / l[i];
-        }
-    }
-    return (1.0 - rest) / fastest;
+    return (1.0 - rest) / largest(&fastest);
 }
 
 /* Mehrotra's target: the cube of what the predictor leaves, less the product of its steps. */
-CLONES static void centre(tr_work *w, double step, double mean, double count)
+static void centre(tr_work *w, double step, double mean, double count)
 {
-    const tr_problem *q = w->q;
-    const int rows = (q->stages + 1) * q->rows;
-    double after = 0.0;
-    for (tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < rows; i++) after += (z->s[i] + step * z->ds[i]) * (z->l[i] + step * z->dl[i]);
-    const double ratio = after / count / mean, target = ratio * ratio * ratio * mean;
-    for (tr_side *z = w->side; z < w->side + 2; z++)
-        for (int i = 0; i < rows; i++) z->target[i] = z->there[i] * (target - z->ds[i] * z->dl[i]);
+    lanes sum = {0};
+    for (const tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < w->blocks; i++)
+            sum += (z->s[i] + step * z->ds[i]) * (z->l[i] + step * z->dl[i]);
+    const double ratio = total(&sum) / count / mean, level = ratio * ratio * ratio * mean;
+    for (const tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < w->blocks; i++) z->target[i] = z->there[i] * (level - z->ds[i] * z->dl[i]);
 }
 
 /* The iterate that `judge` has just seen, as the result. */
@@ -851,19 +979,11 @@ static void keep(const tr_work *w, const tr_state *now, tr_result *r)
     r->residual = now->residual;
 }
 
-/* Solve; the answer is judged by the caller.
- *
- * Near the answer rounding wins over progress at last: the best iterate is returned, as TR_ACCURACY where it is not
- * quite what was asked for. Far from it the last iterate is, whose multipliers tell of infeasibility.
- */
-int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, tr_result *r)
+static int solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
-    r->iterations = 0;
-    if (!tr_workspace(q)) return TR_TOO_LARGE;
     tr_work work, *w = &work;
-    memset(w, 0, sizeof work);
-    lay_out(w, q, workspace, 0);
-    const double count = start(w);
+    prepare(w, q, space, 0);
+    const double count = begin(w);
     double best = INFINITY;
     for (int since = 0;; r->iterations++, since++) {
         const tr_state now = judge(w);
@@ -896,20 +1016,12 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *workspace, 
     }
 }
 
-/* The problem without rows and nodes: one Newton step from rest, and as many more as refine it.
- *
- * The gains stay in the workspace: with `factored` they are those of the last call, of a problem that differs in
- * nothing but `reference` and `rule_offset`. TR_BREAKDOWN leaves none.
- */
-int tr_linear(const tr_problem *q, double tolerance, int factored, double *workspace, tr_result *r)
+static int linear(const tr_problem *q, double tolerance, int factored, double *space, tr_result *r)
 {
-    r->iterations = 0;
-    if (!tr_workspace(q) || q->rows || q->nodes) return TR_TOO_LARGE;
     tr_work work, *w = &work;
-    memset(w, 0, sizeof work);
-    lay_out(w, q, workspace, factored);
+    prepare(w, q, space, factored);
     if (!factored && factor(w, 0)) return TR_BREAKDOWN;
-    start(w);
+    begin(w);
     for (double best = INFINITY;;) {
         newton(w);
         advance(w, 1.0);
@@ -921,3 +1033,4 @@ int tr_linear(const tr_problem *q, double tolerance, int factored, double *works
         if (!better || r->iterations > REFINEMENTS) return best < INFINITY ? TR_ACCURACY : TR_BREAKDOWN;
     }
 }
+#endif
