@@ -88,15 +88,15 @@ class TransientProblem:
             array = getattr(self, name)
             if array.shape != (N,):
                 raise InputError(f"{name} has shape {array.shape}, expected ({N},)")
-            if not np.all(np.isfinite(array)):
+            if not np.isfinite(array).all():
                 raise InputError(f"{name} holds a number that is not finite")
-        largest = float(np.abs(self.reference_m_s2).max())
+        largest = max(float(self.reference_m_s2.max()), -float(self.reference_m_s2.min()))
         if largest > LARGEST_M_S2:
             raise InputError(
                 f"reference_m_s2 reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
                 "overflow; check its unit"
             )
-        if np.any(self.tracking_weights < 0) or not 0 <= self.rho < np.inf:
+        if self.tracking_weights.min() < 0 or not 0 <= self.rho < np.inf:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")
         if not 1 <= self.hand_over_samples <= N:
             raise InputError(
@@ -253,8 +253,9 @@ class Multipliers:
     def zero(cls, problem: TransientProblem) -> "Multipliers":
         """No limit binds."""
         names = [field.name for field in fields(cls) if field.name != "hand_over"]
-        N = problem.grid.stages
-        return cls(**{name: np.zeros(N) for name in names}, hand_over=np.zeros(problem.hand_over_samples))
+        nothing = np.zeros(problem.grid.stages)
+        nothing.flags.writeable = False  # it stands for all of them
+        return cls(**dict.fromkeys(names, nothing), hand_over=np.zeros(problem.hand_over_samples))
 
     @property
     def largest(self) -> float:
