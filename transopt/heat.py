@@ -141,9 +141,9 @@ class HeatModel:
             return np.full((h.size + 1, self.nodes), np.inf)
         return np.concatenate([start[None], self._course(lower, P, s, start)])
 
-    def adjoint(self, h: FloatArray, by_winding: FloatArray) -> FloatArray:
-        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,)."""
-        course = self.rise(h)
+    def adjoint(self, h: FloatArray, by_winding: FloatArray, rise: FloatArray | None = None) -> FloatArray:
+        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,); `rise` of h if known."""
+        course = self.rise(h) if rise is None else rise
         P, _ = self._maps(h)
         lower, m = _band(P), self.nodes
 
