@@ -286,6 +286,25 @@ def certify(
     )
 
 
+def relaxed_bound(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> float:
+    """Rigorous lower bound on J where the warming copper makes the problem nonconvex, from its own multipliers.
+
+    Any multipliers of the convex problem (`ThermalLimit.relaxed`) bound its optimum, which bounds this one's: those are
+    taken under which heat has the price that it has here, so that what is stationary here is stationary there too.
+    All that the bound then lacks is what the limits differ by, price times slack. Minus infinity where taps repeat:
+    there the two problems price heat over different times.
+    """
+    thermal = problem.thermal
+    if thermal is None or thermal.model.closure is not None:
+        return -np.inf
+    relaxed = replace(problem, thermal=thermal.relaxed(problem.limits.current_A))
+    assert relaxed.thermal is not None
+    effect = Effect(problem, command_A)
+    prices = relaxed.thermal.model.prices(effect.by_mean_square(admissible(problem, multipliers).temperature_upper))
+    priced = replace(multipliers, temperature_upper=np.maximum(prices, 0.0))
+    return certify(relaxed, command_A, priced, effect=Effect(relaxed, command_A, effect.motion)).lower_bound
+
+
 def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
     """From when to when a limit is active, in milliseconds after contact."""
     times_ms = problem.grid.switching_times_s * 1e3

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
@@ -65,6 +65,7 @@ class Heating:
         return by_a + self.decay * by_b, (1 - self.decay) * by_b
 
 
+@lru_cache(maxsize=16)
 def heating(amplifier: Amplifier | None, dt_s: float) -> Heating:
     """Heating of one servo period through this amplifier."""
     if amplifier is None:
@@ -164,6 +165,21 @@ class HeatModel:
             end = np.linalg.solve(np.eye(m) - F.T @ transition, F.T @ free)
         nu = backwards(end, by_winding)
         return np.asarray((nu @ self.b) * (self.gain + self.copper * course[:-1, 0]))
+
+    def prices(self, by_h: FloatArray) -> FloatArray:
+        """(N,) gradients by th_w,(k+1) whose `adjoint` is `by_h` (N,): its inverse, for copper 0 and one tap alone.
+
+        by_h / gain is those gradients through the winding's answer to one heating, a filter against time.
+        """
+        assert self.copper == 0
+        assert self.closure is None
+        if self.nodes == 1:
+            answer, own = self.b, np.array([1.0, -self.M[0, 0]])
+        else:
+            (ww, wh), (hw, hh) = self.M
+            answer = np.array([self.b[0], wh * self.b[1] - hh * self.b[0]])
+            own = np.array([1.0, -ww - hh, ww * hh - wh * hw])
+        return np.asarray(signal.lfilter(own, answer, (by_h / self.gain)[::-1])[::-1])
 
 
 def _band(P: FloatArray) -> FloatArray:
