@@ -202,17 +202,29 @@ class Online:
                 if found.proof.accepted:
                     return found
             hot = small.thermal is not None and _overheats(effect)
-        found = None
-        if hot:
-            # Most likely nothing smaller has the answer. Where the winding does not bind after all, something has.
-            found = self._by_interior_point(small, stage)
-            if found is not None and found.multipliers.temperature_upper.max() <= BINDING_MULTIPLIER:
-                found = None
-        if found is None:
-            found = self._by_interior_point(replace(small, thermal=None), stage)
-            if small.thermal is not None and found is not None and not inside(problem, found.command_A, only="coil"):
-                found = self._by_interior_point(small, stage)
-        return None if found is None else self._judged(problem, found.command_A, found.multipliers)
+        return self._limited(problem, small, stage, hot=hot)
+
+    def _limited(
+        self, problem: TransientProblem, small: TransientProblem, stage: LinearStage, *, hot: bool
+    ) -> _Found | None:
+        """The answer within the limits; `hot` is a guess whether the winding's binds, and only says what comes first."""
+        cold, found = replace(small, thermal=None), None
+        attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
+        for attempt in attempts:
+            answer = self._by_interior_point(attempt, stage)
+            if answer is None:
+                continue
+            command, multipliers = answer.command_A, answer.multipliers
+            if attempt.thermal is not None and multipliers.temperature_upper.max() <= BINDING_MULTIPLIER:
+                # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
+                multipliers = replace(multipliers, temperature_upper=np.zeros(command.size))
+            effect = Effect(problem, command)
+            if attempt is cold and small.thermal is not None and not inside(problem, command, only="coil", effect=effect):
+                continue
+            found = self._judged(problem, command, multipliers, effect)
+            if found.proof.accepted:
+                return found
+        return found
 
     def _buffers_for(self, stages: Stages) -> Buffers:
         key = tuple(stages.sizes.values())
