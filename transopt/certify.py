@@ -1,13 +1,14 @@
 """Certificate of optimality without a solver (DESIGN 4)."""
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transopt.discretise import Motion
-from transopt.problem import Certificate, Multipliers, TransientProblem
+from transopt.problem import STAGEWISE, Certificate, Multipliers, TransientProblem
 from transopt.signals import FloatArray
 from transopt.thermal import PWM_RIPPLE_A
 from transopt.wall import earlier_by, feedback_command_transpose
@@ -90,18 +91,20 @@ class Effect:
         assert self.problem.thermal is not None
         return self.problem.thermal.model.rise(self.mean_square_A2)
 
-    def by_mean_square(self, by_winding: FloatArray) -> FloatArray:
-        """(N,) gradient by the heating of a function whose gradients by the winding's rises are given (N,)."""
-        assert self.problem.thermal is not None
-        return self.problem.thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
+    def by_heating(self, multipliers: Multipliers) -> FloatArray:
+        """(N,) gradient of the temperature limit's part of the Lagrangian by the heatings; zero without one."""
+        thermal, by_winding = self.problem.thermal, multipliers.temperature_upper
+        if thermal is None or not by_winding.any():
+            return np.zeros(self.command_A.size)
+        return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
 
 
 def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
     """Every limit that the problem has, with what the command does to it."""
-    return _boxes(Effect(problem, command_A, motion), multipliers)
+    return list(_boxes(Effect(problem, command_A, motion), multipliers))
 
 
-def _boxes(effect: Effect, multipliers: Multipliers) -> list[Box]:
+def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
     problem, command_A, motion = effect.problem, effect.command_A, effect.motion
     limits, m, N = problem.limits, multipliers, problem.grid.stages
 
@@ -109,21 +112,20 @@ def _boxes(effect: Effect, multipliers: Multipliers) -> list[Box]:
         lower, upper = getattr(m, f"{pair}_lower"), getattr(m, f"{pair}_upper")
         return Box(name, unit, lower, upper, value, np.full(N, bound), bound)
 
-    found = [box("current", "A", "current", motion.current_A, limits.current_A)]
+    yield box("current", "A", "current", motion.current_A, limits.current_A)
     if limits.command_A is not None:
-        found.append(box("command", "A", "command", command_A, limits.command_A))
+        yield box("command", "A", "command", command_A, limits.command_A)
     if limits.slew_A_per_s is not None:
         movement = np.diff(command_A, prepend=0.0)
-        found.append(box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s))
+        yield box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s)
     if problem.supply is not None:
         before, after = problem.supply.voltages_V(motion, command_A)
-        found.append(box("supply", "V", "supply_before", before, problem.supply.limit_V))
-        found.append(box("supply", "V", "supply_after", after, problem.supply.limit_V))
+        yield box("supply", "V", "supply_before", before, problem.supply.limit_V)
+        yield box("supply", "V", "supply_after", after, problem.supply.limit_V)
     if problem.thermal is not None:
         model = problem.thermal.model
         winding, limit = effect.rise_K[1:, 0] + model.unpowered_C, model.headroom_K + model.unpowered_C
-        found.append(Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C))
-    return found
+        yield Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C)
 
 
 def inside(
@@ -143,10 +145,11 @@ def reduced_gradient(
     problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers
 ) -> FloatArray:
     """(N,) gradient by the commands of J + sum mu (constraint) + sum hand_over (c - feedback) [1/A]."""
-    return _reduced_gradient(Effect(problem, command_A, motion), multipliers)
+    effect = Effect(problem, command_A, motion)
+    return _reduced_gradient(effect, multipliers, effect.by_heating(multipliers))
 
 
-def _reduced_gradient(effect: Effect, multipliers: Multipliers) -> FloatArray:
+def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> FloatArray:
     problem, command_A, motion = effect.problem, effect.command_A, effect.motion
     m, r = multipliers, problem.reference_m_s2
     scale = 2 / (float(r @ r) * len(problem.devices))
@@ -163,10 +166,10 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers) -> FloatArray:
         before, after = m.supply_before_upper - m.supply_before_lower, m.supply_after_upper - m.supply_after_lower
         through_current, by_velocity, directly = problem.supply.transpose(before, after)
         by_current, by_command = by_current + through_current, by_command + directly
-    if problem.thermal is not None and np.any(m.temperature_upper):
-        heating, by_h = problem.thermal.model.heating, effect.by_mean_square(m.temperature_upper)
+    if problem.thermal is not None and by_heating.any():
+        heating = problem.thermal.model.heating
         through_current, directly = heating.gradient(motion.current_A, command_A, m.current_sign)
-        by_current, by_command = by_current + by_h * through_current, by_command + by_h * directly
+        by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
     tail = np.append(np.zeros(problem.free_stages), m.hand_over)
     by_command = by_command + tail
     if problem.wall is not None:
@@ -186,7 +189,7 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers) -> FloatArray:
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
     """The same >= 0, and zero where there is no limit to bear them: a headroom may be infinite at some instants."""
     clipped = multipliers.clipped()
-    if problem.thermal is None:
+    if problem.thermal is None or not clipped.temperature_upper.any():
         return clipped
     bears = np.isfinite(problem.thermal.model.headroom_K)
     return replace(clipped, temperature_upper=np.where(bears, clipped.temperature_upper, 0.0))
@@ -194,16 +197,17 @@ def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multiplie
 
 def kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
     """What the tangent at |mean i| with the stated slope lies below it; zero where the slope is its sign."""
-    return _kink_gap(Effect(problem, command_A, motion), multipliers)
+    effect = Effect(problem, command_A, motion)
+    return _kink_gap(effect, multipliers, effect.by_heating(multipliers))
 
 
-def _kink_gap(effect: Effect, multipliers: Multipliers) -> float:
+def _kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> float:
     thermal = effect.problem.thermal
-    if thermal is None or not np.any(multipliers.temperature_upper):
+    if thermal is None or not by_heating.any():
         return 0.0
     mean = thermal.model.heating.mean_current(effect.motion.current_A, effect.command_A)
     short = np.abs(mean) - multipliers.current_sign * mean
-    return float(np.abs(effect.by_mean_square(multipliers.temperature_upper)) @ (2 * PWM_RIPPLE_A * short))
+    return float(np.abs(by_heating) @ (2 * PWM_RIPPLE_A * short))
 
 
 def certify(
@@ -234,14 +238,14 @@ def certify(
     effect : of this command in this problem, where it is known already.
     """
     N = problem.grid.stages
-    signed = [getattr(multipliers, field.name) for field in fields(multipliers) if field.name != "hand_over"]
+    signed = [getattr(multipliers, name) for name in STAGEWISE]
     arrays = [command_A, *signed, multipliers.hand_over]
     shapes = [(N,)] * (1 + len(signed)) + [(problem.hand_over_samples,)]
     if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
         return Certificate.nothing()
 
     effect, clipped = effect or Effect(problem, command_A), admissible(problem, multipliers)
-    limits, silent = _boxes(effect, clipped), problem.reference_is_zero
+    limits, silent = list(_boxes(effect, clipped)), problem.reference_is_zero
     objective = 0.0 if silent else problem.objective(command_A, effect.accelerations_m_s2)
 
     if not all(np.isfinite(box.value).all() for box in limits):
@@ -273,10 +277,11 @@ def certify(
         zero = float(np.abs(problem.transient_command(command_A)).max()) <= SILENT * problem.limits.current_A
         return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
-    g = _reduced_gradient(effect, clipped)
+    by_heating = effect.by_heating(clipped)
+    g = _reduced_gradient(effect, clipped, by_heating)
     c_max = problem.limits.command_bound_A
     gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
-    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped)
+    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.temperature_upper.any()
     return replace(
         found,
@@ -286,21 +291,25 @@ def certify(
     )
 
 
-def relaxed_bound(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> float:
+def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     """Rigorous lower bound on J where the warming copper makes the problem nonconvex, from its own multipliers.
 
-    Any multipliers of the convex problem (`ThermalLimit.relaxed`) bound its optimum, which bounds this one's: those are
-    taken under which heat has the price that it has here, so that what is stationary here is stationary there too.
+    Any multipliers of the convex problem (`ThermalLimit.relaxed`) bound its optimum, which bounds this one's: those
+    are taken under which heat has the price that it has here: what is stationary here is stationary there too.
     All that the bound then lacks is what the limits differ by, price times slack. Minus infinity where taps repeat:
     there the two problems price heat over different times.
+
+    Parameters
+    ----------
+    effect : of the command in the problem. multipliers : its own, as `certify` takes them.
     """
+    problem, command_A = effect.problem, effect.command_A
     thermal = problem.thermal
     if thermal is None or thermal.model.closure is not None:
         return -np.inf
     relaxed = replace(problem, thermal=thermal.relaxed(problem.limits.current_A))
     assert relaxed.thermal is not None
-    effect = Effect(problem, command_A)
-    prices = relaxed.thermal.model.prices(effect.by_mean_square(admissible(problem, multipliers).temperature_upper))
+    prices = relaxed.thermal.model.prices(effect.by_heating(admissible(problem, multipliers)))
     priced = replace(multipliers, temperature_upper=np.maximum(prices, 0.0))
     return certify(relaxed, command_A, priced, effect=Effect(relaxed, command_A, effect.motion)).lower_bound
 

@@ -204,10 +204,11 @@ def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bo
     A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
     """
     outputs = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else [])]
-    acting: NDArray[np.bool_] = np.any(np.vstack(outputs) != 0, axis=0)
+    acting: NDArray[np.bool_] = (np.concatenate(outputs) != 0).any(axis=0)
+    by = plant.A != 0
     while True:
-        more = acting | np.any(plant.A[acting] != 0, axis=0)
-        if np.array_equal(more, acting):
+        more = acting | by[acting].any(axis=0)
+        if (more == acting).all():
             return acting
         acting = more
 

@@ -109,7 +109,8 @@ class HeatModel:
 
     def _maps(self, h: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Each step as th+ = P th + s: (N, m, m), (N, m)."""
-        P = np.tile(self.M, (h.size, 1, 1))
+        P = np.empty((h.size, *self.M.shape))
+        P[:] = self.M
         P[:, :, 0] += self.b * (self.copper * h)[:, None]
         return P, self.b * (self.gain * h)[:, None]
 
@@ -184,7 +185,7 @@ class HeatModel:
 
 def _band(P: FloatArray) -> FloatArray:
     """Of th_(k+1) = P_k th_k over k = 1..N-1: the first step starts from th_0, which is no unknown."""
-    return band(np.concatenate([P[1:], P[:1]]))
+    return band(np.roll(P, -1, axis=0))
 
 
 @dataclass(frozen=True)

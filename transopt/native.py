@@ -75,6 +75,7 @@ class Buffers:
     Attributes
     ----------
     movement, size, gradient : (N,). lower, upper : (N + 1, rows) multipliers of the last answer.
+    gains_of : the linear pass whose gains stand in the workspace, by its token; None for none.
     """
 
     def __init__(self, sizes: dict[str, int]) -> None:
@@ -84,6 +85,7 @@ class Buffers:
         # A pointer to nothing is none that C may copy no bytes to.
         self._lower, self._upper, self._start = (np.zeros(max(count, 1)) for count in (*[shape[0] * shape[1]] * 2, 4))
         self.lower, self.upper = (flat[: shape[0] * shape[1]].reshape(shape) for flat in (self._lower, self._upper))
+        self.gains_of: object = None
         self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
         self.result = _Result(
             *(_pointer(a) for a in (self.movement, self.size, self._lower, self._upper, self.gradient, self._start))
@@ -128,7 +130,7 @@ def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_it
     tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
     """
     assert _LIBRARY is not None
-    stated, asked = _stated(stages), _Options(max_iterations, tolerance)
+    stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance), None
     code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), _pointer(buffers.workspace), ct.byref(buffers.result))
     return _answer(code, buffers.result)
 
@@ -140,7 +142,7 @@ class LinearPass:
     ----------
     stages : `stagewise.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
         references share gains only if they share rho |r|^2, as those of one (grip, speed) do.
-    buffers : of the same sizes, where there are any; the next pass in them forgets this one's gains.
+    buffers : of the same sizes, where there are any. Who else solves in them costs this pass its gains.
 
     Attributes
     ----------
@@ -155,7 +157,7 @@ class LinearPass:
         self._stated = _stated(stages)
         self._stated.reference = _pointer(self.reference)
         self._arguments = (_pointer(self.buffers.workspace), ct.byref(self.buffers.result))
-        self._problem, self._factored = ct.byref(self._stated), 0
+        self._problem, self._token = ct.byref(self._stated), object()
         self._pass = _LIBRARY.tr_linear
         problem = stages.problem
         self._tail = slice(problem.free_stages, None)
@@ -163,13 +165,14 @@ class LinearPass:
 
     def solve(self, tolerance: float) -> Answer:
         """Answer to `tolerance` on the gap, relative to max(J, 1e-3); movement and gradient stand in the buffers."""
-        code = self._pass(self._problem, tolerance, self._factored, *self._arguments)
-        self._factored = int(code in (SOLVED, ACCURACY))
-        return _answer(code, self.buffers.result)
+        buffers = self.buffers
+        code = self._pass(self._problem, tolerance, buffers.gains_of is self._token, *self._arguments)
+        buffers.gains_of = self._token if code in (SOLVED, ACCURACY) else None
+        return _answer(code, buffers.result)
 
     def forget(self) -> None:
         """Factor again at the next solve."""
-        self._factored = 0
+        self.buffers.gains_of = None
 
     def command_A(self) -> FloatArray:
         """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""

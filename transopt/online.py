@@ -188,7 +188,7 @@ class Online:
     def _solved(self, problem: TransientProblem) -> _Found | None:
         """The smallest problem that has the answer (DESIGN 4): without limits, without the temperature, whole."""
         if problem.reference_is_zero:
-            return self._judged(problem, np.zeros(problem.grid.stages), Multipliers.zero(problem))
+            return self._judged(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
         stage, hot = linear_stage(small), False
         stages = without_limits(small, stage)
@@ -198,7 +198,7 @@ class Online:
             effect = Effect(problem, free)
             if inside(problem, free, effect=effect):
                 multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
-                found = self._judged(problem, free, multipliers, effect)
+                found = self._judged(effect, multipliers)
                 if found.proof.accepted:
                     return found
             hot = small.thermal is not None and _overheats(effect)
@@ -207,7 +207,7 @@ class Online:
     def _limited(
         self, problem: TransientProblem, small: TransientProblem, stage: LinearStage, *, hot: bool
     ) -> _Found | None:
-        """The answer within the limits; `hot` is a guess whether the winding's binds, and only says what comes first."""
+        """The answer within the limits; `hot`, a guess whether the winding's binds, only says what comes first."""
         cold, found = replace(small, thermal=None), None
         attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
         for attempt in attempts:
@@ -219,9 +219,13 @@ class Online:
                 # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
                 multipliers = replace(multipliers, temperature_upper=np.zeros(command.size))
             effect = Effect(problem, command)
-            if attempt is cold and small.thermal is not None and not inside(problem, command, only="coil", effect=effect):
+            if (
+                attempt is cold
+                and small.thermal is not None
+                and not inside(problem, command, only="coil", effect=effect)
+            ):
                 continue
-            found = self._judged(problem, command, multipliers, effect)
+            found = self._judged(effect, multipliers)
             if found.proof.accepted:
                 return found
         return found
@@ -241,24 +245,19 @@ class Online:
         by_row = buffers.upper - buffers.lower
         return _Answer(stages.command(buffers.movement), stages.multipliers(by_row, buffers.gradient))
 
-    def _judged(
-        self,
-        problem: TransientProblem,
-        command_A: FloatArray,
-        multipliers: Multipliers,
-        effect: Effect | None = None,
-    ) -> _Found:
-        """With its certificate; where the temperature binds, with a bound of the convex problem on J from below."""
-        proof = certify(problem, command_A, multipliers, effect=effect)
+    def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
+        """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
+        problem, command = effect.problem, effect.command_A
+        proof = certify(problem, command, multipliers, effect=effect)
         if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
-            proof = replace(proof, lower_bound=relaxed_bound(problem, command_A, multipliers))
+            proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
             if not proof.accepted:
                 relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
                 bound = self._by_interior_point(relaxed)
                 if bound is not None:
                     lower = certify(relaxed, bound.command_A, bound.multipliers).lower_bound
                     proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
-        return _Found(command_A, multipliers, proof)
+        return _Found(command, multipliers, proof)
 
 
 def _overheats(effect: Effect) -> bool:

@@ -1,6 +1,6 @@
 """The optimal-control problem of one library entry, and what an answer to it consists of (DESIGN 4)."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from enum import Enum
 
 import numpy as np
@@ -18,7 +18,6 @@ AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
 AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, about 1.8 dB
 ZERO_REFERENCE_M_S2 = 1e-3  # a reference with a smaller rms is zero
 LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
-NO_LIMITS = frozenset({"hand_over", "current_sign"})  # among the multipliers: of an equation, and a slope
 SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
 
 
@@ -252,20 +251,25 @@ class Multipliers:
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
         """No limit binds."""
-        names = [field.name for field in fields(cls) if field.name != "hand_over"]
         nothing = np.zeros(problem.grid.stages)
         nothing.flags.writeable = False  # it stands for all of them
-        return cls(**dict.fromkeys(names, nothing), hand_over=np.zeros(problem.hand_over_samples))
+        return cls(**dict.fromkeys(STAGEWISE, nothing), hand_over=np.zeros(problem.hand_over_samples))
 
     @property
     def largest(self) -> float:
         """The largest multiplier of a limit, whatever its unit."""
-        return max(float(getattr(self, f.name).max()) for f in fields(self) if f.name not in NO_LIMITS)
+        return max(float(getattr(self, name).max()) for name in OF_LIMITS)
 
     def clipped(self) -> "Multipliers":
         """The same with every negative multiplier of a limit set to zero."""
-        limits = {f.name: np.maximum(getattr(self, f.name), 0.0) for f in fields(self) if f.name not in NO_LIMITS}
-        return replace(self, **limits, current_sign=np.clip(self.current_sign, -1.0, 1.0))
+        limits = {name: np.maximum(getattr(self, name), 0.0) for name in OF_LIMITS}
+        sign = np.minimum(np.maximum(self.current_sign, -1.0), 1.0)
+        return Multipliers(**limits, current_sign=sign, hand_over=self.hand_over)
+
+
+# Multipliers that are (N,); of these, those of limits: the others are of an equation, and a slope.
+STAGEWISE = tuple(field.name for field in fields(Multipliers) if field.name != "hand_over")
+OF_LIMITS = tuple(name for name in STAGEWISE if name != "current_sign")
 
 
 @dataclass(frozen=True)

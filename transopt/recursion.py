@@ -24,7 +24,9 @@ def band(P: FloatArray) -> FloatArray:
 def constant_band(A: FloatArray) -> FloatArray:
     """The band of `CHUNK` stages with one matrix A (m, m)."""
     block = band(A[None]).T
-    return np.broadcast_to(block, (CHUNK, *block.shape)).reshape(-1, block.shape[1]).T
+    columns = np.empty((CHUNK, *block.shape))
+    columns[:] = block
+    return columns.reshape(-1, block.shape[1]).T
 
 
 def substitute(lower: FloatArray, forcing: FloatArray, *, transposed: bool = False) -> FloatArray:
