@@ -97,7 +97,8 @@ class Online:
         states = sizes["states"] + sizes["nodes"]
         if states > MOST_STATES:
             raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
-        # Memory of all that a tap can come to: with and without the temperature.
+        # Memory of all that a tap can come to: without limits, with and without the temperature.
+        self._buffers_for(without_limits(problem))
         for each in (problem, replace(problem, thermal=None)):
             self._by_interior_point(each)
 
