@@ -206,6 +206,16 @@ class TestHeatModel:
             up, down = (model.rise(h + sign * step * np.eye(40)[k])[1:, 0] @ weights for sign in (1, -1))
             assert gradient[k] == pytest.approx((up - down) / (2 * step), rel=1e-6, abs=1e-11)
 
+    @pytest.mark.parametrize("nodes", [1, 2])
+    def test_prices_are_what_the_adjoint_makes_them(self, coil: CoilModel, nodes: int) -> None:
+        """For copper that does not warm, over the whole horizon and both ways."""
+        hot = model_of(replace(coil, start_winding_C=70.0, start_housing_C=50.0, nodes=nodes), 600)
+        model, random = replace(hot, copper=0.0), np.random.default_rng(12)
+        h, weights = random.uniform(0, 16, 600), random.standard_normal(600)
+        np.testing.assert_allclose(model.prices(model.adjoint(h, weights)), weights, atol=1e-10)
+        by_h = random.standard_normal(600)
+        np.testing.assert_allclose(model.adjoint(h, model.prices(by_h)), by_h, atol=1e-10)
+
     def test_the_closure_is_a_fixed_point_of_tap_and_pause(self, coil: CoilModel) -> None:
         model = model_of(coil, 40, tap_rate_Hz=8.0, idle_A=0.3)
         course = model.rise(np.random.default_rng(9).uniform(0, 16, 40))

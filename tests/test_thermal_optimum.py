@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 import problems
 from transopt.amplifier import Amplifier
 from transopt.build import build_library
-from transopt.certify import certify, inside
+from transopt.certify import Effect, certify, inside, relaxed_bound
 from transopt.design import entry_problem, scene_stage
 from transopt.errors import InputError
 from transopt.heat import STEADY_MARGIN, thermal_limit
@@ -129,6 +129,25 @@ class TestOptimum:
             answer = solve(problem)
             objective = certify(problem, answer.command_A, answer.multipliers).objective
             assert 0 < objective - global_bound(problem, SolverOptions()) <= share * objective
+
+    @pytest.mark.parametrize("headroom", [0.01, 0.02, 0.05, 0.1])
+    def test_the_answers_own_multipliers_bound_as_well_as_the_convex_problem(
+        self, tight: dict[float, tuple[TransientProblem, Solution]], headroom: float
+    ) -> None:
+        """Below the convex problem's optimum, as a dual bound has to be, and below it by almost nothing."""
+        problem, answer = tight[headroom]
+        assert problem.thermal is not None
+        relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+        least = solve(relaxed, SolverOptions("casadi-fatrop"))
+        optimum_of_relaxed = certify(relaxed, least.command_A, least.multipliers).objective
+        effect = Effect(problem, answer.command_A)
+        bound = relaxed_bound(effect, answer.multipliers)
+        assert optimum_of_relaxed * (1 - 1e-4) < bound <= optimum_of_relaxed * (1 + 1e-9)
+        # Any multipliers bound, wrong ones worse: too high, too low, at the wrong time, of the wrong sign.
+        mu = answer.multipliers.temperature_upper
+        for wrong in (1.5 * mu, 0.5 * mu, np.roll(mu, 100), -mu, np.zeros_like(mu)):
+            weaker = relaxed_bound(effect, replace(answer.multipliers, temperature_upper=wrong))
+            assert weaker < bound - 1e-3 * optimum_of_relaxed
 
     def test_no_feasible_command_falls_below_the_bound(
         self, tight: dict[float, tuple[TransientProblem, Solution]]
@@ -288,6 +307,10 @@ class TestRepetition:
         assert forever <= thermal.limit_C
         assert -2e-3 <= predicted - forever <= 1e-6
         assert played.winding_C == pytest.approx(forever, abs=5e-4)
+
+    def test_its_own_multipliers_claim_no_bound(self, repeated: tuple[TransientProblem, Solution]) -> None:
+        problem, answer = repeated
+        assert relaxed_bound(Effect(problem, answer.command_A), answer.multipliers) == -np.inf
 
     def test_its_bound_holds(self, repeated: tuple[TransientProblem, Solution]) -> None:
         """The mean-heat relaxation: feasible commands found otherwise stay above it; measured gap 0.38 %."""

@@ -324,6 +324,22 @@ class TestCompiledPass:
         assert run.solve(unlimited.GAP).code == native.SOLVED
         np.testing.assert_array_equal(run.command_A(), unlimited.solve(other).command_A)
 
+    def test_in_shared_memory_no_pass_takes_anothers_gains(self, make_problem: ProblemMaker) -> None:
+        """Nor what an interior point leaves there."""
+        light, firm = (without_limits(make_problem(0.2, grip)) for grip in (1.0, 5.0))
+        alone = native.LinearPass(light)
+        assert alone.solve(unlimited.GAP).code == native.SOLVED
+        shared = native.Buffers(light.sizes)
+        first, second = (native.LinearPass(stages, shared) for stages in (light, firm))
+        for other in (second, None, second):
+            assert first.solve(unlimited.GAP).code == native.SOLVED
+            np.testing.assert_array_equal(first.command_A(), alone.command_A())
+            if other is None:
+                native.interior_point(firm, shared, tolerance=1e-9, max_iterations=5)
+            else:
+                assert other.solve(unlimited.GAP).code == native.SOLVED
+                assert np.abs(other.command_A() - alone.command_A()).max() > 0.1
+
     def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.2, 3.0, stages=30)
         run = native.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))

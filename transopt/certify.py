@@ -1,12 +1,14 @@
 """Certificate of optimality without a solver (DESIGN 4)."""
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transopt.discretise import Motion
-from transopt.problem import Certificate, Multipliers, TransientProblem
+from transopt.problem import STAGEWISE, Certificate, Multipliers, TransientProblem
 from transopt.signals import FloatArray
 from transopt.thermal import PWM_RIPPLE_A
 from transopt.wall import earlier_by, feedback_command_transpose
@@ -46,47 +48,109 @@ class Box:
     @property
     def complementarity(self) -> float:
         """Sum of multiplier times slack, slacks by their size; a limit of infinity has no multiplier."""
+        if not (self.upper.any() or (self.lower is not None and self.lower.any())):
+            return 0.0
         stated = np.isfinite(self.bound)
         upper, value, bound = self.upper[stated], self.value[stated], self.bound[stated]
         total = float(upper @ np.abs(bound - value))
         return total if self.lower is None else total + float(self.lower[stated] @ np.abs(bound + value))
 
 
+class Effect:
+    """What a command (N,) does in a problem, each part computed when it is first asked for and then kept.
+
+    Parameters
+    ----------
+    motion : of the problem's own device, where it is known already.
+    """
+
+    def __init__(self, problem: TransientProblem, command_A: FloatArray, motion: Motion | None = None) -> None:
+        self.problem, self.command_A = problem, command_A
+        if motion is not None:
+            self.motion = motion
+
+    @cached_property
+    def motion(self) -> Motion:
+        return self.problem.stage.motion(self.command_A)
+
+    @cached_property
+    def accelerations_m_s2(self) -> FloatArray:
+        """(S, N) of every device."""
+        others = [device.rollout(self.command_A)[0] for device in self.problem.spread]
+        return np.stack([self.motion.acceleration_m_s2, *others])
+
+    @cached_property
+    def mean_square_A2(self) -> FloatArray:
+        """(N,) mean of i_eff^2 over each period; of a problem with a temperature limit, as what follows."""
+        assert self.problem.thermal is not None
+        return self.problem.thermal.model.heating.mean_square(self.motion.current_A, self.command_A)
+
+    @cached_property
+    def rise_K(self) -> FloatArray:
+        """(N + 1, m) of the nodes at tau_0 to tau_N."""
+        assert self.problem.thermal is not None
+        return self.problem.thermal.model.rise(self.mean_square_A2)
+
+    def by_heating(self, multipliers: Multipliers) -> FloatArray:
+        """(N,) gradient of the temperature limit's part of the Lagrangian by the heatings; zero without one."""
+        thermal, by_winding = self.problem.thermal, multipliers.temperature_upper
+        if thermal is None or not by_winding.any():
+            return np.zeros(self.command_A.size)
+        return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
+
+
 def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
     """Every limit that the problem has, with what the command does to it."""
+    return list(_boxes(Effect(problem, command_A, motion), multipliers))
+
+
+def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
+    problem, command_A, motion = effect.problem, effect.command_A, effect.motion
     limits, m, N = problem.limits, multipliers, problem.grid.stages
 
     def box(name: str, unit: str, pair: str, value: FloatArray, bound: float) -> Box:
         lower, upper = getattr(m, f"{pair}_lower"), getattr(m, f"{pair}_upper")
         return Box(name, unit, lower, upper, value, np.full(N, bound), bound)
 
-    found = [box("current", "A", "current", motion.current_A, limits.current_A)]
+    yield box("current", "A", "current", motion.current_A, limits.current_A)
     if limits.command_A is not None:
-        found.append(box("command", "A", "command", command_A, limits.command_A))
+        yield box("command", "A", "command", command_A, limits.command_A)
     if limits.slew_A_per_s is not None:
         movement = np.diff(command_A, prepend=0.0)
-        found.append(box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s))
+        yield box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s)
     if problem.supply is not None:
         before, after = problem.supply.voltages_V(motion, command_A)
-        found.append(box("supply", "V", "supply_before", before, problem.supply.limit_V))
-        found.append(box("supply", "V", "supply_after", after, problem.supply.limit_V))
+        yield box("supply", "V", "supply_before", before, problem.supply.limit_V)
+        yield box("supply", "V", "supply_after", after, problem.supply.limit_V)
     if problem.thermal is not None:
-        winding = problem.thermal.temperatures_C(motion.current_A, command_A)
-        limit = problem.thermal.model.headroom_K + problem.thermal.model.unpowered_C
-        found.append(Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C))
-    return found
+        model = problem.thermal.model
+        winding, limit = effect.rise_K[1:, 0] + model.unpowered_C, model.headroom_K + model.unpowered_C
+        yield Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C)
 
 
-def inside(problem: TransientProblem, command_A: FloatArray, *, only: str | None = None) -> bool:
-    """Whether a command keeps all limits, or only those of one name, without any tolerance."""
-    limits = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
-    return all(bool(np.all(box.excess <= 0)) for box in limits if only in (None, box.name))
+def inside(
+    problem: TransientProblem, command_A: FloatArray, *, only: str | None = None, effect: Effect | None = None
+) -> bool:
+    """Whether a command keeps all limits, or only those of one name, without any tolerance.
+
+    Parameters
+    ----------
+    effect : of this command in this problem, where further questions about it follow.
+    """
+    limits = _boxes(effect or Effect(problem, command_A), Multipliers.zero(problem))
+    return all(bool((box.excess <= 0).all()) for box in limits if only in (None, box.name))
 
 
 def reduced_gradient(
     problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers
 ) -> FloatArray:
     """(N,) gradient by the commands of J + sum mu (constraint) + sum hand_over (c - feedback) [1/A]."""
+    effect = Effect(problem, command_A, motion)
+    return _reduced_gradient(effect, multipliers, effect.by_heating(multipliers))
+
+
+def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> FloatArray:
+    problem, command_A, motion = effect.problem, effect.command_A, effect.motion
     m, r = multipliers, problem.reference_m_s2
     scale = 2 / (float(r @ r) * len(problem.devices))
     by_command = m.command_upper - m.command_lower
@@ -102,12 +166,10 @@ def reduced_gradient(
         before, after = m.supply_before_upper - m.supply_before_lower, m.supply_after_upper - m.supply_after_lower
         through_current, by_velocity, directly = problem.supply.transpose(before, after)
         by_current, by_command = by_current + through_current, by_command + directly
-    if problem.thermal is not None and np.any(m.temperature_upper):
-        model = problem.thermal.model
-        h = model.heating.mean_square(motion.current_A, command_A)
-        by_h = model.adjoint(h, m.temperature_upper)
-        through_current, directly = model.heating.gradient(motion.current_A, command_A, m.current_sign)
-        by_current, by_command = by_current + by_h * through_current, by_command + by_h * directly
+    if problem.thermal is not None and by_heating.any():
+        heating = problem.thermal.model.heating
+        through_current, directly = heating.gradient(motion.current_A, command_A, m.current_sign)
+        by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
     tail = np.append(np.zeros(problem.free_stages), m.hand_over)
     by_command = by_command + tail
     if problem.wall is not None:
@@ -118,8 +180,7 @@ def reduced_gradient(
     by_movement = 2 * problem.movement_weight * movement + m.slew_upper - m.slew_lower
     own = Motion(by_acceleration(motion.acceleration_m_s2), by_current, by_velocity, by_encoder)
     gradient = problem.stage.adjoint(own) + _moved(by_movement) + by_command
-    for device in problem.spread:
-        acceleration, _ = device.rollout(command_A)
+    for device, acceleration in zip(problem.spread, effect.accelerations_m_s2[1:], strict=True):
         tracking = replace(Motion.zero(acceleration.size), acceleration_m_s2=by_acceleration(acceleration))
         gradient = gradient + device.adjoint(tracking)
     return np.asarray(gradient)
@@ -128,7 +189,7 @@ def reduced_gradient(
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
     """The same >= 0, and zero where there is no limit to bear them: a headroom may be infinite at some instants."""
     clipped = multipliers.clipped()
-    if problem.thermal is None:
+    if problem.thermal is None or not clipped.temperature_upper.any():
         return clipped
     bears = np.isfinite(problem.thermal.model.headroom_K)
     return replace(clipped, temperature_upper=np.where(bears, clipped.temperature_upper, 0.0))
@@ -136,17 +197,26 @@ def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multiplie
 
 def kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
     """What the tangent at |mean i| with the stated slope lies below it; zero where the slope is its sign."""
-    if problem.thermal is None or not np.any(multipliers.temperature_upper):
+    effect = Effect(problem, command_A, motion)
+    return _kink_gap(effect, multipliers, effect.by_heating(multipliers))
+
+
+def _kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> float:
+    thermal = effect.problem.thermal
+    if thermal is None or not by_heating.any():
         return 0.0
-    model = problem.thermal.model
-    h = model.heating.mean_square(motion.current_A, command_A)
-    mean = model.heating.mean_current(motion.current_A, command_A)
+    mean = thermal.model.heating.mean_current(effect.motion.current_A, effect.command_A)
     short = np.abs(mean) - multipliers.current_sign * mean
-    return float(np.abs(model.adjoint(h, multipliers.temperature_upper)) @ (2 * PWM_RIPPLE_A * short))
+    return float(np.abs(by_heating) @ (2 * PWM_RIPPLE_A * short))
 
 
 def certify(
-    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, lower_bound: float = -np.inf
+    problem: TransientProblem,
+    command_A: FloatArray,
+    multipliers: Multipliers,
+    lower_bound: float = -np.inf,
+    *,
+    effect: Effect | None = None,
 ) -> Certificate:
     """Bound the distance of a command from the optimum.
 
@@ -165,31 +235,31 @@ def certify(
     ----------
     command_A : (N,).
     lower_bound : of the optimum, from elsewhere; not needed while no temperature multiplier is positive.
+    effect : of this command in this problem, where it is known already.
     """
     N = problem.grid.stages
-    signed = [getattr(multipliers, field.name) for field in fields(multipliers) if field.name != "hand_over"]
+    signed = [getattr(multipliers, name) for name in STAGEWISE]
     arrays = [command_A, *signed, multipliers.hand_over]
     shapes = [(N,)] * (1 + len(signed)) + [(problem.hand_over_samples,)]
-    if [a.shape for a in arrays] != shapes or not all(np.all(np.isfinite(a)) for a in arrays):
+    if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
         return Certificate.nothing()
 
-    motion, clipped = problem.stage.motion(command_A), admissible(problem, multipliers)
-    limits = boxes(problem, command_A, motion, clipped)
-    objective = 0.0
-    if not problem.reference_is_zero:
-        others = [device.rollout(command_A)[0] for device in problem.spread]
-        objective = problem.objective(command_A, np.stack([motion.acceleration_m_s2, *others]))
+    effect, clipped = effect or Effect(problem, command_A), admissible(problem, multipliers)
+    limits, silent = list(_boxes(effect, clipped)), problem.reference_is_zero
+    objective = 0.0 if silent else problem.objective(command_A, effect.accelerations_m_s2)
 
-    if not all(np.all(np.isfinite(box.value)) for box in limits):
+    if not all(np.isfinite(box.value).all() for box in limits):
         # Thermal runaway: there is no steady state to speak of.
         return replace(Certificate.nothing(), objective=objective)
 
-    def violation(*units: str) -> float:
-        return max((float(box.excess.max()) for box in limits if box.unit in units), default=0.0)
+    over = [float(box.excess.max()) for box in limits]
 
-    tail = (command_A - problem.hand_over_command(motion))[problem.free_stages :]
+    def violation(*units: str) -> float:
+        return max((by for by, box in zip(over, limits, strict=True) if box.unit in units), default=0.0)
+
+    tail = (command_A - problem.hand_over_command(effect.motion))[problem.free_stages :]
     off = float(np.abs(tail).max())
-    excess = [float(box.excess.max()) / box.tolerance for box in limits]
+    excess = [by / box.tolerance for by, box in zip(over, limits, strict=True)]
     excess.append(off / Certificate.tolerated(problem.limits.current_A))
     found = Certificate(
         objective=objective,
@@ -202,15 +272,16 @@ def certify(
         lower_bound=0.0,
         finite=True,
     )
-    if problem.reference_is_zero:
+    if silent:
         # The stated answer is the zero waveform, over a wall as without one; J is not defined.
-        silent = float(np.abs(problem.transient_command(command_A)).max()) <= SILENT * problem.limits.current_A
-        return found if silent else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
+        zero = float(np.abs(problem.transient_command(command_A)).max()) <= SILENT * problem.limits.current_A
+        return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
-    g = reduced_gradient(problem, command_A, motion, clipped)
+    by_heating = effect.by_heating(clipped)
+    g = _reduced_gradient(effect, clipped, by_heating)
     c_max = problem.limits.command_bound_A
     gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
-    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + kink_gap(problem, command_A, motion, clipped)
+    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.temperature_upper.any()
     return replace(
         found,
@@ -218,6 +289,29 @@ def certify(
         duality_gap=gap,
         lower_bound=max(objective - gap, lower_bound) if convex else lower_bound,
     )
+
+
+def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
+    """Rigorous lower bound on J where the warming copper makes the problem nonconvex, from its own multipliers.
+
+    Any multipliers of the convex problem (`ThermalLimit.relaxed`) bound its optimum, which bounds this one's: those
+    are taken under which heat has the price that it has here: what is stationary here is stationary there too.
+    All that the bound then lacks is what the limits differ by, price times slack. Minus infinity where taps repeat:
+    there the two problems price heat over different times.
+
+    Parameters
+    ----------
+    effect : of the command in the problem. multipliers : its own, as `certify` takes them.
+    """
+    problem, command_A = effect.problem, effect.command_A
+    thermal = problem.thermal
+    if thermal is None or thermal.model.closure is not None:
+        return -np.inf
+    relaxed = replace(problem, thermal=thermal.relaxed(problem.limits.current_A))
+    assert relaxed.thermal is not None
+    prices = relaxed.thermal.model.prices(effect.by_heating(admissible(problem, multipliers)))
+    priced = replace(multipliers, temperature_upper=np.maximum(prices, 0.0))
+    return certify(relaxed, command_A, priced, effect=Effect(relaxed, command_A, effect.motion)).lower_bound
 
 
 def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:

@@ -204,10 +204,11 @@ def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bo
     A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
     """
     outputs = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else [])]
-    acting: NDArray[np.bool_] = np.any(np.vstack(outputs) != 0, axis=0)
+    acting: NDArray[np.bool_] = (np.concatenate(outputs) != 0).any(axis=0)
+    by = plant.A != 0
     while True:
-        more = acting | np.any(plant.A[acting] != 0, axis=0)
-        if np.array_equal(more, acting):
+        more = acting | by[acting].any(axis=0)
+        if (more == acting).all():
             return acting
         acting = more
 
@@ -269,17 +270,23 @@ def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: in
     A : (n, n). B : (n,).
     """
     period, n = 20, B.size
-    # One half period after the other: all its states at once, from the powers of A.
-    after, held = np.empty((period, n, n)), np.empty((period, n))
-    power, response = np.eye(n), np.zeros(n)
-    for j in range(period):
-        response = A @ response + B * current_limit_A
-        power = A @ power
-        after[j], held[j] = power, response
-    x, peak = np.zeros(n), np.zeros(n)
-    for half in range(-(-min(stages, 20 * period) // period)):
-        course = after @ x + (held if half % 2 == 0 else -held)
-        peak = np.maximum(peak, np.abs(course).max(axis=0))
-        x = course[-1]
+    halves = -(-min(stages, 20 * period) // period)
+    powers = _powers(A, period)
+    held = np.cumsum((powers[:-n] @ (B * current_limit_A)).reshape(period, n), axis=0)
+    # Half period after half period, each seen with the sign of its own current: x+ = held_20 - A^20 x. All states of
+    # one follow from where it starts.
+    starts = np.zeros((halves, n))
+    starts[1:] = np.cumsum((_powers(-powers[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
+    courses = held.ravel() - starts @ powers[n:].T
+    peak = np.abs(courses).max(axis=0).reshape(period, n).max(axis=0)
     # A state that the current cannot move has no size of its own.
     return np.where(peak > 0, peak, 1.0)
+
+
+def _powers(A: FloatArray, last: int) -> FloatArray:
+    """((last + 1) n, n) A^0 to A^last one below the other, by doubling."""
+    n = A.shape[0]
+    found = np.concatenate([np.eye(n), A])
+    while (missing := (last + 1) * n - found.shape[0]) > 0:
+        found = np.concatenate([found, found[n : n + missing] @ found[-n:]])
+    return found[: (last + 1) * n]

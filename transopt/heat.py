@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
@@ -65,6 +65,7 @@ class Heating:
         return by_a + self.decay * by_b, (1 - self.decay) * by_b
 
 
+@lru_cache(maxsize=16)
 def heating(amplifier: Amplifier | None, dt_s: float) -> Heating:
     """Heating of one servo period through this amplifier."""
     if amplifier is None:
@@ -108,7 +109,8 @@ class HeatModel:
 
     def _maps(self, h: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Each step as th+ = P th + s: (N, m, m), (N, m)."""
-        P = np.tile(self.M, (h.size, 1, 1))
+        P = np.empty((h.size, *self.M.shape))
+        P[:] = self.M
         P[:, :, 0] += self.b * (self.copper * h)[:, None]
         return P, self.b * (self.gain * h)[:, None]
 
@@ -141,9 +143,9 @@ class HeatModel:
             return np.full((h.size + 1, self.nodes), np.inf)
         return np.concatenate([start[None], self._course(lower, P, s, start)])
 
-    def adjoint(self, h: FloatArray, by_winding: FloatArray) -> FloatArray:
-        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,)."""
-        course = self.rise(h)
+    def adjoint(self, h: FloatArray, by_winding: FloatArray, rise: FloatArray | None = None) -> FloatArray:
+        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,); `rise` of h if known."""
+        course = self.rise(h) if rise is None else rise
         P, _ = self._maps(h)
         lower, m = _band(P), self.nodes
 
@@ -165,10 +167,25 @@ class HeatModel:
         nu = backwards(end, by_winding)
         return np.asarray((nu @ self.b) * (self.gain + self.copper * course[:-1, 0]))
 
+    def prices(self, by_h: FloatArray) -> FloatArray:
+        """(N,) gradients by th_w,(k+1) whose `adjoint` is `by_h` (N,): its inverse, for copper 0 and one tap alone.
+
+        by_h / gain is those gradients through the winding's answer to one heating, a filter against time.
+        """
+        assert self.copper == 0
+        assert self.closure is None
+        if self.nodes == 1:
+            answer, own = self.b, np.array([1.0, -self.M[0, 0]])
+        else:
+            (ww, wh), (hw, hh) = self.M
+            answer = np.array([self.b[0], wh * self.b[1] - hh * self.b[0]])
+            own = np.array([1.0, -ww - hh, ww * hh - wh * hw])
+        return np.asarray(signal.lfilter(own, answer, (by_h / self.gain)[::-1])[::-1])
+
 
 def _band(P: FloatArray) -> FloatArray:
     """Of th_(k+1) = P_k th_k over k = 1..N-1: the first step starts from th_0, which is no unknown."""
-    return band(np.concatenate([P[1:], P[:1]]))
+    return band(np.roll(P, -1, axis=0))
 
 
 @dataclass(frozen=True)
@@ -276,28 +293,56 @@ def _under_power(coil: CoilModel, held: FloatArray, effective_A: float) -> Float
     return found
 
 
+@dataclass(frozen=True)
+class _Nodes:
+    """What a coil does whatever its start temperatures, on one grid.
+
+    Attributes
+    ----------
+    M, b : of `HeatModel`. held : (m + 1, m + 1) rate of the rises above rest, and of 1, per watt in the winding.
+    winding : (N + 1, m) unpowered rise of the winding above rest at tau_0 to tau_N for each node's rise at tau_0.
+    waiting : (m + 1, m + 1) flow of the nodes above rest, and 1, from the first command to tau_0: the ripple heats.
+    """
+
+    M: FloatArray
+    b: FloatArray
+    held: FloatArray
+    winding: FloatArray
+    waiting: FloatArray
+
+
+@lru_cache(maxsize=16)
+def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
+    flow, inflow = coil.flow()
+    m, N = inflow.size, grid.stages
+    held = np.zeros((m + 1, m + 1))
+    held[:m, :m], held[:m, m] = flow, inflow
+    hold = linalg.expm(held * grid.dt_s)
+    M, b = hold[:m, :m], hold[:m, m]
+    courses, lower = [], constant_band(M)
+    for unit in np.eye(m):
+        start = np.zeros((N + 1, m))
+        start[0] = unit
+        courses.append(run(M, lower, start)[:, 0])
+    waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
+    return _Nodes(M, b, held, np.stack(courses, axis=1), waiting)
+
+
 @lru_cache(maxsize=64)  # all entries of a scene without a wall have the same
 def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> ThermalLimit:
     """The temperature limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
-    flow, inflow = coil.flow()
-    m, dt, N = inflow.size, grid.dt_s, grid.stages
-    held = np.zeros((m + 1, m + 1))
-    held[:m, :m], held[:m, m] = flow, inflow
-    hold = linalg.expm(held * dt)
-    M, b = hold[:m, :m], hold[:m, m]
+    # The start is no part of what `_nodes` knows, so that each start of a coil finds the same.
+    nodes = _nodes(replace(coil, start_winding_C=coil.limit_C, start_housing_C=coil.rest_C), grid)
+    m, dt, N = nodes.b.size, grid.dt_s, grid.stages
     unpowered = np.full(N + 1, coil.rest_C)
     closure, margin_K = None, 0.0
     if budget.tap_rate_Hz is None:
         # The coil starts when the first command is issued, an amplifier's delay before the first is felt; the ripple
         # heats in the meantime.
         start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
-        waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
-        above = waiting[:m, :m] @ start + waiting[:m, m]
-        cooling = np.zeros((N + 1, m))
-        cooling[0] = above
-        unpowered += run(M, constant_band(M), cooling)[:, 0]
+        unpowered += nodes.winding @ (nodes.waiting[:m, :m] @ start + nodes.waiting[:m, m])
     else:
-        pause = _under_power(coil, held, budget.pause_A + PWM_RIPPLE_A)
+        pause = _under_power(coil, nodes.held, budget.pause_A + PWM_RIPPLE_A)
         pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
         if not 1 / budget.tap_rate_Hz > takes_s:
             raise InputError(
@@ -309,8 +354,8 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         margin_K = STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
     model = HeatModel(
         heating=heating(amplifier, dt),
-        M=M,
-        b=b,
+        M=nodes.M,
+        b=nodes.b,
         gain=coil.R_ohm * (1 + COPPER_PER_K * (unpowered[:-1] - RESISTANCE_REFERENCE_C)),
         copper=coil.R_ohm * COPPER_PER_K,
         headroom_K=winding_limit_C(coil, budget) - margin_K - unpowered[1:],

@@ -14,15 +14,13 @@ from transopt.amplifier import Amplifier
 from transopt.discretise import StageModel, TimeGrid, discretise
 from transopt.errors import InputError
 from transopt.files import whole_file
-from transopt.heat import Budget
 from transopt.models import StateSpace
-from transopt.parts import pressing, thermal_of
-from transopt.problem import Limits, Multipliers, TransientProblem
+from transopt.parts import pressing
+from transopt.posing import Posing, Wanted
+from transopt.problem import Multipliers, TransientProblem
 from transopt.signals import FloatArray
-from transopt.supply import Circuit, Supply
 from transopt.thermal import CoilModel
-from transopt.wall import HandOver, Wall
-from transopt.weighting import error_filter
+from transopt.wall import Wall
 
 SCHEMA = 1
 HASH_FIELD = "content_sha256"
@@ -132,20 +130,16 @@ META_KEYS = {
 
 
 @dataclass(frozen=True)
-class Waveform:
-    """A blended command between nodes.
+class Place:
+    """Where a measured tap lies on the grid of speeds and grips.
 
     Attributes
     ----------
-    command_A : (N,) total command c_k, issued at -lead + k dt and held [A].
-    transient_command_A : (N,) what a device with the library's wall plays on top of its feedback [A].
-    speed_m_s, grip_N : where it was blended, after clamping to the grid.
+    speed_m_s, grip_N : after clamping to the grid.
     speed_clamped, grip_clamped : whether the wanted point lay outside the grid.
-    silent : no transient is played, for want of speed or grip; the command is zero.
+    silent : no transient is played, for want of speed or grip.
     """
 
-    command_A: FloatArray
-    transient_command_A: FloatArray
     speed_m_s: float
     grip_N: float
     speed_clamped: bool
@@ -153,9 +147,26 @@ class Waveform:
     silent: bool
 
 
+@dataclass(frozen=True)
+class Waveform(Place):
+    """A command for a place: zero where it is silent, else a blend of the nodes' or what was solved for it.
+
+    Attributes
+    ----------
+    command_A : (N,) total command c_k, issued at -lead + k dt and held [A].
+    transient_command_A : (N,) what a device with the library's wall plays on top of its feedback [A].
+    """
+
+    command_A: FloatArray
+    transient_command_A: FloatArray
+
+
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
     """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
-    return np.array([np.interp(value, nodes, unit) for unit in np.eye(nodes.size)])
+    weights, after = np.zeros(nodes.size), int(np.searchsorted(nodes, value))
+    share = 1.0 if after == 0 else (value - nodes[after - 1]) / (nodes[after] - nodes[after - 1])
+    weights[after - 1], weights[after] = 1 - share, share
+    return weights
 
 
 def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
@@ -234,9 +245,6 @@ class Library:
     def coil(self) -> CoilModel | None:
         return None if self.meta["thermal"] is None else CoilModel(**self.meta["thermal"]["coil"])
 
-    def budget(self) -> Budget:
-        return Budget() if self.meta["thermal"] is None else Budget(**self.meta["thermal"]["budget"])
-
     def wall(self) -> Wall | None:
         return None if self.meta["feedback"] is None else Wall(**self.meta["feedback"])
 
@@ -258,55 +266,25 @@ class Library:
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
-        by_speed = np.eye(self.speeds_m_s.size)[iv]
+        wanted = self.wanted(float(self.speeds_m_s[iv]), np.eye(self.speeds_m_s.size)[iv])
+        wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + self.correction_m_s2[iv, ig])
         stage = self.stage(ig) if stage is None else stage
-        problem = self.posed(float(self.speeds_m_s[iv]), by_speed, stage, self.spread(ig), self.coil())
-        problem = replace(problem, reference_m_s2=problem.reference_m_s2 + self.correction_m_s2[iv, ig])
+        problem = self.posing().problem(wanted, stage, self.spread(ig), self.coil())
         if problem.wall is None:
             return problem
         return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
 
-    def posed(
-        self,
-        speed_m_s: float,
-        by_speed: FloatArray,
-        stage: StageModel,
-        spread: tuple[StageModel, ...],
-        coil: CoilModel | None,
-    ) -> TransientProblem:
-        """The problem of a tap with these limits; a wall pushes where the nominal motion is under the surface.
+    def posing(self) -> Posing:
+        """What the problems of all taps with these limits share."""
+        return Posing.of(self.meta, self.command_A.shape[2])
 
-        Parameters
-        ----------
-        by_speed : (nv,) weights of the nodes' references and nominal motions, see `speed_weights`.
-        """
-        meta, grid, amplifier, wall = self.meta, self.time_grid(), self.amplifier(), self.wall()
-        limits, supply, hand_over = meta["limits"], None, None
-        reference = by_speed @ self.reference_m_s2
-        if limits["supply_V"] is not None and amplifier is not None:
-            circuit = Circuit(**meta["circuit"])
-            velocity = by_speed @ self.nominal_velocity_m_s
-            supply = Supply(limits["supply_V"], circuit, amplifier.rate_rad_s, velocity)
-        if wall is not None:
-            nominal = by_speed @ self.nominal_position_at_ticks_m
-            hand_over = HandOver(wall, nominal, speed_m_s, nominal < 0)
-        return TransientProblem(
-            stage=stage,
-            grid=grid,
-            reference_m_s2=reference,
-            tracking_weights=np.asarray(meta["weights"]["tracking"], dtype=float),
-            rho=meta["weights"]["rho"],
-            limits=Limits(
-                current_A=limits["current_A"],
-                command_A=None if amplifier is None else amplifier.command_limit_A,
-                slew_A_per_s=limits["slew_A_per_s"],
-            ),
-            hand_over_samples=meta["hand_over_samples"],
-            supply=supply,
-            wall=hand_over,
-            thermal=thermal_of(coil, amplifier, grid, self.budget(), hand_over, reference),
-            error_filter=error_filter(meta["weights"]["error_filter"], grid.dt_s),
-            spread=spread,
+    def wanted(self, speed_m_s: float, by_speed: FloatArray) -> Wanted:
+        """Reference and nominal motion, from weights (nv,) of the nodes' own, see `speed_weights`."""
+        return Wanted(
+            speed_m_s,
+            by_speed @ self.reference_m_s2,
+            by_speed @ self.nominal_velocity_m_s,
+            by_speed @ self.nominal_position_at_ticks_m,
         )
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
@@ -324,17 +302,31 @@ class Library:
         ------
         InputError : speed or grip is not a finite number.
         """
+        return self.blend(self.located(speed_m_s, grip_N))
+
+    def located(self, speed_m_s: float, grip_N: float) -> Place:
+        """Where a measured tap lies on the grid.
+
+        Raises
+        ------
+        InputError : speed or grip is not a finite number.
+        """
         if not (np.isfinite(speed_m_s) and np.isfinite(grip_N)):
             raise InputError(f"speed {speed_m_s} m/s, grip {grip_N} N: both must be finite numbers")
-        speed = float(np.clip(speed_m_s, self.speeds_m_s[0], self.speeds_m_s[-1]))
-        grip = float(np.clip(grip_N, self.grips_N[0], self.grips_N[-1]))
-        by_speed, by_grip = interpolation_weights(self.speeds_m_s, speed), interpolation_weights(self.grips_N, grip)
+        speed = min(max(float(speed_m_s), float(self.speeds_m_s[0])), float(self.speeds_m_s[-1]))
+        grip = min(max(float(grip_N), float(self.grips_N[0])), float(self.grips_N[-1]))
         silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"])
+        return Place(speed, grip, speed != speed_m_s, grip != grip_N, bool(silent))
+
+    def blend(self, place: Place) -> Waveform:
+        """The nodes' commands at a place; zero where it is silent."""
+        by_speed = interpolation_weights(self.speeds_m_s, place.speed_m_s)
+        by_grip = interpolation_weights(self.grips_N, place.grip_N)
         command, transient = (
-            np.tensordot(np.outer(by_speed, by_grip), waveforms, 2) * (0.0 if silent else 1.0)
+            np.tensordot(np.outer(by_speed, by_grip), waveforms, 2) * (0.0 if place.silent else 1.0)
             for waveforms in (self.command_A, self.transient_command_A)
         )
-        return Waveform(command, transient, speed, grip, speed != speed_m_s, grip != grip_N, silent)
+        return Waveform(**vars(place), command_A=command, transient_command_A=transient)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""

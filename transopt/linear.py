@@ -6,6 +6,7 @@ the input.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,13 +52,13 @@ class Layout:
         start = sum(self.plants) + int(self.amplifier) + 2 * device
         return slice(start, start + 2)
 
-    @property
+    @cached_property
     def wall(self) -> slice:
         """Encoder position, filtered velocity, and the delayed feedback demands, the latest first."""
         start = sum(self.plants) + int(self.amplifier) + 2 * self.devices * int(self.error_filter)
         return slice(start, start + (0 if self.feedback_delay is None else 3 + self.feedback_delay))
 
-    @property
+    @cached_property
     def states(self) -> int:
         """Length of x."""
         return int(self.wall.stop) + 1

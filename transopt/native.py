@@ -4,10 +4,9 @@ The extension is optional. Where it could not be built, `available` is False.
 """
 
 import ctypes as ct
-from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from transopt.stagewise import Stages
 
 EXTENSION = "_riccati"  # beside `transopt.solvers`, whose import would load CasADi
 MOST_STATES = 48  # of riccati.c
-DOUBLES = ct.POINTER(ct.c_double)
+DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 
 # `tr_problem` of riccati.c.
@@ -54,7 +53,10 @@ def _library() -> ct.CDLL | None:
     library = ct.CDLL(found.origin)
     if not hasattr(library, "tr_linear"):
         return None  # left behind by an earlier version: as good as none
-    library.tr_workspace.restype = ct.c_size_t
+    problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
+    library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (problem,)
+    library.tr_solve.argtypes = (problem, ct.POINTER(_Options), DOUBLES, result)
+    library.tr_linear.argtypes = (problem, ct.c_double, ct.c_int, DOUBLES, result)
     return library
 
 
@@ -63,8 +65,8 @@ available = _LIBRARY is not None
 SOLVED, ACCURACY = 0, 1  # codes of an answer; the others are failures
 
 
-def _pointer(array: FloatArray) -> Any:
-    return array.ctypes.data_as(DOUBLES)
+def _pointer(array: FloatArray) -> int:
+    return array.ctypes.data
 
 
 class Buffers:
@@ -73,6 +75,7 @@ class Buffers:
     Attributes
     ----------
     movement, size, gradient : (N,). lower, upper : (N + 1, rows) multipliers of the last answer.
+    gains_of : the linear pass whose gains stand in the workspace, by its token; None for none.
     """
 
     def __init__(self, sizes: dict[str, int]) -> None:
@@ -82,14 +85,14 @@ class Buffers:
         # A pointer to nothing is none that C may copy no bytes to.
         self._lower, self._upper, self._start = (np.zeros(max(count, 1)) for count in (*[shape[0] * shape[1]] * 2, 4))
         self.lower, self.upper = (flat[: shape[0] * shape[1]].reshape(shape) for flat in (self._lower, self._upper))
+        self.gains_of: object = None
         self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
         self.result = _Result(
             *(_pointer(a) for a in (self.movement, self.size, self._lower, self._upper, self.gradient, self._start))
         )
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What the method says of its last iterate, which stands in the buffers.
 
     Attributes
@@ -127,7 +130,7 @@ def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_it
     tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
     """
     assert _LIBRARY is not None
-    stated, asked = _stated(stages), _Options(max_iterations, tolerance)
+    stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance), None
     code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), _pointer(buffers.workspace), ct.byref(buffers.result))
     return _answer(code, buffers.result)
 
@@ -139,41 +142,45 @@ class LinearPass:
     ----------
     stages : `stagewise.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
         references share gains only if they share rho |r|^2, as those of one (grip, speed) do.
+    buffers : of the same sizes, where there are any. Who else solves in them costs this pass its gains.
 
     Attributes
     ----------
     reference : (N,) of the stages' problem in units of its norm; writing into it is how it is changed.
     """
 
-    def __init__(self, stages: Stages) -> None:
+    def __init__(self, stages: Stages, buffers: Buffers | None = None) -> None:
         assert _LIBRARY is not None
         self.stages = stages
-        self.buffers = Buffers(stages.sizes)
+        self.buffers = Buffers(stages.sizes) if buffers is None else buffers
         self.reference = stages.arrays["reference"].copy()
         self._stated = _stated(stages)
         self._stated.reference = _pointer(self.reference)
         self._arguments = (_pointer(self.buffers.workspace), ct.byref(self.buffers.result))
-        self._problem, self._factored = ct.byref(self._stated), 0
+        self._problem, self._token = ct.byref(self._stated), object()
         self._pass = _LIBRARY.tr_linear
+        problem = stages.problem
+        self._tail = slice(problem.free_stages, None)
+        self._zeros = self._tail if problem.wall is None else slice(0, 0)
 
     def solve(self, tolerance: float) -> Answer:
         """Answer to `tolerance` on the gap, relative to max(J, 1e-3); movement and gradient stand in the buffers."""
-        code = self._pass(self._problem, ct.c_double(tolerance), self._factored, *self._arguments)
-        self._factored = int(code in (SOLVED, ACCURACY))
-        return _answer(code, self.buffers.result)
+        buffers = self.buffers
+        code = self._pass(self._problem, tolerance, buffers.gains_of is self._token, *self._arguments)
+        buffers.gains_of = self._token if code in (SOLVED, ACCURACY) else None
+        return _answer(code, buffers.result)
 
     def forget(self) -> None:
         """Factor again at the next solve."""
-        self._factored = 0
+        self.buffers.gains_of = None
 
     def command_A(self) -> FloatArray:
         """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
-        command = np.cumsum(self.buffers.movement) * self.stages.current_A
-        if self.stages.problem.wall is None:
-            command[self.stages.problem.free_stages :] = 0.0
-        return np.asarray(command)
+        command: FloatArray = self.buffers.movement.cumsum()
+        command *= self.stages.current_A
+        command[self._zeros] = 0.0
+        return command
 
     def hand_over(self) -> FloatArray:
         """(hand_over_samples,) its multipliers of the hand-over [1/A]."""
-        tail = self.buffers.gradient[self.stages.problem.free_stages :]
-        return np.asarray(-tail * OBJECTIVE_SCALE / self.stages.current_A)
+        return np.asarray(-self.buffers.gradient[self._tail] * OBJECTIVE_SCALE / self.stages.current_A)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt.certify import certify, inside
+from transopt.certify import BINDING_MULTIPLIER, Effect, certify, inside, relaxed_bound
 from transopt.discretise import StageModel, discretise
 from transopt.errors import InputError
 from transopt.library import Library, Waveform, interpolation_weights, speed_weights
@@ -21,7 +21,7 @@ from transopt.native import ACCURACY, MOST_STATES, SOLVED, Buffers, LinearPass, 
 from transopt.parts import encoder_course, leave_out, pressing, reference_course
 from transopt.problem import Certificate, Multipliers, TransientProblem
 from transopt.signals import FloatArray
-from transopt.stagewise import runtime_stages, without_limits
+from transopt.stagewise import Stages, runtime_stages, without_limits
 from transopt.thermal import CoilModel
 
 TOLERANCE = 1e-9  # of gap and residuals: three digits to the certificate's, as in the designer
@@ -53,9 +53,13 @@ class Tap:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Answer:
     command_A: FloatArray
     multipliers: Multipliers
+
+
+@dataclass(frozen=True)
+class _Found(_Answer):
     proof: Certificate
 
 
@@ -85,14 +89,16 @@ class Online:
         self._library, self._plant, self._spread = library, plant, spread
         self._coil = library.coil()
         self._stages: dict[float, tuple[StageModel, ...]] = {}
-        self._buffers: dict[tuple[tuple[str, int], ...], Buffers] = {}
+        self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
+        self._buffers: dict[tuple[int, ...], Buffers] = {}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         problem = self._posed(fastest, firmest, self._coil)
         sizes = runtime_stages(problem).sizes
         states = sizes["states"] + sizes["nodes"]
         if states > MOST_STATES:
             raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
-        # Memory of all that a tap can come to: with and without the temperature.
+        # Memory of all that a tap can come to: without limits, with and without the temperature.
+        self._buffers_for(without_limits(problem))
         for each in (problem, replace(problem, thermal=None)):
             self._by_interior_point(each)
 
@@ -100,10 +106,11 @@ class Online:
         """The device of a grip and those of its spread, discretised."""
         found = self._stages.get(grip_N)
         if found is None:
-            library = self._library
-            amplifier, dt, position = library.amplifier(), library.meta["dt_s"], library.meta["feedback"] is not None
-            plants = (self._plant(grip_N), *self._spread(grip_N))
-            found = tuple(discretise(plant, amplifier, dt, position=position) for plant in plants)
+            posing, plants = self._posing, (self._plant(grip_N), *self._spread(grip_N))
+            position = posing.wall is not None
+            found = tuple(
+                discretise(plant, posing.amplifier, posing.grid.dt_s, position=position) for plant in plants
+            )
             if len(self._stages) >= FAMILIES:
                 del self._stages[next(iter(self._stages))]
             self._stages[grip_N] = found
@@ -111,15 +118,15 @@ class Online:
 
     def _posed(self, speed_m_s: float, grip_N: float, coil: CoilModel | None) -> TransientProblem:
         library = self._library
-        by_speed = speed_weights(library.speeds_m_s, speed_m_s)
         stage, *spread = self._devices(grip_N)
-        problem = library.posed(speed_m_s, by_speed, stage, tuple(spread), coil)
-        if np.any(library.correction_m_s2):
+        wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s))
+        if self._corrected:
             # What the device was found to need at the nodes, blended as it is between them.
             own = interpolation_weights(library.speeds_m_s, speed_m_s)
             by_grip = interpolation_weights(library.grips_N, grip_N)
             correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
-            problem = replace(problem, reference_m_s2=problem.reference_m_s2 + correction)
+            wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + correction)
+        problem = self._posing.problem(wanted, stage, tuple(spread), coil)
         if problem.wall is None:
             return problem
         return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
@@ -139,17 +146,16 @@ class Online:
         InputError : speed, grip or temperature is not a finite number.
         """
         start = time.perf_counter()
-        wave = self._library.at(speed_m_s, grip_N)
-        coil, hot = self._heated(winding_C, housing_C)
-        if wave.silent or hot:
-            remark = hot or "nothing to play: too little grip or speed"
-            return Tap(wave, None, remark, time.perf_counter() - start)
-        found = self._optimum(self._posed(wave.speed_m_s, wave.grip_N, coil))
+        place = self._library.located(speed_m_s, grip_N)
+        coil, remark = self._heated(winding_C, housing_C)
+        if place.silent and not remark:
+            remark = "nothing to play: too little grip or speed"
+        found = remark or self._optimum(self._posed(place.speed_m_s, place.grip_N, coil))
         if isinstance(found, str):
-            return Tap(wave, None, found, time.perf_counter() - start)
+            return Tap(self._library.blend(place), None, found, time.perf_counter() - start)
         problem, answer = found
         transient = problem.transient_command(answer.command_A)
-        wave = replace(wave, command_A=answer.command_A, transient_command_A=transient)
+        wave = Waveform(**vars(place), command_A=answer.command_A, transient_command_A=transient)
         return Tap(wave, answer.proof, "", time.perf_counter() - start)
 
     def _heated(self, winding_C: float | None, housing_C: float | None) -> tuple[CoilModel | None, str]:
@@ -183,42 +189,88 @@ class Online:
     def _solved(self, problem: TransientProblem) -> _Found | None:
         """The smallest problem that has the answer (DESIGN 4): without limits, without the temperature, whole."""
         if problem.reference_is_zero:
-            return self._judged(problem, np.zeros(problem.grid.stages), Multipliers.zero(problem))
+            return self._judged(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
-        stage = linear_stage(small)
-        linear = LinearPass(without_limits(small, stage))
+        stage, hot = linear_stage(small), False
+        stages = without_limits(small, stage)
+        linear = LinearPass(stages, self._buffers_for(stages))
         if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
             free = linear.command_A()
-            if inside(problem, free):
+            effect = Effect(problem, free)
+            if inside(problem, free, effect=effect):
                 multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
-                found = self._judged(problem, free, multipliers)
+                found = self._judged(effect, multipliers)
                 if found.proof.accepted:
                     return found
-        answer = self._by_interior_point(replace(small, thermal=None), stage)
-        if small.thermal is not None and answer is not None and not inside(problem, answer[0], only="coil"):
-            answer = self._by_interior_point(small, stage)
-        return None if answer is None else self._judged(problem, *answer)
+            hot = small.thermal is not None and _overheats(effect)
+        return self._limited(problem, small, stage, hot=hot)
 
-    def _by_interior_point(
-        self, problem: TransientProblem, stage: LinearStage | None = None
-    ) -> tuple[FloatArray, Multipliers] | None:
-        stages = runtime_stages(problem, stage)
-        key = tuple(sorted(stages.sizes.items()))
+    def _limited(
+        self, problem: TransientProblem, small: TransientProblem, stage: LinearStage, *, hot: bool
+    ) -> _Found | None:
+        """The answer within the limits; `hot`, a guess whether the winding's binds, only says what comes first."""
+        cold, found = replace(small, thermal=None), None
+        attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
+        for attempt in attempts:
+            answer = self._by_interior_point(attempt, stage)
+            if answer is None:
+                continue
+            command, multipliers = answer.command_A, answer.multipliers
+            if attempt.thermal is not None and multipliers.temperature_upper.max() <= BINDING_MULTIPLIER:
+                # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
+                multipliers = replace(multipliers, temperature_upper=np.zeros(command.size))
+            effect = Effect(problem, command)
+            if (
+                attempt is cold
+                and small.thermal is not None
+                and not inside(problem, command, only="coil", effect=effect)
+            ):
+                continue
+            found = self._judged(effect, multipliers)
+            if found.proof.accepted:
+                return found
+        return found
+
+    def _buffers_for(self, stages: Stages) -> Buffers:
+        key = tuple(stages.sizes.values())
         if key not in self._buffers:
             self._buffers[key] = Buffers(stages.sizes)
-        buffers = self._buffers[key]
+        return self._buffers[key]
+
+    def _by_interior_point(self, problem: TransientProblem, stage: LinearStage | None = None) -> _Answer | None:
+        stages = runtime_stages(problem, stage)
+        buffers = self._buffers_for(stages)
         answer = interior_point(stages, buffers, tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
         if answer.code not in (SOLVED, ACCURACY):
             return None
         by_row = buffers.upper - buffers.lower
-        return stages.command(buffers.movement), stages.multipliers(by_row, buffers.gradient)
+        return _Answer(stages.command(buffers.movement), stages.multipliers(by_row, buffers.gradient))
 
-    def _judged(self, problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> _Found:
-        """With its certificate; where the temperature binds, the convex problem bounds J from below."""
-        proof = certify(problem, command_A, multipliers)
-        if problem.thermal is not None and proof.finite and not np.isfinite(proof.lower_bound):
-            relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
-            bound = self._by_interior_point(relaxed)
-            if bound is not None:
-                proof = replace(proof, lower_bound=certify(relaxed, *bound).lower_bound)
-        return _Found(command_A, multipliers, proof)
+    def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
+        """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
+        problem, command = effect.problem, effect.command_A
+        proof = certify(problem, command, multipliers, effect=effect)
+        if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
+            proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
+            if not proof.accepted:
+                relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+                bound = self._by_interior_point(relaxed)
+                if bound is not None:
+                    lower = certify(relaxed, bound.command_A, bound.multipliers).lower_bound
+                    proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
+        return _Found(command, multipliers, proof)
+
+
+def _overheats(effect: Effect) -> bool:
+    """Whether a command without limits would be too hot even with its current cut off: a guess at what will bind."""
+    thermal, limit_A = effect.problem.thermal, effect.problem.limits.current_A
+    assert thermal is not None
+    model = thermal.model
+
+    def too_hot(rise_K: FloatArray) -> bool:
+        return bool((rise_K[1:, 0] > model.headroom_K).any())
+
+    if not too_hot(effect.rise_K):
+        return False
+    currents = (np.clip(each, -limit_A, limit_A) for each in (effect.motion.current_A, effect.command_A))
+    return too_hot(model.rise(model.heating.mean_square(*currents)))

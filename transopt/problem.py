@@ -1,6 +1,6 @@
 """The optimal-control problem of one library entry, and what an answer to it consists of (DESIGN 4)."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from enum import Enum
 
 import numpy as np
@@ -18,7 +18,6 @@ AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
 AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, about 1.8 dB
 ZERO_REFERENCE_M_S2 = 1e-3  # a reference with a smaller rms is zero
 LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
-NO_LIMITS = frozenset({"hand_over", "current_sign"})  # among the multipliers: of an equation, and a slope
 SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
 
 
@@ -88,15 +87,15 @@ class TransientProblem:
             array = getattr(self, name)
             if array.shape != (N,):
                 raise InputError(f"{name} has shape {array.shape}, expected ({N},)")
-            if not np.all(np.isfinite(array)):
+            if not np.isfinite(array).all():
                 raise InputError(f"{name} holds a number that is not finite")
-        largest = float(np.abs(self.reference_m_s2).max())
+        largest = max(float(self.reference_m_s2.max()), -float(self.reference_m_s2.min()))
         if largest > LARGEST_M_S2:
             raise InputError(
                 f"reference_m_s2 reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
                 "overflow; check its unit"
             )
-        if np.any(self.tracking_weights < 0) or not 0 <= self.rho < np.inf:
+        if self.tracking_weights.min() < 0 or not 0 <= self.rho < np.inf:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")
         if not 1 <= self.hand_over_samples <= N:
             raise InputError(
@@ -252,19 +251,25 @@ class Multipliers:
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
         """No limit binds."""
-        names = [field.name for field in fields(cls) if field.name != "hand_over"]
-        N = problem.grid.stages
-        return cls(**{name: np.zeros(N) for name in names}, hand_over=np.zeros(problem.hand_over_samples))
+        nothing = np.zeros(problem.grid.stages)
+        nothing.flags.writeable = False  # it stands for all of them
+        return cls(**dict.fromkeys(STAGEWISE, nothing), hand_over=np.zeros(problem.hand_over_samples))
 
     @property
     def largest(self) -> float:
         """The largest multiplier of a limit, whatever its unit."""
-        return max(float(getattr(self, f.name).max()) for f in fields(self) if f.name not in NO_LIMITS)
+        return max(float(getattr(self, name).max()) for name in OF_LIMITS)
 
     def clipped(self) -> "Multipliers":
         """The same with every negative multiplier of a limit set to zero."""
-        limits = {f.name: np.maximum(getattr(self, f.name), 0.0) for f in fields(self) if f.name not in NO_LIMITS}
-        return replace(self, **limits, current_sign=np.clip(self.current_sign, -1.0, 1.0))
+        limits = {name: np.maximum(getattr(self, name), 0.0) for name in OF_LIMITS}
+        sign = np.minimum(np.maximum(self.current_sign, -1.0), 1.0)
+        return Multipliers(**limits, current_sign=sign, hand_over=self.hand_over)
+
+
+# Multipliers that are (N,); of these, those of limits: the others are of an equation, and a slope.
+STAGEWISE = tuple(field.name for field in fields(Multipliers) if field.name != "hand_over")
+OF_LIMITS = tuple(name for name in STAGEWISE if name != "current_sign")
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,17 @@ def band(P: FloatArray) -> FloatArray:
     """(2 m, K m) the matrix of x_(k+1) - P_k x_k, k = 0..K-1, as BLAS stores lower bands, from P (K, m, m)."""
     K, m, _ = P.shape
     columns = np.zeros((K, m, 2 * m))
-    for i in range(m):
-        for j in range(m):
-            columns[:, j, m + i - j] = -P[:, i, j]
+    for j in range(m):
+        columns[:, j, m - j : 2 * m - j] = -P[:, :, j]
     return columns.reshape(K * m, 2 * m).T
 
 
 def constant_band(A: FloatArray) -> FloatArray:
     """The band of `CHUNK` stages with one matrix A (m, m)."""
-    return np.tile(band(A[None]).T, (CHUNK, 1)).T
+    block = band(A[None]).T
+    columns = np.empty((CHUNK, *block.shape))
+    columns[:] = block
+    return columns.reshape(-1, block.shape[1]).T
 
 
 def substitute(lower: FloatArray, forcing: FloatArray, *, transposed: bool = False) -> FloatArray:

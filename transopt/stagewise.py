@@ -4,12 +4,12 @@ What a stage is comes as `Derivatives`: the designer reads them from the CasADi 
 the runtime, which must not load CasADi, takes the same written out by hand. A test holds the two together to 1e-12.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from transopt.linear import Layout, LinearStage, hand_over_rows, layout, linear_stage
-from transopt.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
+from transopt.problem import OBJECTIVE_SCALE, STAGEWISE, Multipliers, TransientProblem
 from transopt.signals import FloatArray
 from transopt.thermal import PWM_RIPPLE_A
 
@@ -221,7 +221,7 @@ class Stages:
             sides["current_sign"] = (above - below) / np.maximum(above + below, np.finfo(float).tiny)
             sides["temperature_upper"] = scaled["winding"][1:] * OBJECTIVE_SCALE / self.kelvin
         tail = -gradient[problem.free_stages :] * unit
-        stated = {f.name: zero[:N] for f in fields(Multipliers)} | sides
+        stated = dict.fromkeys(STAGEWISE, zero[:N]) | sides
         return Multipliers(**{**stated, "hand_over": tail}).clipped()
 
 
@@ -281,6 +281,7 @@ def runtime_stages(problem: TransientProblem, stage: LinearStage | None = None) 
 
 def without_limits(problem: TransientProblem, stage: LinearStage | None = None) -> Stages:
     """Stage data of the same problem without rows and temperature: what a linear pass takes."""
-    bare = replace(problem, supply=None, thermal=None)
+    limited = problem.supply is not None or problem.thermal is not None
+    bare = replace(problem, supply=None, thermal=None) if limited else problem
     stage = linear_stage(bare) if stage is None else stage
     return stages(bare, stage, derivatives(bare, stage, layout(bare)), limited=False)
