@@ -60,6 +60,8 @@ static const double NEAR = 1e3;       /* times the tolerance: from here on the b
 static const double SHORTEST = 1e-12; /* part of a Newton step that is still one */
 static const double FARTHEST = 5e-3;  /* part of slacks and multipliers that a step leaves */
 static const double NEAREST = 1e-9, NEARNESS = 0.1;
+static const double FIRST_GAP = 3.0;  /* of the first iterate, in units of its objective */
+static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: less only costs digits elsewhere */
 static const double LEAST = 1e-290;   /* nothing beside a multiplier, and never zero */
 enum {
     PATIENCE = 6,    /* iterations without a better iterate */
@@ -863,14 +865,15 @@ static double begin(tr_work *w)
     }
     for (int k = 0; k < N; k++)
         for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
-    const double scale = fmax(cost(w), 1.0) / 100.0;
     double count = 0.0;
+    for (tr_side *z = w->side; z < w->side + 2; z++)
+        for (int i = 0; i < rows; i++) count += AT(z->there, i);
+    const double product = FIRST_GAP * fmax(cost(w), 1.0) / fmax(count, 1.0);
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < rows; i++) {
             if (AT(z->there, i) == 0.0) continue;
             AT(z->s, i) = fmax(z->sign * (AT(w->V, i) - AT(z->bound, i)), 0.1);
-            AT(z->l, i) = scale / AT(z->s, i);
-            count += 1.0;
+            AT(z->l, i) = product / AT(z->s, i);
         }
     return count;
 }
@@ -951,14 +954,14 @@ static double slack_steps(tr_work *w, int corrector, double rest)
     return (1.0 - rest) / largest(&fastest);
 }
 
-/* Mehrotra's target: the cube of what the predictor leaves, less the product of its steps. */
-static void centre(tr_work *w, double step, double mean, double count)
+/* Mehrotra's target: the cube of what the predictor leaves, but no product below `least`, less that of its steps. */
+static void centre(tr_work *w, double step, double mean, double count, double least)
 {
     lanes sum = {0};
     for (const tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < w->blocks; i++)
             sum += (z->s[i] + step * z->ds[i]) * (z->l[i] + step * z->dl[i]);
-    const double ratio = total(&sum) / count / mean, level = ratio * ratio * ratio * mean;
+    const double ratio = total(&sum) / count / mean, level = fmax(ratio * ratio * ratio * mean, least);
     for (const tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < w->blocks; i++) z->target[i] = z->there[i] * (level - z->ds[i] * z->dl[i]);
 }
@@ -1003,7 +1006,8 @@ static int solve(const tr_problem *q, const tr_options *options, double *space, 
         if (q->repeated) close_course(w);
         newton(w);
         if (count > 0.0) {
-            centre(w, slack_steps(w, 0, 0.0), now.complementarity / count, count);
+            const double step = slack_steps(w, 0, 0.0);
+            centre(w, step, now.complementarity / count, count, LAST_GAP * allowed / count);
             aim(w, 1);
             newton(w);
         }
