@@ -296,16 +296,17 @@ static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *ke
     w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
     w->K = take(space, &taken, N * ld), w->pivot = take(space, &taken, N);
     *kept = taken;
-    w->Kth = take(space, &taken, N * t), w->Ke = take(space, &taken, t ? N * ld : 0), w->Keth = take(space, &taken, N * t);
-    w->Ke_u = take(space, &taken, N), w->pivot_e = take(space, &taken, N);
-    w->offset = take(space, &taken, N), w->offset_e = take(space, &taken, N);
-    w->u = take(space, &taken, N), w->e = take(space, &taken, N), w->du = take(space, &taken, N), w->de = take(space, &taken, N);
+    w->offset = take(space, &taken, N), w->u = take(space, &taken, N), w->du = take(space, &taken, N);
     w->error = take(space, &taken, N * ny), w->d_error = take(space, &taken, N * ny);
     w->current = take(space, &taken, N), w->command = take(space, &taken, N);
     w->d_current = take(space, &taken, N), w->d_command = take(space, &taken, N);
-    w->heat = take(space, &taken, 4 * N), w->by_heat = take(space, &taken, N);
+    const size_t warm = t ? N : 0; /* what only temperatures need */
+    w->Kth = take(space, &taken, N * t), w->Keth = take(space, &taken, N * t);
+    w->Ke = take(space, &taken, warm * ld), w->Ke_u = take(space, &taken, warm), w->pivot_e = take(space, &taken, warm);
+    w->offset_e = take(space, &taken, warm), w->e = take(space, &taken, warm), w->de = take(space, &taken, warm);
+    w->heat = take(space, &taken, 4 * warm), w->by_heat = take(space, &taken, warm);
     w->unit_offset = take(space, &taken, N * t), w->unit_offset_e = take(space, &taken, N * t);
-    w->still = take(space, &taken, N), w->theta = take(space, &taken, (N + 1) * t);
+    w->still = take(space, &taken, warm), w->theta = take(space, &taken, (N + 1) * t);
     w->V = take(space, &taken, m), w->dV = take(space, &taken, m), w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
         z->there = take(space, &taken, m), z->bound = take(space, &taken, m), z->s = take(space, &taken, m), z->l = take(space, &taken, m);
@@ -649,7 +650,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
         const double current = q->current >= 0 ? AT(x, q->current) : 0.0, command = AT(x, last) + u;
         if (full) {
             w->du[k] = u;
-            w->de[k] = e;
+            if (t) w->de[k] = e;
             w->d_current[k] = current;
             w->d_command[k] = command;
             for (int o = 0; o < q->outputs; o++)
@@ -834,7 +835,7 @@ static void advance(tr_work *w, double step)
 {
     const tr_problem *q = w->q;
     const int N = q->stages;
-    move(N, step, w->du, w->u), move(N, step, w->de, w->e);
+    move(N, step, w->du, w->u), move(q->nodes ? N : 0, step, w->de, w->e);
     move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
     move(N * q->outputs, step, w->d_error, w->error);
     for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
@@ -972,7 +973,8 @@ static void keep(const tr_work *w, const tr_state *now, tr_result *r)
     const tr_problem *q = w->q;
     const size_t stages = (size_t)q->stages, rows = (stages + 1) * (size_t)q->rows;
     memcpy(r->movement, w->u, stages * sizeof(double));
-    memcpy(r->size, w->e, stages * sizeof(double));
+    if (q->nodes) memcpy(r->size, w->e, stages * sizeof(double));
+    else memset(r->size, 0, stages * sizeof(double));
     memcpy(r->gradient, w->offset, stages * sizeof(double));
     memcpy(r->lower, w->side[0].l, rows * sizeof(double));
     memcpy(r->upper, w->side[1].l, rows * sizeof(double));
