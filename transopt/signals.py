@@ -52,11 +52,14 @@ class Signal:
     def rate_Hz(self) -> float:
         return 1.0 / self.dt_s
 
+    @property
+    def spline(self) -> interpolate.CubicSpline:
+        """Through all samples."""
+        return interpolate.CubicSpline(self.times_s, self.values, extrapolate=False)
+
     def at(self, times_s: FloatArray) -> FloatArray:
         """Cubic-spline samples at `times_s` (m,); zero before the first and after the last sample."""
-        spline = interpolate.CubicSpline(self.times_s, self.values, extrapolate=False)
-        values: FloatArray = np.nan_to_num(np.asarray(spline(times_s), dtype=float), nan=0.0)
-        return values
+        return sampled(self.spline, times_s)
 
     def scaled(self, factor: float) -> "Signal":
         return replace(self, values=factor * self.values)
@@ -64,6 +67,12 @@ class Signal:
     def shifted(self, by_s: float) -> "Signal":
         """The same samples `by_s` seconds later."""
         return replace(self, start_s=self.start_s + by_s)
+
+
+def sampled(spline: interpolate.CubicSpline, times_s: FloatArray) -> FloatArray:
+    """Values of a spline at `times_s` (m,); zero before its first and after its last knot."""
+    values = np.asarray(spline(times_s, extrapolate=False), dtype=float)
+    return np.nan_to_num(values, copy=False, nan=0.0)
 
 
 def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
