@@ -127,7 +127,7 @@ def strike(
     times = step_s * np.arange(steps + 1)
     acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces
     encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - states[:, n + 2]
-    return times, acceleration.T, encoder.T
+    return np.asarray(times), acceleration.T, encoder.T
 
 
 def recordings(scene: Scene) -> list[Recording]:

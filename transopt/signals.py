@@ -72,7 +72,7 @@ class Signal:
 def sampled(spline: interpolate.CubicSpline, times_s: FloatArray) -> FloatArray:
     """Values of a spline at `times_s` (m,); zero before its first and after its last knot."""
     values = np.asarray(spline(times_s, extrapolate=False), dtype=float)
-    return np.nan_to_num(values, copy=False, nan=0.0)
+    return np.asarray(np.nan_to_num(values, copy=False, nan=0.0))
 
 
 def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
