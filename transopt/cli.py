@@ -182,7 +182,7 @@ def solve(
         workers.context(("transopt.cli", "transopt.publish", "transopt.figures", "transopt.plotting"))
     from transopt.build import build_library
     from transopt.identified_report import model_warning
-    from transopt.publish import files_of, publish
+    from transopt.publish import files_of, publishing
     from transopt.refine import check_tolerance, refine_grid
     from transopt.solvers import SolverOptions, check_name, default_solver
     from transopt.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
@@ -196,7 +196,7 @@ def solve(
     folder = Path("out") / loaded.name if out is None else out
     terminal.make_folder(folder)
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    watched = sys.stderr.isatty()
+    watched, console = sys.stderr.isatty(), terminal.console()
     try:
         with ExitStack() as running:
             pool = running.enter_context(workers.pool(jobs)) if jobs > 1 else None
@@ -229,10 +229,14 @@ def solve(
                 progress=lambda done: progress.advance(task, done),
                 refinement=refinement,
             )
-            progress.update(task, description="files", completed=0, total=None)
+            progress.update(task, visible=False)
+            progress.add_task("files", total=None)
             files = files_of(build)
             leftovers = ["refused.md", "refused.json", "grid_error.png"] if build.library is not None else []
-            publish(folder, files, [name for name in leftovers if name not in files.names], pool)
+            stale = [name for name in leftovers if name not in files.names]
+            with publishing(folder, files, stale, pool), console.capture() as table:
+                # Takes a moment of this process while the others draw.
+                console.print(build_table(build, console.width))
     except InputError:
         with suppress(OSError):  # holds earlier results: it stays
             folder.rmdir()
@@ -240,8 +244,7 @@ def solve(
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
-    console = terminal.console()
-    console.print(build_table(build, console.width))
+    typer.echo(table.get(), nl=False)
     console.print(LEGEND, style="dim", highlight=False)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:

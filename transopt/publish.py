@@ -2,8 +2,9 @@
 
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -27,12 +28,14 @@ class Files:
         return [*self.here, *self.tasks]
 
 
-def publish(folder: Path, files: Files, stale: list[str], pool: Executor | None) -> None:
-    """Write all files beside the folder's own and move them in only when all are whole.
+@contextmanager
+def publishing(folder: Path, files: Files, stale: list[str], pool: Executor | None) -> Iterator[None]:
+    """Write all files beside the folder's own and move them in only when all are whole, at the end of the block.
 
     Parameters
     ----------
-    stale : names of earlier results that go when these come. pool : workers for what any process can write.
+    stale : names of earlier results that go when these come.
+    pool : workers for what any process can write, which they do while the block runs.
 
     Raises
     ------
@@ -44,6 +47,7 @@ def publish(folder: Path, files: Files, stale: list[str], pool: Executor | None)
         if pool is not None:
             with ctrl_c_waits():
                 drawing = [pool.submit(write, staging / name) for name, write in files.tasks.items()]
+        yield
         for name, write in {**files.here, **({} if drawing else files.tasks)}.items():
             write(staging / name)
         for figure in drawing:
@@ -56,9 +60,11 @@ def publish(folder: Path, files: Files, stale: list[str], pool: Executor | None)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
     finally:
-        # Who still draws would write into the folder while it is being removed.
-        wait([figure for figure in drawing if not figure.cancel()])
-        shutil.rmtree(staging, ignore_errors=True)
+        try:
+            # Who still draws would write into the folder while it is being removed.
+            wait([figure for figure in drawing if not figure.cancel()])
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
 
 
 def _draw(figure: str, subject: object, path: Path) -> None:
