@@ -174,12 +174,12 @@ def solve(
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from transopt import workers
 
     if jobs > 1:
         workers.context(("transopt.cli", "transopt.publish", "transopt.figures", "transopt.plotting"))
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
     from transopt.build import build_library
     from transopt.identified_report import model_warning
     from transopt.publish import files_of, publishing

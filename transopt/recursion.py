@@ -9,7 +9,7 @@ from scipy.linalg import blas
 
 from transopt.signals import FloatArray
 
-CHUNK = 200  # stages that one constant band spans
+CHUNK = 128  # stages that one constant band spans
 
 
 def band(P: FloatArray) -> FloatArray:
