@@ -1,6 +1,7 @@
 """Processes that solve entries."""
 
 import multiprocessing
+import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -8,6 +9,7 @@ from multiprocessing.context import BaseContext
 
 from transopt.files import ctrl_c_waits
 
+THREADS = "OPENBLAS_NUM_THREADS"  # of the workers' linear algebra: one, unless stated, or they fight each other
 FORKS = "forkserver" in multiprocessing.get_all_start_methods()
 
 
@@ -29,8 +31,14 @@ def context(preload: Sequence[str] = ("transopt.design",)) -> BaseContext:
     forks = multiprocessing.get_context("forkserver")
     forks.set_forkserver_preload(list(preload))
     resource_tracker.ensure_running()  # which would let Ctrl-C through again
-    with ctrl_c_waits():
-        forkserver.ensure_running()
+    stated = os.environ.get(THREADS)
+    os.environ[THREADS] = "1" if stated is None else stated
+    try:
+        with ctrl_c_waits():
+            forkserver.ensure_running()
+    finally:
+        if stated is None:
+            del os.environ[THREADS]
     return forks
 
 
