@@ -6,6 +6,7 @@ as canonical CSV files: the ones in problems/recordings, made as a format to cop
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,51 @@ def contact_force(target: SimulatedTaps, depth_m: FloatArray, closing_m_s: Float
     return np.asarray(np.maximum(elastic * (1 + target.contact_damping_s_m * closing_m_s), 0.0))
 
 
+def _driven(
+    flow: FloatArray,
+    push: FloatArray,
+    outputs: FloatArray,
+    force: Callable[[FloatArray, FloatArray], FloatArray],
+    start: FloatArray,
+    steps: int,
+    step_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """RK4 of dx/dt = flow x + push F(outputs x), for V courses at once: states (K, n, V) and forces (K, V).
+
+    The steps of `rk4_step` written out: state, slopes and outputs of all four stages are linear in the state at the
+    start of the step and in the forces of the stages before, so that only the forces are computed one by one.
+    """
+    size = push.size
+    # Each a map from the state (size) and the four forces.
+    now, nothing = np.eye(size, size + 4), np.zeros((size, size + 4))
+    stages, slopes = [], [nothing]
+    for j, share in enumerate((0.0, 0.5, 0.5, 1.0)):
+        stages.append(now + share * step_s * slopes[-1])
+        slope = flow @ stages[-1]
+        slope[:, size + j] += push
+        slopes.append(slope)
+    k1, k2, k3, k4 = slopes[1:]
+    after = now + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    seen = np.concatenate([outputs @ stage for stage in stages])  # (4 x 2, size + 4), stage after stage
+    by_state = np.concatenate([after[:, :size], seen[:, :size]])
+    by_force = np.ascontiguousarray(after[:, size:])
+    earlier = [seen[2 * j : 2 * j + 2, size : size + j].copy() for j in range(4)]
+    states, forces = np.empty((steps + 1, *start.shape)), np.empty((steps + 1, start.shape[1]))
+    stage_forces = np.empty((4, start.shape[1]))
+    states[0] = start
+    for k in range(steps + 1):
+        free = by_state @ states[k]
+        for j in range(4):
+            reached = free[size + 2 * j : size + 2 * j + 2]
+            if j:
+                reached += earlier[j] @ stage_forces[:j]
+            stage_forces[j] = force(*reached)
+        forces[k] = stage_forces[0]
+        if k < steps:
+            states[k + 1] = free[:size] + by_force @ stage_forces
+    return states, forces
+
+
 def strike(
     plant: StateSpace, target: SimulatedTaps, speeds_m_s: FloatArray, duration_s: float, step_s: float = STEP_S
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -58,35 +104,30 @@ def strike(
     -------
     times_s (K,), acceleration_m_s2 (V, K), encoder_position_m (V, K).
     """
-    n, masses, V = plant.order, plant.order // 2, speeds_m_s.size
+    n, masses = plant.order, plant.order // 2
     stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
     position_of_stylus = np.zeros(n)
     position_of_stylus[stylus:masses] = 1.0
 
-    def force(state: FloatArray, time_s: float) -> FloatArray:
-        stylus_z = position_of_stylus @ state[:n] - speeds_m_s * time_s
-        stylus_v = state[masses + stylus] - speeds_m_s
-        return contact_force(target, state[n] - stylus_z, state[n + 1] - stylus_v)
-
-    def rate(state: FloatArray) -> FloatArray:
-        F = force(state, state[-1, 0])
-        change = np.empty_like(state)
-        change[:n] = plant.A @ state[:n] + plant.B * F
-        change[n] = state[n + 1]
-        foam = target.object_stiffness_N_m * state[n] + target.object_damping_N_s_m * state[n + 1]
-        change[n + 1] = -(F + foam) / target.object_mass_kg
-        change[-1] = 1.0
-        return change
-
+    # Everything but the contact force is linear: d state/dt = flow @ state + push F, with v t and v as last states.
+    flow, push = np.zeros((n + 4, n + 4)), np.zeros(n + 4)
+    flow[:n, :n], push[:n] = plant.A, plant.B[:, 0]
+    flow[n, n + 1], push[n + 1] = 1.0, -1 / target.object_mass_kg
+    flow[n + 1, n : n + 2] = -np.array([target.object_stiffness_N_m, target.object_damping_N_s_m])
+    flow[n + 1, n : n + 2] /= target.object_mass_kg
+    flow[n + 2, n + 3] = 1.0
+    # Indentation and its rate, of the states: z of the stylus is its deviation less v t.
+    contact = np.zeros((2, n + 4))
+    contact[0, :n], contact[0, n], contact[0, n + 2] = -position_of_stylus, 1.0, 1.0
+    contact[1, masses + stylus], contact[1, n + 1], contact[1, n + 3] = -1.0, 1.0, 1.0
+    start = np.zeros((n + 4, speeds_m_s.size))
+    start[-1] = speeds_m_s
     steps = int(np.ceil(duration_s / step_s))
-    states = np.zeros((steps + 1, n + 3, V))  # device, object, and time itself
-    for k in range(steps):
-        states[k + 1] = rk4_step(rate, states[k], step_s)
-    times = states[:, -1, 0]
-    forces = np.stack([force(state, t) for state, t in zip(states, times, strict=True)])
+    states, forces = _driven(flow, push, contact, partial(contact_force, target), start, steps, step_s)
+    times = step_s * np.arange(steps + 1)
     acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces
-    encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - speeds_m_s * times[:, None]
-    return times, acceleration.T, encoder.T
+    encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - states[:, n + 2]
+    return np.asarray(times), acceleration.T, encoder.T
 
 
 def recordings(scene: Scene) -> list[Recording]:

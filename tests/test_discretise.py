@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from tests.conftest import ProblemMaker
 from transopt.amplifier import Amplifier
 from transopt.build import build_library
+from transopt.continuous import accurate, fine
 from transopt.discretise import Motion, TimeGrid, discretise, state_scale
 from transopt.models import Link, chain
 from transopt.problem import TransientProblem
@@ -115,8 +116,12 @@ def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
     command = np.random.default_rng(1).uniform(-4, 4, 80)
     (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
     assert played.step_error <= 1e-10
-    assert played.fine_times_s[0] == pytest.approx(-problem.grid.lead_s)
-    assert np.all(np.diff(played.fine_times_s) >= -1e-15)
+    found = accurate(problem.stage, problem.grid, command[None], None)
+    run = fine(found.course, found.flow, problem.grid)
+    assert run.times_s[0] == pytest.approx(-problem.grid.lead_s)
+    assert np.all(np.diff(run.times_s) >= -1e-15)
+    at_switching = run.acceleration_m_s2[:, run.at_switching]
+    np.testing.assert_allclose(at_switching, found.acceleration_m_s2, rtol=1e-12, atol=1e-12)
 
 
 def test_a_box_at_the_switching_instants_bounds_the_current_for_all_times(make_problem: ProblemMaker) -> None:

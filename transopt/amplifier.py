@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from transopt.errors import InputError
 from transopt.signals import FloatArray
@@ -49,4 +48,7 @@ def prefilter(current_A: FloatArray, amplifier: Amplifier, dt_s: float) -> Float
     c_k = (i_k - p i_(k-1)) / (1 - p), p = exp(-w dt), i_(-1) = 0: the exact inverse of the pole between two
     switching instants (seed Sec. 4.1).
     """
-    return np.asarray(signal.lfilter(prefilter_coefficients(amplifier, dt_s), [1.0], current_A, axis=-1))
+    now, earlier = prefilter_coefficients(amplifier, dt_s)
+    command = now * current_A
+    command[..., 1:] += earlier * current_A[..., :-1]
+    return np.asarray(command)

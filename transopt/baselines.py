@@ -12,7 +12,11 @@ REST_S = 2e-3  # before the first tick, where the wanted current is zero
 
 
 def seed_inversion(
-    stage: StageModel, grid: TimeGrid, reference_m_s2: FloatArray, current_limit_A: float, taper_samples: int
+    stage: StageModel,
+    grid: TimeGrid,
+    reference_m_s2: FloatArray,
+    current_limit_A: float | FloatArray,
+    taper_samples: int,
 ) -> FloatArray:
     """The seed's method (Sec. 6): invert the model, taper, clip the wanted current, prefilter.
 
@@ -22,11 +26,11 @@ def seed_inversion(
 
     Parameters
     ----------
-    reference_m_s2 : (..., N).
+    reference_m_s2 : (..., N). current_limit_A : one, or several that broadcast against the references.
 
     Returns
     -------
-    (..., N) commands [A], faded out over the last `taper_samples`.
+    (..., N) commands [A], of their common shape, faded out over the last `taper_samples`.
     """
     N = grid.stages
     spline = interpolate.CubicSpline(grid.switching_times_s, reference_m_s2, axis=-1, extrapolate=False)
@@ -44,13 +48,17 @@ def seed_inversion(
 
 
 def clipped_optimum(
-    stage: StageModel, grid: TimeGrid, unlimited_command_A: FloatArray, current_limit_A: float
+    stage: StageModel, grid: TimeGrid, unlimited_command_A: FloatArray, current_limit_A: float | FloatArray
 ) -> FloatArray:
     """The unlimited optimum (..., N) with its current cut at the limit, hold and delay compensated exactly.
 
+    Parameters
+    ----------
+    current_limit_A : one, or several that broadcast against the commands.
+
     Returns
     -------
-    (..., N) commands [A].
+    (..., N) commands [A], of their common shape.
     """
     _, current = stage.rollout(unlimited_command_A)
     wanted = np.clip(current, -current_limit_A, current_limit_A)

@@ -3,7 +3,8 @@
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Any
@@ -55,6 +56,7 @@ def build_library(
     *,
     options: SolverOptions | None = None,
     jobs: int = 1,
+    pool: Executor | None = None,
     progress: Callable[[int], None] = lambda done: None,
     refinement: Refinement | None = None,
 ) -> Build:
@@ -63,7 +65,7 @@ def build_library(
     Parameters
     ----------
     recordings : of the scene (`reference.read_recordings`, or `problems.simulate.recordings`).
-    jobs : processes; the grips are shared among them.
+    jobs : processes; the grips are shared among them. pool : workers that are there already, in place of those.
     progress : called with the number of entries that have just been finished.
     refinement : of this scene (`refine.refine_grid`); its grid is solved in place of the scene's own, with references
         at added speeds derived from the recorded ones (`reference.between`).
@@ -82,21 +84,18 @@ def build_library(
     speeds, grips = scene.grid.speeds_m_s, scene.grid.grips_N
     references = [between(recorded, speed) for speed in speeds]
     columns: list[list[Entry]] = [[] for _ in grips]
-    if jobs == 1 or len(grips) == 1:
+    if pool is None and (jobs == 1 or len(grips) == 1):
         for j, grip in enumerate(grips):
             columns[j] = design_grip(scene, grip, references, options)
             progress(len(speeds))
     else:
-        with ProcessPoolExecutor(min(jobs, len(grips)), workers.context()) as pool:
+        wanted = [reference.without_taps() for reference in references]
+        with workers.pool(min(jobs, len(grips))) if pool is None else nullcontext(pool) as executor:
             with ctrl_c_waits():
-                futures = {pool.submit(design_grip, scene, g, references, options): j for j, g in enumerate(grips)}
-            try:
-                for future in as_completed(futures):
-                    columns[futures[future]] = future.result()
-                    progress(len(speeds))
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+                futures = {executor.submit(design_grip, scene, g, wanted, options): j for j, g in enumerate(grips)}
+            for future in as_completed(futures):
+                columns[futures[future]] = future.result()
+                progress(len(speeds))
     entries = [[column[i] for column in columns] for i in range(len(speeds))]
     admitted = all(entry.status is Status.OPTIMAL for row in entries for entry in row)
     return Build(

@@ -5,11 +5,8 @@ errors come at once.
 """
 
 import shlex
-import shutil
 import sys
-import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,11 +15,9 @@ from rich.console import Console
 
 from transopt import terminal
 from transopt.errors import InputError
-from transopt.files import ctrl_c_waits
 from transopt.identify.commands import app as identify
 
 if TYPE_CHECKING:
-    from transopt.build import Build
     from transopt.recording import Recording
     from transopt.scene import Scene
 
@@ -161,54 +156,6 @@ def taps(
     typer.echo(scene_lines(prepared, files, settings))
 
 
-def _publish(folder: Path, writers: dict[str, Callable[[Path], None]], stale: list[str]) -> None:
-    """Write all files beside the folder's own and move them in only when all are whole."""
-    staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
-    try:
-        for name, write in writers.items():
-            write(staging / name)
-        with ctrl_c_waits():
-            for name in writers:
-                (staging / name).replace(folder / name)
-            for name in stale:
-                (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
-def _writers(build: "Build") -> dict[str, Callable[[Path], None]]:
-    from transopt.report import build_json, build_markdown
-
-    def text(content: str) -> Callable[[Path], None]:
-        def write(path: Path) -> None:
-            path.write_text(content, encoding="utf-8")
-
-        return write
-
-    library = build.library
-    if library is None:
-        return {"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}
-    from transopt.figures import bode_figure, library_figure, method_figure
-    from transopt.plotting import save_figure
-
-    drawn: dict[str, Callable[[Path], None]] = {}
-    if (refinement := build.refinement) is not None and refinement.entries > 1:
-        from transopt.grid_figure import grid_figure
-
-        drawn["grid_error.png"] = lambda path: save_figure(grid_figure(refinement), path)
-    return {
-        "library.npz": library.save,
-        "report.md": text(build_markdown(build)),
-        "report.json": text(build_json(build)),
-        "transients.png": lambda path: save_figure(library_figure(library), path),
-        "methods.png": lambda path: save_figure(method_figure(build), path),
-        "bode.png": lambda path: save_figure(bode_figure(library), path),
-        **drawn,
-    }
-
-
 @app.command()
 def solve(
     scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
@@ -227,14 +174,15 @@ def solve(
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from transopt import workers
 
     if jobs > 1:
-        workers.context()
+        workers.context(("transopt.cli", "transopt.publish", "transopt.figures", "transopt.plotting"))
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
     from transopt.build import build_library
     from transopt.identified_report import model_warning
+    from transopt.publish import files_of, publishing
     from transopt.refine import check_tolerance, refine_grid
     from transopt.solvers import SolverOptions, check_name, default_solver
     from transopt.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
@@ -248,9 +196,13 @@ def solve(
     folder = Path("out") / loaded.name if out is None else out
     terminal.make_folder(folder)
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    watched = sys.stderr.isatty()
+    watched, console = sys.stderr.isatty(), terminal.console()
     try:
-        with Progress(*bar, console=Console(stderr=True), transient=True, disable=not watched) as progress:
+        with ExitStack() as running:
+            pool = running.enter_context(workers.pool(jobs)) if jobs > 1 else None
+            progress = running.enter_context(
+                Progress(*bar, console=Console(stderr=True), transient=True, disable=not watched)
+            )
             task = progress.add_task("recordings", total=None)
             taps_of_scene = _recordings(loaded)
             refinement = None
@@ -273,12 +225,18 @@ def solve(
                 taps_of_scene,
                 options=options,
                 jobs=jobs,
+                pool=pool,
                 progress=lambda done: progress.advance(task, done),
                 refinement=refinement,
             )
-        writers = _writers(build)
-        leftovers = ["refused.md", "refused.json", "grid_error.png"] if build.library is not None else []
-        _publish(folder, writers, stale=[name for name in leftovers if name not in writers])
+            progress.update(task, visible=False)
+            progress.add_task("files", total=None)
+            files = files_of(build)
+            leftovers = ["refused.md", "refused.json", "grid_error.png"] if build.library is not None else []
+            stale = [name for name in leftovers if name not in files.names]
+            with publishing(folder, files, stale, pool), console.capture() as table:
+                # Takes a moment of this process while the others draw.
+                console.print(build_table(build, console.width))
     except InputError:
         with suppress(OSError):  # holds earlier results: it stays
             folder.rmdir()
@@ -286,8 +244,7 @@ def solve(
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
-    console = terminal.console()
-    console.print(build_table(build, console.width))
+    typer.echo(table.get(), nl=False)
     console.print(LEGEND, style="dim", highlight=False)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
@@ -303,7 +260,7 @@ def solve(
     if refinement is not None:
         text = refinement_summary(refinement)
         console.print(text, style="red" if missed else None, highlight=False, soft_wrap=True)
-    console.print(f"{folder}: {', '.join(writers)}", highlight=False, soft_wrap=True)
+    console.print(f"{folder}: {', '.join(files.names)}", highlight=False, soft_wrap=True)
     console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     if build.refused or missed:
         raise typer.Exit(1)

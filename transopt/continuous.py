@@ -20,6 +20,7 @@ SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
 STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode that is not resolved would die out
 STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
+BLOCK = 16  # periods that one matrix product takes
 AFTER_S = 20e-3  # of free motion after the waveform
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
 # Where link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
@@ -173,7 +174,7 @@ class Course:
 
     Attributes
     ----------
-    states : per segment of a period (periods, M, n). felt_A : per segment (periods, M) the command felt in it.
+    states : per segment of a period (M, periods, n). felt_A : per segment (M, periods) the command felt in it.
     command_A : (M, N) as issued. arriving : index of the segment in which a tick's own command is felt first.
     """
 
@@ -192,15 +193,51 @@ class Course:
     def accelerations(self, flow: Flow) -> FloatArray:
         """(M, N) y'' just after the switching instants."""
         at = self.at_switching
-        states, felt = self.states[self.arriving][at], self.felt_A[self.arriving][at]
-        return np.asarray((states @ flow.rows[0] + flow.direct[0] * felt).T)
+        states, felt = self.states[self.arriving][:, at], self.felt_A[self.arriving][:, at]
+        return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) `ROUNDING` of the terms that add up to y'' there, the force of link and current each by itself."""
-        states = np.abs(self.states[self.arriving][self.at_switching])
-        felt = np.abs(self.felt_A[self.arriving][self.at_switching])
+        states = np.abs(self.states[self.arriving][:, self.at_switching])
+        felt = np.abs(self.felt_A[self.arriving][:, self.at_switching])
         terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
-        return np.asarray(ROUNDING * terms.max(axis=0))
+        return np.asarray(ROUNDING * terms.max(axis=1))
+
+
+def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: int) -> FloatArray:
+    """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
+
+    In blocks of `BLOCK` periods, each a linear map of the state before it and of the commands in it: what the
+    commands do and what the state before does are one matrix product each for all blocks at once.
+
+    Parameters
+    ----------
+    by_command : (n, w). issued_A : (M, at least periods + w - 1).
+    """
+    (n, w), M = by_command.shape, issued_A.shape[0]
+    powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
+    powers[0] = np.eye(n)
+    for j in range(BLOCK):
+        np.matmul(powers[j], P.T, out=powers[j + 1])
+    answers = np.zeros((BLOCK + w - 1, BLOCK, n))  # of the states after each period to each command in the block
+    for j in range(BLOCK):
+        pushed = by_command.T @ powers[: BLOCK - j]
+        for delay in range(w):
+            answers[j + delay, j:] += pushed[:, delay]
+    blocks = -(-(periods - 1) // BLOCK)
+    padded = np.zeros((M, blocks * BLOCK + w - 1))
+    kept = min(padded.shape[1], issued_A.shape[1])
+    padded[:, :kept] = issued_A[:, :kept]
+    windows = np.lib.stride_tricks.sliding_window_view(padded, BLOCK + w - 1, axis=1)[:, ::BLOCK]
+    states = np.zeros((M, 1 + blocks * BLOCK, n))
+    after = (windows.reshape(M * blocks, -1) @ answers.reshape(BLOCK + w - 1, -1)).reshape(M, blocks, BLOCK, n)
+    before = np.zeros((M, blocks, n))
+    for j in range(1, blocks):
+        before[:, j] = before[:, j - 1] @ powers[BLOCK] + after[:, j - 1, -1]
+    kept_on = powers[1:].transpose(1, 0, 2).reshape(n, -1)
+    after += (before.reshape(M * blocks, n) @ kept_on).reshape(after.shape)
+    states[:, 1:] = after.reshape(M, -1, n)
+    return states[:, :periods]
 
 
 def _play(
@@ -214,52 +251,50 @@ def _play(
     (M, N), n = commands_A.shape, flow.A.shape[0]
     periods = N + first.behind + int(np.ceil(AFTER_S / grid.dt_s))
     # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
-    issued = np.zeros((first.behind + periods, M))
-    issued[first.behind : first.behind + N] = commands_A.T
+    issued = np.zeros((M, first.behind + periods))
+    issued[:, first.behind : first.behind + N] = commands_A
     # One period as one map: the second segment goes on from the first.
-    P = (second.P[-1] @ first.P[-1]).T
-    Q = ((second.P[-1] @ first.Q[-1])[:, 0], second.Q[-1][:, 0])
-    starts, late = np.zeros((periods, M, n)), first.behind - second.behind
-    x = np.zeros((M, n))
+    late = first.behind - second.behind
+    P, by_command = second.P[-1] @ first.P[-1], np.zeros((n, 1 + late))
+    by_command[:, 0] += (second.P[-1] @ first.Q[-1])[:, 0]
+    by_command[:, late] += second.Q[-1][:, 0]
     if loop is None:
-        forced = issued[:periods, :, None] * Q[0] + issued[late : late + periods, :, None] * Q[1]
-        for k in range(periods - 1):
-            np.matmul(starts[k], P, out=starts[k + 1])
-            starts[k + 1] += forced[k]
+        starts = _held(P, by_command, issued, periods)
     else:
+        starts, x = np.zeros((M, periods, n)), np.zeros((M, n))
         feedback = loop.start(stage, grid.dt_s)
         for k in range(periods):
-            starts[k] = x
-            issued[first.behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
-            x = x @ P + issued[k][:, None] * Q[0] + issued[late + k][:, None] * Q[1]
-    felt = [issued[:periods], issued[late : late + periods]]
+            starts[:, k] = x
+            issued[:, first.behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
+            x = x @ P.T + issued[:, k : k + 1 + late] @ by_command.T
+    felt = [issued[:, :periods], issued[:, late : late + periods]]
     middle = starts @ first.P[-1].T + felt[0][..., None] * first.Q[-1][:, 0]
-    return Course(segments, [starts, middle], felt, issued[first.behind : first.behind + N].T, arriving)
+    return Course(segments, [starts, middle], felt, issued[:, first.behind : first.behind + N], arriving)
 
 
 def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     """The kept samples between the starts of the segments."""
-    periods, M, _ = course.states[0].shape
-    values, felt, times = [], [], []
-    ticks = grid.dt_s * np.arange(periods) - grid.lead_s
-    for segment, states, command in zip(course.segments, course.states, course.felt_A, strict=True):
-        samples = segment.offsets_s.size
-        by_state = (flow.rows @ segment.P).reshape(3 * samples, -1)
-        by_command = (flow.rows @ segment.Q)[..., 0] + flow.direct
-        of_states = (states @ by_state.T).reshape(periods, M, samples, 3)
-        values.append(of_states + command[..., None, None] * by_command)
-        felt.append(np.broadcast_to(command[..., None], (periods, M, samples)))
-        times.append(ticks[:, None] + segment.offsets_s)
-    # Segment after segment within each period, all of it along one axis.
-    acceleration, current, velocity = np.concatenate(values, axis=2).transpose(3, 1, 0, 2).reshape(3, M, -1)
+    M, periods, _ = course.states[0].shape
     samples = course.segments[0].offsets_s.size
+    # Segment after segment within each period, all of it along one axis in the end.
+    values, felt = np.empty((3, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
+    times = np.empty((periods, 2, samples))
+    ticks = grid.dt_s * np.arange(periods) - grid.lead_s
+    for j, (segment, states, command) in enumerate(zip(course.segments, course.states, course.felt_A, strict=True)):
+        for row, direct, found in zip(flow.rows, flow.direct, values, strict=True):
+            by_state, by_command = row @ segment.P, row @ segment.Q[..., 0].T + direct
+            found[:, :, j] = states @ by_state.T
+            found[:, :, j] += command[..., None] * by_command
+        felt[:, :, j] = command[..., None]
+        times[:, j] = ticks[:, None] + segment.offsets_s
+    acceleration, current, velocity = values.reshape(3, M, -1)
     starts = samples * np.arange(2 * periods)
     at = course.at_switching
     return Trajectory(
-        times_s=np.concatenate(times, axis=1).ravel(),
+        times_s=times.ravel(),
         acceleration_m_s2=acceleration,
         current_A=current,
-        felt_A=np.concatenate(felt, axis=2).transpose(1, 0, 2).reshape(M, -1),
+        felt_A=felt.reshape(M, -1),
         velocity_m_s=velocity,
         at_switching=starts[course.arriving :: 2][at],
         segment_starts=starts,

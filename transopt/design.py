@@ -207,16 +207,15 @@ def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list
     first = designed[0].problem
     references = np.stack([d.problem.reference_m_s2 for d in designed])
     free = np.stack([d.unlimited_command_A for d in designed])
-    played = [
-        rival
-        for limit_A in (first.limits.current_A, steady_current_A)
-        for rival in (
-            seed_inversion(first.stage, first.grid, references, limit_A, first.hand_over_samples),
-            clipped_optimum(first.stage, first.grid, free, limit_A),
-        )
-    ]
-    errors = replayed_errors(first.stage, first.grid, np.concatenate(played), np.tile(references, (len(played), 1)))
-    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(len(played), -1).T]
+    # Both limits at once: what is clipped at them is the same.
+    limits_A = np.array([first.limits.current_A, steady_current_A])[:, None, None]
+    seed = seed_inversion(first.stage, first.grid, references, limits_A, first.hand_over_samples)
+    clipped = clipped_optimum(first.stage, first.grid, free, limits_A)
+    played = np.stack([seed, clipped], axis=1)  # (limit, method, entry, N), limit after limit as in `Baselines`
+    alike = np.broadcast_to(references, played.shape)
+    N = first.grid.stages
+    errors = replayed_errors(first.stage, first.grid, played.reshape(-1, N), alike.reshape(-1, N))
+    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
 
 
 def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: FloatArray) -> SpreadErrors | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.certify import boxes, inside
+from transopt.discretise import Motion
 from transopt.explain import rounded_up, widened
 from transopt.parts import leave_out
 from transopt.problem import Multipliers, Status, TransientProblem
@@ -76,8 +77,8 @@ class _Without:
 
 
 def _bound(problem: TransientProblem, name: str) -> float:
-    rest = np.zeros(problem.grid.stages)
-    found = boxes(problem, rest, problem.stage.motion(rest), Multipliers.zero(problem))
+    rest = Motion.zero(problem.grid.stages)
+    found = boxes(problem, rest.current_A, rest, Multipliers.zero(problem))
     return next(float(box.bound.min()) for box in found if box.name == name)
 
 

@@ -1,17 +1,17 @@
 """From recordings to references: what the motor has to make the stylus do (DESIGN 2 and 5)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import integrate, signal
+from scipy import fft, interpolate
 
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
 from transopt.preparation import Tap, prepare
 from transopt.recording import Recording
 from transopt.scene_sections import Recordings
-from transopt.signals import FloatArray, Signal, highpass, nrmse
+from transopt.signals import FloatArray, Signal, highpass, nrmse, sampled
 
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
@@ -46,6 +46,11 @@ class Reference:
     repeats_m_s2: FloatArray
     between_m_s: tuple[float, float] | None = None
 
+    def without_taps(self) -> "Reference":
+        """What a design needs, without what it was made from, which is a hundred times as large."""
+        none = np.zeros(0)
+        return replace(self, taps=(), factors=none, times_s=none, repeats_m_s2=np.zeros((0, 0)))
+
     @property
     def scalings(self) -> FloatArray:
         """(n,) by which each recorded acceleration was multiplied in all."""
@@ -68,10 +73,11 @@ def _fine_times(grid: TimeGrid) -> FloatArray:
 def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
     """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
+    length = fft.next_fast_len(mean.size + reach, real=True)
+    # Cyclic, with room behind for the lags looked at; those before zero stand at the end.
+    matches = fft.irfft(fft.rfft(repeats, length) * fft.rfft(mean, length).conj(), length)
     lags = []
-    for repeat in repeats:
-        match = signal.correlate(repeat, mean, mode="full", method="fft")
-        window = match[mean.size - 1 - reach : mean.size + reach]
+    for window in np.roll(matches, reach, axis=1)[:, : 2 * reach + 1]:
         best = int(np.argmax(window))
         shift = float(best - reach)
         if 0 < best < window.size - 1:
@@ -87,6 +93,13 @@ def _spread(repeats: FloatArray) -> float:
         return float("nan")
     mean = repeats.mean(axis=0)
     return float(np.mean([nrmse(repeat, mean) for repeat in repeats]))
+
+
+def _integral(values: FloatArray, step_s: float) -> FloatArray:
+    """(n,) by the trapezoidal rule, from the first sample on."""
+    course = np.zeros(values.size)
+    np.cumsum(0.5 * step_s * (values[1:] + values[:-1]), out=course[1:])
+    return course
 
 
 def build_reference(
@@ -109,31 +122,35 @@ def build_reference(
                 f"{needed * 1e3:.1f} ms: record longer or lower time.stages"
             )
     times = _fine_times(grid)
-    repeats = np.stack([f * tap.acceleration.at(times) for f, tap in zip(factors, taps, strict=True)])
+    splines = [tap.acceleration.spline for tap in taps]
+
+    def scaled(shifts_s: FloatArray) -> FloatArray:
+        return np.stack([f * sampled(x, times + by) for f, x, by in zip(factors, splines, shifts_s, strict=True)])
+
+    repeats = scaled(np.zeros(len(taps)))
     unaligned = _spread(repeats)
     if len(taps) > 1:
         lags = _lags(repeats, repeats.mean(axis=0), times[1] - times[0])
         # The mean onset stays where it is: alignment must not move the contact.
-        lags -= lags.mean()
-        shifted = [tap.acceleration.shifted(-lag) for tap, lag in zip(taps, lags, strict=True)]
-        repeats = np.stack([f * x.at(times) for f, x in zip(factors, shifted, strict=True)])
+        repeats = scaled(lags - lags.mean())
     raw = Signal(float(times[0]), float(times[1] - times[0]), repeats.mean(axis=0))
     motor = highpass(raw, settings.highpass_Hz)
     user = raw.values - motor.values
     contact = int(np.argmin(np.abs(times)))
-    velocity = integrate.cumulative_trapezoid(user, times, initial=0)
+    velocity = _integral(user, raw.dt_s)
     velocity += -speed_m_s - velocity[contact]
-    position = integrate.cumulative_trapezoid(velocity, times, initial=0)
+    position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    tau = grid.switching_times_s
-    nominal = Signal(raw.start_s, raw.dt_s, position)
+    # All within the fine times.
+    courses = interpolate.CubicSpline(raw.times_s, np.stack([raw.values, motor.values, position, velocity], axis=1))
+    raw_m_s2, motor_m_s2, nominal_m, nominal_m_s = sampled(courses, grid.switching_times_s).T.copy()
     return Reference(
         speed_m_s=speed_m_s,
-        raw_m_s2=raw.at(tau),
-        motor_m_s2=motor.at(tau),
-        nominal_position_m=nominal.at(tau),
-        nominal_velocity_m_s=Signal(raw.start_s, raw.dt_s, velocity).at(tau),
-        nominal_position_at_ticks_m=nominal.at(grid.issue_times_s),
+        raw_m_s2=raw_m_s2,
+        motor_m_s2=motor_m_s2,
+        nominal_position_m=nominal_m,
+        nominal_velocity_m_s=nominal_m_s,
+        nominal_position_at_ticks_m=sampled(courses, grid.issue_times_s)[:, 2].copy(),
         repeatability=_spread(repeats),
         repeatability_unaligned=unaligned,
         taps=tuple(taps),

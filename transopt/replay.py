@@ -38,8 +38,6 @@ class Replay:
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
     command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
-    fine_times_s, fine_acceleration_m_s2, fine_current_A : (K,) at every fine step, with the values before and
-        after each switching instant.
     rounding_m_s2 : `ROUNDING` of the largest |C||x| + |D||i| at the switching instants, the terms that add up to y''.
     step_error : difference of y'' to a replay with half the step, relative to `scale_m_s2`.
     """
@@ -55,9 +53,6 @@ class Replay:
     winding_C: float
     housing_C: float
     command_A: FloatArray
-    fine_times_s: FloatArray
-    fine_acceleration_m_s2: FloatArray
-    fine_current_A: FloatArray
     rounding_m_s2: float
     step_error: float
 
@@ -119,28 +114,24 @@ def _peak_voltages(run: Trajectory, supplies: Sequence[Supply], grid: TimeGrid) 
 def _temperatures(
     run: Trajectory, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
 ) -> tuple[FloatArray, FloatArray]:
-    """(M,) highest winding and housing temperature; the heat is summed over each segment."""
-    steps = np.diff(run.times_s)
-    # Exact, as the command is held within a segment; the steps between segments have no length.
-    before, felt = run.current_A[:, :-1], run.felt_A[:, :-1]
-    if amplifier is None:
-        heat = steps * effective_square(before)
-    else:
-        heat = steps * following_square_mean(before, felt, amplifier.rate_rad_s * steps)
-    lengths = np.add.reduceat(np.append(steps, 0.0), run.segment_starts)
-    energy = np.add.reduceat(
-        np.append(heat, np.zeros((run.current_A.shape[0], 1)), axis=1), run.segment_starts, axis=1
-    )
+    """(M,) highest winding and housing temperature; segment after segment."""
+    starts = run.times_s[run.segment_starts]
     # Up to tau_N; what plays after the waveform is no part of it.
-    playing = run.times_s[run.segment_starts] < grid.end_s - 1e-9 * grid.dt_s
-    energy, lengths = energy[:, playing], lengths[playing]
+    playing = starts < grid.end_s - 1e-9 * grid.dt_s
+    first, lengths = run.segment_starts[playing], np.diff(starts, append=run.times_s[-1])[playing]
+    # Exact for whole segments, as the command is held within each.
+    before, felt = run.current_A[:, first], run.felt_A[:, first]
+    if amplifier is None:
+        heat = effective_square(before)
+    else:
+        heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths)
     rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
     if budgets is None or rate_Hz is None:
-        winding, housing = coil.simulate(energy / lengths, lengths)
+        winding, housing = coil.simulate(heat, lengths)
     else:
         pause = 1 / rate_Hz - float(lengths.sum())
         idle = np.array([budget.pause_A for budget in budgets])
-        winding, housing = coil.steady_course(energy / lengths, lengths, pause, idle)
+        winding, housing = coil.steady_course(heat, lengths, pause, idle)
     return winding.max(axis=1), housing.max(axis=1)
 
 
@@ -191,9 +182,6 @@ def replay(
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
             command_A=command[m],
-            fine_times_s=run.times_s,
-            fine_acceleration_m_s2=run.acceleration_m_s2[m],
-            fine_current_A=run.current_A[m],
             rounding_m_s2=float(found.rounding_m_s2[m]),
             step_error=float(found.step_error[m]),
         )

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from rich.table import Table
+from rich.text import Text
 
 from transopt.build import Build
 from transopt.design import Entry
@@ -83,7 +84,10 @@ def build_table(build: Build, width: int) -> Table:
     for row in build.entries:
         for entry in row:
             cells = entry_cells(entry)
-            table.add_row(*(cells[j] for j in shown), style="red" if entry.status is not Status.OPTIMAL else None)
+            # As they are: text to be read as Rich reads it takes longer.
+            table.add_row(
+                *(Text(cells[j]) for j in shown), style="red" if entry.status is not Status.OPTIMAL else None
+            )
         table.add_section()
     return table
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.errors import InputError
+from transopt.recursion import band, substitute
 from transopt.signals import FloatArray
 
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
@@ -32,10 +33,12 @@ def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: F
     mean = command_A - away * np.expm1(-x) / x
     square = command_A**2 - 2 * command_A * away * np.expm1(-x) / x - away**2 * np.expm1(-2 * x) / (2 * x)
     turns = before_A * (command_A + away * np.exp(-x)) < 0
+    size = np.abs(mean)
     # Zero is crossed where exp(-w t) = -c / (i_0 - c); what lies before it has the other sign.
-    share = np.where(turns, -command_A / np.where(turns, away, 1.0), 1.0)
-    first = np.where(turns, (-command_A * np.log(share) + away * (1 - share)) / x, 0.0)
-    size = np.abs(first) + np.abs(mean - first)
+    command, gap = np.broadcast_to(command_A, turns.shape)[turns], away[turns]
+    share = -command / gap
+    first = (-command * np.log(share) + gap * (1 - share)) / np.broadcast_to(x, turns.shape)[turns]
+    size[turns] = np.abs(first) + np.abs(mean[turns] - first)
     return np.asarray(square + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
 
 
@@ -124,18 +127,22 @@ class CoilModel:
         (M, K + 1) winding and housing temperatures [C], from the start temperatures on.
         """
         M, K = effective_square_A2.shape
-        winding = np.empty((M, K + 1))
-        housing = np.empty((M, K + 1))
-        winding[:, 0], housing[:, 0] = (
-            (self.start_winding_C, self.start_housing_C) if start_C is None else (start_C[:, 0], start_C[:, 1])
-        )
+        start = np.array([self.start_winding_C, self.start_housing_C])
+        start = np.broadcast_to(start if start_C is None else start_C, (M, 2))
         with np.errstate(over="ignore", invalid="ignore"):  # currents of a wall that grows by itself
-            (p11, p12, p21, p22), (s1, s2) = self._steps(effective_square_A2, steps_s)
-            for k in range(K):
-                T_w, T_h = winding[:, k], housing[:, k]
-                winding[:, k + 1] = T_w + p11[:, k] * T_w + p12[:, k] * T_h + s1[:, k]
-                housing[:, k + 1] = T_h + p21[:, k] * T_w + p22[:, k] * T_h + s2[:, k]
-        return winding, housing
+            p, s = self._steps(effective_square_A2, steps_s)
+            change, forced = np.stack(p, axis=-1).reshape(M, K, 2, 2), np.stack(s, axis=-1)
+            # Of the rise d above the start: d+ = (1 + p) d + (p T_0 + s), which keeps what is small from drowning.
+            forcing = np.zeros((M, K + 1, 2))
+            forcing[:, 1:] = (change @ start[:, None, :, None])[..., 0] + forced
+            # The last temperature starts no step, but has its place in the band.
+            growth = np.concatenate([np.eye(2) + change, np.zeros((M, 1, 2, 2))], axis=1)
+            rises = np.empty((M, K + 1, 2))
+            for rise, P, f in zip(rises, growth, forcing, strict=True):
+                rise[:] = substitute(band(P), f)
+        # In a banded system an infinity spoils all that comes after it.
+        temperatures = np.where(np.isfinite(rises), start[:, None] + rises, np.inf)
+        return temperatures[..., 0], temperatures[..., 1]
 
     def _steps(
         self, effective_square_A2: FloatArray, steps_s: FloatArray

@@ -1,0 +1,168 @@
+"""What is done at once, or by fewer operations, against the same step by step or by a library."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from problems.simulate import contact_force, rk4_step, strike
+from tests.conftest import ProblemMaker
+from transopt.baselines import clipped_optimum, seed_inversion
+from transopt.continuous import BLOCK, Flow, accurate
+from transopt.discretise import TimeGrid
+from transopt.errors import InputError
+from transopt.publish import Files, publishing
+from transopt.scene import Scene
+from transopt.signals import FloatArray, Signal, butterworth, filtered, lowpass
+from transopt.thermal import CoilModel
+
+
+class TestFilters:
+    @pytest.mark.parametrize(("cutoff_Hz", "rate_Hz"), [(8.0, 1e5), (1000.0, 1e4), (4400.0, 1e4)])
+    @pytest.mark.parametrize("high", [False, True])
+    def test_butterworth_is_that_of_scipy(self, cutoff_Hz: float, rate_Hz: float, high: bool) -> None:
+        b, a = butterworth(cutoff_Hz, rate_Hz, high=high)
+        other_b, other_a = signal.butter(2, cutoff_Hz, "highpass" if high else "lowpass", fs=rate_Hz)
+        np.testing.assert_allclose(b, other_b, rtol=1e-12)
+        np.testing.assert_allclose(a, other_a, rtol=1e-13)
+
+    @pytest.mark.parametrize("n", [1, 2, 600])
+    def test_filtered_is_lfilter_row_by_row_and_in_extended_precision(self, n: int) -> None:
+        values = np.random.default_rng(n).standard_normal((2, 3, n))
+        b, a = butterworth(275.0, 1e4)
+        found = filtered(b, a, values)
+        np.testing.assert_allclose(found, signal.lfilter(b, a, values, axis=-1), atol=1e-13)
+        extended = filtered(b, a, values.astype(np.longdouble))
+        assert extended.dtype == np.longdouble
+        np.testing.assert_allclose(extended.astype(float), found, atol=1e-13)
+
+    def test_one_row_that_overflows_leaves_the_others(self) -> None:
+        values = np.array([[np.inf, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        found = filtered(np.array([0.5]), np.array([1.0, -0.5]), values)
+        np.testing.assert_allclose(found[1], [0.5, 0.25, 0.125])
+
+    def test_lowpass_is_sosfiltfilt_with_constant_ends(self) -> None:
+        values = 100 + np.random.default_rng(3).standard_normal(500).cumsum()
+        sos = signal.butter(2, 1000.0, fs=1e4, output="sos")
+        other = signal.sosfiltfilt(sos, values, padtype="constant", padlen=16)
+        np.testing.assert_allclose(lowpass(Signal(0.0, 1e-4, values), 1000.0).values, other, rtol=1e-13)
+
+
+def test_strikes_are_those_of_the_plain_integrator(scene: Scene) -> None:
+    """Every state by `rk4_step` from the equations as they stand, for taps that touch, part and touch again."""
+    target = scene.recordings.simulated
+    assert target is not None
+    plant, speeds, step_s = scene.plant(target.grip_N, struck=True), np.array([0.1, 0.4]), 1e-5
+    n, masses = plant.order, plant.order // 2
+    stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
+
+    def force(state: FloatArray) -> FloatArray:
+        z = state[stylus:masses].sum(axis=0) - speeds * state[-1]
+        return contact_force(target, state[n] - z, state[n + 1] - state[masses + stylus] + speeds)
+
+    def rate(state: FloatArray) -> FloatArray:
+        F = force(state)
+        foam = target.object_stiffness_N_m * state[n] + target.object_damping_N_s_m * state[n + 1]
+        device = plant.A @ state[:n] + plant.B * F
+        object_ = [state[n + 1], -(F + foam) / target.object_mass_kg]
+        return np.concatenate([device, object_, np.ones((1, speeds.size))])
+
+    times, acceleration, encoder = strike(plant, target, speeds, 8e-3, step_s)
+    state, forces = np.zeros((n + 3, speeds.size)), []
+    for k in range(times.size):
+        forces.append(force(state))
+        expected = plant.C[0] @ state[:n] + plant.D[0, 0] * forces[-1]
+        np.testing.assert_allclose(acceleration[:, k], expected, atol=1e-8)
+        np.testing.assert_allclose(encoder[:, k], plant.Ce[0] @ state[:n] - speeds * times[k], atol=1e-13)
+        state = rk4_step(rate, state, step_s)
+    assert np.min(forces) == 0 < np.max(forces)
+
+
+@pytest.mark.parametrize("delay_s", [68e-6, 100e-6, 168e-6])
+@pytest.mark.parametrize("stages", [BLOCK - 3, 5 * BLOCK + 1])
+def test_blocks_of_periods_are_the_periods_one_by_one(
+    make_problem: ProblemMaker, delay_s: float, stages: int
+) -> None:
+    problem = make_problem(stages=100, delay_s=delay_s)
+    stage, grid = problem.stage, TimeGrid(1e-4, stages, 3e-4, delay_s)
+    commands = np.random.default_rng(stages).uniform(-4, 4, (3, stages))
+    course = accurate(stage, grid, commands, None).course
+    first, second = course.segments
+    periods = course.states[0].shape[1]
+    issued = np.zeros((3, periods + first.behind))
+    issued[:, first.behind : first.behind + stages] = commands
+    x = np.zeros((3, Flow.of(stage).A.shape[0]))
+    starts = []
+    for k in range(periods):
+        starts.append(x)
+        for segment in (first, second):
+            felt = issued[:, k + first.behind - segment.behind]
+            x = x @ segment.P[-1].T + felt[:, None] * segment.Q[-1][:, 0]
+    expected = np.stack(starts, axis=1)
+    size = np.abs(expected).max(axis=(0, 1))
+    np.testing.assert_allclose(course.states[0] / size, expected / size, rtol=0, atol=1e-12)
+
+
+def test_rivals_at_two_limits_are_those_at_each(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0)
+    rows = np.stack([problem.reference_m_s2, 0.5 * problem.reference_m_s2])
+    limits_A = np.array([4.0, 1.25])[:, None, None]
+    seed = seed_inversion(problem.stage, problem.grid, rows, limits_A, 10)
+    clipped = clipped_optimum(problem.stage, problem.grid, rows / 10, limits_A)
+    for j, limit_A in enumerate((4.0, 1.25)):
+        np.testing.assert_array_equal(seed[j], seed_inversion(problem.stage, problem.grid, rows, limit_A, 10))
+        np.testing.assert_array_equal(clipped[j], clipped_optimum(problem.stage, problem.grid, rows / 10, limit_A))
+    assert not np.allclose(seed[0], seed[1])
+
+
+def test_a_coil_that_runs_away_is_infinitely_hot_and_no_other_is() -> None:
+    coil = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
+    heat = np.array([np.full(50, 1e12), np.full(50, 1.0)])
+    winding, housing = coil.simulate(heat, np.full(50, 1e-2))
+    assert winding[0, -1] == housing[0, -1] == np.inf
+    alone, _ = coil.simulate(heat[1:], np.full(50, 1e-2))
+    np.testing.assert_array_equal(winding[1], alone[0])
+
+
+def written(path: Path) -> None:
+    path.write_text("new")
+
+
+def refused(path: Path) -> None:
+    raise InputError(f"{path.name}: cannot be written")
+
+
+@pytest.fixture(params=["here", "pool"])
+def pool(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
+    """No workers, or two."""
+    if request.param == "here":
+        yield None
+    else:
+        with ThreadPoolExecutor(2) as workers:
+            yield workers
+
+
+class TestPublishing:
+    def test_a_figure_that_fails_leaves_what_was_there(self, tmp_path: Path, pool: Executor | None) -> None:
+        (tmp_path / "a").write_text("old")
+        files = Files(here={"a": written}, tasks={"b": refused, "c": written})
+        with pytest.raises(InputError, match="b: cannot be written"), publishing(tmp_path, files, [], pool):
+            pass
+        assert [path.name for path in tmp_path.iterdir()] == ["a"]
+        assert (tmp_path / "a").read_text() == "old"
+
+    def test_everything_comes_at_the_end_and_what_is_stale_goes(self, tmp_path: Path, pool: Executor | None) -> None:
+        (tmp_path / "stale").write_text("old")
+        files = Files(here={"a": written}, tasks={"b": written, "c": written})
+        with publishing(tmp_path, files, ["stale"], pool):
+            assert not any((tmp_path / name).exists() for name in files.names)
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys("abc", "new")
+
+    def test_what_stops_the_block_stops_the_files(self, tmp_path: Path, pool: Executor | None) -> None:
+        files = Files(here={"a": written}, tasks={"b": written})
+        with pytest.raises(KeyboardInterrupt), publishing(tmp_path, files, [], pool):
+            raise KeyboardInterrupt
+        assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,105 @@
+"""The files that a build leaves, written together and moved into their folder together."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+from transopt.build import Build
+from transopt.errors import InputError
+from transopt.files import ctrl_c_waits
+from transopt.report import build_json, build_markdown
+
+
+@dataclass(frozen=True)
+class Files:
+    """File name -> what writes it: in this process, and what any process can do."""
+
+    here: dict[str, Callable[[Path], None]]
+    tasks: dict[str, Callable[[Path], None]]
+
+    @property
+    def names(self) -> list[str]:
+        return [*self.here, *self.tasks]
+
+
+@contextmanager
+def publishing(folder: Path, files: Files, stale: list[str], pool: Executor | None) -> Iterator[None]:
+    """Write all files beside the folder's own and move them in only when all are whole, at the end of the block.
+
+    Parameters
+    ----------
+    stale : names of earlier results that go when these come.
+    pool : workers for what any process can write, which they do while the block runs.
+
+    Raises
+    ------
+    InputError : the folder cannot be written.
+    """
+    staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
+    drawing: list[Future[None]] = []
+    try:
+        if pool is not None:
+            with ctrl_c_waits():
+                drawing = [pool.submit(write, staging / name) for name, write in files.tasks.items()]
+        yield
+        for name, write in {**files.here, **({} if drawing else files.tasks)}.items():
+            write(staging / name)
+        for figure in drawing:
+            figure.result()
+        with ctrl_c_waits():
+            for name in files.names:
+                (staging / name).replace(folder / name)
+            for name in stale:
+                (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    finally:
+        try:
+            # Who still draws would write into the folder while it is being removed.
+            wait([figure for figure in drawing if not figure.cancel()])
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _draw(figure: str, subject: object, path: Path) -> None:
+    """A figure by its module and function; this process need not have loaded either, nor matplotlib."""
+    from transopt.plotting import save_figure
+
+    module, name = figure.split(".")
+    save_figure(getattr(import_module(f"transopt.{module}"), name)(subject), path)
+
+
+def files_of(build: Build) -> Files:
+    """Library, report and figures; of a build that was refused, why."""
+
+    def text(content: str) -> Callable[[Path], None]:
+        def write(path: Path) -> None:
+            path.write_text(content, encoding="utf-8")
+
+        return write
+
+    library = build.library
+    if library is None:
+        return Files({"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}, {})
+    drawn: dict[str, Callable[[Path], None]] = {}
+    if (refinement := build.refinement) is not None and refinement.entries > 1:
+        drawn["grid_error.png"] = partial(_draw, "grid_figure.grid_figure", refinement)
+    return Files(
+        here={
+            "library.npz": library.save,
+            "report.md": text(build_markdown(build)),
+            "report.json": text(build_json(build)),
+        },
+        tasks={
+            "transients.png": partial(_draw, "figures.library_figure", library),
+            "methods.png": partial(_draw, "figures.method_figure", replace(build, references=[], library=None)),
+            "bode.png": partial(_draw, "figures.bode_figure", library),
+            **drawn,
+        },
+    )
