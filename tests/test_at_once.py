@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from problems.simulate import contact_force, rk4_step, strike
 from tests.conftest import ProblemMaker
@@ -16,39 +15,8 @@ from transopt.discretise import TimeGrid
 from transopt.errors import InputError
 from transopt.publish import Files, publishing
 from transopt.scene import Scene
-from transopt.signals import FloatArray, Signal, butterworth, filtered, lowpass
+from transopt.signals import FloatArray
 from transopt.thermal import CoilModel
-
-
-class TestFilters:
-    @pytest.mark.parametrize(("cutoff_Hz", "rate_Hz"), [(8.0, 1e5), (1000.0, 1e4), (4400.0, 1e4)])
-    @pytest.mark.parametrize("high", [False, True])
-    def test_butterworth_is_that_of_scipy(self, cutoff_Hz: float, rate_Hz: float, high: bool) -> None:
-        b, a = butterworth(cutoff_Hz, rate_Hz, high=high)
-        other_b, other_a = signal.butter(2, cutoff_Hz, "highpass" if high else "lowpass", fs=rate_Hz)
-        np.testing.assert_allclose(b, other_b, rtol=1e-12)
-        np.testing.assert_allclose(a, other_a, rtol=1e-13)
-
-    @pytest.mark.parametrize("n", [1, 2, 600])
-    def test_filtered_is_lfilter_row_by_row_and_in_extended_precision(self, n: int) -> None:
-        values = np.random.default_rng(n).standard_normal((2, 3, n))
-        b, a = butterworth(275.0, 1e4)
-        found = filtered(b, a, values)
-        np.testing.assert_allclose(found, signal.lfilter(b, a, values, axis=-1), atol=1e-13)
-        extended = filtered(b, a, values.astype(np.longdouble))
-        assert extended.dtype == np.longdouble
-        np.testing.assert_allclose(extended.astype(float), found, atol=1e-13)
-
-    def test_one_row_that_overflows_leaves_the_others(self) -> None:
-        values = np.array([[np.inf, 0.0, 0.0], [1.0, 0.0, 0.0]])
-        found = filtered(np.array([0.5]), np.array([1.0, -0.5]), values)
-        np.testing.assert_allclose(found[1], [0.5, 0.25, 0.125])
-
-    def test_lowpass_is_sosfiltfilt_with_constant_ends(self) -> None:
-        values = 100 + np.random.default_rng(3).standard_normal(500).cumsum()
-        sos = signal.butter(2, 1000.0, fs=1e4, output="sos")
-        other = signal.sosfiltfilt(sos, values, padtype="constant", padlen=16)
-        np.testing.assert_allclose(lowpass(Signal(0.0, 1e-4, values), 1000.0).values, other, rtol=1e-13)
 
 
 def test_strikes_are_those_of_the_plain_integrator(scene: Scene) -> None:

@@ -1,7 +1,7 @@
 """The two methods that the optimum is compared with in every table."""
 
 import numpy as np
-from scipy import fft, interpolate
+import scipy
 
 from transopt.amplifier import prefilter
 from transopt.discretise import StageModel, TimeGrid
@@ -33,14 +33,14 @@ def seed_inversion(
     (..., N) commands [A], of their common shape, faded out over the last `taper_samples`.
     """
     N = grid.stages
-    spline = interpolate.CubicSpline(grid.switching_times_s, reference_m_s2, axis=-1, extrapolate=False)
+    spline = scipy.interpolate.CubicSpline(grid.switching_times_s, reference_m_s2, axis=-1, extrapolate=False)
     at_ticks = np.nan_to_num(spline(grid.issue_times_s), nan=0.0)
-    length = fft.next_fast_len(PADDING * N, real=True)
-    frequencies = fft.rfftfreq(length, grid.dt_s)
-    spectrum = fft.rfft(at_ticks, length)
+    length = scipy.fft.next_fast_len(PADDING * N, real=True)
+    frequencies = scipy.fft.rfftfreq(length, grid.dt_s)
+    spectrum = scipy.fft.rfft(at_ticks, length)
     current = np.zeros_like(spectrum)
     current[..., 1:] = spectrum[..., 1:] / stage.plant.response(frequencies[1:])
-    periodic = fft.irfft(current, length)
+    periodic = scipy.fft.irfft(current, length)
     wanted = periodic[..., :N] - periodic[..., -max(round(REST_S / grid.dt_s), 1) :].mean(axis=-1, keepdims=True)
     wanted[..., -taper_samples:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, taper_samples + 1) / taper_samples))
     wanted = np.clip(wanted, -current_limit_A, current_limit_A)

@@ -177,7 +177,9 @@ def solve(
     from transopt import workers
 
     if jobs > 1:
-        workers.context(("transopt.cli", "transopt.publish", "transopt.figures", "transopt.plotting"))
+        workers.context(
+            (*workers.DESIGNING, "transopt.cli", "transopt.publish", "transopt.figures", "transopt.plotting")
+        )
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.build import build_library

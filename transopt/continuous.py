@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import linalg, special
 
 from transopt.discretise import StageModel, TimeGrid, split_delay
 from transopt.signals import FloatArray
@@ -38,7 +38,7 @@ def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
 
     Nodes as in Hairer & Wanner, Solving Ordinary Differential Equations II, Sec. IV.5.
     """
-    nodes = np.append((special.roots_jacobi(stages - 1, 1.0, 0.0)[0] + 1) / 2, 1.0)
+    nodes = np.append((scipy.special.roots_jacobi(stages - 1, 1.0, 0.0)[0] + 1) / 2, 1.0)
     powers = np.arange(stages)
     integrals = nodes[:, None] ** (powers + 1) / (powers + 1)
     butcher = integrals @ np.linalg.inv(nodes[:, None] ** powers)
@@ -159,7 +159,7 @@ class Flow:
             A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
             B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, np.zeros(3)
         # In balanced units (powers of two, exact) no state drowns in the rounding of another.
-        balanced, (units, _) = linalg.matrix_balance(A, permute=False, separate=True)
+        balanced, (units, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
         rows = np.zeros((3, n + more))
         rows[0, :n], rows[2, :n] = plant.C[0], velocity
         if more:

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy import linalg, signal
+from scipy import linalg
 
 from transopt.amplifier import Amplifier
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
-from transopt.recursion import band, constant_band, run, substitute
+from transopt.recursion import band, constant_band, filtered, run, substitute
 from transopt.signals import FloatArray
 from transopt.thermal import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
 
@@ -180,7 +180,7 @@ class HeatModel:
             (ww, wh), (hw, hh) = self.M
             answer = np.array([self.b[0], wh * self.b[1] - hh * self.b[0]])
             own = np.array([1.0, -ww - hh, ww * hh - wh * hw])
-        return np.asarray(signal.lfilter(own, answer, (by_h / self.gain)[::-1])[::-1])
+        return filtered(own / answer[0], answer / answer[0], (by_h / self.gain)[::-1])[::-1]
 
 
 def _band(P: FloatArray) -> FloatArray:

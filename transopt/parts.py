@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import integrate
+import scipy
 
 from transopt.amplifier import Amplifier
 from transopt.discretise import StageModel, TimeGrid, discretise
@@ -16,8 +16,8 @@ from transopt.wall import FeedbackLoop, HandOver
 
 def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
     """(N,) deviation of the stylus from its nominal motion at the ticks, if it followed the reference (N,)."""
-    velocity = integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
-    course = integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    velocity = scipy.integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
+    course = scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
     return np.asarray(np.interp(grid.issue_times_s, grid.switching_times_s, course))
 
 

@@ -19,5 +19,10 @@ def save_figure(figure: Figure, path: Path) -> None:
     ------
     InputError : the file cannot be written.
     """
+    figure.set_dpi(DPI)
+    if (layout := figure.get_layout_engine()) is not None:
+        # Laid out once, here: savefig would draw everything to nowhere for it, and then once more.
+        layout.execute(figure)
+        figure.set_layout_engine("none")
     with whole_file(path) as file:
         figure.savefig(file, format="png", dpi=DPI)

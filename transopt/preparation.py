@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from transopt.errors import InputError
 from transopt.importers import load_recording
@@ -14,8 +15,6 @@ from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, lowpass
 
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 BASELINE_SAMPLES = 8  # fewer are no baseline
-TRIMMED = 0.2  # share of a baseline's samples that is left out of its mean at either end
-NORMAL_QUARTILE = 0.6744897501960817  # median absolute deviation of a normal distribution of unit width
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
 LEAST_PEAK_TO_NOISE = 6.0  # below, nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below, noise alone may pass the 30 % of the peak by which the onset is found
@@ -128,8 +127,7 @@ def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
     quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
     if quiet.size < BASELINE_SAMPLES:
         return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
-    cut = int(TRIMMED * quiet.size)
-    return float(np.sort(quiet)[cut : quiet.size - cut].mean()), []
+    return float(scipy.stats.trim_mean(quiet, 0.2)), []
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
@@ -187,8 +185,7 @@ def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
 
 def _noise(x: Signal) -> float:
     """Size (rms) of the white noise in a recording, from its steps: a tap is smooth, whatever part of it it fills."""
-    steps = np.diff(x.values)
-    return float(np.median(np.abs(steps - np.median(steps))) / NORMAL_QUARTILE / np.sqrt(2))
+    return float(scipy.stats.median_abs_deviation(np.diff(x.values), scale="normal") / np.sqrt(2))
 
 
 def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:

@@ -45,3 +45,14 @@ def run(A: FloatArray, lower: FloatArray, forcing: FloatArray) -> FloatArray:
             part[0] += A @ found[start - 1]
         found[start : start + CHUNK] = substitute(lower, part)
     return found
+
+
+def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
+    """(K,) of the digital filter b / a from rest, a_0 = 1: what `scipy.signal.lfilter` gives.
+
+    Not by it: a tap that is solved anew must not wait for scipy.signal to be loaded, which takes longer than a
+    hundred taps.
+    """
+    moved = np.convolve(values, b)[: values.size]
+    lower = np.repeat(a[:, None], values.size, axis=1)
+    return np.asarray(blas.dtbsv(a.size - 1, lower, moved, lower=1, diag=1))

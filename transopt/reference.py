@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft, interpolate
+import scipy
 
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
@@ -73,9 +73,9 @@ def _fine_times(grid: TimeGrid) -> FloatArray:
 def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
     """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
-    length = fft.next_fast_len(mean.size + reach, real=True)
+    length = scipy.fft.next_fast_len(mean.size + reach, real=True)
     # Cyclic, with room behind for the lags looked at; those before zero stand at the end.
-    matches = fft.irfft(fft.rfft(repeats, length) * fft.rfft(mean, length).conj(), length)
+    matches = scipy.fft.irfft(scipy.fft.rfft(repeats, length) * scipy.fft.rfft(mean, length).conj(), length)
     lags = []
     for window in np.roll(matches, reach, axis=1)[:, : 2 * reach + 1]:
         best = int(np.argmax(window))
@@ -142,7 +142,9 @@ def build_reference(
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
     # All within the fine times.
-    courses = interpolate.CubicSpline(raw.times_s, np.stack([raw.values, motor.values, position, velocity], axis=1))
+    courses = scipy.interpolate.CubicSpline(
+        raw.times_s, np.stack([raw.values, motor.values, position, velocity], axis=1)
+    )
     raw_m_s2, motor_m_s2, nominal_m, nominal_m_s = sampled(courses, grid.switching_times_s).T.copy()
     return Reference(
         speed_m_s=speed_m_s,

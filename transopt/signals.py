@@ -3,9 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import interpolate
-from scipy.linalg import blas
 
 from transopt.errors import InputError
 
@@ -53,9 +52,9 @@ class Signal:
         return 1.0 / self.dt_s
 
     @property
-    def spline(self) -> interpolate.CubicSpline:
+    def spline(self) -> "scipy.interpolate.CubicSpline":
         """Through all samples."""
-        return interpolate.CubicSpline(self.times_s, self.values, extrapolate=False)
+        return scipy.interpolate.CubicSpline(self.times_s, self.values, extrapolate=False)
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Cubic-spline samples at `times_s` (m,); zero before the first and after the last sample."""
@@ -69,40 +68,10 @@ class Signal:
         return replace(self, start_s=self.start_s + by_s)
 
 
-def sampled(spline: interpolate.CubicSpline, times_s: FloatArray) -> FloatArray:
+def sampled(spline: "scipy.interpolate.CubicSpline", times_s: FloatArray) -> FloatArray:
     """Values of a spline at `times_s` (m,); zero before its first and after its last knot."""
     values = np.asarray(spline(times_s, extrapolate=False), dtype=float)
     return np.asarray(np.nan_to_num(values, copy=False, nan=0.0))
-
-
-def filtered(b: FloatArray, a: FloatArray, values: FloatArray) -> FloatArray:
-    """(..., n) values of the digital filter b / a from rest, a[0] = 1, along the last axis: `scipy.signal.lfilter`.
-
-    The recursion is forward substitution in a banded triangular system. Importing scipy.signal, which loads all of
-    scipy.stats, would take longer than solving a library.
-    """
-    n, rows = values.shape[-1], values.reshape(-1, values.shape[-1])
-    moved = np.stack([np.convolve(row, b)[:n] for row in rows])
-    if moved.dtype != np.float64:  # no library has extended precision
-        for k in range(n):
-            for j in range(1, min(a.size, k + 1)):
-                moved[:, k] -= a[j] * moved[:, k - j]
-        return moved.reshape(values.shape)
-    band = np.repeat(a[:, None], n, axis=1)
-    solved = [blas.dtbsv(a.size - 1, band, row, lower=1, diag=1) for row in moved]
-    return np.asarray(solved).reshape(values.shape)
-
-
-def butterworth(cutoff_Hz: float, rate_Hz: float, *, high: bool = False) -> tuple[FloatArray, FloatArray]:
-    """b, a (3,) of the second-order Butterworth low- or high-pass, `scipy.signal.butter(2, ...)`.
-
-    1 / (s^2 + sqrt(2) s + 1) and s^2 over the same by the bilinear transform s = (1 / K) (1 - 1/z) / (1 + 1/z) with
-    K = tan(pi f_c / f_s), which puts the -3 dB where they are asked for.
-    """
-    K = np.tan(np.pi * cutoff_Hz / rate_Hz)
-    size = 1 + np.sqrt(2) * K + K**2
-    b = np.array([1.0, -2.0, 1.0]) if high else K**2 * np.array([1.0, 2.0, 1.0])
-    return b / size, np.array([1.0, 2 * (K**2 - 1) / size, (1 - np.sqrt(2) * K + K**2) / size])
 
 
 def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
@@ -114,15 +83,11 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
     """
     if cutoff_Hz >= 0.45 * x.rate_Hz:
         return x
-    b, a = butterworth(cutoff_Hz, x.rate_Hz)
+    sos = scipy.signal.butter(2, cutoff_Hz, fs=x.rate_Hz, output="sos")
     # Constant padding: a tap recorded without a baseline must not be continued by its mirror image.
     # Ten time constants of the filter, so that a step at the edge has decayed inside the padding.
     pad = min(x.values.size - 1, int(np.ceil(10 * x.rate_Hz / (2 * np.pi * cutoff_Hz))))
-    values = np.pad(x.values, pad, mode="edge")
-    for _ in range(2):
-        # Each way as if its first sample had stood for ever: the gain at 0 Hz is one.
-        values = (values[0] + filtered(b, a, values - values[0]))[::-1]
-    return replace(x, values=values[pad : values.size - pad].copy())
+    return replace(x, values=np.asarray(scipy.signal.sosfiltfilt(sos, x.values, padtype="constant", padlen=pad)))
 
 
 def highpass(x: Signal, cutoff_Hz: float) -> Signal:
@@ -130,7 +95,8 @@ def highpass(x: Signal, cutoff_Hz: float) -> Signal:
 
     Causal because a zero-phase one would make the motor move before the contact.
     """
-    return replace(x, values=filtered(*butterworth(cutoff_Hz, x.rate_Hz, high=True), x.values))
+    sos = scipy.signal.butter(2, cutoff_Hz, btype="highpass", fs=x.rate_Hz, output="sos")
+    return replace(x, values=np.asarray(scipy.signal.sosfilt(sos, x.values)))
 
 
 def nrmse(value: FloatArray, reference: FloatArray) -> float:

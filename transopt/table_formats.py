@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.io import wavfile
+import scipy
 
 from transopt import matfile
 from transopt.errors import InputError
@@ -235,7 +235,7 @@ def _read_wav(data: bytes, full_scale_m_s2: float | None) -> RawTable:
         need = "WAV needs the acceleration of full scale, > 0 m/s^2; state it in the scene, for example 490.3"
         raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2}: {need}")
     with guarded("not a readable WAV file", "export it again as PCM or float WAV"):
-        rate_Hz, samples = wavfile.read(io.BytesIO(data))
+        rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
     if samples.ndim != 1:
         raise InputError(f"{samples.shape[1]} channels, must be 1; export the accelerometer's as mono")
     values = np.asarray(samples, dtype=float)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from transopt.errors import InputError
 from transopt.signals import FloatArray, Signal
@@ -94,7 +94,10 @@ def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], flo
     step_s, off_grid = _time_grid(times, table.place, words.step_s)
     if off_grid > _UNIFORM:
         grid = times[0] + step_s * np.arange(size)
-        si = {quantity: np.asarray(CubicSpline(times, values)(grid)) for quantity, values in si.items()}
+        si = {
+            quantity: np.asarray(scipy.interpolate.CubicSpline(times, values)(grid))
+            for quantity, values in si.items()
+        }
     return {quantity: Signal(float(times[0]), step_s, values) for quantity, values in si.items()}, off_grid
 
 

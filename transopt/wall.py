@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from transopt.amplifier import Amplifier, prefilter, prefilter_coefficients
 from transopt.errors import InputError
-from transopt.signals import FloatArray, filtered
+from transopt.signals import FloatArray
 
 
 def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
@@ -60,9 +61,9 @@ class Wall:
         earlier = encoder_m[..., :1] + approach_m_s * dt_s * steps
         z = np.concatenate([earlier, encoder_m], axis=-1)
         a = self.smoothing(dt_s)
+        settled = np.full((*encoder_m.shape[:-1], 1), -a * approach_m_s)
         difference = np.diff(z, axis=-1) / dt_s
-        # Settled on the approach: what is filtered from rest is the change of velocity since then.
-        velocity = filtered(np.array([1 - a]), np.array([1.0, -a]), difference + approach_m_s) - approach_m_s
+        velocity, _ = scipy.signal.lfilter([1 - a], [1.0, -a], difference, axis=-1, zi=settled)
         N = encoder_m.shape[-1]
         return z[..., 1 : N + 1], velocity[..., :N]
 
@@ -84,8 +85,8 @@ class Wall:
         """(N,) gradient by the encoder readings for a gradient by `wanted`; the transpose of `linear`."""
         g = earlier_by(self.latency_ticks, by_wanted) / -self.force_per_current_N_A
         a = self.smoothing(dt_s)
-        smooth = filtered(np.array([1 - a]), np.array([1.0, -a]), g[::-1])[::-1] / dt_s
-        difference = smooth - np.append(smooth[1:], 0.0)
+        filtered = scipy.signal.lfilter([1 - a], [1.0, -a], g[::-1])[::-1] / dt_s
+        difference = filtered - np.append(filtered[1:], 0.0)
         return np.asarray(self.stiffness_N_m * g + self.damping_N_s_m * difference)
 
 

@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from transopt.errors import InputError
-from transopt.signals import FloatArray, filtered
+from transopt.signals import FloatArray
 
 PACINIAN_Hz = 275.0  # where vibration is felt best
 PACINIAN_Q = 0.5
@@ -21,16 +22,16 @@ class ErrorFilter:
 
     def apply(self, error: FloatArray) -> FloatArray:
         """(..., N) filtered along the last axis."""
-        return filtered(self.b, self.a, error)
+        return np.asarray(scipy.signal.lfilter(self.b, self.a, error, axis=-1))
 
     def transpose(self, by_filtered: FloatArray) -> FloatArray:
         """(..., N) gradient by the error for a gradient by the filtered error."""
-        return filtered(self.b, self.a, by_filtered[..., ::-1])[..., ::-1]
+        return np.asarray(scipy.signal.lfilter(self.b, self.a, by_filtered[..., ::-1], axis=-1)[..., ::-1])
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """A (2, 2), B (2, 1), C (1, 2), D (1, 1) of the same filter."""
-        A, B = np.array([-self.a[1:], [1.0, 0.0]]), np.array([[1.0], [0.0]])
-        return A, B, (self.b[1:] - self.b[0] * self.a[1:])[None], self.b[:1, None]
+        A, B, C, D = scipy.signal.tf2ss(self.b, self.a)
+        return A, B, C, D
 
 
 def error_filter(name: str, dt_s: float) -> ErrorFilter | None:
@@ -59,8 +60,5 @@ def pacinian(dt_s: float) -> ErrorFilter:
         raise InputError(
             f"weights.error_filter: pacinian lies at {PACINIAN_Hz:g} Hz, above half the servo rate {0.5 / dt_s:g} Hz"
         )
-    # The bilinear transform of a resonance of this width, `scipy.signal.iirpeak`.
-    centre = 2 * np.pi * PACINIAN_Hz * dt_s
-    share = 1 / (1 + np.tan(centre / PACINIAN_Q / 2))
-    b, a = (1 - share) * np.array([1.0, 0.0, -1.0]), np.array([1.0, -2 * share * np.cos(centre), 2 * share - 1])
+    b, a = scipy.signal.iirpeak(PACINIAN_Hz, PACINIAN_Q, fs=1 / dt_s)
     return ErrorFilter(FLOOR * a + (1 - FLOOR) * b, a)

@@ -13,7 +13,15 @@ THREADS = "OPENBLAS_NUM_THREADS"  # of the workers' linear algebra: one, unless 
 FORKS = "forkserver" in multiprocessing.get_all_start_methods()
 
 
-def context(preload: Sequence[str] = ("transopt.design",)) -> BaseContext:
+DESIGNING = (
+    "transopt.design",
+    "scipy.fft",
+    "scipy.integrate",
+    "scipy.interpolate",
+)  # scipy loads its parts when used
+
+
+def context(preload: Sequence[str] = DESIGNING) -> BaseContext:
     """How worker processes start: forked from a server process of their own that has the designer loaded.
 
     Not from this one, whose solver objects and threads a fork would copy half-alive; and not each anew, which takes

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy import optimize, sparse
+import scipy
 
 from transopt import transcribe
 from transopt.problem import TransientProblem
@@ -42,7 +42,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     statement = state(replace(problem, thermal=None))
     shape, program = statement.shape, transcribe.state_program(statement.shape)
     data = program.qp_data(p=statement.p)
-    A = sparse.csc_array((np.asarray(data["A"].nonzeros()), *pattern(shape, "A")), shape=data["A"].shape)
+    A = scipy.sparse.csc_array((np.asarray(data["A"].nonzeros()), *pattern(shape, "A")), shape=data["A"].shape)
     wide_x, wide_g = _widths(statement.problem, shape, statement.upper_x, statement.upper_g.size, limits)
     lower_x, upper_x, lower_g, upper_g = (
         np.array(bound) for bound in (statement.lower_x, statement.upper_x, statement.lower_g, statement.upper_g)
@@ -51,7 +51,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     rows = np.flatnonzero(wide_g)
     equal = lower_g == upper_g
     fixed = np.flatnonzero(~equal & ~wide_g.astype(bool))
-    picked = sparse.csr_array(
+    picked = scipy.sparse.csr_array(
         (np.ones(columns.size), (np.arange(columns.size), columns)), shape=(columns.size, A.shape[1])
     )
     A_rows = A.tocsr()
@@ -63,16 +63,18 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
         (A_rows[fixed], np.zeros(fixed.size), upper_g[fixed], lower_g[fixed]),
     ):
         if width.size:
-            factor = sparse.csr_array(-width[:, None])
-            blocks += [sparse.hstack([matrix, factor]), sparse.hstack([-matrix, factor])]
+            factor = scipy.sparse.csr_array(-width[:, None])
+            blocks += [scipy.sparse.hstack([matrix, factor]), scipy.sparse.hstack([-matrix, factor])]
             bounds += [upper, -lower]
     lower_x[columns], upper_x[columns] = -np.inf, np.inf
-    inequalities: Any = sparse.vstack(blocks).tocsr() if blocks else None
-    equalities: Any = sparse.hstack([A_rows[np.flatnonzero(equal)], sparse.csr_array((int(equal.sum()), 1))]).tocsr()
+    inequalities: Any = scipy.sparse.vstack(blocks).tocsr() if blocks else None
+    equalities: Any = scipy.sparse.hstack(
+        [A_rows[np.flatnonzero(equal)], scipy.sparse.csr_array((int(equal.sum()), 1))]
+    ).tocsr()
     box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
     options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
     for method in METHODS:
-        found = optimize.linprog(
+        found = scipy.optimize.linprog(
             c=np.append(np.zeros(A.shape[1]), 1.0),
             A_ub=inequalities,
             b_ub=np.concatenate(bounds) if bounds else None,

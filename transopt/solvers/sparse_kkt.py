@@ -4,9 +4,8 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from transopt import transcribe
 from transopt.problem import TransientProblem
@@ -29,13 +28,13 @@ def movement(problem: TransientProblem) -> FloatArray:
     shape = statement.shape
     data = transcribe.state_program(shape).qp_data(p=statement.p)
     H, A = (
-        sparse.csc_array((np.asarray(data[name].nonzeros()), *pattern(shape, name)), shape=data[name].shape)
+        scipy.sparse.csc_array((np.asarray(data[name].nonzeros()), *pattern(shape, name)), shape=data[name].shape)
         for name in ("H", "A")
     )
-    kkt = sparse.block_array([[H, A.T], [A, None]], format="csc")
+    kkt = scipy.sparse.block_array([[H, A.T], [A, None]], format="csc")
     right = np.concatenate([-np.asarray(data["q"]).ravel(), statement.lower_g])
     try:
-        factors = splu(kkt)
+        factors = scipy.sparse.linalg.splu(kkt)
     except RuntimeError:
         return np.full(shape.stages, np.nan)
     point = factors.solve(right)
