@@ -1,7 +1,7 @@
 /* Runs the interior point on problems from a file, every array in memory of its exact size: for sanitizers and valgrind.
  *
  * Written by solver_memory.py: count, then per problem the integers and numbers of tr_problem in its order, the lengths
- * of its arrays, the arrays. Prints per problem and entry point: code, iterations, objective, sum of the movement.
+ * of its arrays, the arrays. Prints per problem and entry point: code, iterations, objective, sum of the commands.
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -28,7 +28,7 @@ static double *doubles(size_t count)
 static void tell(const char *what, int code, const tr_result *r, int stages)
 {
     double sum = 0.0;
-    for (int k = 0; k < stages; k++) sum += r->movement[k];
+    for (int k = 0; k < stages; k++) sum += r->command[k];
     printf("%s %d %d %.17g %.17g\n", what, code, r->iterations, code < TR_ITERATION_LIMIT ? r->objective : 0.0, sum);
 }
 
@@ -53,7 +53,7 @@ static void run(FILE *file)
     tr_result r = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),
                    0, 0.0, 0.0, 0.0};
     /* A result that is not written, as of a breakdown at once, is zero as from Python. */
-    for (size_t k = 0; k < N; k++) r.movement[k] = 0.0;
+    for (size_t k = 0; k < N; k++) r.command[k] = 0.0;
     double *workspace = doubles(tr_workspace(&q));
     const int code = tr_solve(&q, &options, workspace, &r);
     tell("solve", code, &r, q.stages);
@@ -68,7 +68,7 @@ static void run(FILE *file)
         free(workspace);
     }
     for (int i = 0; i < ARRAYS; i++) free(arrays[i]);
-    free(r.movement), free(r.size), free(r.lower), free(r.upper), free(r.gradient), free(r.start);
+    free(r.command), free(r.size), free(r.lower), free(r.upper), free(r.gradient), free(r.start);
 }
 
 int main(int argc, char **argv)

@@ -92,12 +92,12 @@ def expected(stages: Stages) -> list[list[float]]:
     """What the installed extension says of a problem, as the driver prints it."""
     buffers = native.Buffers(stages.sizes)
     answers = [native.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)]
-    sums = [buffers.movement.sum()]
+    sums = [buffers.command.sum()]
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
         run = native.LinearPass(stages)
         for _ in range(2):
             answers.append(run.solve(1e-9))
-            sums.append(run.buffers.movement.sum())
+            sums.append(run.buffers.command.sum())
             if answers[-1].code > native.ACCURACY:
                 break
     return [

@@ -145,8 +145,8 @@ class TestMethods:
         for setting in method.settings(short_case):
             prepared = method.prepare(short_case, setting)
             one, two = (prepared.read(prepared.run()) for _ in range(2))
-            # A start from the last solution would end sooner, and elsewhere by as much as the tolerance. OSQP's update
-            # undoes its scaling and scales again: every other run has other rounding.
+            # A start from the last solution would end sooner, and elsewhere by as much as the tolerance. When OSQP is
+            # updated it undoes its scaling and scales again: every other run has other rounding.
             assert one.iterations == two.iterations
             np.testing.assert_allclose(one.command_A, two.command_A, rtol=0, atol=1e-9 if name == "osqp" else 0)
 

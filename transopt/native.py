@@ -40,7 +40,7 @@ class _Options(ct.Structure):
 
 class _Result(ct.Structure):
     _fields_ = (
-        *[(name, DOUBLES) for name in ("movement", "size", "lower", "upper", "gradient", "start")],
+        *[(name, DOUBLES) for name in ("command", "size", "lower", "upper", "gradient", "start")],
         ("iterations", ct.c_int),
         *[(name, ct.c_double) for name in ("objective", "gap", "residual")],
     )
@@ -74,21 +74,22 @@ class Buffers:
 
     Attributes
     ----------
-    movement, size, gradient : (N,). lower, upper : (N + 1, rows) multipliers of the last answer.
+    command, gradient : (N,) of the last answer, in the statement's units. size : (N,), of a problem with temperature.
+    lower, upper : (N + 1, rows) its multipliers.
     gains_of : the linear pass whose gains stand in the workspace, by its token; None for none.
     """
 
     def __init__(self, sizes: dict[str, int]) -> None:
         assert _LIBRARY is not None
         N, shape = sizes["stages"], (sizes["stages"] + 1, sizes["rows"])
-        self.movement, self.size, self.gradient = np.zeros(N), np.zeros(N), np.zeros(N)
+        self.command, self.size, self.gradient = np.zeros(N), np.zeros(N), np.zeros(N)
         # A pointer to nothing is none that C may copy no bytes to.
         self._lower, self._upper, self._start = (np.zeros(max(count, 1)) for count in (*[shape[0] * shape[1]] * 2, 4))
         self.lower, self.upper = (flat[: shape[0] * shape[1]].reshape(shape) for flat in (self._lower, self._upper))
         self.gains_of: object = None
         self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
         self.result = _Result(
-            *(_pointer(a) for a in (self.movement, self.size, self._lower, self._upper, self.gradient, self._start))
+            *(_pointer(a) for a in (self.command, self.size, self._lower, self._upper, self.gradient, self._start))
         )
 
 
@@ -164,7 +165,7 @@ class LinearPass:
         self._zeros = self._tail if problem.wall is None else slice(0, 0)
 
     def solve(self, tolerance: float) -> Answer:
-        """Answer to `tolerance` on the gap, relative to max(J, 1e-3); movement and gradient stand in the buffers."""
+        """Answer to `tolerance` on the gap, relative to max(J, 1e-3); command and gradient stand in the buffers."""
         buffers = self.buffers
         code = self._pass(self._problem, tolerance, buffers.gains_of is self._token, *self._arguments)
         buffers.gains_of = self._token if code in (SOLVED, ACCURACY) else None
@@ -176,8 +177,7 @@ class LinearPass:
 
     def command_A(self) -> FloatArray:
         """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
-        command: FloatArray = self.buffers.movement.cumsum()
-        command *= self.stages.current_A
+        command: FloatArray = self.buffers.command * self.stages.current_A
         command[self._zeros] = 0.0
         return command
 

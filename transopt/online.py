@@ -244,7 +244,7 @@ class Online:
         if answer.code not in (SOLVED, ACCURACY):
             return None
         by_row = buffers.upper - buffers.lower
-        return _Answer(stages.command(buffers.movement), stages.multipliers(by_row, buffers.gradient))
+        return _Answer(stages.command(buffers.command), stages.multipliers(by_row, buffers.gradient))
 
     def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""

@@ -197,9 +197,9 @@ class Stages:
     numbers: dict[str, float]
     arrays: dict[str, FloatArray]
 
-    def command(self, movement: FloatArray) -> FloatArray:
-        """(N,) commands [A] of a movement (N,) in scaled units, as `held`."""
-        return held(self.problem, np.cumsum(movement) * self.current_A)
+    def command(self, scaled: FloatArray) -> FloatArray:
+        """(N,) commands [A] of those in scaled units (N,), as `held`."""
+        return held(self.problem, scaled * self.current_A)
 
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI from upper less lower ones (N + 1, rows) and the gradient (N,) by the movements."""

@@ -45,7 +45,7 @@ typedef struct {
 } tr_options;
 
 typedef struct {
-    double *movement, *size;   /* (N), (N) */
+    double *command, *size;    /* (N) x_(n-1) + u; (N), left alone without nodes */
     double *lower, *upper;     /* (N + 1, rows) multipliers */
     double *gradient;          /* (N) of the Lagrangian by u, the rule fed back */
     double *start;             /* (nodes) th_0 */
@@ -259,7 +259,7 @@ typedef struct {
     double *offset, *offset_e;           /* Newton step without feedback */
     double *u, *e, *du, *de;
     double *error, *d_error;
-    double *current, *command, *d_current, *d_command; /* i_k, c_k */
+    double *current, *command, *d_current, *d_command; /* i_k, c_k, where they heat */
     double *heat;                        /* (N, 4): dh/di, dh/dc, times resistance; resistance; copper h */
     double *theta;                       /* (N + 1, nodes) */
     double *by_heat;                     /* (N) b' costate of th_(k+1) */
@@ -282,8 +282,8 @@ static void *take(double *workspace, size_t *taken, size_t count)
     return found;
 }
 
-/* Arrays in the workspace. In front stand those that outlive a linear pass: the problem's matrices and the gains. Returns
- * the doubles that are taken, and in `kept` how many of them stand in front. */
+/* Arrays in the workspace; in front those that a linear pass with its gains kept finds as it left them. Returns the
+ * doubles that are taken, and in `kept` how many of them stand in front. */
 static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *kept)
 {
     const size_t N = (size_t)q->stages, m = (N + 1) * (size_t)q->rows, ny = (size_t)q->outputs, t = (size_t)q->nodes;
@@ -295,17 +295,17 @@ static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *ke
     w->A = take(space, &taken, ld * ld), w->At = take(space, &taken, ld * ld);
     w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
     w->K = take(space, &taken, N * ld), w->pivot = take(space, &taken, N);
+    w->du = take(space, &taken, N), w->d_error = take(space, &taken, N * ny);
     *kept = taken;
-    w->offset = take(space, &taken, N), w->u = take(space, &taken, N), w->du = take(space, &taken, N);
-    w->error = take(space, &taken, N * ny), w->d_error = take(space, &taken, N * ny);
-    w->current = take(space, &taken, N), w->command = take(space, &taken, N);
-    w->d_current = take(space, &taken, N), w->d_command = take(space, &taken, N);
+    w->offset = take(space, &taken, N), w->u = take(space, &taken, N), w->error = take(space, &taken, N * ny);
     const size_t warm = t ? N : 0; /* what only temperatures need */
     w->Kth = take(space, &taken, N * t), w->Keth = take(space, &taken, N * t);
     w->Ke = take(space, &taken, warm * ld), w->Ke_u = take(space, &taken, warm), w->pivot_e = take(space, &taken, warm);
     w->offset_e = take(space, &taken, warm), w->e = take(space, &taken, warm), w->de = take(space, &taken, warm);
     w->heat = take(space, &taken, 4 * warm), w->by_heat = take(space, &taken, warm);
     w->unit_offset = take(space, &taken, N * t), w->unit_offset_e = take(space, &taken, N * t);
+    w->current = take(space, &taken, warm), w->command = take(space, &taken, warm);
+    w->d_current = take(space, &taken, warm), w->d_command = take(space, &taken, warm);
     w->still = take(space, &taken, warm), w->theta = take(space, &taken, (N + 1) * t);
     w->V = take(space, &taken, m), w->dV = take(space, &taken, m), w->sigma = take(space, &taken, m), w->y = take(space, &taken, m);
     for (tr_side *z = w->side; z < w->side + 2; z++) {
@@ -324,7 +324,7 @@ static size_t workspace(const tr_problem *q)
     return lay_out(&w, q, NULL, &kept) + WIDTH - 1;
 }
 
-/* The workspace, all zero but the problem's matrices; what stands in front is left alone with `keep_gains`. */
+/* The workspace, all zero but what the problem says; with `keep_gains`, what stands in front is left alone. */
 static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains)
 {
     const size_t n = (size_t)q->states, ny = (size_t)q->outputs;
@@ -650,9 +650,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
         const double current = q->current >= 0 ? AT(x, q->current) : 0.0, command = AT(x, last) + u;
         if (full) {
             w->du[k] = u;
-            if (t) w->de[k] = e;
-            w->d_current[k] = current;
-            w->d_command[k] = command;
+            if (t) w->de[k] = e, w->d_current[k] = current, w->d_command[k] = command;
             for (int o = 0; o < q->outputs; o++)
                 w->d_error[k * q->outputs + o] = q->E[o] * u + dot(blocks, w->C + o * blocks, x);
             if (t) AT(w->dV, k * m) = th[0];
@@ -835,8 +833,11 @@ static void advance(tr_work *w, double step)
 {
     const tr_problem *q = w->q;
     const int N = q->stages;
-    move(N, step, w->du, w->u), move(q->nodes ? N : 0, step, w->de, w->e);
-    move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
+    move(N, step, w->du, w->u);
+    if (q->nodes) {
+        move(N, step, w->de, w->e);
+        move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
+    }
     move(N * q->outputs, step, w->d_error, w->error);
     for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
     for (tr_side *z = w->side; z < w->side + 2; z++)
@@ -907,9 +908,11 @@ static tr_state judge(tr_work *w)
     judge_rows(w, &found);
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
+    double command = 0.0;
     for (int k = 0; k < q->free_stages; k++) {
         const double after = k + 1 < q->free_stages ? w->offset[k + 1] : 0.0;
-        sum[k % WIDTH] += fabs(w->offset[k] - after) * (q->command_bound + fabs(w->command[k]));
+        command += w->u[k];
+        sum[k % WIDTH] += fabs(w->offset[k] - after) * (q->command_bound + fabs(command));
     }
     for (int k = 0; q->nodes && k < N; k++) sum[k % WIDTH] += 2.0 * fabs(w->offset_e[k]);
     found.stationarity = total((const lanes *)sum);
@@ -972,9 +975,9 @@ static void keep(const tr_work *w, const tr_state *now, tr_result *r)
 {
     const tr_problem *q = w->q;
     const size_t stages = (size_t)q->stages, rows = (stages + 1) * (size_t)q->rows;
-    memcpy(r->movement, w->u, stages * sizeof(double));
+    double command = 0.0;
+    for (size_t k = 0; k < stages; k++) r->command[k] = command += w->u[k];
     if (q->nodes) memcpy(r->size, w->e, stages * sizeof(double));
-    else memset(r->size, 0, stages * sizeof(double));
     memcpy(r->gradient, w->offset, stages * sizeof(double));
     memcpy(r->lower, w->side[0].l, rows * sizeof(double));
     memcpy(r->upper, w->side[1].l, rows * sizeof(double));

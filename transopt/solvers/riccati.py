@@ -75,7 +75,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     found = Buffers(given.sizes)
     answer = interior_point(given, found, tolerance=LOOSER * options.tolerance, max_iterations=options.max_iterations)
     status, message = STATUS[answer.code]
-    command = given.command(found.movement)
+    command = given.command(found.command)
     multipliers = given.multipliers(found.upper - found.lower, found.gradient)
     if status is not Status.OPTIMAL and is_infeasible(problem, command, multipliers):
         status, message = Status.INFEASIBLE, f"{message}: a ray proves that no command meets all limits"
