@@ -285,9 +285,10 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
     with tempfile.TemporaryDirectory() as folder:
         two = two_processes(runs, wide_scene_file(Path(folder)))
         found.append(row("library", "two processes, 20 x 10", f"200 entries {told}", 600, two))
-        cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), "--jobs", "2")
-    told = "cold, two processes, report and figures included"
-    found.append(row("library", "transopt solve, 20 x 10", told, 600, cold))
+        for included, options in {"report": ("--no-figures",), "report and figures": ()}.items():
+            cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), "--jobs", "2", *options)
+            told = f"cold, two processes, {included} included"
+            found.append(row("library", " ".join(("transopt solve, 20 x 10", *options)), told, 600, cold))
     return found, library
 
 

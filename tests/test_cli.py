@@ -231,6 +231,13 @@ class TestSolve:
         assert run("solve", quick_scene, "--out", "here").code == 0
         assert not Path("here/refused.md").exists()
 
+    def test_without_figures_an_earlier_builds_figures_go(self, run, quick_scene: Path) -> None:
+        assert run("solve", quick_scene, "--out", "here").code == 0
+        drawn = {file.name for file in Path("here").glob("*.png")}
+        assert drawn == {"transients.png", "methods.png", "bode.png"}
+        assert run("solve", quick_scene, "--out", "here", "--no-figures").code == 0
+        assert {file.name for file in Path("here").iterdir()} == {"library.npz", "report.md", "report.json"}
+
     @pytest.mark.parametrize("columns", [80, 100])
     def test_narrow_terminals_keep_whole_words(
         self, run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, columns: int

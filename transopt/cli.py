@@ -172,19 +172,19 @@ def solve(
         typer.Option(help="Add nodes until a blend between them is this close to the optimum; 0.02: 2 %."),
     ] = None,
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
+    figures: Annotated[bool, typer.Option(help="Draw transients, methods and Bode plots into the folder.")] = True,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
     from transopt import workers
 
     if jobs > 1:
-        workers.context(
-            (*workers.DESIGNING, "transopt.cli", "transopt.publish", "transopt.figures", "transopt.plotting")
-        )
+        drawing = ("transopt.publish", "transopt.figures") if figures else ()
+        workers.context((*workers.DESIGNING, "transopt.cli", *drawing))
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.build import build_library
     from transopt.identified_report import model_warning
-    from transopt.publish import files_of, publishing
+    from transopt.publish import LEFTOVERS, files_of, publishing
     from transopt.refine import check_tolerance, refine_grid
     from transopt.solvers import SolverOptions, check_name, default_solver
     from transopt.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
@@ -233,9 +233,8 @@ def solve(
             )
             progress.update(task, visible=False)
             progress.add_task("files", total=None)
-            files = files_of(build)
-            leftovers = ["refused.md", "refused.json", "grid_error.png"] if build.library is not None else []
-            stale = [name for name in leftovers if name not in files.names]
+            files = files_of(build, figures=figures)
+            stale = [name for name in LEFTOVERS if name not in files.names] if build.library is not None else []
             with publishing(folder, files, stale, pool), console.capture() as table:
                 # Takes a moment of this process while the others draw.
                 console.print(build_table(build, console.width))

@@ -75,8 +75,12 @@ def _draw(figure: str, subject: object, path: Path) -> None:
     save_figure(getattr(import_module(f"transopt.{module}"), name)(subject), path)
 
 
-def files_of(build: Build) -> Files:
-    """Library, report and figures; of a build that was refused, why."""
+# Of an earlier build in the same folder, which this one may not have.
+LEFTOVERS = ("refused.md", "refused.json", "transients.png", "methods.png", "bode.png", "grid_error.png")
+
+
+def files_of(build: Build, *, figures: bool = True) -> Files:
+    """Library, report and, unless not wanted, figures; of a build that was refused, why."""
 
     def text(content: str) -> Callable[[Path], None]:
         def write(path: Path) -> None:
@@ -87,7 +91,11 @@ def files_of(build: Build) -> Files:
     library = build.library
     if library is None:
         return Files({"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}, {})
-    drawn: dict[str, Callable[[Path], None]] = {}
+    drawn: dict[str, Callable[[Path], None]] = {
+        "transients.png": partial(_draw, "figures.library_figure", library),
+        "methods.png": partial(_draw, "figures.method_figure", replace(build, references=[], library=None)),
+        "bode.png": partial(_draw, "figures.bode_figure", library),
+    }
     if (refinement := build.refinement) is not None and refinement.entries > 1:
         drawn["grid_error.png"] = partial(_draw, "grid_figure.grid_figure", refinement)
     return Files(
@@ -96,10 +104,5 @@ def files_of(build: Build) -> Files:
             "report.md": text(build_markdown(build)),
             "report.json": text(build_json(build)),
         },
-        tasks={
-            "transients.png": partial(_draw, "figures.library_figure", library),
-            "methods.png": partial(_draw, "figures.method_figure", replace(build, references=[], library=None)),
-            "bode.png": partial(_draw, "figures.bode_figure", library),
-            **drawn,
-        },
+        tasks=drawn if figures else {},
     )

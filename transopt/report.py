@@ -50,7 +50,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
         "",
         "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
         f"there; at {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where "
-        "it errs most. `grid_error.png` shows it.",
+        "it errs most. `grid_error.png` shows it, where figures are drawn.",
     ]
 
 
