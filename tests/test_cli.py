@@ -184,7 +184,7 @@ class TestSolve:
         found = re.fullmatch(
             r"1 of 1 entries certified and replayed: NRMSE (\S+) to (\S+) % \(worst at 0\.2 m/s, 3 N: (\S+) points "
             r"over its floor\), gap <= (\S+), violation <= (\S+) A, V or K; "
-            r"(\d+) ms per entry \(median\), (\S+) s in all",
+            r"(\S+) ms per entry \(median\), (\S+) s in all",
             outcome.out.splitlines()[-1],
         )
         assert found is not None, outcome.out

@@ -46,7 +46,7 @@ def entry_cells(entry: Entry) -> list[str]:
         f"{percent(b.clipped)} / {percent(b.clipped_steady)}",
         percent(entry.repeatability),
         f"{entry.played.peak_current_A:.3f}",
-        f"{entry.solution.solve_time_s * 1e3:.0f}",
+        f"{entry.solution.solve_time_s * 1e3:.1f}",
         entry.binding,
         entry.verdict,
     ]
@@ -112,7 +112,7 @@ def summary(build: Build) -> str:
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )
     times_ms = [entry.solution.solve_time_s * 1e3 for entry in entries]
-    said.append(f"{np.median(times_ms):.0f} ms per entry (median), {build.elapsed_s:.2f} s in all")
+    said.append(f"{np.median(times_ms):.1f} ms per entry (median), {build.elapsed_s:.2f} s in all")
     return "; ".join(said)
 
 
