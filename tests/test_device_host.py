@@ -342,9 +342,9 @@ def test_without_a_compiler_it_says_so_and_serves_the_python_device() -> None:
     ("options", "message"),
     [
         (["--tap", "fast"], "--tap fast: must be SPEED,GRIP in m/s and N, like 0.2,3"),
-        (["--tap", "9,3"], "--tap = 9 m/s: must be 0.02 to 2 m/s"),
-        (["--loss", "2"], "--loss = 2: must be 0 to 1"),
-        (["--hold", "-1"], "--hold = -1 N: must be 0.5 to 50 N"),
+        (["--tap", "9,3"], "--tap 9: must be 0.02 to 2 m/s"),
+        (["--loss", "2"], "--loss 2: must be 0 to 1"),
+        (["--hold", "-1"], "--hold -1: must be 0.5 to 50 N"),
         (["--hold", "3", "--tap", "0.2,3"], "--tap beside --hold"),
         (["--like", "/nowhere.npz"], "/nowhere.npz"),
         (["--python", "--listen", "nowhere"], "--listen nowhere: must be HOST:PORT"),
