@@ -168,7 +168,7 @@ def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
     return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
 
 
-def _user(library: Library, tap: Tap, prediction: Prediction, contact_s: float) -> User:
+def _user(tap: Tap, prediction: Prediction, contact_s: float) -> User:
     if tap.habit is Habit.RECORDED:
         scale = tap.speed_m_s / prediction.speed_m_s
         own = scale * prediction.own_m_s2
@@ -203,7 +203,7 @@ def play_tap(
     truth = device_of(scene) if device is None else device
     simulator = Simulator(
         truth,
-        _user(library, tap, prediction, expected),
+        _user(tap, prediction, expected),
         dt,
         imperfections=tap.imperfections,
         seed=tap.seed,
