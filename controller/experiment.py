@@ -138,9 +138,6 @@ def strike_real(
     grip_N: float,
     duration_s: float,
     dt_s: float,
-    *,
-    imperfections: Imperfections = NONE,
-    seed: int = 0,
 ) -> Struck:
     """The same stylus, undriven, strikes a real object at z = 0 (seed Fig. 1); the mild user goes on."""
     approach = 100
@@ -148,8 +145,6 @@ def strike_real(
         device,
         TapUser(speed_m_s, grip_N, approach * dt_s),
         dt_s,
-        imperfections=imperfections,
-        seed=seed,
         target=target,
         steps=STEPS_AT_CONTACT,
         trace=True,

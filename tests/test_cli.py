@@ -384,14 +384,6 @@ def test_shipped_recordings_are_what_the_generator_writes(tmp_path: Path) -> Non
         np.testing.assert_allclose(fresh, shipped, atol=2e-4)  # the last digit may round differently elsewhere
 
 
-def test_help_and_errors_come_at_once() -> None:
-    """The commands load what they compute with when they run, not before."""
-    program = (
-        "import sys, transopt.cli, controller.cli; assert not {'scipy', 'casadi', 'matplotlib'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
-
-
 def test_reading_a_library_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
     """The runtime path: load, blend, and look at a controller, in a fresh interpreter."""
     library.save(tmp_path / "library.npz")

@@ -11,6 +11,7 @@ from controller.excitation import sweep_command
 from controller.sensors import Sensors
 from controller.simulator import Imperfections, Simulator
 from controller.truth import device_of
+from controller.user import StillHand
 from tests.identification_bench import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, assert_near, mismatched
 from tests.test_black_box import four_masses
 from transopt.errors import InputError
@@ -148,26 +149,12 @@ def test_a_command_alone_will_do_where_the_amplifier_is_known(rig: Rig) -> None:
     assert_near(part.plant(3.0), rig.device.plant(3.0))
 
 
-class StillUser:
-    """A hand that stays where it is."""
-
-    def __init__(self, grip_N: float) -> None:
-        self._grip_N = grip_N
-
-    def intention_m(self, time_s: float) -> float:
-        return 0.0
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        return self._grip_N
-
-
 def simulated(scene: Scene, grip_N: float, command_A: np.ndarray, seed: int, name: str) -> Measurement:
     """A record of the controller's simulator: absolute coordinates, its own integration and sensors."""
     wrong = Imperfections(crossover_A=0.01, sensors=Sensors())
-    simulator = Simulator(device_of(scene), StillUser(grip_N), DT_S, imperfections=wrong, seed=seed, steps=1)
+    simulator = Simulator(
+        device_of(scene), StillHand(grip_N, height_m=0.0), DT_S, imperfections=wrong, seed=seed, steps=1
+    )
     rows = np.empty((command_A.size, 2))
     for k, command in enumerate(command_A.tolist()):
         read = simulator.readings()
