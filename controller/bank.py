@@ -147,15 +147,12 @@ def bank(
     method: Method = Method.BILINEAR,
     *,
     blind_grip_N: float | None = None,
-    inertia_A_s2_m: float | None = None,
 ) -> Bank:
     """The table of one method for one library.
 
     Parameters
     ----------
     blind_grip_N : the one grip of `BLIND`; the middle of the grid without it.
-    inertia_A_s2_m : current that accelerates the moving mass by 1 m/s^2, m / k_f; from the library's plants, see
-        `predecessors.inertia`, without it.
 
     Raises
     ------
@@ -185,13 +182,12 @@ def bank(
         command = nodes(lambda iv, ig: inversion(library, iv, ig, optimal=optimal))
     else:
         # They know no grip: one mass, that of the grips' mean.
-        inertia = predecessors.inertia(library) if inertia_A_s2_m is None else inertia_A_s2_m
         waveform = {
             Method.DECAYING_SINUSOID: predecessors.decaying_sinusoid,
             Method.FIXED_WIDTH_PULSE: predecessors.fixed_width_pulse,
             Method.MOMENTUM_CANCELLATION: predecessors.momentum_cancellation,
         }[method]
-        command = waveform(library, inertia)[:, None]
+        command = waveform(library, predecessors.inertia(library))[:, None]
         grips, by_grip = grips[:1], False
     amplifier, dt = library.amplifier(), library.meta["dt_s"]
     transient = norms(currents(command, amplifier, dt), amplifier, dt)

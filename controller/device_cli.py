@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.limits import checked
+from controller.options import within
 from transopt import terminal
 from transopt.errors import InputError
 
@@ -34,8 +34,8 @@ def _taps(said: list[str]) -> list[tuple[float, float]]:
             taps.append((float(speed), float(grip)))
         except ValueError:
             raise InputError(f"--tap {words}: must be SPEED,GRIP in m/s and N, like 0.2,3") from None
-        checked("--tap", taps[-1][0], 0.02, 2.0, " m/s")
-        checked("--tap", taps[-1][1], 0.0, 50.0, " N")
+        within("tap", taps[-1][0], 0.02, 2.0, " m/s")
+        within("tap", taps[-1][1], 0.0, 50.0, " N")
     return taps
 
 
@@ -126,15 +126,15 @@ def device(
     from controller.plant_file import plant_bytes
 
     for name, value, high in (("mismatch", mismatch, 0.5), ("loss", loss, 1.0), ("corruption", corruption, 1.0)):
-        checked(f"--{name}", value, 0.0, high)
-    checked("--delay-ms", delay_ms, 0.0, 1e4, " ms")
-    checked("--rest", rest, 0.0, 600.0, " s")
+        within(name, value, 0.0, high)
+    within("delay-ms", delay_ms, 0.0, 1e4, " ms")
+    within("rest", rest, 0.0, 600.0, " s")
     if hold is not None:
-        checked("--hold", hold, 0.5, 50.0, " N")
+        within("hold", hold, 0.5, 50.0, " N")
         if tap:
             raise InputError("--tap beside --hold: the hand taps or only holds; give one of them")
-    checked("--reset-every", reset_every, 0.0, 1e6, " s")
-    checked("--seed", seed, 0, 2**31 - 1)
+    within("reset-every", reset_every, 0.0, 1e6, " s")
+    within("seed", seed, 0, 2**31 - 1)
     simulator, user = simulated(like, _taps(list(tap or TAPS)), rest, mismatch, seed, hold)
     program = None
     if not python:

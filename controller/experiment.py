@@ -138,9 +138,6 @@ def strike_real(
     grip_N: float,
     duration_s: float,
     dt_s: float,
-    *,
-    imperfections: Imperfections = NONE,
-    seed: int = 0,
 ) -> Struck:
     """The same stylus, undriven, strikes a real object at z = 0 (seed Fig. 1); the mild user goes on."""
     approach = 100
@@ -148,8 +145,6 @@ def strike_real(
         device,
         TapUser(speed_m_s, grip_N, approach * dt_s),
         dt_s,
-        imperfections=imperfections,
-        seed=seed,
         target=target,
         steps=STEPS_AT_CONTACT,
         trace=True,
@@ -168,7 +163,7 @@ def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
     return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
 
 
-def _user(library: Library, tap: Tap, prediction: Prediction, contact_s: float) -> User:
+def _user(tap: Tap, prediction: Prediction, contact_s: float) -> User:
     if tap.habit is Habit.RECORDED:
         scale = tap.speed_m_s / prediction.speed_m_s
         own = scale * prediction.own_m_s2
@@ -203,7 +198,7 @@ def play_tap(
     truth = device_of(scene) if device is None else device
     simulator = Simulator(
         truth,
-        _user(library, tap, prediction, expected),
+        _user(tap, prediction, expected),
         dt,
         imperfections=tap.imperfections,
         seed=tap.seed,

@@ -17,7 +17,7 @@ ENCODER_MOST_COUNTS = 1 << 29  # further out the sums of the approach's fit woul
 
 
 def checked(name: str, value: float, low: float, high: float, unit: str = "") -> float:
-    """The value, if it lies within its limits.
+    """The value of what a device is asked for, if it lies within its limits; `options.within` is for a command's.
 
     Raises
     ------

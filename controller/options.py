@@ -1,4 +1,4 @@
-"""What the commands of `transopt-play` ask of their options."""
+"""What the commands of `transopt-play` and `transopt-device` ask of their options."""
 
 import typer
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from controller.options import within
 from transopt import terminal
-from transopt.errors import InputError
 
 if TYPE_CHECKING:
     from controller.driver import Device
@@ -98,12 +98,6 @@ def connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
         raise typer.Exit(130) from None
 
 
-def number(option: str, value: float, low: float, high: float, unit: str = "") -> float:
-    if not low <= value <= high:
-        raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
-    return value
-
-
 def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, armed: bool | None) -> None:
     """Until it is so, or for so long, or for ever.
 
@@ -154,7 +148,7 @@ def monitor(
     from controller.settings import Settings
     from controller.told import Changed
 
-    number("every", every, 1, 65535, " ticks")
+    within("every", every, 1, 65535, " ticks")
     ends(None, seconds)
     console = terminal.console()
     with connected(port) as device:
@@ -256,8 +250,8 @@ def check(
     from controller.payload import payload, trial_sweep
     from controller.settings import Settings
 
-    number("rest-g", rest_g, -1.0, 1.0, " g")
-    number("patience", patience, 0.1, 3600.0, " s")
+    within("rest-g", rest_g, -1.0, 1.0, " g")
+    within("patience", patience, 0.1, 3600.0, " s")
     skipped = check_skipped(skip or ())
     given: Load | None = None if library is None else payload(library)
     console = terminal.console()
@@ -295,9 +289,9 @@ def check(
 def ends(taps: int | None, seconds: float | None) -> None:
     """What may end a run."""
     if taps is not None:
-        number("taps", taps, 1, 1_000_000)
+        within("taps", taps, 1, 1_000_000)
     if seconds is not None:
-        number("for", seconds, 0.0, 1e9, " s")
+        within("for", seconds, 0.0, 1e9, " s")
 
 
 def tap_on_port(
@@ -323,8 +317,8 @@ def tap_on_port(
     from controller.recorder import Recorder, make_room
 
     if gain is not None:
-        number("gain", gain, 0.0, 1.0)
-    number("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
+        within("gain", gain, 0.0, 1.0)
+    within("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
     ends(taps, seconds)
     given = payload(library)
     if out is not None:

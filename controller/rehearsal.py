@@ -40,7 +40,7 @@ class Rehearsal(Generic[D]):
 
     Attributes
     ----------
-    told : all events so far, told_s : with the time at which they were told. listeners : called with each.
+    told : all events so far. listeners : called with each.
     output : of the running device, the last. readings : what the device sees at a tick.
     """
 
@@ -54,7 +54,6 @@ class Rehearsal(Generic[D]):
         self.now_s, self.ticks, self.device_tick = 0.0, 0, 0
         self.last_arrival_s = 0.0  # when the device last got a byte
         self.told: list[Told] = []
-        self.told_s: list[float] = []
         self.listeners: list[Callable[[Told], None]] = []
         self.host_alive = True
         self.output = Output(0.0, State.IDLE, 0.0, 0.0, float("nan"))
@@ -82,7 +81,6 @@ class Rehearsal(Generic[D]):
     def pump(self) -> None:
         news = self.session.receive(self.link.to_host.arrived(self.now_s), self.now_s)
         self.told += news
-        self.told_s += [self.now_s] * len(news)
         for one in news:
             for listener in self.listeners:
                 listener(one)
@@ -110,7 +108,7 @@ class Rehearsal(Generic[D]):
     def restart_host(self) -> None:
         """Another process, which knows nothing of the one before."""
         self.session, self.host_alive = Session(self._token), True
-        self.told, self.told_s, self.listeners = [], [], []
+        self.told, self.listeners = [], []
 
     def connected(self) -> Self:
         self.session.connect(self.now_s)

@@ -20,18 +20,13 @@ class _Asked:
 
 
 class Requests:
-    """First in, first out; each gets the next sequence number.
-
-    Attributes
-    ----------
-    sent_again : requests asked more than once, counted.
-    """
+    """First in, first out; each gets the next sequence number."""
 
     def __init__(self, session: int, patience: Patience) -> None:
         self._session, self._patience = session, patience
         self._waiting: deque[Packed] = deque()
         self._asked: _Asked | None = None
-        self._sequence = self.sent_again = 0
+        self._sequence = 0
 
     @property
     def open(self) -> Packed | None:
@@ -73,7 +68,6 @@ class Requests:
         if asked.first_s is None:
             asked.first_s = now_s
         else:
-            self.sent_again += 1
             self._patience.in_vain()
         asked.tries += 1
         asked.next_s = now_s + self._patience.now_s()

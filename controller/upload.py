@@ -48,14 +48,13 @@ class Upload:
 
     Attributes
     ----------
-    acknowledged : bytes that have arrived. sent_again : frames sent more than once.
+    acknowledged : bytes that have arrived.
     """
 
     def __init__(self, image: bytes, offset: int, window_frames: int, chunk: int, patience: Patience) -> None:
         self._image, self._chunk, self._patience = image, chunk, patience
         self._window = max(window_frames, 1) * chunk
         self.acknowledged = self._next = self._highest = offset
-        self.sent_again = 0
         self._repeats = self._tolerated = 0  # repeated answers since the last loss that was acted on
         self._timed: tuple[int, float] | None = None  # end of a frame sent only once, and when
         self._deadline_s: float | None = None
@@ -115,9 +114,7 @@ class Upload:
             part = self._image[self._next : self._next + self._chunk]
             out.append(Data(self._next, part))
             self._next += len(part)
-            if self._next <= self._highest:
-                self.sent_again += 1
-            else:
+            if self._next > self._highest:
                 self._highest = self._next
                 self._timed = self._timed or (self._next, now_s)
         if out and self._deadline_s is None:

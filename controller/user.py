@@ -291,10 +291,6 @@ class TapsInTurn:
         into = time_s % self.period_s
         return self._cycles[bisect_right(self._starts, into) - 1], into
 
-    def contacts_s(self) -> list[float]:
-        """When the hand means to reach the surface in the first round."""
-        return [cycle.contact_s for cycle in self._cycles]
-
     def intention_m(self, time_s: float) -> float:
         cycle, into = self._at(time_s)
         return cycle.intention_m(into)

@@ -243,9 +243,7 @@ def recorded(
     )
 
 
-def tapping_trials(
-    seed: int = 1, *, hand: str = "second_order", spread: Spread | None = None, sensors: Sensors | None = None
-) -> Trials:
+def tapping_trials(seed: int = 1, *, hand: str = "second_order", spread: Spread | None = None) -> Trials:
     """The 81 trials of one session; the same seed gives the same trials.
 
     Parameters
@@ -256,7 +254,7 @@ def tapping_trials(
     grips_N, speeds_m_s = session(random)
     make = second_order_hands if hand == "second_order" else fourth_order_hands
     hands = make(grips_N, random, spread or Spread())
-    return recorded(hands, grips_N, speeds_m_s, random, sensors=sensors)
+    return recorded(hands, grips_N, speeds_m_s, random)
 
 
 def write_trials(trials: Trials, folder: Path) -> list[Path]:

@@ -75,9 +75,9 @@ class CompiledDevice:
         self.close()
 
 
-def plant_of(user: User, period_s: float, seed: int = 0) -> bytes:
+def plant_of(user: User, period_s: float) -> bytes:
     """The default device in the hand of a user whose motion has this period, a whole number of ticks."""
-    return plant_bytes(Simulator(DEFAULT_DEVICE, user, DT_S, seed=seed), user, period_s)
+    return plant_bytes(Simulator(DEFAULT_DEVICE, user, DT_S), user, period_s)
 
 
 def smooth_bank(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.0) -> Bank:

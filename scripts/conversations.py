@@ -25,7 +25,6 @@ from transopt.wall import Wall
 
 NUMBERS = (math.nan, math.inf, -1.0, 0.0, -0.0, 0.5, 1.0, 2.0, 33.0, 1e5, 1e300, -1e300, 5e-324)
 CHUNK = 300  # bytes of a configuration in one frame
-LATE_KINDS = tuple(kind for kind in Kind if kind >= Kind.HELLO_REPLY)
 
 
 def sha256(data: bytes) -> bytes:

@@ -167,7 +167,7 @@ def random_run(seed: int, ticks: int) -> Recorder:
     return recorder
 
 
-def tap_run(library: Library, seed: int, ticks: int | None = None) -> Recorder:
+def tap_run(library: Library, seed: int) -> Recorder:
     """A scenario in closed loop with the simulator: one tap of the library, with whatever else may be there."""
     random = np.random.default_rng([seed, 12])
     free = library.grips_N[0] == 0
@@ -196,7 +196,7 @@ def tap_run(library: Library, seed: int, ticks: int | None = None) -> Recorder:
     recorder.servo.set_gain(1.0)
     broken = contact + int(random.integers(-contact, 700)) if random.uniform() < 0.4 else -1
     lasting, open_at = int(random.choice([1, 3, 40])), contact if random.uniform() < 0.1 else math.inf
-    for tick in range(contact + 900 if ticks is None else ticks):
+    for tick in range(contact + 900):
         readings = simulator.readings()
         if broken <= tick < broken + lasting:
             readings = falsified(np.random.default_rng([seed, 13]), readings)

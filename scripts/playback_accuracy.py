@@ -127,10 +127,10 @@ def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed
     )
 
 
-def inside(library: Library, count: int, seed: int = SEED) -> FloatArray:
+def inside(library: Library, count: int) -> FloatArray:
     """(count, 2) random speeds [m/s] and grips [N] of the grid."""
     low, high = (library.speeds_m_s[0], library.grips_N[0]), (library.speeds_m_s[-1], library.grips_N[-1])
-    return np.random.default_rng(seed).uniform(low, high, (count, 2))
+    return np.random.default_rng(SEED).uniform(low, high, (count, 2))
 
 
 def summarise(points: list[Point]) -> None:

@@ -114,7 +114,7 @@ class Selection:
 
     def pages(self) -> dict[str, Figure]:
         """For every motor error, current, voltage and temperature over the ratio."""
-        return {stem: _page(stem, plan, rows) for stem, (plan, rows) in self.studies.items()}
+        return {stem: _page(plan, rows) for stem, (plan, rows) in self.studies.items()}
 
     def sentence(self) -> str:
         """The finding."""
@@ -180,7 +180,7 @@ class Selection:
         return [*lines, LEGEND, ""]
 
 
-def _page(stem: str, plan: Plan, rows: Sequence[Row]) -> Figure:
+def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
     figure = Figure(figsize=(9.0, 5.2), layout="constrained")
     panels = figure.subplots(2, 2, sharex=True)
     ratios = np.array(plan.axes[0].values, dtype=float)

@@ -31,7 +31,6 @@ except ImportError:  # Windows: nobody is kept from writing into a folder twice 
     fcntl = None  # type: ignore[assignment]
 
 OUTCOME = [field.name for field in fields(Outcome) if field.name != "index"]
-TIMES = ("solve_ms", "total_ms")  # the columns that differ from run to run
 SCHEMA = 1
 OPTIMAL = Status.OPTIMAL.name
 # What a study may well come upon when it varies a scene: the row says that there is no such optimum, and why. Any

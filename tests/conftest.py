@@ -1,7 +1,6 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
 import importlib
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -14,11 +13,11 @@ import pytest
 
 import problems
 from controller.bank import Bank, bank
-from controller.cli import main
 from controller.interface import State
 from controller.settings import Settings
 from problems.simulate import recordings
-from tests.desk import PORT, Desk, Outcome, Play
+from tests.command_bench import Run, Terminal
+from tests.desk import PORT, Desk
 from tests.model_parts import Make, scene_on
 from tests.servo_bench import WALL, Bench
 from tests.study_bench import MODULES, SCRIPTS
@@ -236,25 +235,18 @@ def user_file(tmp_path: Path) -> Callable[[str], Path]:
 
 
 @pytest.fixture
-def play(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, library: Library
-) -> Play:
-    """Run `transopt-play ARGS` in a folder that holds library.npz, with a home of its own."""
+def terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Terminal:
+    """Run `PROGRAM ARGS` in an empty folder."""
     monkeypatch.chdir(tmp_path)
+    return Terminal(monkeypatch, capsys)
+
+
+@pytest.fixture
+def play(terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, library: Library) -> Run:
+    """Run `transopt-play ARGS` in a folder that holds library.npz, with a home of its own."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     library.save(tmp_path / "library.npz")
-
-    def call(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["transopt-play", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        captured = capsys.readouterr()
-        return Outcome(code, captured.out, captured.err)
-
-    return call
+    return partial(terminal, "transopt-play")
 
 
 @pytest.fixture
@@ -263,7 +255,7 @@ def desk(library: Library, monkeypatch: pytest.MonkeyPatch) -> Desk:
 
 
 @pytest.fixture
-def ready(play: Play, desk: Desk) -> Iterator[Desk]:
+def ready(play: Run, desk: Desk) -> Iterator[Desk]:
     """With the library, its check taken for passed."""
     assert play("upload", "library.npz", *PORT).code == 0
     desk.firmware.checked_sha256 = desk.firmware.store.configuration_sha256

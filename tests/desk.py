@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import count
 
 import pytest
@@ -25,21 +24,7 @@ from transopt.signals import STANDARD_GRAVITY_M_S2
 
 DT_S = 1e-4
 START_M = 12e-3
-
-
 PORT = ("--port", "desk")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Of one run of a command."""
-
-    code: int
-    out: str
-    err: str
-
-
-Play = Callable[..., Outcome]
 
 
 class Hand:

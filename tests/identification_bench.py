@@ -122,3 +122,11 @@ class Rig:
 
     def loud(self, noise: float) -> "Rig":
         return replace(self, noise=noise, runs={})
+
+
+def assert_near(model: StateSpace, truth: StateSpace, high_Hz: float = 800.0) -> None:
+    """Within 1 dB and 5 degrees from 2 Hz on."""
+    frequencies = np.geomspace(2, high_Hz, 300)
+    ratio = model.response(frequencies) / truth.response(frequencies)
+    assert np.max(np.abs(20 * np.log10(np.abs(ratio)))) < 1
+    assert np.max(np.abs(np.degrees(np.angle(ratio)))) < 5

@@ -11,10 +11,8 @@ import pytest
 import problems
 from tests.conftest import IMPACTS, ProblemMaker
 from transopt import solvers
-from transopt.baselines import clipped_optimum, seed_inversion
 from transopt.build import Build, build_library
 from transopt.certify import certify
-from transopt.discretise import discretise
 from transopt.heat import thermal_limit
 from transopt.library import Library
 from transopt.preparation import read_recordings
@@ -24,7 +22,7 @@ from transopt.replay import replay
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 from transopt.signals import nrmse
-from transopt.solvers import SolverOptions, riccati, solve, solve_certified, unlimited
+from transopt.solvers import SolverOptions, riccati, solve, solve_certified
 from transopt.verify import admit, verify_library
 
 CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
@@ -374,31 +372,6 @@ class TestVerify:
         status[0, 0] = Status.ITERATION_LIMIT.value
         checks = verify_library(replace(library, status=status))
         assert "status in the file" in checks[0].shortfalls[0]
-
-
-class TestBaselines:
-    def test_clipping_at_no_limit_is_the_unlimited_optimum(self, make_problem: ProblemMaker) -> None:
-        problem = make_problem(0.2, 3.0)
-        free = unlimited.solve(problem).command_A
-        again = clipped_optimum(problem.stage, problem.grid, free, 100.0)
-        np.testing.assert_allclose(again, free, atol=1e-9)
-
-    def test_clipped_optimum_keeps_the_limits(self, make_problem: ProblemMaker) -> None:
-        problem = make_problem(0.4, 5.0)
-        command = clipped_optimum(problem.stage, problem.grid, unlimited.solve(problem).command_A, 4.0)
-        _, current = problem.stage.rollout(command)
-        assert np.abs(current).max() <= 4 + 1e-9
-
-    def test_inversion_recovers_a_known_current(self, make_problem: ProblemMaker) -> None:
-        """A current that comes and goes smoothly while the device comes to rest is what the inverse must return."""
-        problem = make_problem(ideal=True)
-        grid, fine = replace(problem.grid, stages=4000, lead_s=0.0), 50
-        times = grid.dt_s / fine * np.arange(grid.stages * fine)
-        current = np.where((times > 0.02) & (times < 0.05), np.sin(np.pi * (times - 0.02) / 0.03) ** 4, 0.0)
-        stage = discretise(problem.stage.plant, None, grid.dt_s / fine)
-        reference = stage.rollout(current)[0][::fine]
-        found = seed_inversion(problem.stage, grid, reference, 100.0, 10)
-        assert nrmse(found, current[::fine]) < 0.02
 
 
 def test_verdicts() -> None:

@@ -7,14 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import problems
+from tests.command_bench import Run, Terminal, assert_refused
 from tests.conftest import IMPACTS
-from transopt.cli import main
 from transopt.library import Library
 from transopt.library_file import load_library
 from transopt.problem import Status
@@ -31,37 +32,10 @@ QUICK = (
 )
 
 
-class Outcome:
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
+def run(terminal: Terminal) -> Run:
     """Run `transopt ARGS` in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["transopt", *map(str, arguments)])
-        code = 0
-        try:
-            main()
-        except SystemExit as stop:
-            code = int(stop.code or 0)
-        captured = capsys.readouterr()
-        return Outcome(code, captured.out, captured.err)
-
-    return call
-
-
-def assert_refused(outcome: Outcome, *words: str) -> None:
-    """Exit code 2 and one line that says what, and no traceback."""
-    assert outcome.code == 2, outcome.err
-    lines = [line for line in outcome.err.splitlines() if "━" not in line]
-    assert len(lines) == 1, outcome.err
-    assert lines[0].startswith("error: ")
-    for word in words:
-        assert word in lines[0], lines[0]
+    return partial(terminal, "transopt")
 
 
 @pytest.fixture(scope="module")
@@ -72,23 +46,23 @@ def quick_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def solved(run, quick_scene: Path) -> Path:
+def solved(run: Run, quick_scene: Path) -> Path:
     """Folder of a solved one-entry library."""
     assert run("solve", quick_scene, "--out", "solved").code == 0
     return Path("solved")
 
 
 class TestScene:
-    def test_list_names_every_scene_and_what_it_shows(self, run) -> None:
+    def test_list_names_every_scene_and_what_it_shows(self, run: Run) -> None:
         outcome = run("scene", "list")
         assert outcome.code == 0
         for name in problems.scene_names():
             assert name in outcome.out
 
-    def test_show_prints_the_file(self, run) -> None:
+    def test_show_prints_the_file(self, run: Run) -> None:
         assert run("scene", "show", "wood_on_foam").out == WOOD
 
-    def test_new_copies_and_the_copy_solves(self, run) -> None:
+    def test_new_copies_and_the_copy_solves(self, run: Run) -> None:
         outcome = run("scene", "new", "mine.toml", "--from", "wood_on_foam")
         assert outcome.code == 0
         assert "transopt solve mine.toml" in outcome.out
@@ -100,12 +74,12 @@ class TestScene:
         assert run("solve", "mine.toml").code == 0
         assert Path("out/mine/library.npz").exists()
 
-    def test_new_never_overwrites(self, run) -> None:
+    def test_new_never_overwrites(self, run: Run) -> None:
         Path("mine.toml").write_text("precious")
         assert_refused(run("scene", "new", "mine.toml"), "mine.toml", "exists already")
         assert Path("mine.toml").read_text() == "precious"
 
-    def test_refusals(self, run) -> None:
+    def test_refusals(self, run: Run) -> None:
         assert_refused(run("scene", "show", "wood"), "no built-in scene", "wood_on_foam")
         assert_refused(run("scene", "new", "mine.txt"), "ends in .toml")
         assert_refused(run("scene", "new", "absent/mine.toml"), "cannot be written")
@@ -114,14 +88,14 @@ class TestScene:
 
 
 class TestTaps:
-    def test_table_figure_and_section(self, run) -> None:
+    def test_table_figure_and_section(self, run: Run) -> None:
         outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")), "--out", "look")
         assert outcome.code == 0
         assert "tap_0.3_m_s.csv" in outcome.out
         assert "stated" in outcome.out
         assert Path("look/taps.png").read_bytes()[:4] == b"\x89PNG"
 
-    def test_the_lines_make_a_scene_that_solves(self, run) -> None:
+    def test_the_lines_make_a_scene_that_solves(self, run: Run) -> None:
         """Put where the user is told to put them."""
         outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")))
         lines = outcome.out[outcome.out.index("# in [grid]") :]
@@ -133,18 +107,18 @@ class TestTaps:
         Path("pasted.toml").write_text(text)
         assert run("solve", "pasted.toml").code == 0
 
-    def test_a_pattern_and_a_name_with_brackets(self, run) -> None:
+    def test_a_pattern_and_a_name_with_brackets(self, run: Run) -> None:
         Path("a [1]").mkdir()
         Path("a [1]/tap[1].csv").write_bytes((EXAMPLES / "tap_0.2_m_s.csv").read_bytes())
         assert run("taps", "a [1]/tap[1].csv").code == 0
         assert run("taps", EXAMPLES / "tap_*.csv").out.count("stated") == 3
         assert_refused(run("taps", "a [1]/none*.csv"), "none*.csv", "matches no file")
 
-    def test_speed_is_for_files_that_state_none(self, run) -> None:
+    def test_speed_is_for_files_that_state_none(self, run: Run) -> None:
         outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
         assert "0.3098" in outcome.out
 
-    def test_text_files_need_columns_and_scaling_is_stated(self, run) -> None:
+    def test_text_files_need_columns_and_scaling_is_stated(self, run: Run) -> None:
         rows = "\n".join(f"{k * 2e-5:.6f} {100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
         Path("impact.txt").write_text(f"# time, acceleration\n{rows}\n")
         assert_refused(run("taps", "impact.txt"), "impact.txt", "columns")
@@ -155,7 +129,7 @@ class TestTaps:
         assert "similarity-scaled" in outcome.out
         assert "time_scale = 10.0" in outcome.out
 
-    def test_refusals(self, run) -> None:
+    def test_refusals(self, run: Run) -> None:
         assert_refused(run("taps", "absent.csv"), "absent.csv")
         Path("empty.csv").write_text("")
         assert_refused(run("taps", "empty.csv"), "empty.csv", "empty")
@@ -165,7 +139,7 @@ class TestTaps:
 
 
 class TestSolve:
-    def test_files_table_and_last_line(self, run, solved: Path) -> None:
+    def test_files_table_and_last_line(self, run: Run, solved: Path) -> None:
         names = {"library.npz", "report.md", "report.json", "transients.png", "methods.png", "bode.png"}
         assert {path.name for path in solved.iterdir()} == names
         report = json.loads((solved / "report.json").read_text())
@@ -178,7 +152,7 @@ class TestSolve:
         for word in ("NRMSE %", "floor %", "seed %", "clipped %", "what binds", "Left out", "25.55 C"):
             assert word in markdown
 
-    def test_ends_with_error_certificate_and_time_in_one_line(self, run, quick_scene: Path) -> None:
+    def test_ends_with_error_certificate_and_time_in_one_line(self, run: Run, quick_scene: Path) -> None:
         outcome = run("solve", quick_scene, "--out", "here")
         assert outcome.code == 0
         found = re.fullmatch(
@@ -194,12 +168,12 @@ class TestSolve:
         assert float(found[4]) == pytest.approx(entry["certificate"]["relative_gap"], rel=0.5)
         assert float(found[7]) > 0
 
-    def test_simulated_recordings_are_called_simulated(self, run) -> None:
+    def test_simulated_recordings_are_called_simulated(self, run: Run) -> None:
         Path("one.toml").write_text(WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]"))
         assert run("solve", "one.toml").code == 0
         assert "**simulated**: the undriven device at 3 N" in Path("out/one/report.md").read_text()
 
-    def test_recordings_folder_is_named_by_the_user(self, run) -> None:
+    def test_recordings_folder_is_named_by_the_user(self, run: Run) -> None:
         assert_refused(run("solve", "measured_impacts"), "acc_base_a*.txt", "--recordings FOLDER", "github.com")
         assert not Path("out/measured_impacts").exists()  # no empty folder is left behind
         assert_refused(
@@ -210,7 +184,7 @@ class TestSolve:
         assert run("solve", "measured_impacts", "--recordings", IMPACTS).code == 0
         assert "Similarity-scaled: time x 10" in Path("out/measured_impacts/report.md").read_text()
 
-    def test_refused_entries_exit_1_and_keep_the_earlier_library(self, run, quick_scene: Path) -> None:
+    def test_refused_entries_exit_1_and_keep_the_earlier_library(self, run: Run, quick_scene: Path) -> None:
         assert run("solve", quick_scene, "--out", "here").code == 0
         before = Path("here/library.npz").read_bytes()
         stiff = Path("stiff.toml")
@@ -240,7 +214,7 @@ class TestSolve:
 
     @pytest.mark.parametrize("columns", [80, 100])
     def test_narrow_terminals_keep_whole_words(
-        self, run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, columns: int
+        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, columns: int
     ) -> None:
         from rich.console import Console
 
@@ -251,7 +225,7 @@ class TestSolve:
         assert "verdict" in header
         assert max(map(len, outcome.out.splitlines()[:8])) <= columns
 
-    def test_brackets_in_names_are_only_brackets(self, run, quick_scene: Path) -> None:
+    def test_brackets_in_names_are_only_brackets(self, run: Run, quick_scene: Path) -> None:
         text = quick_scene.read_text()
         line = next(line for line in text.splitlines() if line.startswith("description"))
         Path("b.toml").write_text(text.replace(line, 'description = "tap in [g] and [/x]"'))
@@ -260,7 +234,7 @@ class TestSolve:
         assert "tap in [g] and [/x]" in outcome.out
         assert run("show", "run [1]/[/b]/library.npz").code == 0
 
-    def test_second_solver(self, run, quick_scene: Path) -> None:
+    def test_second_solver(self, run: Run, quick_scene: Path) -> None:
         assert run("solve", quick_scene, "--solver", "casadi-ipopt", "--jobs", 2).code == 0
 
     @pytest.mark.parametrize(
@@ -278,11 +252,11 @@ class TestSolve:
             (["wood_on_foam", "--grid-tolerance", "0.02", "--grid-cap", "11"], ["--grid-cap 11", "12 entries"]),
         ],
     )
-    def test_bad_arguments(self, run, arguments: list[str], words: list[str]) -> None:
+    def test_bad_arguments(self, run: Run, arguments: list[str], words: list[str]) -> None:
         assert_refused(run("solve", *arguments), *words)
         assert not list(Path.cwd().glob("out/*/*"))
 
-    def test_an_output_folder_that_cannot_be_written(self, run, quick_scene: Path) -> None:
+    def test_an_output_folder_that_cannot_be_written(self, run: Run, quick_scene: Path) -> None:
         Path("file").write_text("in the way")
         assert_refused(run("solve", quick_scene, "--out", "file"), "--out file", "cannot be written")
         assert_refused(run("solve", quick_scene, "--out", "file/below"), "--out file/below", "cannot be written")
@@ -303,7 +277,7 @@ class TestSolve:
         ],
     )
     def test_a_bad_scene_leaves_earlier_output_untouched(
-        self, run, quick_scene: Path, old: str, new: str, words: list[str]
+        self, run: Run, quick_scene: Path, old: str, new: str, words: list[str]
     ) -> None:
         assert run("solve", quick_scene, "--out", "here").code == 0
         before = {path.name: path.read_bytes() for path in Path("here").iterdir()}
@@ -315,7 +289,7 @@ class TestSolve:
 
     @pytest.mark.parametrize("instant", ["recordings", "entries", "writing"])
     def test_interrupted_solve_loses_nothing(
-        self, run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, instant: str
+        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, instant: str
     ) -> None:
         assert run("solve", quick_scene, "--out", "here").code == 0
         before = {path.name: path.read_bytes() for path in Path("here").iterdir()}
@@ -364,12 +338,12 @@ def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
 
 
 class TestVerifyShowExport:
-    def test_verify(self, run, solved: Path) -> None:
+    def test_verify(self, run: Run, solved: Path) -> None:
         outcome = run("verify", solved / "library.npz")
         assert outcome.code == 0
         assert "1 of 1 entries certified and replayed clean" in outcome.out
 
-    def test_verify_fails_on_a_library_that_claims_too_much(self, run, solved: Path) -> None:
+    def test_verify_fails_on_a_library_that_claims_too_much(self, run: Run, solved: Path) -> None:
         from dataclasses import replace
 
         library = load_library(solved / "library.npz")
@@ -380,7 +354,7 @@ class TestVerifyShowExport:
         assert outcome.code == 1
         assert "0 of 1 entries" in outcome.out
 
-    def test_a_damaged_library_is_refused(self, run, solved: Path) -> None:
+    def test_a_damaged_library_is_refused(self, run: Run, solved: Path) -> None:
         content = (solved / "library.npz").read_bytes()
         Path("cut.npz").write_bytes(content[: len(content) // 2])
         for command in (["verify"], ["show"], ["export"]):
@@ -388,7 +362,7 @@ class TestVerifyShowExport:
             assert_refused(run(*command, "cut.npz", *more), "cut.npz")
             assert_refused(run(*command, "absent.npz", *more), "absent.npz: no such file")
 
-    def test_show_with_figure(self, run, solved: Path) -> None:
+    def test_show_with_figure(self, run: Run, solved: Path) -> None:
         outcome = run("show", solved / "library.npz", "--figure", "look.png")
         assert outcome.code == 0
         assert "at its floor" in outcome.out
@@ -396,11 +370,11 @@ class TestVerifyShowExport:
         assert_refused(run("show", solved / "library.npz", "--figure", "absent/look.png"), "cannot be written")
 
     @pytest.mark.parametrize("suffix", ["mat", "csv", "wav", "h"])
-    def test_export(self, run, solved: Path, suffix: str) -> None:
+    def test_export(self, run: Run, solved: Path, suffix: str) -> None:
         assert run("export", solved / "library.npz", f"x.{suffix}").code == 0
         assert Path(f"x.{suffix}").stat().st_size > 1000
 
-    def test_export_refusals(self, run, solved: Path) -> None:
+    def test_export_refusals(self, run: Run, solved: Path) -> None:
         assert_refused(run("export", solved / "library.npz", "x.pdf"), ".mat", ".csv", ".wav", ".h")
         assert_refused(run("export", solved / "library.npz", "absent/x.csv"), "cannot be written")
 
@@ -415,14 +389,6 @@ def test_shipped_recordings_are_what_the_generator_writes(tmp_path: Path) -> Non
     for name in names:
         fresh, shipped = (np.loadtxt(f / name, delimiter=",", skiprows=4) for f in (tmp_path, EXAMPLES))
         np.testing.assert_allclose(fresh, shipped, atol=2e-4)  # the last digit may round differently elsewhere
-
-
-def test_help_and_errors_come_at_once() -> None:
-    """The commands load what they compute with when they run, not before."""
-    program = (
-        "import sys, transopt.cli, controller.cli; assert not {'scipy', 'casadi', 'matplotlib'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_reading_a_library_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from controller.interface import Fault, State
 from controller.link import Trouble
 from controller.prediction import scene_of
 from controller.telemetry import read_csv
-from tests.desk import PORT, Desk, Play
-from tests.test_cli import assert_refused
+from tests.command_bench import Run, assert_refused
+from tests.desk import PORT, Desk
 from transopt.importers import load_recording
 from transopt.library import Library
 from transopt.preparation import prepare
@@ -37,7 +37,7 @@ def when(desk: Desk, state: State, act) -> None:
     desk.each_ms = look
 
 
-def test_check_then_tap_quietly_then_in_full(play: Play, desk: Desk) -> None:
+def test_check_then_tap_quietly_then_in_full(play: Run, desk: Desk) -> None:
     """A device's first quarter of an hour."""
     refused = play("tap", "library.npz", *PORT, "--out", "taps")
     assert_refused(refused, "arm refused: this configuration has not passed the bring-up check", "run `check`")
@@ -80,7 +80,7 @@ def test_check_then_tap_quietly_then_in_full(play: Play, desk: Desk) -> None:
     assert_refused(play("tap", "library.npz", *PORT, "--gain", 1), "has not passed the bring-up check")
 
 
-def test_a_failed_check_is_no_pass(play: Play, desk: Desk) -> None:
+def test_a_failed_check_is_no_pass(play: Run, desk: Desk) -> None:
     desk.wrong = lambda readings: replace(readings, acceleration_m_s2=-readings.acceleration_m_s2)
     outcome = play("check", "library.npz", *PORT, "--skip", "encoder", "--skip", "emergency-stop", "--patience", 0.4)
     assert outcome.code == 1
@@ -90,20 +90,20 @@ def test_a_failed_check_is_no_pass(play: Play, desk: Desk) -> None:
     assert desk.firmware.checked_sha256 == bytes(32)
 
 
-def test_check_of_the_sensors_alone(play: Play, desk: Desk) -> None:
+def test_check_of_the_sensors_alone(play: Run, desk: Desk) -> None:
     outcome = play("check", *PORT, "--skip", "encoder", "--skip", "emergency-stop")
     assert outcome.code == 0, outcome.out
     assert "give a library for the rest of the check" in outcome.out
     assert desk.firmware.servo is None
 
 
-def test_upload_once(play: Play, desk: Desk) -> None:
+def test_upload_once(play: Run, desk: Desk) -> None:
     assert "uploaded" in play("upload", "library.npz", *PORT).out
     assert "the device has this library already" in play("upload", "library.npz", *PORT).out
     assert desk.closed == 2
 
 
-def test_monitor(play: Play, ready: Desk) -> None:
+def test_monitor(play: Run, ready: Desk) -> None:
     outcome = play("monitor", *PORT, "--for", 0.2)
     assert outcome.code == 0
     assert "firmware 1.1.0 (double), boot 000001f4, period 100 us, limits 10 A and 10 A, configuration" in outcome.out
@@ -111,7 +111,7 @@ def test_monitor(play: Play, ready: Desk) -> None:
         assert words in outcome.out
 
 
-def test_monitor_tells_events(play: Play, ready: Desk) -> None:
+def test_monitor_tells_events(play: Run, ready: Desk) -> None:
     """What comes while it looks, line by line; what was before, as the state."""
     ready.each_ms = lambda: ready.asked("press") if ready.now_s > began_s + 0.15 and not ready.hand.pressed else None
     began_s = ready.now_s
@@ -122,7 +122,7 @@ def test_monitor_tells_events(play: Play, ready: Desk) -> None:
         assert "pressed" in outcome.out
 
 
-def test_recording_a_real_object(play: Play, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_a_real_object(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     target = scene_of(library).recordings.simulated
     desk = Desk(library, target=target).put(monkeypatch)
     desk.asked("hold")
@@ -148,7 +148,7 @@ def test_recording_a_real_object(play: Play, library: Library, monkeypatch: pyte
     assert_refused(play("tap", "library.npz", *PORT, "--out", "real"), "--out real: holds a recording already")
 
 
-def test_nothing_recorded_is_exit_code_1(play: Play, desk: Desk) -> None:
+def test_nothing_recorded_is_exit_code_1(play: Run, desk: Desk) -> None:
     assert play("record", "tap", *PORT, "--out", "nothing", "--for", 0.1).code == 1
 
 
@@ -156,7 +156,7 @@ def interrupt() -> None:
     raise KeyboardInterrupt
 
 
-def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Play, ready: Desk) -> None:
+def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Run, ready: Desk) -> None:
     ready.hand.tap(ready.now_s + 0.4, 0.3)
     count = iter(range(10_000))
     ready.each_ms = lambda: interrupt() if next(count) == 900 else None
@@ -169,7 +169,7 @@ def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Play, ready: Desk)
     assert read_csv(Path("cut/telemetry.csv"))["tick"].size > 5000
 
 
-def test_ctrl_c_at_rest_stops_nothing(play: Play, ready: Desk) -> None:
+def test_ctrl_c_at_rest_stops_nothing(play: Run, ready: Desk) -> None:
     count = iter(range(10_000))
     ready.each_ms = lambda: interrupt() if next(count) == 100 else None
     outcome = play("monitor", *PORT)
@@ -177,7 +177,7 @@ def test_ctrl_c_at_rest_stops_nothing(play: Play, ready: Desk) -> None:
     assert (ready.firmware.state, ready.firmware.fault) == (State.IDLE, None)
 
 
-def test_ctrl_c_during_the_trial_tap_disarms(play: Play, desk: Desk) -> None:
+def test_ctrl_c_during_the_trial_tap_disarms(play: Run, desk: Desk) -> None:
     desk.obeys["tap"] = interrupt
     skipped = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
     outcome = play("check", "library.npz", *PORT, *skipped)
@@ -186,7 +186,7 @@ def test_ctrl_c_during_the_trial_tap_disarms(play: Play, desk: Desk) -> None:
     assert desk.firmware.checked_sha256 == bytes(32)
 
 
-def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Play, ready: Desk) -> None:
+def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Run, ready: Desk) -> None:
     def again() -> None:
         ready.each_ms = lambda: None
         interrupt()
@@ -205,7 +205,7 @@ def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Play, ready: Desk) 
 
 
 @pytest.mark.parametrize("how", ["unplugged", "silent", "restarted"])
-def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Play, ready: Desk, how: str) -> None:
+def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Run, ready: Desk, how: str) -> None:
     def away() -> None:
         if how == "unplugged":
             ready.gone = True
@@ -224,7 +224,7 @@ def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Play,
     ready.gone = False
 
 
-def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Play, ready: Desk) -> None:
+def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Run, ready: Desk) -> None:
     """The cable comes loose for less than what counts as a lost link."""
     count = iter(range(100_000))
 
@@ -245,7 +245,7 @@ def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Play, ready:
     assert next(count) < 1500
 
 
-def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Play, ready: Desk) -> None:
+def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Run, ready: Desk) -> None:
     when(ready, State.ARMED, lambda: ready.asked("press"))
     outcome = play("tap", "library.npz", *PORT)
     assert outcome.code == 1
@@ -258,7 +258,7 @@ def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Play, re
     assert ready.firmware.state is State.IDLE
 
 
-def test_arm_refused_in_words(play: Play, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arm_refused_in_words(play: Run, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     ready.hand.go(ready.now_s, (0.02, 0.1), (5.0, 0.1), (0.02, 0.0))
     for _ in range(300):
         ready.step()

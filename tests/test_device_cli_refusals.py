@@ -11,15 +11,15 @@ from controller import messages, port_commands
 from controller.image import sha256
 from controller.limits import Capacity, Hardware
 from controller.payload import payload
-from tests.desk import PORT, Desk, Play
-from tests.test_cli import assert_refused
+from tests.command_bench import Run, assert_refused
+from tests.desk import PORT, Desk
 from tests.test_driver import Served, served
 from transopt.library import Library
 
 __all__ = ["served"]  # a fixture
 
 
-def test_a_library_that_does_not_fit(play: Play, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     Desk(library, capacity=Capacity(samples=3000)).put(monkeypatch)
     assert_refused(
         play("upload", "library.npz", *PORT),
@@ -33,7 +33,7 @@ def test_a_library_that_does_not_fit(play: Play, library: Library, monkeypatch: 
     assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001)")
 
 
-def test_another_library_meanwhile(play: Play, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the host believes to be in force is compared by the device itself."""
     original = port_commands.load
 
@@ -47,12 +47,12 @@ def test_another_library_meanwhile(play: Play, ready: Desk, monkeypatch: pytest.
     )
 
 
-def test_nobody_answers(play: Play, desk: Desk) -> None:
+def test_nobody_answers(play: Run, desk: Desk) -> None:
     desk.link.unplug()
     assert_refused(play("monitor", *PORT), "nothing answers on this port: is the device powered")
 
 
-def test_not_our_device_and_another_version(play: Play, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_not_our_device_and_another_version(play: Run, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(desk.link.to_host, "arrived", lambda now_s: b"$GPGGA,1*00\r\n")
     assert_refused(play("monitor", *PORT), "not our device: it sends, but not this protocol")
     monkeypatch.undo()
@@ -68,7 +68,7 @@ def test_not_our_device_and_another_version(play: Play, desk: Desk, monkeypatch:
     )
 
 
-def test_no_such_port(play: Play) -> None:
+def test_no_such_port(play: Run) -> None:
     for command in (("monitor",), ("check",), ("upload", "library.npz"), ("tap", "library.npz")):
         assert_refused(play(*command, "--port", "/dev/no-such-port"), "/dev/no-such-port: no such port; there ")
     outcome = play("record", "tap", "--port", "/dev/no-such-port", "--out", "x")
@@ -83,7 +83,7 @@ def test_no_such_port(play: Play) -> None:
     ],
 )
 def test_a_port_that_may_not_be_opened(
-    play: Play, monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
+    play: Run, monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
 ) -> None:
     def refused(*_: object, **__: object) -> None:
         raise error
@@ -92,7 +92,7 @@ def test_a_port_that_may_not_be_opened(
     assert_refused(play("monitor", "--port", "/dev/ttyACM0"), f"/dev/ttyACM0: {words}")
 
 
-def test_ports(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ports(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("controller.transport.port_names", lambda: [("/dev/ttyACM0", "Teensy"), ("COM3", "")])
     assert play("ports").out.splitlines() == ["/dev/ttyACM0  Teensy", "COM3"]
     monkeypatch.setattr("controller.transport.port_names", list)
@@ -123,12 +123,12 @@ def test_ports(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
         (("tap", "library.npz", *PORT, "--out", "/proc/x"), "--out /proc/x: cannot be written"),
     ],
 )
-def test_bad_options_reach_no_device(play: Play, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
+def test_bad_options_reach_no_device(play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
     assert_refused(play(*arguments), words)
     assert desk.ticks == 0
 
 
-def test_over_a_pseudo_terminal(play: Play, served: tuple[Served, str]) -> None:
+def test_over_a_pseudo_terminal(play: Run, served: tuple[Served, str]) -> None:
     """The whole way once: pyserial, its thread, the kernel; what comes back is what went there."""
     server, name = served
     assert play("upload", "library.npz", "--port", name).code == 0

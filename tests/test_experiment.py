@@ -1,7 +1,5 @@
-"""The experiment: figures of merit on known signals, nominal taps played open loop, users, pace, command line."""
+"""The experiment: figures of merit on known signals, nominal taps played open loop, users, pace."""
 
-import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +8,6 @@ import pytest
 from scipy import signal
 
 from controller.bank import bank
-from controller.cli import main
 from controller.experiment import Played, Tap, approach_ticks, play_tap
 from controller.figures import tap_figure
 from controller.interface import Event, Fault, Notice, Output, Readings, State
@@ -351,71 +348,6 @@ class TestClosedLoop:
         assert simulator.winding_C < 100.0
 
 
-class TestCommandLine:
-    @pytest.fixture
-    def call(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path):
-        """Run `transopt-play ARGS` in an empty folder: exit code, output, errors."""
-        monkeypatch.chdir(tmp_path)
-
-        def run_it(*arguments: object) -> tuple[int, str, str]:
-            monkeypatch.setattr(sys, "argv", ["transopt-play", *map(str, arguments)])
-            code = 0
-            try:
-                main()
-            except SystemExit as stop:
-                code = int(stop.code or 0)
-            captured = capsys.readouterr()
-            return code, captured.out, captured.err
-
-        return run_it
-
-    @pytest.fixture
-    def file(self, library: Library, tmp_path: Path) -> Path:
-        path = tmp_path / "library.npz"
-        library.save(path)
-        return path
-
-    def test_tap_with_figure_and_telemetry(self, call, file: Path) -> None:
-        code, out, err = call("tap", file, "--simulate", "--speed", 0.3, "--grip", 3, "--out", "run")
-        assert (code, err) == (0, "")
-        for word in ("latency", "NRMSE", "peak", "spectral error", "rate-hardness", "winding", "clamps", "verdict"):
-            assert word in out
-        assert {path.name for path in Path("run").iterdir()} == {"tap.png", "telemetry.csv", "telemetry.npz"}
-
-    def test_nothing_played_is_a_result_that_fell_short(self, call, file: Path) -> None:
-        code, out, _ = call("tap", file, "--simulate", "--grip", 0.1)
-        assert code == 1
-        assert "no transient played" in out
-
-    @pytest.mark.parametrize(
-        ("arguments", "words"),
-        [
-            ([], ("--simulate",)),
-            (["--simulate", "--speed", "0"], ("--speed 0", "0.03 to 4.5 m/s")),
-            (["--simulate", "--speed", "nan"], ("--speed nan",)),
-            (["--simulate", "--grip", "-1"], ("--grip -1",)),
-            (["--simulate", "--gain", "1.5"], ("--gain 1.5", "0 to 1")),
-            (["--simulate", "--mismatch", "2"], ("--mismatch 2",)),
-            (["--simulate", "--method", "magic"], ("--method magic", "bilinear")),
-            (["--simulate", "--method", "proportional"], ("--method proportional", "no wall")),
-            (["--simulate", "--user", "robot"], ("--user robot", "yielding")),
-            (["--simulate", "--out", "library.npz"], ("--out library.npz",)),
-        ],
-    )
-    def test_bad_input_is_one_line(self, call, file: Path, arguments: list[str], words: tuple[str, ...]) -> None:
-        code, _, err = call("tap", file, *arguments)
-        assert code == 2
-        assert err.startswith("error: ")
-        assert err.count("\n") == 1
-        for word in words:
-            assert word in err
-
-    def test_no_library(self, call) -> None:
-        code, _, err = call("tap", "none.npz", "--simulate")
-        assert code == 2
-        assert "none.npz: no such file" in err
-
-
 def test_alignment_is_the_least_error_over_all_shifts(library: Library) -> None:
     """No shift on a fine raster beats the one found, on a mismatched device."""
     played = play(library, 0.3, 3.0, imperfections=Imperfections(mismatch=0.2), seed=4)
@@ -425,19 +357,6 @@ def test_alignment_is_the_least_error_over_all_shifts(library: Library) -> None:
         for shift in np.arange(-1e-3, 1e-3, 5e-6)
     ]
     assert played.metrics.nrmse <= min(errors) + 1e-4
-
-
-def test_a_simulated_tap_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
-    library.save(tmp_path / "library.npz")
-    program = (
-        "import sys; from pathlib import Path; import controller.cli\n"
-        "assert not {'numpy', 'scipy', 'casadi', 'matplotlib'} & set(sys.modules), 'help must come at once'\n"
-        "sys.argv = ['transopt-play', 'tap', sys.argv[1], '--simulate']\n"
-        "try:\n    controller.cli.main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
-        "assert not {'casadi', 'matplotlib', 'serial'} & set(sys.modules)"
-    )
-    path = str(tmp_path / "library.npz")
-    subprocess.run([sys.executable, "-c", program, path], check=True, cwd=Path(__file__).parents[1], timeout=60)
 
 
 def test_a_library_of_another_version_is_refused_in_one_line(library: Library) -> None:

@@ -4,7 +4,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,16 +11,13 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import imread
 from matplotlib.patches import Rectangle
 
 from transopt.build import Build
 from transopt.design import Baselines, Entry
-from transopt.errors import InputError
 from transopt.figures import bode_figure, library_figure, method_figure, taps_figure
 from transopt.library import SHAPES, TEXTS, Library
 from transopt.models import Link, chain
-from transopt.plotting import save_figure
 from transopt.preparation import Tap
 from transopt.problem import Limits, Status
 from transopt.recording import Recording
@@ -378,41 +374,6 @@ def test_a_tap_that_serves_every_speed_says_what_it_is_scaled_to() -> None:
 def test_any_number_of_taps_fits_on_the_paper(count: int) -> None:
     name = "a_folder_with_a_very_long_name_and_a_tap_on_oak.csv"
     assert_nothing_clipped(taps_figure([make_tap(name, 0.1 + 0.01 * j) for j in range(count)]))
-
-
-# ---------------------------------------------------------------------------------------------------- file
-
-
-def test_a_saved_figure_is_a_png_at_150_dpi(tmp_path: Path) -> None:
-    path = tmp_path / "bode.png"
-    figure = bode_figure(make_library(ng=1))
-    save_figure(figure, path)
-    height, width = imread(path).shape[:2]
-    assert (width, height) == tuple(np.round(150 * figure.get_size_inches()))
-    assert [file.name for file in tmp_path.iterdir()] == ["bode.png"]
-
-
-def test_a_failing_save_leaves_the_old_file_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "bode.png"
-    path.write_bytes(b"old")
-
-    def break_off(figure: Figure, file: Any, **options: Any) -> None:
-        file.write(b"half a pic")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Figure, "savefig", break_off)
-    with pytest.raises(InputError, match="No space left on device"):
-        save_figure(Figure(), path)
-    assert path.read_bytes() == b"old"
-    assert [file.name for file in tmp_path.iterdir()] == ["bode.png"]
-
-
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError) as caught:
-        save_figure(Figure(), tmp_path / "missing" / "bode.png")
-    message = str(caught.value)
-    assert "bode.png: cannot be written (No such file or directory)" in message
-    assert "\n" not in message
 
 
 def test_drawing_needs_neither_pyplot_nor_casadi() -> None:

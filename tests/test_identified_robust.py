@@ -14,7 +14,7 @@ from controller.servo import Servo
 from controller.settings import Settings
 from controller.simulator import Imperfections
 from controller.truth import device_of
-from tests.desk import Play
+from tests.command_bench import Run
 from tests.model_parts import (
     BOX,
     ON_FILE,
@@ -129,7 +129,7 @@ class TestPlayed:
         )
         assert played(device=heavy) > 2 * played()
 
-    def test_from_the_command_line(self, play: Play, own: Library, box: Library, tmp_path: Path) -> None:
+    def test_from_the_command_line(self, play: Run, own: Library, box: Library, tmp_path: Path) -> None:
         own.save(tmp_path / "own.npz")
         box.save(tmp_path / "box.npz")
         alone = play("tap", "own.npz", "--simulate")

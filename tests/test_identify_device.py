@@ -3,26 +3,21 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from controller.excitation import sweep_command
-from controller.measurement_file import write_measurement
 from controller.sensors import Sensors
 from controller.simulator import Imperfections, Simulator
 from controller.truth import device_of
-from tests.identification_bench import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
+from controller.user import StillHand
+from tests.identification_bench import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, assert_near, mismatched
 from tests.test_black_box import four_masses
 from transopt.errors import InputError
-from transopt.identified import load_model
 from transopt.identify.checks import Fault
 from transopt.identify.device import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
 from transopt.identify.device_chain import DriveChain
-from transopt.identify.device_command import identify_device
 from transopt.identify.measurement import Measurement
 from transopt.identify.validation import compare, short_of, verdict
 from transopt.models import StateSpace
@@ -47,13 +42,6 @@ def sweeps(rig: Rig) -> list[Measurement]:
 @pytest.fixture(scope="module")
 def found(rig: Rig, sweeps: list[Measurement]) -> DeviceResult:
     return identify(sweeps, rig.transients((0.0, 1.0, 2.0, 3.0, 4.0, 5.0)), SETTINGS)
-
-
-def assert_near(model: StateSpace, truth: StateSpace, high_Hz: float = 800.0) -> None:
-    frequencies = np.geomspace(2, high_Hz, 300)
-    ratio = model.response(frequencies) / truth.response(frequencies)
-    assert np.max(np.abs(20 * np.log10(np.abs(ratio)))) < 1
-    assert np.max(np.abs(np.degrees(np.angle(ratio)))) < 5
 
 
 @pytest.mark.parametrize(("crossover_A", "mismatch"), [(0.0, 0.0), (0.01, 0.0), (0.01, 0.05)])
@@ -161,26 +149,12 @@ def test_a_command_alone_will_do_where_the_amplifier_is_known(rig: Rig) -> None:
     assert_near(part.plant(3.0), rig.device.plant(3.0))
 
 
-class StillUser:
-    """A hand that stays where it is."""
-
-    def __init__(self, grip_N: float) -> None:
-        self._grip_N = grip_N
-
-    def intention_m(self, time_s: float) -> float:
-        return 0.0
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        return self._grip_N
-
-
 def simulated(scene: Scene, grip_N: float, command_A: np.ndarray, seed: int, name: str) -> Measurement:
     """A record of the controller's simulator: absolute coordinates, its own integration and sensors."""
     wrong = Imperfections(crossover_A=0.01, sensors=Sensors())
-    simulator = Simulator(device_of(scene), StillUser(grip_N), DT_S, imperfections=wrong, seed=seed, steps=1)
+    simulator = Simulator(
+        device_of(scene), StillHand(grip_N, height_m=0.0), DT_S, imperfections=wrong, seed=seed, steps=1
+    )
     rows = np.empty((command_A.size, 2))
     for k, command in enumerate(command_A.tolist()):
         read = simulator.readings()
@@ -363,91 +337,3 @@ def test_the_verdict_speaks_of_the_worst_grip() -> None:
     )
     assert len(short_of({1.0: 0.02, 5.0: 0.06}, {2.0: 0.09})) == 2
     assert short_of({1.0: 0.02}, {2.0: 0.03}) == []
-
-
-# ------------------------------------------------------------------------------------------------ command line
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, rig: Rig) -> Path:
-    place = tmp_path_factory.mktemp("records")
-    for run in [*rig.sweeps((0.0, 3.0)), *rig.transients((3.0,))]:
-        columns = {name: getattr(run, name).values for name in ("command", "current", "acceleration")}
-        units = {"command": "command_A", "current": "current_A", "acceleration": "acceleration_m_s2"}
-        write_measurement(
-            place / run.name,
-            {"time_s": run.require("current", "").times_s, **{units[name]: x for name, x in columns.items()}},
-            {"grip_N": run.grip_N or 0.0, "accelerometer_Hz": ACCELEROMETER_HZ},
-        )
-    return place
-
-
-def call(*arguments: object) -> tuple[int, str, Exception | None]:
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(identify_device)
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    return result.exit_code, result.output, result.exception if isinstance(result.exception, InputError) else None
-
-
-def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "MODEL.json"
-    burst = folder / "burst_3N.npz"
-    code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive", "--validate", burst)
-    assert code == 1  # the free device has nothing to be judged by
-    assert "free device: nothing kept for validation" in output
-    assert "verdict: supports design errors down to" in output
-    assert "which sweeps cannot tell (--force-per-current)" in output
-    assert "next:" not in output
-    assert "moving_mass_kg" in output
-    part = load_model(out).device
-    assert part is not None
-    assert part.kind == "drive"
-    assert part.nrmse.keys() == {"3"}
-    assert (tmp_path / "MODEL_device.png").read_bytes()[:4] == b"\x89PNG"
-    code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive")
-    assert code == 0, output
-    assert f'model = "{out}" above the first [table] takes the place of [model]' in output
-
-
-def test_a_force_per_ampere_scales_the_masses(folder: Path, tmp_path: Path) -> None:
-    files = sorted(folder.glob("sweep_*"))
-    masses = []
-    for force in (1.25, 2.5):
-        out = tmp_path / f"{force}.json"
-        assert call(*files, "--out", out, "--kind", "drive", "--force-per-current", force)[0] == 0
-        part = load_model(out).device
-        assert part is not None
-        assert part.kind == "drive"
-        masses.append(part.moving_mass_kg)
-    assert masses[1] == pytest.approx(2 * masses[0], rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--out", "model.txt"), "a model file ends in .json"),
-        (("--kind", "chain"), "--kind chain: unknown; choose auto, drive, state_space"),
-        (("--force-per-current", "-1"), "--force-per-current -1 N/A: must be above 0"),
-        (("--force-per-current", "1", "--scene", "own_taps"), "give one of them"),
-        (("--kind", "drive", "--order", "6"), "leave it out with --kind drive"),
-        (("--kind", "state_space", "--order", "5"), "--order 5: must be even"),
-    ],
-)
-def test_options_that_cannot_be_are_refused_in_one_line(
-    options: tuple[str, ...], message: str, folder: Path, tmp_path: Path
-) -> None:
-    out = () if "--out" in options else ("--out", tmp_path / "M.json")
-    code, _, error = call(folder / "sweep_0N_0.npz", folder / "sweep_0N_1.npz", *out, *options)
-    assert code != 0
-    assert message in str(error)
-    assert not (tmp_path / "M.json").exists()
-
-
-def test_the_free_device_alone_gives_a_black_box(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "M.json"
-    code, _, _ = call(*sorted(folder.glob("sweep_0N*")), "--out", out, "--order", "2")
-    assert code == 0
-    part = load_model(out).device
-    assert part is not None
-    assert part.kind == "state_space"
-    assert_near(part.plant(0.0), mismatched(0.05, 3).plant(0.0))

@@ -23,8 +23,8 @@ from controller.told import Samples, Told
 from controller.truth import Device as TrueDevice
 from controller.user import StillHand
 from scripts.compiled_device import CompiledDevice, plant_of
-from tests.desk import DT_S, PORT, Desk, Play
-from tests.test_cli import assert_refused
+from tests.command_bench import Run, assert_refused
+from tests.desk import DT_S, PORT, Desk
 from tests.test_device_cli import interrupt
 from transopt.identify.measurement import load_measurement
 from transopt.library import Library
@@ -52,7 +52,7 @@ def read(name: str) -> dict[str, np.ndarray]:  # type: ignore[type-arg]
         return {key: file[key] for key in file.files}
 
 
-def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Play, desk: Desk) -> None:
+def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Run, desk: Desk) -> None:
     desk.asked("hold")
     outcome = play(*CHECK)
     assert outcome.code == 0, outcome.out + outcome.err
@@ -106,7 +106,7 @@ def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Play, desk:
     assert min(moved) > 10.0
 
 
-def test_the_device_is_armed_no_longer_than_it_plays(play: Play, checked: Desk) -> None:
+def test_the_device_is_armed_no_longer_than_it_plays(play: Run, checked: Desk) -> None:
     armed = 0
 
     def look() -> None:
@@ -120,7 +120,7 @@ def test_the_device_is_armed_no_longer_than_it_plays(play: Play, checked: Desk) 
     assert checked.link.to_device.kinds[Kind.START] == 2
 
 
-def test_not_before_the_check_of_these_limits(play: Play, desk: Desk) -> None:
+def test_not_before_the_check_of_these_limits(play: Run, desk: Desk) -> None:
     assert_refused(
         play(*SHORT), "have not passed the bring-up check", "run `transopt-play check --sweep --port desk`"
     )
@@ -133,7 +133,7 @@ def test_not_before_the_check_of_these_limits(play: Play, desk: Desk) -> None:
 
 
 def test_what_the_device_cannot_hold_or_the_limits_forbid(
-    play: Play, library: Library, monkeypatch: pytest.MonkeyPatch
+    play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Desk(library, capacity=Capacity(samples=1500)).put(monkeypatch)
     assert_refused(play(*SHORT), "sweep: 0.2 s at 10 kHz are 2000 samples, the device holds 1500", "--seconds 0.15")
@@ -155,14 +155,14 @@ def test_what_the_device_cannot_hold_or_the_limits_forbid(
     assert not files()
 
 
-def test_the_free_device_is_asked_for_and_written_as_such(play: Play, checked: Desk) -> None:
+def test_the_free_device_is_asked_for_and_written_as_such(play: Run, checked: Desk) -> None:
     outcome = play(*SHORT, "--trials", 1, "--grips", 0)
     assert outcome.code == 0, outcome.out + outcome.err
     assert checked.requests[-1].startswith("let go of the stylus")
     assert read("sweep_001.npz")["grip_N"] == 0.0
 
 
-def test_another_grip_than_asked_is_no_trial(play: Play, checked: Desk) -> None:
+def test_another_grip_than_asked_is_no_trial(play: Run, checked: Desk) -> None:
     refused = play(*SHORT, "--grips", 5, "--patience", 1)
     assert refused.code == 1
     assert "not as asked within 1 s: 3.0" in refused.out
@@ -179,7 +179,7 @@ def test_another_grip_than_asked_is_no_trial(play: Play, checked: Desk) -> None:
     assert not files()
 
 
-def test_lost_telemetry_is_repeated_then_refused_by_name(play: Play, checked: Desk) -> None:
+def test_lost_telemetry_is_repeated_then_refused_by_name(play: Run, checked: Desk) -> None:
     """The line swallows a frame while the first attempt plays; later it swallows frames for good."""
     state = {"seen": 0}
 
@@ -208,9 +208,7 @@ def test_lost_telemetry_is_repeated_then_refused_by_name(play: Play, checked: De
 
 
 @pytest.mark.parametrize("how", ["unplugged", "stopped", "let go", "lease", "dead sensor"])
-def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(
-    play: Play, checked: Desk, how: str
-) -> None:
+def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(play: Run, checked: Desk, how: str) -> None:
     started = {"trials": 0, "ms": 0}
 
     def look() -> None:
@@ -250,7 +248,7 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(
     checked.gone = False
 
 
-def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Play, checked: Desk) -> None:
+def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Run, checked: Desk) -> None:
     def look() -> None:
         servo = checked.firmware.servo
         if servo is not None and servo.guard is not None and checked.firmware.state is State.ARMED:
@@ -264,7 +262,7 @@ def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Play, ch
     assert not files()
 
 
-def test_ctrl_c_disarms(play: Play, checked: Desk) -> None:
+def test_ctrl_c_disarms(play: Run, checked: Desk) -> None:
     count = iter(range(10_000))
     checked.each_ms = lambda: interrupt() if next(count) == 500 else None
     outcome = play(*SHORT)
@@ -275,7 +273,7 @@ def test_ctrl_c_disarms(play: Play, checked: Desk) -> None:
     assert not [name for name in files() if not name.startswith("sweep_")]
 
 
-def test_files_are_never_written_over(play: Play, checked: Desk) -> None:
+def test_files_are_never_written_over(play: Run, checked: Desk) -> None:
     Path("rec").mkdir()
     (Path("rec") / "sweep_007.npz").write_bytes(b"mine")
     assert play(*SHORT, "--trials", 1).code == 0
@@ -285,7 +283,7 @@ def test_files_are_never_written_over(play: Play, checked: Desk) -> None:
     assert_refused(play(*SHORT[:4], "--out", "blocked"), "--out blocked: cannot be written")
 
 
-def test_heat_is_not_measured_by_any_device(play: Play, desk: Desk) -> None:
+def test_heat_is_not_measured_by_any_device(play: Run, desk: Desk) -> None:
     outcome = play("record", "heat", *PORT)
     assert_refused(outcome, "neither the coil's voltage nor its temperature", "time_s, current_A, voltage_V")
 
@@ -326,7 +324,7 @@ def transfer(plant: TrueDevice, grip_N: float, frequency_Hz: np.ndarray) -> np.n
     return np.array(out)
 
 
-def test_what_is_recorded_over_a_port_is_the_device(play: Play, served: CompiledDevice) -> None:
+def test_what_is_recorded_over_a_port_is_the_device(play: Run, served: CompiledDevice) -> None:
     """Its transfer function, from the files alone: signs, units and instants are right."""
     options = (
         "--out",
@@ -361,7 +359,7 @@ def test_what_is_recorded_over_a_port_is_the_device(play: Play, served: Compiled
 
 
 def test_a_device_that_dies_half_way_leaves_nothing_half(
-    play: Play, served: CompiledDevice, monkeypatch: pytest.MonkeyPatch
+    play: Run, served: CompiledDevice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     playing = 0
 

@@ -15,8 +15,8 @@ from controller.simulator import Imperfections, Simulator
 from controller.sweep_plan import FREE_LOW_HZ, Purpose, check_plan, sweep_plan
 from controller.truth import Device, Ground, device_of
 from controller.user import StillHand
-from tests.desk import PORT, Desk, Play
-from tests.test_cli import assert_refused
+from tests.command_bench import Run, assert_refused
+from tests.desk import PORT, Desk
 from transopt.errors import InputError
 from transopt.identify.measurement import load_measurement
 from transopt.importers import load_recording
@@ -188,7 +188,7 @@ class TestHeat:
 
 
 class TestCommands:
-    def test_sweep(self, play: Play) -> None:
+    def test_sweep(self, play: Run) -> None:
         arguments = ("--grips", "0,2.5", "--trials", 2, "--seconds", 1.0, "--low", 10, "--mismatch", 0.1, "--seed", 4)
         outcome = play("record", "sweep", "--simulate", "--out", "sweeps", *arguments)
         assert outcome.code == 0, outcome.err
@@ -210,7 +210,7 @@ class TestCommands:
         assert joined.code == 0, joined.err
         assert len(list(Path("sweeps").iterdir())) == 6
 
-    def test_taps_of_a_library(self, play: Play) -> None:
+    def test_taps_of_a_library(self, play: Run) -> None:
         outcome = play("record", "tap", "library.npz", "--simulate", "--speeds", 0.25, "--grips", "2,4", "--out", "t")
         assert outcome.code == 0, outcome.err
         assert "2 taps, tap_0.25m_s_2N_1.npz to tap_0.25m_s_4N_1.npz" in outcome.out
@@ -222,7 +222,7 @@ class TestCommands:
         before = taken.require("acceleration", "").values[command.times_s < -1e-3]
         assert float(np.abs(before).max()) < 1
 
-    def test_taps_on_an_object(self, play: Play) -> None:
+    def test_taps_on_an_object(self, play: Run) -> None:
         outcome = play("record", "tap", "--simulate", "--object", "--speeds", 0.2, "--repeats", 2, "--out", "t")
         assert outcome.code == 0, outcome.err
         one, other = (load_measurement(Path(f"t/tap_0.2m_s_3N_{n}.npz")) for n in (1, 2))
@@ -233,7 +233,7 @@ class TestCommands:
         assert as_a_tap.speed_m_s == 0.2
         np.testing.assert_array_equal(as_a_tap.acceleration.values, one.require("acceleration", "").values)
 
-    def test_heat(self, play: Play) -> None:
+    def test_heat(self, play: Run) -> None:
         outcome = play(
             "record", "heat", "--simulate", "--heating", 60, "--cooling", 30, "--out", "h", "--device", "hot_coil"
         )
@@ -268,6 +268,6 @@ class TestCommands:
             (("heat", "--simulate", "--out", "/proc/x"), "--out /proc/x: cannot be written"),
         ],
     )
-    def test_bad_input_is_one_line(self, play: Play, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
+    def test_bad_input_is_one_line(self, play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
         assert_refused(play("record", *arguments), words)
         assert desk.ticks == 0

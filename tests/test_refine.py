@@ -9,8 +9,8 @@ import pytest
 import problems
 from problems.simulate import recordings
 from scripts.grid_refinement import excess, random_points, soft_hand
+from tests.command_bench import Outcome, Terminal
 from transopt.build import Build, build_library
-from transopt.cli import main
 from transopt.errors import InputError
 from transopt.grid_figure import grid_figure
 from transopt.library import Library
@@ -201,34 +201,27 @@ class TestRefusals:
 
 
 class TestCommandLine:
-    def solve(self, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    def solve(self, terminal: Terminal, *arguments: str) -> Outcome:
         text = problems.scene_path("wood_on_foam").read_text().replace("[0.1, 0.2, 0.3, 0.4]", "[0.1, 0.2]")
         Path("quick.toml").write_text(text.replace("[1.0, 3.0, 5.0]", "[3.0]"))
-        monkeypatch.setattr("sys.argv", ["transopt", "solve", "quick.toml", "--out", "here", *arguments])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        return int(stop.value.code or 0)
+        return terminal("transopt", "solve", "quick.toml", "--out", "here", *arguments)
 
-    def test_figure_report_and_library(
-        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        monkeypatch.chdir(tmp_path)
-        assert self.solve(monkeypatch, "--grid-tolerance", "0.01") == 0
-        assert "2 -> 3 entries in 1 round," in capsys.readouterr().out
+    def test_figure_report_and_library(self, terminal: Terminal) -> None:
+        outcome = self.solve(terminal, "--grid-tolerance", "0.01")
+        assert outcome.code == 0
+        assert "2 -> 3 entries in 1 round," in outcome.out
         assert Path("here/grid_error.png").read_bytes()[:4] == b"\x89PNG"
         assert "## Between the nodes" in Path("here/report.md").read_text()
         library = load_library(Path("here/library.npz"))
         np.testing.assert_array_equal(library.speeds_m_s, [0.1, 0.15, 0.2])
-        assert self.solve(monkeypatch) == 0
+        assert self.solve(terminal).code == 0
         assert not Path("here/grid_error.png").exists(), "belongs to an earlier library"
 
-    def test_cap_writes_what_was_reached_and_exits_1(
-        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        monkeypatch.chdir(tmp_path)
-        assert self.solve(monkeypatch, "--grid-tolerance", "0.001", "--grid-cap", "3") == 1
-        out = capsys.readouterr().out
-        assert "grid tolerance 0.1 % not met with 3 entries (3 speeds x 1 grips, --grid-cap 3)" in out
+    def test_cap_writes_what_was_reached_and_exits_1(self, terminal: Terminal) -> None:
+        outcome = self.solve(terminal, "--grid-tolerance", "0.001", "--grid-cap", "3")
+        assert outcome.code == 1
+        message = "grid tolerance 0.1 % not met with 3 entries (3 speeds x 1 grips, --grid-cap 3)"
+        assert message in outcome.out
         assert load_library(Path("here/library.npz")).speeds_m_s.size == 3
         assert "not met" in Path("here/report.md").read_text()
 

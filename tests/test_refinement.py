@@ -22,8 +22,8 @@ from controller.refine_tables import best_round, refine_table, summary
 from controller.refinement import Heard, Node, Refined, fade_of, node_near, nodes_of, refine, smooth
 from controller.simulator import Imperfections, Simulator
 from controller.truth import device_of
-from tests.desk import DT_S, PORT, Desk, Play
-from tests.test_cli import assert_refused
+from tests.command_bench import Run, assert_refused
+from tests.desk import DT_S, PORT, Desk
 from transopt.errors import InputError
 from transopt.library import SHAPES, Library
 from transopt.library_file import load_library
@@ -318,7 +318,7 @@ class TestRounds:
 
 
 class TestCommand:
-    def test_on_a_mismatched_simulator(self, play: Play, library: Library) -> None:
+    def test_on_a_mismatched_simulator(self, play: Run, library: Library) -> None:
         part_of(library, [2], [1]).save(Path("library.npz"))
         arguments = ("--mismatch", 0.2, "--seed", 4, "--rounds", 1, "--taps", 2, "--out", "better")
         outcome = play("refine", "library.npz", "--simulate", *arguments)
@@ -338,7 +338,7 @@ class TestCommand:
         shown = play("tap", "better/library.npz", "--simulate", "--mismatch", 0.2, "--seed", 4)
         assert shown.code == 0
 
-    def test_on_a_device(self, play: Play, ready: Desk, library: Library) -> None:
+    def test_on_a_device(self, play: Run, ready: Desk, library: Library) -> None:
         """The whole way over the protocol: the hand taps while the device is armed, twice a round."""
         one = part_of(library, [1], [1])
         one.save(Path("library.npz"))
@@ -371,7 +371,7 @@ class TestCommand:
             "tap_002.csv",
         ]
 
-    def test_a_device_that_has_not_played_yet(self, play: Play, ready: Desk) -> None:
+    def test_a_device_that_has_not_played_yet(self, play: Run, ready: Desk) -> None:
         assert_refused(play("refine", "library.npz", *PORT, "--out", "x"), "has not played this configuration since")
 
     @pytest.mark.parametrize(
@@ -387,10 +387,10 @@ class TestCommand:
             (("--simulate", "--device", "none"), "none: no built-in scene"),
         ],
     )
-    def test_bad_input_is_one_line(self, play: Play, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
+    def test_bad_input_is_one_line(self, play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
         assert_refused(play("refine", "library.npz", "--out", "x", *arguments), words)
         assert desk.ticks == 0
 
-    def test_never_over_the_library_itself(self, play: Play) -> None:
+    def test_never_over_the_library_itself(self, play: Run) -> None:
         outcome = play("refine", "library.npz", "--simulate", "--out", ".")
         assert_refused(outcome, "--out .: holds the library that is refined")

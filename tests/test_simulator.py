@@ -13,7 +13,7 @@ from controller.experiment import strike_real
 from controller.sensors import SensorBench, Sensors
 from controller.simulator import NONE, Imperfections, Simulator, Trace
 from controller.truth import Device, Ground, Joint, device_of, exponential, rates
-from controller.user import BRAKING_S, REACTION_S, Habit, RecordedUser, RepeatedTaps, TapUser, Tremor, User
+from controller.user import BRAKING_S, REACTION_S, Habit, RecordedUser, RepeatedTaps, StillHand, TapUser, Tremor, User
 from problems.simulate import strike
 from transopt.discretise import discretise
 from transopt.library import Library
@@ -28,20 +28,9 @@ DT = 1e-4
 CONTACT_TICKS = 500
 
 
-class Still:
-    """A hand that rests somewhere."""
-
-    def __init__(self, held_N: float = 3.0, at_m: float = 0.0) -> None:
-        self._held_N, self._at_m = held_N, at_m
-
-    def intention_m(self, time_s: float) -> float:
-        return self._at_m
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        return self._held_N
+def still(held_N: float = 3.0) -> StillHand:
+    """Where the wall is."""
+    return StillHand(held_N, height_m=0.0)
 
 
 def play(simulator: Simulator, command_A: FloatArray, before: int = 0, after: int = 0) -> Trace:
@@ -93,7 +82,7 @@ class TestAgainstReplay:
         [played] = replay(stage, grid, command[None], np.ones((1, command.size)), None)
 
         device = replace(device_of(scene), amplifier=amplifier)
-        simulator = Simulator(device, Still(grip), DT, trace=True)
+        simulator = Simulator(device, still(grip), DT, trace=True)
         trace = play(simulator, command, after=10)
         times = grid.switching_times_s + grid.lead_s
         if amplifier is None:
@@ -107,7 +96,7 @@ class TestAgainstReplay:
     def test_intention_moving_straight_is_the_frame(self, scene: Scene) -> None:
         """The same command does the same to a resting and to a moving hand: nothing is tied to the ground."""
         command = np.sin(np.arange(200) / 7)
-        resting = play(Simulator(device_of(scene), Still(3.0), DT, trace=True), command)
+        resting = play(Simulator(device_of(scene), still(3.0), DT, trace=True), command)
         moving = play(Simulator(device_of(scene), TapUser(0.3, 3.0, 10e-3), DT, trace=True), command)
         scale = np.abs(resting.acceleration_m_s2).max()
         np.testing.assert_allclose(moving.acceleration_m_s2, resting.acceleration_m_s2, rtol=0, atol=1e-9 * scale)
@@ -128,7 +117,7 @@ class TestEnergy:
     @pytest.mark.parametrize("ground", [Ground(), Ground(100.0, 2.0, 0.1)])
     def test_undriven_device_only_loses_energy(self, scene: Scene, ground: Ground) -> None:
         imperfections = Imperfections(mismatch=0.1, crossover_A=0.0, ground=ground)
-        simulator = Simulator(device_of(scene), Still(2.0), DT, imperfections=imperfections, seed=3)
+        simulator = Simulator(device_of(scene), still(2.0), DT, imperfections=imperfections, seed=3)
         for c in [3.0] * 30 + [0.0] * 100:  # and 10 ms until no current is left
             simulator.advance(c)
         energies = [simulator.energy_J()]
@@ -142,7 +131,7 @@ class TestEnergy:
         masses = tuple(LinearInGrip(m, 0.0) for m in (0.014, 0.026, 0.010))
         joints = tuple(Joint(LinearInGrip(k, 0.0), LinearInGrip(0.0, 0.0)) for k in (6e4, 9e3, 490.0))
         device = Device(masses, joints, 1, 1, 1.25, None, None)
-        simulator = Simulator(device, Still(3.0), DT)
+        simulator = Simulator(device, still(3.0), DT)
         for _ in range(20):
             simulator.advance(2.0)
         simulator.advance(0.0)
@@ -155,7 +144,7 @@ class TestEnergy:
         """0.2 N of friction, smoothed, against 0.1 N at a free device: it creeps where tanh(v / v_s) is a half."""
         imperfections = Imperfections(crossover_A=0.0, ground=Ground(friction_N=0.2))
         device = replace(device_of(scene), force_per_current_N_A=1.0)
-        trace = play(Simulator(device, Still(0.0), DT, imperfections=imperfections, trace=True), np.full(2000, 0.1))
+        trace = play(Simulator(device, still(0.0), DT, imperfections=imperfections, trace=True), np.full(2000, 0.1))
         assert trace.motor_m_s[-1] == pytest.approx(2e-3 * np.arctanh(0.5), rel=1e-3)
 
 
@@ -165,7 +154,7 @@ class TestAmplifier:
         amplifier = scene.amplifier_model()
         assert amplifier is not None
         device = replace(device_of(scene), amplifier=replace(amplifier, delay_s=delay_s))
-        trace = play(Simulator(device, Still(), DT, trace=True), np.ones(20))
+        trace = play(Simulator(device, still(), DT, trace=True), np.ones(20))
         since = np.maximum(trace.times_s - delay_s, 0.0)
         np.testing.assert_allclose(trace.current_A, -np.expm1(-amplifier.rate_rad_s * since), rtol=0, atol=1e-12)
 
@@ -173,7 +162,7 @@ class TestAmplifier:
         imperfections = Imperfections(crossover_A=0.02)
 
         def settled(command_A: float) -> float:
-            simulator = Simulator(device_of(scene), Still(), DT, imperfections=imperfections, trace=True)
+            simulator = Simulator(device_of(scene), still(), DT, imperfections=imperfections, trace=True)
             return float(play(simulator, np.full(100, command_A)).current_A[-1])
 
         assert [settled(c) for c in (0.015, -0.02)] == [0.0, 0.0]
@@ -184,14 +173,14 @@ class TestAmplifier:
     @pytest.mark.parametrize("command_A", [float("nan"), float("inf")])
     def test_refuses_what_is_no_number(self, scene: Scene, command_A: float) -> None:
         with pytest.raises(ValueError, match="tick 0: must be a finite number"):
-            Simulator(device_of(scene), Still(), DT).advance(command_A)
+            Simulator(device_of(scene), still(), DT).advance(command_A)
 
 
 class TestCoil:
     def test_two_nodes_as_the_design_states_them(self, scene: Scene) -> None:
         """Against the implicit midpoint rule of the design over the same current; both are of second order."""
         coil = replace(scene.coil(), start_winding_C=60.0, start_housing_C=40.0)
-        simulator = Simulator(replace(device_of(scene), coil=coil), Still(), DT, trace=True)
+        simulator = Simulator(replace(device_of(scene), coil=coil), still(), DT, trace=True)
         random = np.random.default_rng(1)
         trace = play(simulator, np.repeat(random.uniform(-4, 4, 300), 10))
         a, b = (effective_square(i) for i in (trace.current_A[:-1], trace.current_A[1:]))
@@ -203,13 +192,13 @@ class TestCoil:
 
     def test_one_node_keeps_its_housing(self, scene: Scene) -> None:
         coil = replace(scene.coil(), nodes=1, start_winding_C=40.0, start_housing_C=30.0)
-        simulator = Simulator(replace(device_of(scene), coil=coil), Still(), DT)
+        simulator = Simulator(replace(device_of(scene), coil=coil), still(), DT)
         for _ in range(100):
             simulator.advance(4.0)
         assert simulator.housing_C == 30.0
 
     def test_no_motor_data_no_temperature(self, scene: Scene) -> None:
-        simulator = Simulator(replace(device_of(scene), coil=None), Still(), DT)
+        simulator = Simulator(replace(device_of(scene), coil=None), still(), DT)
         simulator.advance(4.0)
         assert np.isnan(simulator.winding_C)
 
@@ -233,7 +222,7 @@ class TestSensors:
             (LinearInGrip(0.1, 0.0),), (Joint(LinearInGrip(0, 0), LinearInGrip(0, 0)),), 0, None, 1.0, None, None
         )
         sensors = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=500.0)
-        simulator = Simulator(device, Still(), DT, imperfections=Imperfections(crossover_A=0.0, sensors=sensors))
+        simulator = Simulator(device, still(), DT, imperfections=Imperfections(crossover_A=0.0, sensors=sensors))
         read = []
         for _ in range(100):
             read.append(simulator.readings().acceleration_m_s2)
@@ -357,11 +346,11 @@ class TestUsers:
         assert user.intention_m(0.3) == z[300]  # asked again later: the same
 
     def test_a_hand_that_lets_go_no_longer_acts_and_takes_hold_where_the_stylus_is(self, scene: Scene) -> None:
-        class Letting(Still):
+        class Letting(StillHand):
             def grip_N(self, time_s: float) -> float:
                 return 0.0 if 0.01 <= time_s < 0.05 else 3.0
 
-        user: User = Letting()
+        user: User = Letting(height_m=0.0)
         simulator = Simulator(device_of(scene), user, DT, trace=True)
         trace = play(simulator, np.append(np.full(20, 2.0), np.zeros(780)))
         free = (trace.times_s > 0.02) & (trace.times_s < 0.05)
@@ -402,6 +391,6 @@ class TestRealTap:
 
 
 def test_trace_is_kept_only_on_demand(scene: Scene) -> None:
-    simulator = Simulator(device_of(scene), Still(), DT, imperfections=NONE)
+    simulator = Simulator(device_of(scene), still(), DT, imperfections=NONE)
     with pytest.raises(ValueError, match="trace=True"):
         simulator.trace()

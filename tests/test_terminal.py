@@ -1,19 +1,11 @@
 """What all command lines do with words they do not know: one line, exit code 2."""
 
-import importlib
 import subprocess
 import sys
 
 import pytest
 
-MAINS = {"transopt": "transopt.cli", "transopt-play": "controller.cli", "transopt-device": "controller.device_cli"}
-
-
-def call(program: str, arguments: str, monkeypatch: pytest.MonkeyPatch) -> object:
-    monkeypatch.setattr(sys, "argv", [program, *arguments.split()])
-    with pytest.raises(SystemExit) as stop:
-        importlib.import_module(MAINS[program]).main()
-    return stop.value.code
+from tests.command_bench import MAINS, Terminal, assert_refused
 
 
 @pytest.mark.parametrize(
@@ -27,28 +19,22 @@ def call(program: str, arguments: str, monkeypatch: pytest.MonkeyPatch) -> objec
         ("transopt-device --nothing", "No such option: --nothing"),
     ],
 )
-def test_one_line(line: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    program, arguments = line.split(" ", 1)
-    assert call(program, arguments, monkeypatch) == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert said[0].startswith("error: ")
-    assert words in said[0]
-    assert f"`{program}" in said[0]
-    assert "--help` lists what there is" in said[0]
+def test_one_line(line: str, words: str, terminal: Terminal) -> None:
+    program, *arguments = line.split()
+    assert_refused(terminal(program, *arguments), words, f"`{program}", "--help` lists what there is")
 
 
 @pytest.mark.parametrize(("line", "code"), [("transopt", 2), ("transopt --help", 0), ("transopt-play record", 2)])
-def test_help_once(line: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    program, _, arguments = line.partition(" ")
-    assert call(program, arguments, monkeypatch) == code
-    captured = capsys.readouterr()
-    assert (captured.out + captured.err).count("Usage:") == 1
+def test_help_once(line: str, code: int, terminal: Terminal) -> None:
+    outcome = terminal(*line.split())
+    assert outcome.code == code
+    assert (outcome.out + outcome.err).count("Usage:") == 1
 
 
-def test_the_version(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("transopt", "--version", monkeypatch) == 0
-    assert capsys.readouterr().out.strip().count(".") >= 1
+def test_the_version(terminal: Terminal) -> None:
+    outcome = terminal("transopt", "--version")
+    assert outcome.code == 0
+    assert outcome.out.strip().count(".") >= 1
 
 
 @pytest.mark.parametrize("module", MAINS.values())

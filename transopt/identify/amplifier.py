@@ -56,7 +56,6 @@ class AmplifierFit:
         no hold, come out at; the delay then holds the hold's half sample.
     crossover : dead band around zero.
     estimate : response from the command less the dead band to the current, which the fit follows.
-    plain_estimate : response from the command as it was issued.
     misfit_dB, misfit_deg : of the fit, largest over the coherent band, means over a third of an octave
         less three standard deviations of their noise.
     trial_gains : (K,) of each trial: its response over that of pole and delay, crossover and all.
@@ -72,7 +71,6 @@ class AmplifierFit:
     continuous_delay_s: float
     crossover: Crossover
     estimate: TransferEstimate
-    plain_estimate: TransferEstimate
     misfit_dB: float
     misfit_deg: float
     trial_gains: FloatArray
@@ -218,7 +216,6 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         continuous_delay_s=float(naive.values[1]),
         crossover=crossover,
         estimate=estimate,
-        plain_estimate=plain,
         misfit_dB=misfit[0],
         misfit_deg=misfit[1],
         trial_gains=each,

@@ -76,11 +76,6 @@ class ChainFit:
         names, values, matrix = self.coordinates.stated(self.unknowns)
         return names, values, matrix @ self.covariance @ matrix.T
 
-    def response_deviation(self, grip_N: float, instrument: Instrument, frequencies_Hz: FloatArray) -> FloatArray:
-        """(m,) standard deviation of the model's sampled response, the root of that of both components together."""
-        jacobian = _response_jacobian(self.coordinates, self.device, grip_N, instrument, frequencies_Hz)[1]
-        return np.asarray(np.sqrt(np.einsum("pm,pq,qm->m", jacobian.conj(), self.covariance, jacobian).real))
-
 
 def _scatter(chi_square: FloatArray, points: NDArray[np.int_], unknowns: int) -> float:
     return float(chi_square.sum() / max(int(points.sum()) - unknowns, 1))
