@@ -1,7 +1,8 @@
 """What is done at once, or by fewer operations, against the same step by step or by a library."""
 
+import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,12 @@ import pytest
 
 from problems.simulate import contact_force, rk4_step, strike
 from tests.conftest import ProblemMaker
+from transopt import workers
 from transopt.baselines import clipped_optimum, seed_inversion
 from transopt.continuous import BLOCK, Flow, accurate
 from transopt.discretise import TimeGrid
 from transopt.errors import InputError
+from transopt.files import whole_file
 from transopt.publish import Files, publishing
 from transopt.scene import Scene
 from transopt.signals import FloatArray
@@ -134,3 +137,43 @@ class TestPublishing:
         with pytest.raises(KeyboardInterrupt), publishing(tmp_path, files, [], pool):
             raise KeyboardInterrupt
         assert list(tmp_path.iterdir()) == []
+
+    def test_what_a_dead_worker_has_not_drawn_is_drawn_here(self, tmp_path: Path) -> None:
+        files = Files(here={"a": written}, tasks={"b": written, "c": written})
+        with ProcessPoolExecutor(1) as workers, publishing(tmp_path, files, [], workers):
+            workers.submit(os._exit, 1)
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys("abc", "new")
+
+    def test_a_folder_that_is_gone_is_named(self, tmp_path: Path) -> None:
+        files = Files(here={"a": written}, tasks={})
+        with (
+            pytest.raises(InputError, match="gone: cannot be written"),
+            publishing(tmp_path / "gone", files, [], None),
+        ):
+            pass
+
+    def test_no_error_names_the_place_beside(self, tmp_path: Path) -> None:
+        def fails(path: Path) -> None:
+            with whole_file(path) as file:
+                file.write(b"half")
+                raise OSError(28, "No space left on device")
+
+        with (
+            pytest.raises(InputError, match=r"a: cannot be written .No space left") as caught,
+            publishing(tmp_path, Files(here={"a": fails}, tasks={}), [], None),
+        ):
+            pass
+        assert str(caught.value).startswith(f"{tmp_path / 'a'}:")
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_a_dead_worker_is_told_in_one_line() -> None:
+    with pytest.raises(InputError, match=r"--jobs 1: a worker process died, .*; try fewer"), workers.pool(1) as pool:
+        pool.submit(os._exit, 1).result()
+
+
+def test_a_coil_that_runs_away_within_one_period_is_hot_for_ever() -> None:
+    coil = CoilModel(2.18, 3.1, 14.0, 2e-5, 75.0, 100.0)
+    winding, housing = coil.steady_course(np.full((1, 40), 1e4), np.full(40, 2e-4), 0.01, np.zeros(1))
+    assert np.all(np.isposinf(winding))
+    assert not np.any(np.isnan(housing))

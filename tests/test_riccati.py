@@ -4,6 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 import problems
 from problems.simulate import recordings
 from tests.conftest import ProblemMaker, WalledMaker
-from transopt import solvers
+from transopt import native, solvers
 from transopt.build import Build
 from transopt.certify import certify
 from transopt.design import entry_problem, scene_stage
@@ -28,7 +29,7 @@ from transopt.reference import build_references
 from transopt.report import build_markdown
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
-from transopt.solvers import SolverOptions, options, riccati, solve
+from transopt.solvers import SolverOptions, riccati, solve
 from transopt.stagewise import Derivatives, Stages, derivatives, runtime_stages
 from transopt.statement import state
 from transopt.transcribe import Shape, state_program
@@ -294,6 +295,15 @@ class TestAbsence:
     def test_the_default_and_the_report_say_so(self, build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
         assert SolverOptions().solver == "riccati"
         assert "not built" not in build_markdown(build)
-        monkeypatch.setattr(options, "EXTENSION", "transopt.solvers._missing")
+        monkeypatch.setattr(native, "available", False)
         assert SolverOptions().solver == "casadi-piqp"
         assert "own solver is not built" in build_markdown(build)
+
+    def test_one_of_another_version_is_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Its arrays may mean something else; before there was a number to ask for, none had one."""
+        monkeypatch.setattr(
+            native.ct, "CDLL", lambda path: SimpleNamespace(tr_interface=lambda: native.INTERFACE - 1)
+        )
+        assert native._library() is None
+        monkeypatch.setattr(native.ct, "CDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
+        assert native._library() is None

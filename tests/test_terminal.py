@@ -1,11 +1,14 @@
 """What all command lines do with words they do not know: one line, exit code 2."""
 
+import os
+import signal
 import subprocess
 import sys
 
 import pytest
 
 from tests.command_bench import MAINS, Terminal, assert_refused
+from transopt.terminal import run
 
 
 @pytest.mark.parametrize(
@@ -43,3 +46,19 @@ def test_help_comes_at_once(module: str) -> None:
     program = f"import sys, {module}; print(sorted({{'numpy', 'scipy', 'casadi', 'matplotlib'}} & set(sys.modules)))"
     said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
     assert said.strip() == "[]"
+
+
+def test_asked_to_end_it_ends_as_by_ctrl_c() -> None:
+    ended, before = [], signal.getsignal(signal.SIGTERM)
+
+    def work() -> None:
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+        finally:
+            ended.append("tidied up")
+
+    with pytest.raises(SystemExit) as stopped:
+        run(work)
+    assert stopped.value.code == 143
+    assert ended == ["tidied up"]
+    assert signal.getsignal(signal.SIGTERM) is before

@@ -16,6 +16,7 @@ from transopt.stagewise import Stages
 
 EXTENSION = "_riccati"  # beside `transopt.solvers`, whose import would load CasADi
 MOST_STATES = 48  # of riccati.c
+INTERFACE = 2  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 
@@ -51,8 +52,8 @@ def _library() -> ct.CDLL | None:
     if found is None or found.origin is None:
         return None
     library = ct.CDLL(found.origin)
-    if not hasattr(library, "tr_linear"):
-        return None  # left behind by an earlier version: as good as none
+    if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
+        return None  # left behind by another version: as good as none
     problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
     library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (problem,)
     library.tr_solve.argtypes = (problem, ct.POINTER(_Options), DOUBLES, result)

@@ -85,7 +85,9 @@ class Online:
         spread: Callable[[float], tuple[StateSpace, ...]] = lambda grip_N: (),
     ) -> None:
         if not available:
-            raise InputError("online: the solver's extension is not built; install again where there is a C compiler")
+            raise InputError(
+                "online: the solver's extension is not built, or not since an update; install again where there is a compiler"
+            )
         self._library, self._plant, self._spread = library, plant, spread
         self._coil = library.coil()
         self._stages: dict[float, tuple[StageModel, ...]] = {}

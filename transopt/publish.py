@@ -4,7 +4,8 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, wait
-from contextlib import contextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -41,17 +42,23 @@ def publishing(folder: Path, files: Files, stale: list[str], pool: Executor | No
     ------
     InputError : the folder cannot be written.
     """
-    staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
-    drawing: list[Future[None]] = []
+    drawing: dict[str, Future[None]] = {}
+    staging = folder
     try:
+        staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
         if pool is not None:
-            with ctrl_c_waits():
-                drawing = [pool.submit(write, staging / name) for name, write in files.tasks.items()]
+            with suppress(BrokenProcessPool), ctrl_c_waits():
+                for name, write in files.tasks.items():
+                    drawing[name] = pool.submit(write, staging / name)
         yield
-        for name, write in {**files.here, **({} if drawing else files.tasks)}.items():
+        for name, write in files.here.items():
             write(staging / name)
-        for figure in drawing:
-            figure.result()
+        for name, write in files.tasks.items():
+            try:
+                # A worker that died has not drawn it.
+                drawing[name].result() if name in drawing else write(staging / name)
+            except BrokenProcessPool:
+                write(staging / name)
         with ctrl_c_waits():
             for name in files.names:
                 (staging / name).replace(folder / name)
@@ -59,12 +66,15 @@ def publishing(folder: Path, files: Files, stale: list[str], pool: Executor | No
                 (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    except InputError as error:
+        raise InputError(str(error).replace(str(staging), str(folder))) from None
     finally:
         try:
             # Who still draws would write into the folder while it is being removed.
-            wait([figure for figure in drawing if not figure.cancel()])
+            wait([figure for figure in drawing.values() if not figure.cancel()])
         finally:
-            shutil.rmtree(staging, ignore_errors=True)
+            if staging != folder:
+                shutil.rmtree(staging, ignore_errors=True)
 
 
 def _draw(figure: str, subject: object, path: Path) -> None:

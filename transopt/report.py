@@ -177,7 +177,10 @@ def build_markdown(build: Build) -> str:
     lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
     lines += [aftermath(build), ""] if aftermath(build) else []
     if default_solver() == FALLBACK:
-        lines += [f"The project's own solver is not built here, for want of a C compiler: {FALLBACK} takes over.", ""]
+        lines += [
+            f"The project's own solver is not built here, for want of a C compiler or since an update: {FALLBACK} takes over.",
+            "",
+        ]
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
     lines += [

@@ -63,10 +63,6 @@ class Signal:
     def scaled(self, factor: float) -> "Signal":
         return replace(self, values=factor * self.values)
 
-    def shifted(self, by_s: float) -> "Signal":
-        """The same samples `by_s` seconds later."""
-        return replace(self, start_s=self.start_s + by_s)
-
 
 def sampled(spline: "scipy.interpolate.CubicSpline", times_s: FloatArray) -> FloatArray:
     """Values of a spline at `times_s` (m,); zero before its first and after its last knot."""

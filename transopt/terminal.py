@@ -1,8 +1,10 @@
 """What the two command lines share: the console, folders that can be written, errors in one line."""
 
 import os
+import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
@@ -45,6 +47,9 @@ def run(app: Callable[..., object]) -> None:
     # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
     # processor and gain nothing, and with --jobs they fight. Read when numpy is loaded, which is inside the commands.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Asked to end, it ends as by Ctrl-C: no worker is left behind, and nothing half written.
+    ours = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
     try:
         code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
     except InputError as error:
@@ -56,6 +61,9 @@ def run(app: Callable[..., object]) -> None:
         sys.exit(130)
     else:
         sys.exit(code if isinstance(code, int) else 0)
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _refuse(error: Any) -> NoReturn:

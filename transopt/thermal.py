@@ -198,12 +198,12 @@ class CoilModel:
             start: FloatArray = np.full((M, 2), (winding_C, housing_C))
             return np.stack([course[:, -1] for course in self.simulate(heat, steps, start)], axis=1)
 
-        origin = after_period(0.0, 0.0)
-        transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
-        m = self.nodes
-        own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
-        # With one node the housing stays where it is, and the winding settles above it.
-        settled = origin[:, :m] + self.start_housing_C * from_housing.sum(axis=2)
+        origin, m = after_period(0.0, 0.0), self.nodes
+        with np.errstate(invalid="ignore"):  # where a coil runs away within one period, inf - inf
+            transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
+            own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
+            # With one node the housing stays where it is, and the winding settles above it.
+            settled = origin[:, :m] + self.start_housing_C * from_housing.sum(axis=2)
         finite = np.all(np.isfinite(transition), axis=(1, 2))
         stable = finite.copy()
         stable[finite] = np.abs(np.linalg.eigvals(own[finite])).max(axis=1) < 1

@@ -4,9 +4,11 @@ import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.context import BaseContext
 
+from transopt.errors import InputError
 from transopt.files import ctrl_c_waits
 
 THREADS = "OPENBLAS_NUM_THREADS"  # of the workers' linear algebra: one, unless stated, or they fight each other
@@ -56,6 +58,10 @@ def pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
     with ProcessPoolExecutor(jobs, context()) as workers:
         try:
             yield workers
+        except BrokenProcessPool:
+            raise InputError(
+                f"--jobs {jobs}: a worker process died, of too little memory or killed; try fewer"
+            ) from None
         except BaseException:
             workers.shutdown(wait=False, cancel_futures=True)
             raise

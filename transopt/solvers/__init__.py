@@ -45,7 +45,9 @@ def check_name(solver: str) -> None:
     if solver not in SOLVERS:
         raise InputError(f"--solver {solver}: unknown; choose one of {', '.join(SOLVERS)}")
     if solver == "riccati" and not riccati.available:
-        raise InputError("--solver riccati: its extension is not built; install again where there is a C compiler")
+        raise InputError(
+            "--solver riccati: its extension is not built, or not since an update; install again where there is a C compiler"
+        )
 
 
 def capable(problem: TransientProblem) -> list[str]:

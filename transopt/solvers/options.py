@@ -1,17 +1,16 @@
 """What a user may set about a solver."""
 
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 
+from transopt import native
 from transopt.errors import InputError
 
-EXTENSION = "transopt.solvers._riccati"
 FALLBACK = "casadi-piqp"
 
 
 def default_solver() -> str:
-    """The project's own method, or the best of the others where its extension could not be built."""
-    return "riccati" if find_spec(EXTENSION) is not None else FALLBACK
+    """The project's own method, or the best of the others where its extension is missing or of another version."""
+    return "riccati" if native.available else FALLBACK
 
 
 @dataclass(frozen=True)

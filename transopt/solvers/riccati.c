@@ -175,11 +175,15 @@ static void eliminate(int count, const double *matrix, double *right)
 #define BY_WIDTH(name) (__builtin_cpu_supports("avx2") ? name##_4 : name##_2)
 #endif
 
-/* Doubles of workspace that a problem needs; 0 if it is too large for this method. */
+/* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
+int tr_interface(void) { return 2; }
+
+/* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
 size_t tr_workspace(const tr_problem *q)
 {
     if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
-    if (q->rows < 0 || q->rows > MOST_ROWS) return 0;
+    if (q->rows < (q->nodes > 0) || q->rows > MOST_ROWS || q->stages < 1 || q->outputs < 1) return 0;
+    if (q->free_stages < 0 || q->free_stages > q->stages) return 0;
     return BY_WIDTH(workspace)(q);
 }
 
@@ -904,7 +908,8 @@ static tr_state judge(tr_work *w)
     const tr_problem *q = w->q;
     const int N = q->stages;
     tr_state found = {0.0, 0.0, 0.0, cost(w)};
-    double end[MOST_NODES] = {0}, closure[MOST_NODES], sum[WIDTH] = {0.0};
+    double end[MOST_NODES] = {0}, closure[MOST_NODES];
+    lanes sum = {0};
     judge_rows(w, &found);
     closure_price(w, w->eta, end);
     backward(w, end, 1, w->offset, w->offset_e, 0);
@@ -912,10 +917,10 @@ static tr_state judge(tr_work *w)
     for (int k = 0; k < q->free_stages; k++) {
         const double after = k + 1 < q->free_stages ? w->offset[k + 1] : 0.0;
         command += w->u[k];
-        sum[k % WIDTH] += fabs(w->offset[k] - after) * (q->command_bound + fabs(command));
+        AT(&sum, k % WIDTH) += fabs(w->offset[k] - after) * (q->command_bound + fabs(command));
     }
-    for (int k = 0; q->nodes && k < N; k++) sum[k % WIDTH] += 2.0 * fabs(w->offset_e[k]);
-    found.stationarity = total((const lanes *)sum);
+    for (int k = 0; q->nodes && k < N; k++) AT(&sum, k % WIDTH) += 2.0 * fabs(w->offset_e[k]);
+    found.stationarity = total(&sum);
     if (q->repeated) {
         closure_residual(w, closure);
         for (int i = 0; i < q->nodes; i++) {
