@@ -86,7 +86,7 @@ class Online:
     ) -> None:
         if not available:
             raise InputError(
-                "online: the solver's extension is not built, or not since an update; install again where there is a compiler"
+                "online: the solver's extension is not built or out of date; install again where there is a compiler"
             )
         self._library, self._plant, self._spread = library, plant, spread
         self._coil = library.coil()

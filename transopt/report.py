@@ -178,7 +178,7 @@ def build_markdown(build: Build) -> str:
     lines += [aftermath(build), ""] if aftermath(build) else []
     if default_solver() == FALLBACK:
         lines += [
-            f"The project's own solver is not built here, for want of a C compiler or since an update: {FALLBACK} takes over.",
+            f"The project's own solver is not built here, or out of date (no C compiler?): {FALLBACK} takes over.",
             "",
         ]
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]

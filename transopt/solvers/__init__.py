@@ -46,7 +46,7 @@ def check_name(solver: str) -> None:
         raise InputError(f"--solver {solver}: unknown; choose one of {', '.join(SOLVERS)}")
     if solver == "riccati" and not riccati.available:
         raise InputError(
-            "--solver riccati: its extension is not built, or not since an update; install again where there is a C compiler"
+            "--solver riccati: its extension is not built or out of date; install again where there is a compiler"
         )
 
 
