@@ -53,7 +53,7 @@ typedef struct {
     double objective, gap, residual;
 } tr_result;
 
-enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_TOO_LARGE };
+enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_TOO_LARGE /* or none */ };
 
 /* Constants of the method. */
 static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
@@ -243,7 +243,6 @@ ALWAYS_INLINE double largest(const lanes *of)
     for (int j = 1; j < WIDTH; j++) most = AT(of, j) > most ? AT(of, j) : most;
     return most;
 }
-
 
 /* One side of every row: slack s = sign (value - bound), s * l -> 0. Where `there` is 0 there is no limit: l = 0. */
 typedef struct {
