@@ -54,10 +54,7 @@ def publishing(folder: Path, files: Files, stale: list[str], pool: Executor | No
         for name, write in files.here.items():
             write(staging / name)
         for name, write in files.tasks.items():
-            try:
-                # A worker that died has not drawn it.
-                drawing[name].result() if name in drawing else write(staging / name)
-            except BrokenProcessPool:
+            if not _is_drawn(drawing.get(name)):
                 write(staging / name)
         with ctrl_c_waits():
             for name in files.names:
@@ -75,6 +72,17 @@ def publishing(folder: Path, files: Files, stale: list[str], pool: Executor | No
         finally:
             if staging != folder:
                 shutil.rmtree(staging, ignore_errors=True)
+
+
+def _is_drawn(drawing: Future[None] | None) -> bool:
+    """Whether a worker has finished a figure: there may be no worker, or one that died over it."""
+    if drawing is None:
+        return False
+    try:
+        drawing.result()
+    except BrokenProcessPool:
+        return False
+    return True
 
 
 def _draw(figure: str, subject: object, path: Path) -> None:

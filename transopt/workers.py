@@ -13,14 +13,8 @@ from transopt.files import ctrl_c_waits
 
 THREADS = "OPENBLAS_NUM_THREADS"  # of the workers' linear algebra: one, unless stated, or they fight each other
 FORKS = "forkserver" in multiprocessing.get_all_start_methods()
-
-
-DESIGNING = (
-    "transopt.design",
-    "scipy.fft",
-    "scipy.integrate",
-    "scipy.interpolate",
-)  # scipy loads its parts when used
+# What designing takes; scipy loads its parts when they are used.
+DESIGNING = ("transopt.design", "scipy.fft", "scipy.integrate", "scipy.interpolate")
 
 
 def context(preload: Sequence[str] = DESIGNING) -> BaseContext:
