@@ -1,15 +1,20 @@
 """Built-in scenes, motors, and the generators of simulated recordings."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from transopt.errors import InputError
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from transopt.scene.scene import Scene
 
 FOLDER = Path(__file__).parent
+SCENES = FOLDER / "scenes"
 
 
 def scene_names() -> list[str]:
     """Names of the built-in scenes, sorted."""
-    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+    return sorted(path.stem for path in SCENES.glob("*.toml"))
 
 
 def scene_path(name: str) -> Path:
@@ -24,4 +29,17 @@ def scene_path(name: str) -> Path:
             f"{name}: no built-in scene of that name; choose one of {', '.join(scene_names())}, "
             "or give the path of a .toml file"
         )
-    return FOLDER / f"{name}.toml"
+    return SCENES / f"{name}.toml"
+
+
+def load(scene: str | Path) -> "Scene":
+    """A scene by its built-in name, or by the path of a .toml file, whose motor may be a built-in one.
+
+    Raises
+    ------
+    InputError : there is none, or it cannot be used.
+    """
+    from transopt.scene.file import load_scene
+
+    path = Path(scene) if str(scene).lower().endswith(".toml") else scene_path(str(scene))
+    return load_scene(path, search=[FOLDER])

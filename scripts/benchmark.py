@@ -15,7 +15,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from benchmark_cases import (
+from common.benchmark_cases import (
     Case,
     Iterations,
     Row,
@@ -34,16 +34,17 @@ from benchmark_cases import (
     servo_and_simulator,
     unlimited_solver,
 )
-from measuring import THREAD_VARIABLES, machine, versions
+from common.measuring import THREAD_VARIABLES
 
 import problems
-from transopt.certify import certify
-from transopt.files import whole_file
-from transopt.heat import Budget, thermal_limit
-from transopt.problem import TransientProblem
-from transopt.report import without_nan
-from transopt.scene_file import load_scene
-from transopt.solvers import SolverOptions, riccati, solve, unlimited
+from transopt.base.files import whole_file, without_nan
+from transopt.base.machine import machine, versions
+from transopt.problem.heat import Budget, thermal_limit
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import certify
+from transopt.solvers import riccati, unlimited
+from transopt.solvers.choose import solve
+from transopt.solvers.options import SolverOptions
 
 LONG, LONGEST = 6000, 20000
 
@@ -61,7 +62,7 @@ def in_a_row(problem: TransientProblem, stages: int) -> TransientProblem:
 
 def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
     """All rows, what iterations take at 600 and at `LONGEST` stages, and the peak memory of `transopt solve` [MB]."""
-    scene = load_scene(problems.scene_path("wood_on_foam"))
+    scene = problems.load("wood_on_foam")
     rows = [calibration()]
     saturated, free = entry(scene, 0.4, 5.0, 600), entry(scene, 0.2, 3.0, 600)
     reference = solve(saturated, SolverOptions("casadi-ipopt"))

@@ -20,31 +20,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-import study_named
 from rich.table import Table
-from study_axes import Plan, apply_settings, parse_axis, parse_numbers
-from study_figures import axis_label, question_figure, study_figure
-from study_inverse import parse_question
-from study_report import answer_markdown, provenance, study_markdown, summary, write_report
-from study_rows import exit_code
-from study_run import Pool, executor_pool
-from study_session import run_plan, run_question
 
 import problems
-from transopt.errors import InputError
-from transopt.plotting import save_figure
-from transopt.scene import Scene
-from transopt.scene_file import load_scene
-from transopt.scene_keys import keys
-from transopt.terminal import console, make_folder
+import transopt.study.named as study_named
+from transopt.base.console import console, make_folder
+from transopt.base.errors import InputError
+from transopt.base.plotting import save_figure
+from transopt.scene.keys import keys
+from transopt.scene.scene import Scene
+from transopt.study.axes import Plan, apply_settings, parse_axis, parse_numbers
+from transopt.study.figures import axis_label, question_figure, study_figure
+from transopt.study.inverse import parse_question
+from transopt.study.report import answer_markdown, provenance, study_markdown, summary, write_report
+from transopt.study.rows import exit_code
+from transopt.study.run import Pool, executor_pool
+from transopt.study.session import run_plan, run_question
 
 SCENE = "wood_on_foam"
 
 
 def load(name: str) -> Scene:
     """A scene by built-in name or by path."""
-    path = Path(name) if name.lower().endswith(".toml") else problems.scene_path(name)
-    return load_scene(path, search=[problems.FOLDER])
+    return problems.load(name)
 
 
 def key_table(scene: Scene) -> Table:

@@ -16,17 +16,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from conversations import conversation, damaged_frame
+from campaign.conversations import conversation, damaged_frame
 
-from controller import messages as m
-from controller.codes import REASONS
-from controller.device import Device
+from controller.device.endpoint import Device
 from controller.firmware.core_device import CoreDevice
 from controller.firmware.core_device import Decoder as CoreDecoder
 from controller.firmware.replay import counts_of
-from controller.interface import Output, Readings
-from controller.wire import Decoder, encode
-from transopt.errors import InputError
+from controller.protocol import messages as m
+from controller.protocol.codes import REASONS
+from controller.protocol.wire import Decoder, encode
+from controller.servo.interface import Output, Readings
+from transopt.base.errors import InputError
 
 TICKS = 4000  # of one conversation
 DAMAGES = (0.0, 0.02, 0.3)  # parts of the frames that arrive damaged, in turn

@@ -23,31 +23,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from compiled_device import CompiledDevice
+from campaign.compiled_device import CompiledDevice
 from scipy import signal
 
 import problems
-from controller.bank import bank
-from controller.configuration import configuration_of
-from controller.driver import Device
-from controller.image import image_of
-from controller.metrics import align
-from controller.plant_file import plant_bytes
-from controller.prediction import predict, scene_of
-from controller.recorder import AFTER_S, BEFORE_S, Contact, Recorder
-from controller.sensors import SEED_SENSORS, Sensors
-from controller.settings import Settings
-from controller.simulator import Imperfections, Simulator
-from controller.truth import device_of
-from problems.simulate import recordings
-from transopt.build import build_library
-from transopt.errors import InputError
-from transopt.importers import load_recording
-from transopt.library import Library
-from transopt.library_file import load_library
-from transopt.recording import Recording
-from transopt.scene_file import load_scene
-from transopt.signals import FloatArray
+from controller.host.driver import Device
+from controller.protocol.configuration import configuration_of
+from controller.protocol.image import image_of
+from controller.record.metrics import align
+from controller.record.recorder import AFTER_S, BEFORE_S, Contact, Recorder
+from controller.servo.settings import Settings
+from controller.sim.plant_file import plant_bytes
+from controller.sim.sensors import SEED_SENSORS, Sensors
+from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.true_device import device_of
+from controller.waveforms.bank import bank
+from controller.waveforms.prediction import predict, scene_of
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.design.build import build_library
+from transopt.library.file import load_library
+from transopt.library.library import Library
+from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import Recording
+from transopt.scene.strikes import recordings
 
 MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03
 IDEAL = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=1e6, grip_hysteresis=0.0, grip_noise_N=0.0)
@@ -304,7 +303,7 @@ def solved() -> Library:
     ------
     InputError : it cannot be solved.
     """
-    scene = load_scene(problems.scene_path("wood_on_foam"))
+    scene = problems.load("wood_on_foam")
     library = build_library(scene, recordings(scene)).library
     if library is None:
         raise InputError("wood_on_foam: not every entry could be solved; see `transopt solve wood_on_foam`")

@@ -15,16 +15,16 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from parity_runs import TAIL, draw_bank, random_run, tap_run
+from campaign.parity_runs import TAIL, draw_bank, random_run, tap_run
 
-from controller.codes import EVENTS
 from controller.firmware.replay import Core, Recorder, Rows, write_runs
-from controller.guard import Guard
-from controller.image import image_of
-from controller.settings import Settings
-from transopt.errors import InputError
-from transopt.library_file import load_library
-from transopt.thermal import CoilModel
+from controller.protocol.codes import EVENTS
+from controller.protocol.image import image_of
+from controller.servo.guard import Guard
+from controller.servo.settings import Settings
+from transopt.base.errors import InputError
+from transopt.library.file import load_library
+from transopt.plant.coil import CoilModel
 
 DOUBLE: tuple[str, ...] = ()
 FLOAT = ("-DTD_REAL_FLOAT",)

@@ -16,25 +16,25 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from ert_cases import SCENES, Case, DisagreementError, case_of_scene, check_name
-from ert_figure import save_small, work_precision
-from ert_methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
-from ert_periods import measure_periods
-from ert_qp import dump
-from ert_report import markdown, summaries_of
-from ert_run import Effort, Row, measure
-from ert_user import user_method
-from ert_wheels import PIP_LINE, hpipm, wheels
-from measuring import THREAD_VARIABLES, elapsed_ms
+from common.measuring import THREAD_VARIABLES, elapsed_ms
+from precision.cases import SCENES, Case, DisagreementError, case_of_scene, check_name
+from precision.figure import save_small, work_precision
+from precision.methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
+from precision.periods import measure_periods
+from precision.qp import dump
+from precision.report import markdown, summaries_of
+from precision.run import Effort, Row, measure
+from precision.user import user_method
+from precision.wheels import PIP_LINE, hpipm, wheels
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from writing import write_csv, write_text
 
-from transopt import transcribe
-from transopt.errors import InputError
-from transopt.plotting import save_figure
-from transopt.statement import state
-from transopt.terminal import make_folder
+from transopt.base.console import make_folder
+from transopt.base.errors import InputError
+from transopt.base.plotting import save_figure
+from transopt.base.writing import write_csv, write_text
+from transopt.solvers import program
+from transopt.solvers.statement import state
 
 FIGURE, REPORT, ROWS = "work_precision.png", "error_against_runtime.md", "rows.csv"
 QUICK = Effort(budget_ms=0.0, least=1)
@@ -95,8 +95,8 @@ def reading_ms(case: Case) -> float:
     """What reading one problem's numbers from the CasADi statement takes, the best of a few."""
 
     def read() -> None:
-        shape = transcribe.program_shape(case.small)
-        transcribe.state_program(shape).qp_data(p=state(case.small).p)
+        shape = program.program_shape(case.small)
+        program.state_program(shape).qp_data(p=state(case.small).p)
 
     return min(elapsed_ms(read) for _ in range(5))
 

@@ -19,18 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from controller.bank import Bank, bank
-from controller.experiment import approach_ticks
-from controller.interface import Fault, Output, Readings, State
-from controller.prediction import scene_of
-from controller.servo import Servo
-from controller.settings import Settings
-from controller.simulator import Imperfections, Simulator
-from controller.truth import device_of
-from controller.user import Habit, TapUser, Tremor
-from transopt.errors import InputError
-from transopt.library import Library
-from transopt.library_file import load_library
+from controller.servo.interface import Fault, Output, Readings, State
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.sim.experiment import approach_ticks
+from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.true_device import device_of
+from controller.sim.user import Habit, TapUser, Tremor
+from controller.waveforms.bank import Bank, bank
+from controller.waveforms.prediction import scene_of
+from transopt.base.errors import InputError
+from transopt.library.file import load_library
+from transopt.library.library import Library
 
 PLAYING_TICKS = 600  # of a tap; instants lie between the first reading and its end
 STROKE_TICKS = 60  # in which a missing current or a stuck encoder must show

@@ -19,13 +19,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from campaign.parity_runs import random_run, tap_run
 from device_differential import DAMAGES, Talk
-from parity_runs import random_run, tap_run
 
 from controller.firmware.build import CORE, FIRMWARE, FLAGS, STRICT, build, sources
 from controller.firmware.replay import REPLAY, write_runs
-from transopt.errors import InputError
-from transopt.library_file import load_library
+from transopt.base.errors import InputError
+from transopt.library.file import load_library
 
 EMULATOR = FIRMWARE / "port" / "emulator"
 LIBRARY = FIRMWARE / "src"
@@ -133,13 +133,13 @@ def _run(command: Sequence[str | Path], folder: Path) -> str:
 def compiler_flags(target: Target) -> list[str]:
     """All but what is compiled."""
     own = [] if target.library else FLAGS
-    headers = [f"-I{LIBRARY}", "-include", "transopt_port.h"] if target.library else []
+    headers = ["-DARDUINO=10819"] if target.library else []
     return ["-mthumb", *target.processor, "-mfloat-abi=hard", *own, *SECTIONS, *STRICT, *target.flags, *headers]
 
 
 def compile_core(target: Target, folder: Path) -> list[Path]:
     """Object files of the core, or of the Arduino library, in this folder."""
-    files = sources(LIBRARY if target.library else CORE)
+    files = [*sources(CORE), *(sources(LIBRARY) if target.library else [])]
     _run([ARM, *compiler_flags(target), "-c", *files], folder)
     return [folder / f"{path.stem}.o" for path in files]
 

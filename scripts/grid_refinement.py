@@ -16,40 +16,23 @@ from pathlib import Path
 import numpy as np
 
 import problems
-from problems.simulate import recordings
-from transopt.build import build_library
-from transopt.design import entry_problem, optimum
-from transopt.discretise import discretise
-from transopt.errors import InputError
-from transopt.grid_figure import grid_figure
-from transopt.library import Library
-from transopt.plotting import save_figure
-from transopt.reference import Reference, between, build_references
-from transopt.refine import DEFAULT_CAP, refine_grid
-from transopt.replay import replayed_errors
-from transopt.scene import Scene
-from transopt.scene_file import load_scene
-from transopt.scene_sections import Drive, LinearParameter
-from transopt.signals import FloatArray
-from transopt.solvers import SolverOptions
+from transopt.base.errors import InputError
+from transopt.base.plotting import save_figure
+from transopt.base.signals import FloatArray
+from transopt.design.build import build_library
+from transopt.design.entry import entry_problem, optimum
+from transopt.design.refine_grid import DEFAULT_CAP, refine_grid
+from transopt.library.library import Library
+from transopt.plant.discretise import discretise
+from transopt.proof.replay import replayed_errors
+from transopt.recordings.reference import Reference, between, build_references
+from transopt.report.grid_figure import grid_figure
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+from transopt.solvers.options import SolverOptions
+from transopt.study.offnode import soft_hand
 
 SEED = 1
-
-
-def soft_hand(scene: Scene) -> Scene:
-    """The device of a drive scene in a heavier, softer, less damped hand, whose resonance moves with grip.
-
-    50 g on a skin of 200 + 1800 F [N/m]: from 46 Hz at 1 N to 97 Hz at 5 N, inside the band of a tap, damping
-    ratio 0.19.
-    """
-    assert isinstance(scene.model, Drive)
-    change = {
-        "mass_kg": 0.05,
-        "skin_stiffness_N_m": LinearParameter(constant=200, per_newton=1800),
-        "skin_damping_N_s_m": LinearParameter(constant=0.5, per_newton=0.2),
-    }
-    hand = scene.model.hand.model_copy(update=change)
-    return scene.model_copy(update={"model": scene.model.model_copy(update={"hand": hand})})
 
 
 def random_points(scene: Scene, count: int, seed: int = SEED) -> FloatArray:
@@ -114,7 +97,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.points < 1:
         parser.error(f"--points {arguments.points}: must be at least 1")
-    scene = load_scene(problems.scene_path("wood_on_foam"))
+    scene = problems.load("wood_on_foam")
     try:
         held = [
             demonstrate("wood_on_foam", scene, arguments),

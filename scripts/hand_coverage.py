@@ -3,8 +3,9 @@
     python scripts/hand_coverage.py [--repeats 200] [--seed 1] [--json FILE]
     python scripts/hand_coverage.py --bias
 
-Repeats the whole experiment: 81 simulated taps of scattering hands (`problems.tapping_trials`), a fit per tap, lines
-over grip, bootstrap intervals. Exit code 1 if one of the six coefficients is covered less than 90 or more than 99 %.
+Repeats the whole experiment: 81 simulated taps of scattering hands (`problems.generators.tapping_trials`), a fit per
+tap, lines over grip, bootstrap intervals. Exit code 1 if one of the six coefficients is covered less than 90 or more
+than 99 %.
 `--bias`: what noise, the low-pass and the accelerometer's pole do to a fit of hands that do not scatter.
 """
 
@@ -17,16 +18,16 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from writing import table
 
-from problems.tapping_trials import Sensors, Spread, recorded, second_order_hands, session, surface
-from transopt.files import whole_file
-from transopt.identify import hand_tap
-from transopt.identify.hand import COEFFICIENTS, HandFit, fit_hand
-from transopt.identify.hand_tap import cut_tap, fit_tap
-from transopt.models import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
-from transopt.scene_sections import SimulatedTaps
-from transopt.signals import FloatArray
+from problems.generators.tapping_trials import Sensors, Spread, recorded, second_order_hands, session, surface
+from transopt.base.files import whole_file
+from transopt.base.signals import FloatArray
+from transopt.base.writing import table
+from transopt.identify.hand import tap as hand_tap
+from transopt.identify.hand.lines import COEFFICIENTS, HandFit, fit_hand
+from transopt.identify.hand.tap import cut_tap, fit_tap
+from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
+from transopt.recordings.settings import SimulatedTaps
 
 TRUTH = np.array(
     [

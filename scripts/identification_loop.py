@@ -31,25 +31,25 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 import problems
-from controller.prediction import scene_of
-from controller.refine_simulated import SimulatedTaps
-from controller.refinement import nodes_of
-from controller.simulated_device import device_in
-from controller.simulator import Imperfections
-from controller.truth import Device
-from problems.simulate import recordings, write_csv
-from transopt import terminal
-from transopt.discretise import discretise
-from transopt.errors import InputError
-from transopt.files import whole_file
-from transopt.library import Library
-from transopt.library_file import load_library
-from transopt.models import Link, StateSpace, chain
-from transopt.optimum import optimum
-from transopt.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure
-from transopt.scene_file import load_scene
-from transopt.signals import nrmse
-from transopt.solvers import SolverOptions
+from controller.cli.refine_simulated import SimulatedTaps
+from controller.refine.rounds import nodes_of
+from controller.sim.chosen_device import device_in
+from controller.sim.simulator import Imperfections
+from controller.sim.true_device import Device
+from controller.waveforms.prediction import scene_of
+from problems.generators.strikes import write_csv
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+from transopt.base.files import whole_file
+from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure
+from transopt.base.signals import nrmse
+from transopt.design.optimum import optimum
+from transopt.library.file import load_library
+from transopt.library.library import Library
+from transopt.plant.chain import Link, StateSpace, chain
+from transopt.plant.discretise import discretise
+from transopt.scene.strikes import recordings
+from transopt.solvers.options import SolverOptions
 
 OVER_A = 1e-6
 HALF = 0.5  # of the nominal model's error beyond the known truth's may be left with the identified one
@@ -87,7 +87,7 @@ def command(program: str, *arguments: object) -> None:
     """
     words = [str(argument) for argument in arguments]
     print(f"$ {program} {' '.join(words)}", flush=True)
-    module = {"transopt": "transopt.cli", "transopt-play": "controller.cli"}[program]
+    module = {"transopt": "transopt.cli.main", "transopt-play": "controller.cli.play"}[program]
     done = subprocess.run([sys.executable, "-c", f"from {module} import main; main()", *words], check=False)
     if done.returncode > 1:
         raise InputError(f"{program} {words[0]}: ended with {done.returncode}")
@@ -97,7 +97,7 @@ def command(program: str, *arguments: object) -> None:
 
 def recorded_scene(name: str, folder: Path) -> Path:
     """A scene file whose recordings are files, so that the references stay when the model changes."""
-    scene = load_scene(problems.scene_path(name), search=[problems.FOLDER])
+    scene = problems.load(name)
     if scene.recordings.simulated is None:
         raise InputError(f"--scene {name}: has no simulated object whose recordings could be written")
     taps = folder / "recordings"

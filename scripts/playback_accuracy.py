@@ -17,17 +17,17 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.bank import Bank, bank
-from controller.experiment import Metrics, Tap, play_tap
-from controller.metrics import align
-from controller.prediction import predict
-from controller.servo import Servo
-from controller.settings import Settings
-from transopt.errors import InputError
-from transopt.files import whole_file
-from transopt.library import Library
-from transopt.library_file import load_library
-from transopt.signals import FloatArray, nrmse
+from controller.record.metrics import align
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.sim.experiment import Metrics, Tap, play_tap
+from controller.waveforms.bank import Bank, bank
+from controller.waveforms.prediction import predict
+from transopt.base.errors import InputError
+from transopt.base.files import whole_file
+from transopt.base.signals import FloatArray, nrmse
+from transopt.library.file import load_library
+from transopt.library.library import Library
 
 MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03
 SEED = 1

@@ -17,11 +17,10 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-import seed_device
-from measuring import machine
-from seed_comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
-from seed_plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
-from seed_report import (
+import seed.device as seed_device
+from seed.comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
+from seed.plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
+from seed.report import (
     Compared,
     ahead_of_all,
     how_measured,
@@ -31,21 +30,21 @@ from seed_report import (
     real_tap_table,
     shape_table,
 )
-from writing import write_csv, write_text
 
 import problems
-from controller.bank import Method
-from controller.experiment import Played
-from controller.inversions import unlimited_optimum
-from controller.prediction import scene_of
-from problems.simulate import recordings
-from transopt.build import build_library
-from transopt.errors import InputError
-from transopt.library import Library
-from transopt.plotting import save_figure
-from transopt.scene import Scene
-from transopt.scene_file import load_scene
-from transopt.signals import STANDARD_GRAVITY_M_S2
+from controller.sim.experiment import Played
+from controller.waveforms.bank import Method
+from controller.waveforms.inversions import unlimited_optimum
+from controller.waveforms.prediction import scene_of
+from transopt.base.errors import InputError
+from transopt.base.machine import machine
+from transopt.base.plotting import save_figure
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.writing import write_csv, write_text
+from transopt.design.build import build_library
+from transopt.library.library import Library
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
 
 SCENE = "wood_on_foam"
 GRIPS_N = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)  # of Fig. 7
@@ -313,7 +312,7 @@ def main() -> int:
     except OSError as error:
         parser.error(f"--out {arguments.out}: cannot be written ({error.strerror}); choose another folder")
     try:
-        library, steady = libraries(load_scene(problems.scene_path(SCENE)))
+        library, steady = libraries(problems.load(SCENE))
         experiment = Experiment(library, steady, nodes(library), METHODS, arguments.devices, arguments.jobs)
         command = f"python scripts/seed_figures.py --out DIR --devices {arguments.devices} --jobs {arguments.jobs}"
         write_all(experiment, arguments.out, command)

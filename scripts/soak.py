@@ -22,18 +22,18 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.bank import Bank, bank
-from controller.interface import Fault, Notice, Output, Readings, State
-from controller.loop import run
-from controller.prediction import scene_of
-from controller.servo import Servo
-from controller.settings import Settings
-from controller.simulator import Imperfections, Simulator
-from controller.truth import device_of
-from controller.user import RepeatedTaps, Tremor
-from transopt.errors import InputError
-from transopt.library import Library
-from transopt.library_file import load_library
+from controller.servo.interface import Fault, Notice, Output, Readings, State
+from controller.servo.loop import run
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.true_device import device_of
+from controller.sim.user import RepeatedTaps, Tremor
+from controller.waveforms.bank import Bank, bank
+from controller.waveforms.prediction import scene_of
+from transopt.base.errors import InputError
+from transopt.library.file import load_library
+from transopt.library.library import Library
 
 STRETCH_S = 10.0
 TURN_TICKS = 200  # after which the host looks whether there is a fault to reset

@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-#include "../transopt/solvers/riccati.c"
+#include "../transopt/solvers/native/riccati.c"
 
 enum { INTEGERS = 8, ARRAYS = 18, NUMBERS = 5 };
 

@@ -21,14 +21,13 @@ from pathlib import Path
 import numpy as np
 
 import problems
-from problems.simulate import recordings
-from transopt import native
-from transopt.design import entry_problem, scene_stage
-from transopt.parts import pressing, reference_course
-from transopt.problem import TransientProblem
-from transopt.reference import build_references
-from transopt.scene_file import load_scene
-from transopt.stagewise import Stages, runtime_stages, without_limits
+from transopt.design.entry import entry_problem, scene_stage
+from transopt.problem.leave_out import pressing, reference_course
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage_data import Stages, runtime_stages, without_limits
+from transopt.recordings.reference import build_references
+from transopt.scene.strikes import recordings
+from transopt.solvers.native import extension as native
 
 SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
 SOURCE = Path(__file__).with_suffix(".c")
@@ -41,7 +40,7 @@ MISSING = 3
 
 def hardest(name: str) -> TransientProblem:
     """The fastest tap under the firmest grip of a scene."""
-    scene = load_scene(problems.scene_path(name))
+    scene = problems.load(name)
     references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
     problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
     if problem.wall is None:

@@ -23,18 +23,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from study_axes import Plan, parse_axis
-from study_report import provenance
-from study_rows import OPTIMAL, Row, number
-from study_run import Pool, dask, processes
-from study_session import run_plan
-from writing import table, write_text
 
 import problems
-from transopt.errors import InputError
-from transopt.scene_file import load_scene
-from transopt.signals import FloatArray
-from transopt.terminal import make_folder
+from transopt.base.console import make_folder
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.base.writing import table, write_text
+from transopt.study.axes import Plan, parse_axis
+from transopt.study.report import provenance
+from transopt.study.rows import OPTIMAL, Row, number
+from transopt.study.run import Pool, dask, processes
+from transopt.study.session import run_plan
 
 WAYS = ("one", "processes", "dask")
 SPEEDS_M_S = tuple(float(v) for v in np.round(np.linspace(0.2, 0.4, 10), 4))
@@ -344,7 +343,7 @@ def main(words: list[str] | None = None) -> int:
         if arguments.points < 2 or arguments.workers < 1:
             raise InputError("--points must be at least 2, --workers at least 1")
         make_folder(arguments.out)
-        scene = load_scene(problems.scene_path("wood_on_foam"))
+        scene = problems.load("wood_on_foam")
         axis = parse_axis(scene, "--points", f"limits.current_A=1.2:2:{arguments.points}")
         plan = Plan(scene, (axis,), SPEEDS_M_S, GRIPS_N)
         with tempfile.TemporaryDirectory(dir=arguments.out) as folder:

@@ -18,11 +18,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from unplug_cases import KINDS, PHASES, Case, Outcome
-from unplug_processes import KINDS as PROCESS_KINDS
-from unplug_processes import Ended, play
+from campaign.unplug_cases import KINDS, PHASES, Case, Outcome
+from campaign.unplug_processes import KINDS as PROCESS_KINDS
+from campaign.unplug_processes import Ended, play
 
-from transopt.errors import InputError
+from transopt.base.errors import InputError
 
 
 def virtual(cases: int, seed: int, folder: Path) -> list[Outcome]:

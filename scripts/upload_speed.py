@@ -17,17 +17,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from compiled_device import DT_S, SETTINGS, TAIL, CompiledDevice, plant_of, smooth_bank
-from measuring import machine
+from campaign.compiled_device import DT_S, SETTINGS, TAIL, CompiledDevice, plant_of, smooth_bank
 
-from controller.configuration import configuration_of
-from controller.driver import Device
 from controller.firmware.build import compiler
-from controller.image import image_of, sha256
-from controller.transport import Transport
-from controller.user import StillHand
-from transopt.errors import InputError
-from transopt.files import whole_file
+from controller.host.driver import Device
+from controller.host.transport import Transport
+from controller.protocol.configuration import configuration_of
+from controller.protocol.image import image_of, sha256
+from controller.sim.user import StillHand
+from transopt.base.errors import InputError
+from transopt.base.files import whole_file
+from transopt.base.machine import machine
 
 SPEEDS, GRIPS, SAMPLES = 20, 20, 500  # 400 kB of int16
 HELD_S = 0.1  # of the hand's trajectory, gone through over and over

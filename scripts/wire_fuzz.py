@@ -16,13 +16,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import cycle
 
-from controller import messages as m
-from controller.codes import Kind
-from controller.device import Device
-from controller.interface import Readings
-from controller.session import Session
-from controller.states import OVER
-from controller.wire import DELIMITER, PAYLOAD_LIMIT, Decoder, encode
+from controller.device.endpoint import Device
+from controller.host.session import Session
+from controller.host.session_states import OVER
+from controller.protocol import messages as m
+from controller.protocol.codes import Kind
+from controller.protocol.wire import DELIMITER, PAYLOAD_LIMIT, Decoder, encode
+from controller.servo.interface import Readings
 
 Damage = Callable[[bytes, bytes, random.Random], bytes]
 BATCH = 200  # frames between two that must come through

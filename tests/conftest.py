@@ -1,6 +1,7 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
 import importlib
+import pkgutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -12,29 +13,28 @@ import numpy as np
 import pytest
 
 import problems
-from controller.bank import Bank, bank
-from controller.interface import State
-from controller.settings import Settings
-from problems.simulate import recordings
-from tests.command_bench import Run, Terminal
-from tests.desk import PORT, Desk
-from tests.model_parts import Make, scene_on
-from tests.servo_bench import WALL, Bench
-from tests.study_bench import MODULES, SCRIPTS
-from transopt.build import Build, build_library
-from transopt.certify import certify
-from transopt.design import entry_problem, scene_stage
-from transopt.discretise import discretise
-from transopt.heat import Budget, thermal_limit
-from transopt.library import Library
-from transopt.problem import Solution, Status, TransientProblem
-from transopt.recording import Recording
-from transopt.reference import Reference, build_references
-from transopt.scene import Scene
-from transopt.scene_file import load_scene
+from controller.servo.interface import State
+from controller.servo.settings import Settings
+from controller.waveforms.bank import Bank, bank
+from tests.benches.commands import Run, Terminal
+from tests.benches.desk import PORT, Desk
+from tests.benches.model_parts import Make, scene_on
+from tests.benches.places import SCRIPTS
+from tests.benches.servo import WALL, Bench
+from tests.benches.study import MODULES
+from transopt.design.build import Build, build_library
+from transopt.design.entry import entry_problem, scene_stage
+from transopt.library.library import Library
+from transopt.plant.discretise import discretise
+from transopt.problem.heat import Budget, thermal_limit
+from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.proof.certify import certify
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, build_references
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
 
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
-IMPACTS = Path(__file__).parents[2] / "shared" / "data" / "impacts"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -54,7 +54,7 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
 
 @pytest.fixture(scope="session")
 def scene() -> Scene:
-    return load_scene(problems.scene_path("wood_on_foam"))
+    return problems.load("wood_on_foam")
 
 
 @pytest.fixture(scope="session")
@@ -163,7 +163,7 @@ def study() -> Iterator[SimpleNamespace]:
         patch.syspath_prepend(str(SCRIPTS))
         for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
             patch.setenv(name, "1")  # which a study would set for good
-        yield SimpleNamespace(**{name: importlib.import_module(name) for name in MODULES})
+        yield SimpleNamespace(**{name: importlib.import_module(path) for name, path in MODULES.items()})
 
 
 @pytest.fixture
@@ -184,7 +184,10 @@ class Scripts:
     """The script and its parts, found beside it as when it is called by its path."""
 
     def __getattr__(self, name: str) -> ModuleType:
-        return importlib.import_module(name)
+        found = importlib.import_module(name)
+        for part in pkgutil.iter_modules(getattr(found, "__path__", [])):
+            importlib.import_module(f"{name}.{part.name}")
+        return found
 
 
 @pytest.fixture(scope="session")
@@ -202,7 +205,7 @@ def short_scene(scene: Scene) -> Scene:
 @pytest.fixture(scope="session")
 def short_case(scripts: Any, make_problem: ProblemMaker, short_scene: Scene) -> Any:
     problem = make_problem(stages=STAGES)
-    return scripts.ert_cases.make_case("short", short_scene, problem, 0.4, 5.0)
+    return scripts.precision.cases.make_case("short", short_scene, problem, 0.4, 5.0)
 
 
 @pytest.fixture(scope="session")
@@ -219,7 +222,7 @@ def rows_of(scripts: Any, short_case: Any) -> Callable[..., list[Any]]:
     """Rows of methods on the short case, each setting run once after its two first runs."""
 
     def measured(*methods: Any) -> list[Any]:
-        return list(scripts.ert_run.measure(short_case, methods, scripts.ert_run.Effort(0.0, least=1)))
+        return list(scripts.precision.run.measure(short_case, methods, scripts.precision.run.Effort(0.0, least=1)))
 
     return measured
 

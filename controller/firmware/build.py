@@ -16,10 +16,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from transopt.errors import InputError
+from transopt.base.errors import InputError
 
 FIRMWARE = Path(__file__).parent
-CORE = FIRMWARE / "core"
+CORE = FIRMWARE / "src" / "core"
 # Contraction of a * b + c would give other bits than Python's floats.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-Wshadow")

@@ -1,15 +1,15 @@
-"""The compiled core behind the interface of `controller.device.Device`, for comparing the two byte by byte."""
+"""The compiled core behind the interface of `controller.device.endpoint.Device`, to compare the two byte by byte."""
 
 import ctypes
 import functools
 from collections.abc import Iterator
 
-from controller.codes import EVENTS, STATES
 from controller.firmware.build import CORE, build, sources
 from controller.firmware.replay import MOST_EVENTS, REPLAY, counts_of
-from controller.interface import Event, Output, Readings
-from controller.limits import Hardware
-from controller.wire import ENCODED_LIMIT, PAYLOAD_LIMIT
+from controller.protocol.capacity import Hardware
+from controller.protocol.codes import EVENTS, STATES
+from controller.protocol.wire import ENCODED_LIMIT, PAYLOAD_LIMIT
+from controller.servo.interface import Event, Output, Readings
 
 
 @functools.cache

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.bank import Bank
-from controller.codes import EVENT_CODES, STATES
-from controller.configuration import configuration_of
 from controller.firmware.build import CORE, FIRMWARE, build, sources
-from controller.interface import Output, Readings
-from controller.messages import NO_COUNTS
-from controller.servo import Servo
-from controller.settings import Settings
-from transopt.signals import FloatArray
+from controller.protocol.codes import EVENT_CODES, STATES
+from controller.protocol.configuration import configuration_of
+from controller.protocol.messages import NO_COUNTS
+from controller.servo.interface import Output, Readings
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.waveforms.bank import Bank
+from transopt.base.signals import FloatArray
 
 REPLAY = FIRMWARE / "replay"
 MOST_EVENTS = 10

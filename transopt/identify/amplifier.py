@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, signal, special
 
-from transopt.discretise import split_delay
-from transopt.errors import InputError
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal
 from transopt.identify.checks import Fault, Finding
 from transopt.identify.spectrum import ComplexArray, TransferEstimate, Trial, estimate_transfer
-from transopt.signals import FloatArray, Signal
+from transopt.plant.discretise import split_delay
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 COHERENT = 0.8  # bins below take no part

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from transopt.errors import InputError
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial
-from transopt.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 
 LEAST_CYCLES = 1.0  # per octave, in all trials together
 LEAST_TRIALS = 2

@@ -1,7 +1,7 @@
 """Thermal resistances and time constants of a coil from a heating and cooling record (DESIGN 3.3).
 
-The two-node model of `transopt.thermal`, copper's resistance rise and the ripple of seed Eq. 7 included, is driven by
-the recorded current and compared with the recorded temperatures: nonlinear least squares in the logarithms of the
+The two-node model of `transopt.plant.coil`, copper's resistance rise and the ripple of seed Eq. 7 included, is driven
+by the recorded current and compared with the recorded temperatures: nonlinear least squares in the logarithms of the
 four parameters from several starts. With `ambient_C` recorded the ambient is known and the start temperatures are
 fitted too; without it the record must begin cold, everything at one temperature, which is fitted.
 
@@ -14,17 +14,11 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize, stats
 
-from transopt.errors import InputError
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal
 from transopt.identify.coil_units import unbelievable
 from transopt.identify.measurement import Measurement
-from transopt.signals import FloatArray, Signal
-from transopt.thermal import (
-    COPPER_PER_K,
-    PWM_RIPPLE_A,
-    RESISTANCE_REFERENCE_C,
-    CoilModel,
-    effective_square,
-)
+from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel, effective_square
 
 NAMES = ("R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s")
 LEVEL = 0.95

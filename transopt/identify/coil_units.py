@@ -1,6 +1,6 @@
 """Coils that no motor of a haptic device has: a unit of the record is wrong, not the motor."""
 
-from transopt.thermal import CoilModel
+from transopt.plant.coil import CoilModel
 
 CREDIBLE_K_W = (0.2, 500.0)  # of coil to ambient; motors of 6 mm and of 60 mm lie within
 CREDIBLE_S = (5.0, 2e4)  # of a housing's time constant

@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from transopt.errors import InputError
-from transopt.signals import STANDARD_GRAVITY_M_S2, Signal
-from transopt.table_formats import Scalar, Vocabulary
-from transopt.tabular import read_table
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.recordings.formats import Scalar, Vocabulary
+from transopt.recordings.table import read_table
 
 WORDS = Vocabulary(
     columns={

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from transopt.errors import InputError
-from transopt.signals import FloatArray, Signal
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal
 
 ComplexArray = NDArray[np.complex128]
 

@@ -6,11 +6,11 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from transopt import transcribe
-from transopt.problem import Solution, Status, TransientProblem
-from transopt.signals import FloatArray
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
-from transopt.statement import state
+from transopt.solvers.statement import state
 
 RELAXED = 1e-8  # by which the method widens every bound, times max(1, |bound|); CasADi does not let it be turned off
 LEAST_NLP_TOLERANCE = 1e-8  # with the temperature, it asks for more digits than it has and does not end

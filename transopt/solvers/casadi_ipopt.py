@@ -6,10 +6,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from transopt import transcribe
-from transopt.problem import Solution, Status, TransientProblem
+from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
-from transopt.statement import state
+from transopt.solvers.statement import state
 
 LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
 

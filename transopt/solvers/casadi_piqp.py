@@ -6,10 +6,10 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from transopt import transcribe
-from transopt.problem import Solution, Status, TransientProblem
+from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
-from transopt.statement import state
+from transopt.solvers.statement import state
 
 # Raw strings of the plugin; anything else is a breakdown.
 STATUS = {

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
-from transopt import transcribe
-from transopt.problem import TransientProblem
-from transopt.signals import FloatArray
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import TransientProblem
+from transopt.solvers import program as transcribe
 from transopt.solvers.sparse_kkt import pattern
-from transopt.statement import state
+from transopt.solvers.statement import state
 
 SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method

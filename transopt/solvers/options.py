@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from transopt import native
-from transopt.errors import InputError
+from transopt.base.errors import InputError
+from transopt.solvers.native import extension as native
 
 FALLBACK = "casadi-piqp"
 

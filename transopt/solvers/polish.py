@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from transopt.certify import certify
-from transopt.linear import hand_over_rows, linear_stage
-from transopt.problem import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status, TransientProblem
-from transopt.signals import FloatArray
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, Status, TransientProblem
+from transopt.problem.stage import hand_over_rows, linear_stage
+from transopt.proof.certify import certify
 
 MOST_SETS = 25  # active sets tried,
 MOST_STAGES = 40000  # and stages swept for them, in all

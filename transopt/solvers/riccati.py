@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from transopt import stagewise
-from transopt.farkas import is_infeasible
-from transopt.linear import LinearStage, layout, linear_stage
-from transopt.native import MOST_STATES, Buffers, available, interior_point
-from transopt.problem import Solution, Status, TransientProblem
+from transopt.problem import stage_data as stagewise
+from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.problem.stage import LinearStage, layout, linear_stage
+from transopt.problem.stage_data import Derivatives, Stages
+from transopt.proof.farkas import is_infeasible
+from transopt.solvers.native.extension import MOST_STATES, Buffers, available, interior_point
 from transopt.solvers.options import SolverOptions
-from transopt.stagewise import Derivatives, Stages
-from transopt.transcribe import nonzeros, program_shape, stage_data, stage_shape, supply_mask
+from transopt.solvers.program import nonzeros, program_shape, stage_data, stage_shape, supply_mask
 
 __all__ = ["available", "can_solve", "solve", "stages"]
 

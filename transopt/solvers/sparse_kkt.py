@@ -7,10 +7,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from transopt import transcribe
-from transopt.problem import TransientProblem
-from transopt.signals import FloatArray
-from transopt.statement import state
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import TransientProblem
+from transopt.solvers import program as transcribe
+from transopt.solvers.statement import state
 
 REFINEMENTS = 2
 

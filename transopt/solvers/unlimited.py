@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from transopt import native, stagewise
-from transopt.linear import hand_over_rows, layout, linear_stage
-from transopt.problem import OBJECTIVE_SCALE, Multipliers, Solution, Status, TransientProblem
-from transopt.signals import FloatArray
+from transopt.base.signals import FloatArray
+from transopt.problem import stage_data
+from transopt.problem.problem import OBJECTIVE_SCALE, Multipliers, Solution, Status, TransientProblem
+from transopt.problem.stage import hand_over_rows, layout, linear_stage
 from transopt.solvers import sparse_kkt
-from transopt.solvers.riccati_lq import Pass, Point, Tracking, prepare
+from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
+from transopt.solvers.native import extension as native
 
 GAP = 1e-8  # of max(J, 1e-3): a hundredth of what a certificate may have, a hundred times what rounding leaves
 REFINEMENTS = 4
@@ -129,7 +130,7 @@ def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | N
     """The pass of the extension, if it is there and its gap small enough."""
     if not native.available or layout(problem).states > native.MOST_STATES:
         return None
-    run = native.LinearPass(stagewise.without_limits(problem))
+    run = native.LinearPass(stage_data.without_limits(problem))
     answer = run.solve(GAP)
     if answer.code not in (native.SOLVED, native.ACCURACY) or not answer.relative_gap <= GAP:
         return None

@@ -1,5 +1,5 @@
-/* A true device in a user's hand, linear: the simulator's exact flow (controller/simulator.py), step by step from a
- * file of matrices and of the hand's trajectory, which controller/plant_file.py writes. */
+/* A true device in a user's hand, linear: the simulator's exact flow (controller/sim/simulator.py), step by step from a
+ * file of matrices and of the hand's trajectory, which controller/sim/plant_file.py writes. */
 #ifndef PLANT_H
 #define PLANT_H
 

@@ -14,7 +14,7 @@
 extern "C" {
 #endif
 
-#include "../core/td_device.h"
+#include "core/td_device.h"
 
 /* sizeof(td_device) as the library was compiled; a sketch for which it is another must not start. */
 size_t transopt_device_bytes(void);

@@ -1,0 +1,1 @@
+"""The commands `transopt-play` and `transopt-device`, one file per command."""

@@ -1,0 +1,353 @@
+"""`transopt-play` for a device on a port: ports, upload, monitor, check, and tap's half with --port.
+
+Heavy imports stand inside the commands, so that help and errors come at once.
+"""
+
+import gc
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.cli.options import within
+from transopt.base import console as terminal
+
+if TYPE_CHECKING:
+    from controller.host.driver import Device
+    from controller.host.monitor import Monitor
+    from controller.host.payload import Load
+    from controller.protocol.messages import HelloReply
+    from controller.record.recorder import Recorder
+
+LISTEN_S = 0.05  # between two looks at whether to end
+STOPPED = "stopped; the device is disarmed"
+Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://HOST:PORT.")]
+Reset = Annotated[bool, typer.Option("--reset", help="Leave a latched fault first; its cause must be gone.")]
+Seconds = Annotated[float | None, typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.")]
+LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
+
+
+def open_device(port: str) -> "Device":
+    """Connect; what the commands do is the same for any device that speaks the protocol."""
+    from controller.host.driver import Device
+
+    return Device(port)
+
+
+def load(device: "Device", given: "Load") -> None:
+    """Configuration and library in force, with a progress bar where there is a terminal."""
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+
+    console = terminal.console()
+    device.configure(given.configuration)
+    began_s = time.monotonic()
+    columns = (TextColumn("upload"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("upload", total=len(given.image))
+        sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
+    took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
+    words = f"uploaded {took}" if sent else "the device has this library already"
+    console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
+
+
+class StoppedError(Exception):
+    """Ctrl-C while a device was looked after; it is disarmed."""
+
+
+@contextmanager
+def disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
+    """The first Ctrl-C disarms; at another one meanwhile the driver gives an emergency stop.
+
+    Raises
+    ------
+    StoppedError : that happened.
+    """
+    from controller.servo.interface import State
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if device.state is not State.FAULT:
+            device.disarm()
+        raise StoppedError from None
+
+
+@contextmanager
+def connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
+    """A device for the length of a block; a fault is left only where the user says so, None does not look.
+
+    Raises
+    ------
+    InputError : no device, or a fault is latched.
+    """
+    from controller.servo.interface import State
+
+    try:
+        with open_device(port) as device:
+            if reset and device.state is State.FAULT:
+                device.reset()
+            if reset is not None:
+                device.need_no_fault()
+            yield device
+    except KeyboardInterrupt:
+        # The driver has given an armed one an emergency stop.
+        typer.echo("stopped; nothing is left armed", err=True)
+        raise typer.Exit(130) from None
+
+
+def _listen(device: "Device", duration_s: float | None, ended: Callable[[], bool], *, armed: bool | None) -> None:
+    """Until it is so, or for so long, or for ever.
+
+    Parameters
+    ----------
+    armed : True ends when the device is armed no more, by a fault or a lost lease; False at a fault; None at neither.
+    """
+    from controller.servo.interface import State
+
+    over = {True: (State.FAULT, State.IDLE), False: (State.FAULT,), None: ()}[armed]
+    end_s = float("inf") if duration_s is None else device.now_s() + duration_s
+    while not ended() and device.now_s() < end_s:
+        device.listen(min(LISTEN_S, end_s - device.now_s()))
+        if device.state in over:
+            # The event that says why may come after the state.
+            device.listen(2 * LISTEN_S)
+            return
+
+
+def ports() -> None:
+    """List the serial ports there are."""
+    from controller.host.transport import port_names
+
+    found = port_names()
+    console = terminal.console()
+    for name, description in found:
+        console.print(f"{name}  {description}".rstrip(), highlight=False)
+    if not found:
+        console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
+
+
+def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
+    """Put a library into a device, whole or not at all; goes on where an upload was cut off."""
+    from controller.host.payload import payload
+
+    given = payload(library)
+    with connected(port, reset) as device:
+        load(device, given)
+
+
+def monitor(
+    port: Port,
+    every: Annotated[int, typer.Option(help="One record every so many ticks.")] = 100,
+    seconds: Seconds = None,
+) -> None:
+    """Watch a device; it is neither configured nor armed."""
+    from controller.host.monitor import Monitor
+    from controller.protocol.events import Changed
+    from controller.servo.settings import Settings
+
+    within("every", every, 1, 65535, " ticks")
+    ends(None, seconds)
+    console = terminal.console()
+    with connected(port) as device:
+        hello = device.hello
+        console.print(_who(port, hello), highlight=False, soft_wrap=True)
+        with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
+            shown.take(Changed(device.state, device.fault))
+            device.listeners.append(shown.take)
+            device.set_telemetry(every)
+            try:
+                _listen(device, seconds, lambda: False, armed=None)
+            finally:
+                console.print(shown.table())
+
+
+def _who(port: str, hello: "HelloReply") -> str:
+    """One line about a device."""
+    version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
+    there, known = any(hello.configuration_sha256), any(hello.library_sha256)
+    checked = "checked" if hello.checked_sha256 == hello.configuration_sha256 else "not checked"
+    return (
+        f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
+        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_limit_A:g} A and {hello.command_limit_A:g} A, "
+        + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
+        + (f"library {hello.library_sha256.hex()[:8]}" if known else "no library")
+    )
+
+
+@contextmanager
+def no_long_pauses() -> Iterator[None]:
+    """A full collection over all that numpy, scipy and rich have made takes 0.15 s, most of a lease."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def run(
+    device: "Device",
+    recorder: "Recorder",
+    shown: "Monitor",
+    ended: Callable[[], bool],
+    seconds: float | None,
+    gain: float | None,
+) -> bool:
+    """Arm unless the gain is None, and take telemetry of every tick to screen and files; whether Ctrl-C ended it.
+
+    Raises
+    ------
+    LinkLostError : the device is gone; the files are whole as far as they go.
+    """
+    from controller.host.driver import LinkLostError
+    from controller.servo.interface import State
+
+    stopped = False
+    with recorder, shown, no_long_pauses():
+        device.listeners += [recorder.take, shown.take]
+        try:
+            with disarmed_by_ctrl_c(device):
+                if gain is not None:
+                    device.arm(gain)
+                device.set_telemetry(1)
+                _listen(device, seconds, ended, armed=gain is not None)
+                if device.state is not State.FAULT:
+                    device.disarm()
+        except StoppedError:
+            stopped = True
+        except LinkLostError as lost:
+            raise LinkLostError(f"{lost}{recorder.in_words()}") from None
+        finally:
+            device.listeners.remove(recorder.take)
+            device.listeners.remove(shown.take)
+    return stopped
+
+
+class ConsolePerson:
+    """Whoever reads the terminal."""
+
+    def asked(self, what: str) -> None:
+        terminal.console().print(f"  please {what}", highlight=False)
+
+
+def check(
+    port: Port,
+    library: Annotated[Path | None, typer.Argument(help="library.npz; without it only the sensors.")] = None,
+    rest_g: Annotated[float, typer.Option(help="Accelerometer at rest in g: 1 level, 0 upright surface.")] = 1.0,
+    skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
+    patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
+    sweep: Annotated[
+        bool, typer.Option("--sweep", help="For `record sweep`, with the library's limits or the built-in ones.")
+    ] = False,
+    reset: Reset = False,
+) -> None:
+    """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
+    from controller.cli.tables import VERDICTS, check_table
+    from controller.host.bringup import Check, Result, check_skipped, passed, run_steps
+    from controller.host.payload import payload, trial_sweep
+    from controller.servo.settings import Settings
+
+    within("rest-g", rest_g, -1.0, 1.0, " g")
+    within("patience", patience, 0.1, 3600.0, " s")
+    skipped = check_skipped(skip or ())
+    given: Load | None = None if library is None else payload(library)
+    console = terminal.console()
+
+    def told(result: Result) -> None:
+        console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
+
+    with connected(port, reset) as device:
+        if sweep:
+            given = trial_sweep(device.hello, library)
+        if given is not None:
+            load(device, given)
+        settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
+        device.set_telemetry(1)
+        bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
+        results = run_steps(bench, skipped, told)
+        good = passed(results, skipped)
+        if good:
+            device.checked()
+    console.print(check_table(results, f"{port}: bring-up check"))
+    if any(result.passed is False for result in results):
+        words = "failed: put right what is wrong, then check again; until then the device does not arm"
+        console.print(words, style="red", highlight=False)
+        raise typer.Exit(1)
+    without = f" without {', '.join(skipped)}" if skipped else ""
+    console.print(
+        f"passed{without}: this configuration may be armed until the device starts anew"
+        if good
+        else "the sensors are as they should be; give a library for the rest of the check",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def ends(taps: int | None, seconds: float | None) -> None:
+    """What may end a run."""
+    if taps is not None:
+        within("taps", taps, 1, 1_000_000)
+    if seconds is not None:
+        within("for", seconds, 0.0, 1e9, " s")
+
+
+def tap_on_port(
+    library: Path,
+    port: str,
+    *,
+    gain: float | None,
+    out: Path | None,
+    taps: int | None,
+    seconds: float | None,
+    accelerometer_Hz: float,
+    reset: bool,
+) -> None:
+    """Arm, let the user tap, record, and say of each tap how well it was played."""
+    from controller.cli.tables import played_table
+    from controller.host.first_run import default_gain, remember
+    from controller.host.monitor import Monitor
+    from controller.host.payload import payload
+    from controller.protocol.codes import LinkNotice
+    from controller.protocol.image import sha256
+    from controller.record.judge import judge
+    from controller.record.recorder import Recorder, make_room
+    from controller.servo.interface import Notice
+
+    if gain is not None:
+        within("gain", gain, 0.0, 1.0)
+    within("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
+    ends(taps, seconds)
+    given = payload(library)
+    if out is not None:
+        make_room(out)
+    settings, configuration = given.settings, sha256(given.configuration)
+    console = terminal.console()
+    with connected(port, reset) as device:
+        load(device, given)
+        hello = device.hello
+        played_at = default_gain(hello.boot, configuration) if gain is None else gain
+        title = f"{library} on {port}, gain {played_at:g}"
+        recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts)
+        shown = Monitor(console, title, hello.dt_s, settings.count_m)
+        stopped = run(
+            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, played_at
+        )
+    judged = [judge(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts]
+    console.print(played_table(judged, shown.events, title))
+    if out is not None:
+        console.print(recorder.in_words().removeprefix("; "), highlight=False, soft_wrap=True)
+    if shown.events[Notice.FINISHED] and not shown.faults and played_at > 0:
+        remember(hello.boot, configuration)
+    if shown.faults:
+        console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
+    if stopped:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130)
+    lost = shown.events[LinkNotice.LEASE_LOST]
+    if lost:
+        console.print(LinkNotice.LEASE_LOST.value, style="red", highlight=False)
+    if shown.faults or lost or not shown.events[Notice.FINISHED]:
+        raise typer.Exit(1)

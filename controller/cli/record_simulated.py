@@ -1,0 +1,182 @@
+"""`transopt-play record --simulate`: the files of a recording, and what is said about them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+
+from controller.record.sweep_plan import PlannedSweep, check_plan
+from controller.record.trial_file import write_measurement
+from controller.servo.settings import Settings
+from controller.sim.chosen_device import device_in, scene_like
+from controller.sim.records import (
+    Record,
+    heat_record,
+    noise_seed,
+    object_record,
+    played_record,
+    sweep_records,
+    true_coil,
+)
+from controller.sim.sensors import SEED_SENSORS
+from controller.sim.simulator import Imperfections
+from controller.waveforms.prediction import scene_of
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+from transopt.library.file import load_library
+
+MOST_HEAT_S = 24 * 3600.0
+
+
+def _empty_folder(out: Path, pattern: str) -> None:
+    """Recordings are never written over."""
+    terminal.make_folder(out)
+    _refuse_old(out, sorted(path.name for path in out.glob(pattern)))
+
+
+def _refuse_old(out: Path, names: Sequence[str]) -> None:
+    old = next((name for name in names if (out / name).exists()), None)
+    if old is not None:
+        raise InputError(f"--out {out}: holds a recording already ({old}); choose another folder")
+
+
+def _say(*lines: str) -> None:
+    terminal.console().print("\n".join(lines), highlight=False, soft_wrap=True)
+
+
+def _write(path: Path, taken: Record) -> str:
+    write_measurement(path, taken.columns, taken.scalars)
+    return path.name
+
+
+def simulate_sweeps(out: Path, planned: Sequence[PlannedSweep], scene: str, wrong: Imperfections, seed: int) -> None:
+    """One file per trial; another noise in each, one device for all."""
+    truth = scene_like(scene)
+    dt = truth.time.dt_s
+    check_plan(planned, dt, truth.limits.transient_current_A)
+    purpose = planned[0].purpose.value
+    terminal.make_folder(out)
+    # Sweeps at other grips may join those that are there: a series is recorded in one folder, as on a port.
+    _refuse_old(out, [trial.file_name for trial in planned])
+    device = device_in(truth, wrong, seed)
+    for trial, taken in sweep_records(device, planned, dt, imperfections=wrong, seed=seed):
+        _write(out / trial.file_name, taken)
+    first, last = planned[0], planned[-1]
+    _say(
+        f"{out}: {len(planned)} sweeps of {first.seconds:g} s, {first.file_name} to {last.file_name}",
+        f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json",
+    )
+
+
+def simulate_object_taps(
+    out: Path,
+    scene: str,
+    speeds: list[float] | None,
+    grips: list[float] | None,
+    repeats: int,
+    wrong: Imperfections,
+    seed: int,
+    force_noise_N: float,
+) -> None:
+    """The undriven device on the scene's object, with the force on the stylus."""
+    for grip in grips or ():
+        if grip == 0:
+            raise InputError("--grips 0: only a sweep is played on the free device: name grips above 0")
+    truth = scene_like(scene)
+    target = truth.recordings.simulated
+    if target is None:
+        raise InputError(
+            f"--object: {truth.name} states no simulated object: give --device with one, like wood_on_foam"
+        )
+    _empty_folder(out, "tap_*.npz")
+    device, names = device_in(truth, wrong, seed), []
+    for i, speed in enumerate(speeds or truth.grid.speeds_m_s):
+        for j, grip in enumerate(grips or [target.grip_N]):
+            for n in range(repeats):
+                taken = object_record(
+                    device,
+                    target,
+                    speed,
+                    grip,
+                    truth.time.dt_s,
+                    imperfections=wrong,
+                    seed=noise_seed(seed, i, j, n),
+                    force_noise_N=force_noise_N,
+                )
+                names.append(_write(out / f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz", taken))
+    _say(
+        f"{out}: {len(names)} taps, {names[0]} to {names[-1]}",
+        f"next: transopt taps {out}/tap_*.npz, and with 12 taps or more at several --grips "
+        f"transopt identify hand {out}/tap_*.npz --out MODEL.json",
+    )
+
+
+def simulate_library_taps(
+    out: Path,
+    library: Path,
+    scene: str | None,
+    speeds: list[float] | None,
+    grips: list[float] | None,
+    repeats: int,
+    wrong: Imperfections,
+    seed: int,
+) -> None:
+    """A library's taps, closed loop; exit code 1 if one was not played."""
+    loaded = load_library(library)
+    settings = Settings.of(loaded, amplifier_tolerance=wrong.mismatch)
+    if settings.assumed_grip_N == 0 and any(grips or ()):
+        raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
+    _empty_folder(out, "tap_*.npz")
+    device = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+    names, silent = [], []
+    for i, speed in enumerate(speeds or loaded.speeds_m_s.tolist()):
+        for j, grip in enumerate(grips or loaded.grips_N.tolist()):
+            for n in range(repeats):
+                played, taken = played_record(
+                    loaded, device, settings, speed, grip, imperfections=wrong, seed=noise_seed(seed, i, j, n)
+                )
+                names.append(_write(out / f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz", taken))
+                if not played.metrics.played:
+                    silent.append(names[-1])
+    if silent:
+        typer.echo(f"nothing was played in {', '.join(silent)}", err=True)
+        raise typer.Exit(1)
+    _say(f"{out}: {len(names)} taps, {names[0]} to {names[-1]}")
+
+
+def simulate_heat(
+    out: Path,
+    scene: str,
+    current_A: float | None,
+    heating_s: float,
+    cooling_s: float,
+    every_s: float,
+    noise_K: float,
+    mismatch: float,
+    seed: int,
+) -> None:
+    """One file; without a current 0.9 of the one that the motor bears for ever."""
+    truth = scene_like(scene)
+    coil, limits = truth.coil(), truth.limits
+    if coil is None:
+        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --device")
+    amount = 0.9 * limits.steady_current_A if current_A is None else current_A
+    if not 0 <= amount <= limits.transient_current_A:
+        raise InputError(f"--current {amount:g}: must be 0 to {limits.transient_current_A:g} A")
+    _empty_folder(out, "heat.npz")
+    taken = heat_record(
+        true_coil(coil, mismatch, seed),
+        amount,
+        heating_s,
+        cooling_s,
+        every_s,
+        noise_K=noise_K,
+        current_noise_A=SEED_SENSORS.current_noise_A,
+        seed=seed,
+    )
+    name, hottest = _write(out / "heat.npz", taken), float(taken.columns["winding_C"].max())
+    _say(
+        f"{out}: {name}, {heating_s:g} s at {amount:g} A and {cooling_s:g} s of cooling, winding at most "
+        f"{hottest:.1f} °C",
+        f"next: transopt identify coil {out}/{name} --out MODEL.json",
+    )

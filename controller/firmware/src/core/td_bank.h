@@ -1,0 +1,42 @@
+/* Waveforms as the servo plays them: a table over (speed, grip), blended tick by tick (controller/waveforms/bank.py).
+ *
+ * The bank is a view of an image in memory that belongs to the caller: axes are unpacked, norms and waveforms are
+ * read where they lie, byte by byte, so that neither the image's alignment nor the processor's byte order matters.
+ */
+#ifndef TD_BANK_H
+#define TD_BANK_H
+
+#include "td_messages.h"
+#include "td_real.h"
+
+typedef struct {
+    int32_t speeds, grips, samples;
+    td_wide speed_m_s[TD_MAX_SPEEDS], grip_N[TD_MAX_GRIPS]; /* strictly increasing */
+    td_wide grip_min_N;                                     /* nothing plays below it; 0 for the free device */
+    td_real scale_A;                                        /* per count of a waveform */
+    bool by_grip;                                           /* a table that knows no grip is never outside it */
+    bool nearest;                                           /* take the nearest node instead of a blend */
+    const uint8_t *transient_A, *feedback_A;                /* (speeds, grips) norms, float64 */
+    const uint8_t *counts;                                  /* (speeds, grips, samples) int16 */
+} td_bank;
+
+/* What is played at one contact: four corners and their weights. */
+typedef struct {
+    bool silent; /* nothing may be played, for want of speed or grip; the rest is then not set */
+    bool out_of_grid;
+    td_real weight[4];
+    const uint8_t *corner[4];
+    td_wide transient_A, feedback_A; /* bounds on the norms of the currents, for td_guard_scale */
+} td_play;
+
+/* View of the image that controller/protocol/image.py writes; whether it is one, of this version, whole and not too large.
+ * Whether it may be played is asked by td_configure.h. */
+bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size);
+
+/* The transient for a contact; outside the grid its edge is taken, and NaN plays nothing. */
+void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play *play);
+
+/* Sample j of a blend [A], 0 <= j < samples. */
+td_real td_bank_sample(const td_bank *bank, const td_play *play, int32_t j);
+
+#endif

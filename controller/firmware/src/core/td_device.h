@@ -1,0 +1,91 @@
+/* The device's end of the protocol in front of the servo (controller/device/endpoint.py, its oracle): bytes and readings in,
+ * commands and bytes out.
+ *
+ *     td_device_receive      whatever came over the link, in pieces of any size
+ *     td_device_step         one servo period: the command to hold until the next
+ *     td_device_send         what goes out
+ *
+ * A port calls `step` in the timer's interrupt and the others outside of it. What both touch is changed only between
+ * hold(context, true) and hold(context, false), which mask that interrupt: some microseconds at a time, since hashing
+ * and checking a library, which take milliseconds, are done without. All state is in the struct; one static td_device
+ * is what a port needs.
+ */
+#ifndef TD_DEVICE_H
+#define TD_DEVICE_H
+
+#include "td_outbox.h"
+#include "td_servo.h"
+#include "td_store.h"
+#include "td_wire.h"
+
+#define TD_FIRMWARE (1u << 16 | 1u << 8) /* major, minor, patch: 16, 8, 8 bits */
+#define TD_REPLY_LIMIT (TD_HEADER_BYTES + TD_HELLO_REPLY_BYTES + 4 + 2 + 1) /* the longest answer as a frame */
+
+typedef struct {
+    uint32_t boot; /* another number at every start */
+    td_hardware hardware;
+    void (*hold)(void *context, bool held); /* NULL where nothing interrupts */
+    void *context;
+} td_port;
+
+typedef struct {
+    td_port port;
+    uint64_t tick; /* of the last readings */
+    uint32_t dropped_frames; /* sound, but not for this session, out of order, or of no meaning; modulo 2^32 */
+    td_decoder decoder;
+    bool open; /* there has been a HELLO */
+    uint32_t session;
+    uint16_t sequence; /* of the last request */
+    uint8_t reply[TD_REPLY_LIMIT];
+    size_t reply_size;
+    td_store store;
+    td_servo servo; /* once the store is configured */
+    uint8_t checked_sha256[TD_HASH_BYTES];
+    bool stop_wanted, stop_latched, stop_pressed; /* the last two before there is a servo */
+    bool trial;                                   /* armed for the tap of the bring-up check */
+    int32_t lease_ticks, lease_left, silent_ticks;
+    int32_t pulse_left;
+    td_real pulse_A;
+    td_events events;
+    td_records records;
+    td_output_bytes output;
+    uint8_t payload[TD_PAYLOAD_LIMIT], frame[TD_FRAME_LIMIT]; /* being written */
+} td_device;
+
+void td_device_start(td_device *device, const td_port *port);
+
+void td_device_receive(td_device *device, const uint8_t *bytes, size_t size);
+
+/* One servo period; `readings.tick` counts them. */
+void td_device_step(td_device *device, const td_readings *readings, td_output *output);
+
+/* At most `room` bytes that wait to go out; how many. */
+size_t td_device_send(td_device *device, uint8_t *bytes, size_t room);
+
+uint8_t td_device_state(const td_device *device); /* TD_STATE_... */
+uint8_t td_device_fault(const td_device *device); /* TD_WHAT_..., 0 without */
+
+/* For the core itself, between hold(true) and hold(false). */
+
+/* Where the body of the next frame is written. */
+static inline uint8_t *td_device_body(td_device *device)
+{
+    return device->payload + TD_HEADER_BYTES;
+}
+
+/* Send the frame whose body stands there; it stays in `frame`, so long. */
+size_t td_device_put(td_device *device, uint8_t kind, uint16_t sequence, uint32_t session, size_t body_size);
+
+/* Whether it is ARMED or PLAYING. */
+bool td_device_is_active(const td_device *device);
+
+/* Whole servo periods in so many milliseconds. */
+int32_t td_device_ticks(const td_device *device, double duration_ms);
+
+/* Without a host that is there nothing plays: disarm, cut a pulse, and tell it. */
+void td_device_give_up(td_device *device);
+
+/* An end to a pulse before its time. */
+void td_device_cut_pulse(td_device *device);
+
+#endif

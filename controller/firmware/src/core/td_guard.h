@@ -1,0 +1,27 @@
+/* The coil's temperature, and how much of a transient it allows (controller/servo/guard.py; seed Eqs. 6-7). */
+#ifndef TD_GUARD_H
+#define TD_GUARD_H
+
+#include "td_config.h"
+
+/* Two thermal nodes, fed with i_eff^2 every tick and moved on every 10 ms. */
+typedef struct {
+    td_wide winding_C, housing_C;
+    td_real sum, square; /* of i_eff^2 since the last update, and in the last tick [A^2] */
+    int32_t count;
+} td_guard;
+
+void td_guard_start(td_guard *guard, const td_coil *coil);
+
+/* One tick's current [A]; the caller has seen to it that it is a number. */
+void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A);
+
+/* Whether the winding may pass its limit before a command of zero is felt; heat since the last update counts. */
+bool td_guard_too_hot(const td_guard *guard, const td_coil *coil);
+
+/* Largest scale <= 1 that keeps the winding at or below the play limit; 0 if not even the least one does.
+ * `transient_A`, `feedback_A`: norms sqrt(sum i^2) over the `ticks` servo periods that the transient takes. */
+td_wide td_guard_scale(
+    const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks);
+
+#endif

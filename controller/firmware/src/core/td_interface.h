@@ -1,0 +1,47 @@
+/* What passes between the servo and the device under it, tick by tick (controller/servo/interface.py). */
+#ifndef TD_INTERFACE_H
+#define TD_INTERFACE_H
+
+#include "td_messages.h"
+#include "td_real.h"
+
+#define TD_NO_COUNTS TD_RECORD_NO_COUNTS /* reading of an encoder that gives no number */
+
+/* Why the servo went to FAULT, and what is counted and reported but stops nothing: codes TD_WHAT_... */
+#define TD_FIRST_FAULT TD_WHAT_OVER_TEMPERATURE
+#define TD_FAULTS (TD_WHAT_EMERGENCY_STOP - TD_FIRST_FAULT + 1)
+#define TD_NO_FAULT 0
+#define TD_FIRST_NOTICE TD_WHAT_CONTACT
+#define TD_NOTICES (TD_WHAT_NO_GRIP - TD_FIRST_NOTICE + 1)
+#define TD_MAX_EVENTS 10 /* in one tick: every fault, or a contact with what belongs to it */
+
+/* What the sensors say at one tick. */
+typedef struct {
+    uint64_t tick;
+    int32_t encoder_counts;    /* grow with z, out of the object; TD_NO_COUNTS if there is no number */
+    td_real grip_N;            /* after its calibration; NaN if the sensor gives nothing */
+    td_real current_A;         /* measured by the amplifier */
+    td_real acceleration_m_s2; /* of the stylus; the servo does not act on it */
+    bool emergency_stop;       /* pressed */
+} td_readings;
+
+/* Something that happened at a tick; speed and grip where a contact is meant, else NaN. */
+typedef struct {
+    uint64_t tick;
+    uint8_t what; /* TD_WHAT_... */
+    td_real speed_m_s;
+    td_real grip_N;
+} td_event;
+
+/* What the servo answers to one tick's readings. */
+typedef struct {
+    td_real command_A; /* inside every limit, to be held until the next tick */
+    uint8_t state; /* TD_STATE_... */
+    td_real transient_A; /* its parts before the clamp */
+    td_real feedback_A;
+    td_real winding_C; /* estimate; NaN without coil data */
+    int32_t event_count;
+    td_event events[TD_MAX_EVENTS];
+} td_output;
+
+#endif

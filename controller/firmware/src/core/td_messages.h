@@ -1,0 +1,419 @@
+/* Generated from controller/protocol/messages.py by `python -m controller.protocol.c_header`: do not edit.
+ *
+ * Offsets into a frame's body, little-endian, TD_<message>_<field>; TD_<message>_BYTES is its length
+ * without an open end. See controller/protocol/messages.py for what each message means.
+ */
+#ifndef TD_MESSAGES_H
+#define TD_MESSAGES_H
+
+#include "td_port.h"
+
+#define TD_PROTOCOL 2
+#define TD_MAGIC 0x54504E54u
+#define TD_HEADER_KIND 0 /* u8 */
+#define TD_HEADER_FLAGS 1 /* u8, 0 */
+#define TD_HEADER_SEQUENCE 2 /* u16 */
+#define TD_HEADER_SESSION 4 /* u32 */
+#define TD_HEADER_BYTES 8
+#define TD_BODY_LIMIT 1024
+#define TD_PAYLOAD_LIMIT 1032
+#define TD_FRAME_LIMIT 1042 /* encoded, delimiter included */
+#define TD_HASH_BYTES 32
+#define TD_DATA_LIMIT 1020 /* bytes of an image in one DATA */
+#define TD_RECORDS_LIMIT 29 /* records in one TELEMETRY_DATA */
+#define TD_RECORD_NO_COUNTS INT32_MIN /* of an encoder that gave no number */
+
+/* Kind of a frame */
+enum {
+    TD_KIND_HELLO = 1,
+    TD_KIND_CONFIGURE = 2,
+    TD_KIND_CONFIGURE_COMMIT = 3,
+    TD_KIND_UPLOAD_BEGIN = 4,
+    TD_KIND_DATA = 5,
+    TD_KIND_COMMIT = 6,
+    TD_KIND_ARM = 7,
+    TD_KIND_LEASE = 8,
+    TD_KIND_DISARM = 9,
+    TD_KIND_RESET = 10,
+    TD_KIND_GAIN = 11,
+    TD_KIND_TELEMETRY = 12,
+    TD_KIND_PULSE = 13,
+    TD_KIND_CHECKED = 14,
+    TD_KIND_EVENT_ACK = 15,
+    TD_KIND_EMERGENCY_STOP = 16,
+    TD_KIND_START = 17,
+    TD_KIND_HELLO_REPLY = 64,
+    TD_KIND_DONE = 65,
+    TD_KIND_REFUSED = 66,
+    TD_KIND_UPLOAD_READY = 67,
+    TD_KIND_ACK = 68,
+    TD_KIND_LEASE_REPLY = 69,
+    TD_KIND_EVENT = 70,
+    TD_KIND_TELEMETRY_DATA = 71,
+    TD_KIND_LOG = 72
+};
+
+/* State */
+enum {
+    TD_STATE_IDLE = 0,
+    TD_STATE_ARMED = 1,
+    TD_STATE_PLAYING = 2,
+    TD_STATE_FAULT = 3
+};
+
+/* Reason of REFUSED */
+enum {
+    TD_REASON_NOT_IDLE = 1,
+    TD_REASON_FAULT_LATCHED = 2,
+    TD_REASON_FAULT_REMAINS = 3,
+    TD_REASON_NO_CONFIGURATION = 4,
+    TD_REASON_NO_LIBRARY = 5,
+    TD_REASON_WRONG_CONFIGURATION = 6,
+    TD_REASON_WRONG_LIBRARY = 7,
+    TD_REASON_NOT_CHECKED = 8,
+    TD_REASON_NOT_AT_REST = 9,
+    TD_REASON_TOO_HOT = 10,
+    TD_REASON_BAD_LEASE = 11,
+    TD_REASON_BAD_VALUE = 12,
+    TD_REASON_PULSING = 13,
+    TD_REASON_TOO_LARGE = 14,
+    TD_REASON_BAD_OFFSET = 15,
+    TD_REASON_INCOMPLETE = 16,
+    TD_REASON_WRONG_HASH = 17,
+    TD_REASON_BAD_FORMAT = 18,
+    TD_REASON_BAD_CONFIGURATION = 19,
+    TD_REASON_BAD_AXES = 20,
+    TD_REASON_BAD_TIMING = 21,
+    TD_REASON_OVER_LIMIT = 22,
+    TD_REASON_NO_ZERO_TAIL = 23,
+    TD_REASON_BEYOND_HARDWARE = 24,
+    TD_REASON_ONE_WAVEFORM = 25,
+    TD_REASON_NOT_ARMED = 26,
+    TD_REASON_BY_CONTACT = 27,
+    TD_REASON_STILL_PLAYING = 28
+};
+
+/* What an event tells, 0 for nothing */
+enum {
+    TD_WHAT_CONTACT = 1,
+    TD_WHAT_FINISHED = 2,
+    TD_WHAT_COMMAND_SATURATED = 3,
+    TD_WHAT_CONTACT_CHATTER = 4,
+    TD_WHAT_OUT_OF_GRID = 5,
+    TD_WHAT_TOO_HOT_TO_PLAY = 6,
+    TD_WHAT_SCALED_FOR_HEAT = 7,
+    TD_WHAT_NO_GRIP = 8,
+    TD_WHAT_LEASE_LOST = 32,
+    TD_WHAT_PULSE_ENDED = 33,
+    TD_WHAT_PULSE_CUT = 34,
+    TD_WHAT_OVER_TEMPERATURE = 64,
+    TD_WHAT_BAD_SENSOR = 65,
+    TD_WHAT_ENCODER_JUMP = 66,
+    TD_WHAT_ENCODER_STUCK = 67,
+    TD_WHAT_GRIP_OPEN = 68,
+    TD_WHAT_GRIP_SHORT = 69,
+    TD_WHAT_GRIP_LOST = 70,
+    TD_WHAT_OVER_CURRENT = 71,
+    TD_WHAT_NO_CURRENT = 72,
+    TD_WHAT_EMERGENCY_STOP = 73
+};
+
+#define TD_HELLO_MAGIC 0 /* u32 */
+#define TD_HELLO_PROTOCOL 4 /* u16 */
+#define TD_HELLO_NONCE 6 /* u32 */
+#define TD_HELLO_BYTES 10
+
+#define TD_CONFIGURE_OFFSET 0 /* u32 */
+#define TD_CONFIGURE_DATA 4 /* bytes up to the end */
+#define TD_CONFIGURE_BYTES 4 /* and more */
+
+#define TD_CONFIGURE_COMMIT_SHA256 0 /* 32 bytes */
+#define TD_CONFIGURE_COMMIT_BYTES 32
+
+#define TD_UPLOAD_BEGIN_LENGTH 0 /* u32 */
+#define TD_UPLOAD_BEGIN_SHA256 4 /* 32 bytes */
+#define TD_UPLOAD_BEGIN_BYTES 36
+
+#define TD_DATA_OFFSET 0 /* u32 */
+#define TD_DATA_DATA 4 /* bytes up to the end */
+#define TD_DATA_BYTES 4 /* and more */
+
+#define TD_COMMIT_BYTES 0
+
+#define TD_ARM_TRIAL 0 /* u8 */
+#define TD_ARM_LEASE_MS 1 /* u16 */
+#define TD_ARM_GAIN 3 /* f64 */
+#define TD_ARM_CONFIGURATION_SHA256 11 /* 32 bytes */
+#define TD_ARM_LIBRARY_SHA256 43 /* 32 bytes */
+#define TD_ARM_BYTES 75
+
+#define TD_LEASE_HOST_US 0 /* u64 */
+#define TD_LEASE_BYTES 8
+
+#define TD_DISARM_BYTES 0
+
+#define TD_RESET_BYTES 0
+
+#define TD_GAIN_GAIN 0 /* f64 */
+#define TD_GAIN_BYTES 8
+
+#define TD_TELEMETRY_EVERY 0 /* u16 */
+#define TD_TELEMETRY_BYTES 2
+
+#define TD_PULSE_CURRENT_A 0 /* f64 */
+#define TD_PULSE_TICKS 8 /* u16 */
+#define TD_PULSE_BYTES 10
+
+#define TD_CHECKED_CONFIGURATION_SHA256 0 /* 32 bytes */
+#define TD_CHECKED_BYTES 32
+
+#define TD_EVENT_ACK_WANTED 0 /* u32 */
+#define TD_EVENT_ACK_BYTES 4
+
+#define TD_EMERGENCY_STOP_BYTES 0
+
+#define TD_START_NEGATIVE 0 /* u8 */
+#define TD_START_BYTES 1
+
+#define TD_HELLO_REPLY_MAGIC 0 /* u32 */
+#define TD_HELLO_REPLY_PROTOCOL 4 /* u16 */
+#define TD_HELLO_REPLY_REAL_BYTES 6 /* u8 */
+#define TD_HELLO_REPLY_STATE 7 /* u8 */
+#define TD_HELLO_REPLY_FAULT 8 /* u8 */
+#define TD_HELLO_REPLY_BODY_LIMIT 9 /* u16 */
+#define TD_HELLO_REPLY_UPLOAD_FRAMES 11 /* u16 */
+#define TD_HELLO_REPLY_FIRMWARE 13 /* u32 */
+#define TD_HELLO_REPLY_BOOT 17 /* u32 */
+#define TD_HELLO_REPLY_NONCE 21 /* u32 */
+#define TD_HELLO_REPLY_EVENT 25 /* u32 */
+#define TD_HELLO_REPLY_CAPACITY_SAMPLES 29 /* u32 */
+#define TD_HELLO_REPLY_CAPACITY_WAVEFORM_SAMPLES 33 /* u32 */
+#define TD_HELLO_REPLY_CAPACITY_SPEEDS 37 /* u16 */
+#define TD_HELLO_REPLY_CAPACITY_GRIPS 39 /* u16 */
+#define TD_HELLO_REPLY_CAPACITY_APPROACH_TICKS 41 /* u16 */
+#define TD_HELLO_REPLY_CAPACITY_LATENCY_TICKS 43 /* u16 */
+#define TD_HELLO_REPLY_TICK 45 /* u64 */
+#define TD_HELLO_REPLY_DT_S 53 /* f64 */
+#define TD_HELLO_REPLY_CURRENT_LIMIT_A 61 /* f64 */
+#define TD_HELLO_REPLY_COMMAND_LIMIT_A 69 /* f64 */
+#define TD_HELLO_REPLY_CONFIGURATION_SHA256 77 /* 32 bytes */
+#define TD_HELLO_REPLY_LIBRARY_SHA256 109 /* 32 bytes */
+#define TD_HELLO_REPLY_CHECKED_SHA256 141 /* 32 bytes */
+#define TD_HELLO_REPLY_BYTES 173
+
+#define TD_DONE_REQUEST 0 /* u8 */
+#define TD_DONE_STATE 1 /* u8 */
+#define TD_DONE_FAULT 2 /* u8 */
+#define TD_DONE_BYTES 3
+
+#define TD_REFUSED_REQUEST 0 /* u8 */
+#define TD_REFUSED_REASON 1 /* u8 */
+#define TD_REFUSED_STATE 2 /* u8 */
+#define TD_REFUSED_FAULT 3 /* u8 */
+#define TD_REFUSED_VALUE 4 /* f64 */
+#define TD_REFUSED_BYTES 12
+
+#define TD_UPLOAD_READY_OFFSET 0 /* u32 */
+#define TD_UPLOAD_READY_BYTES 4
+
+#define TD_ACK_WANTED 0 /* u32 */
+#define TD_ACK_BYTES 4
+
+#define TD_LEASE_REPLY_HOST_US 0 /* u64 */
+#define TD_LEASE_REPLY_TICK 8 /* u64 */
+#define TD_LEASE_REPLY_STATE 16 /* u8 */
+#define TD_LEASE_REPLY_FAULT 17 /* u8 */
+#define TD_LEASE_REPLY_BYTES 18
+
+#define TD_EVENT_NUMBER 0 /* u32 */
+#define TD_EVENT_TICK 4 /* u64 */
+#define TD_EVENT_CODE 12 /* u8 */
+#define TD_EVENT_LOST 13 /* u16 */
+#define TD_EVENT_SPEED_M_S 15 /* f64 */
+#define TD_EVENT_GRIP_N 23 /* f64 */
+#define TD_EVENT_BYTES 31
+
+#define TD_TELEMETRY_DATA_FIRST 0 /* u32 */
+#define TD_TELEMETRY_DATA_TICK 4 /* u64 */
+#define TD_TELEMETRY_DATA_EVERY 12 /* u16 */
+#define TD_TELEMETRY_DATA_RECORDS 14 /* bytes up to the end */
+#define TD_TELEMETRY_DATA_BYTES 14 /* and more */
+
+#define TD_LOG_TEXT 0 /* bytes up to the end */
+#define TD_LOG_BYTES 0 /* and more */
+
+/* One record of TELEMETRY_DATA. */
+#define TD_RECORD_ENCODER_COUNTS 0 /* i32 */
+#define TD_RECORD_GRIP_N 4 /* f32 */
+#define TD_RECORD_MEASURED_CURRENT_A 8 /* f32 */
+#define TD_RECORD_ACCELERATION_M_S2 12 /* f32 */
+#define TD_RECORD_COMMAND_A 16 /* f32 */
+#define TD_RECORD_TRANSIENT_A 20 /* f32 */
+#define TD_RECORD_FEEDBACK_A 24 /* f32 */
+#define TD_RECORD_WINDING_C 28 /* f32 */
+#define TD_RECORD_STATE 32 /* u8 */
+#define TD_RECORD_FLAGS 33 /* u8 */
+#define TD_RECORD_BYTES 34
+
+/* Image of a library: header, then speeds, grips, transient and feedback norms f64, counts i16. */
+#define TD_IMAGE_MAGIC_VALUE 0x4D494E54u
+#define TD_IMAGE_VERSION_VALUE 1
+#define TD_IMAGE_BY_GRIP 1 /* flag */
+#define TD_IMAGE_NEAREST 2 /* flag */
+#define TD_IMAGE_WALLED_COMMAND 2.0 /* of the command limit, for a transient beside a wall */
+#define TD_IMAGE_MAGIC 0 /* u32 */
+#define TD_IMAGE_VERSION 4 /* u16 */
+#define TD_IMAGE_FLAGS 6 /* u16 */
+#define TD_IMAGE_SPEEDS 8 /* u16 */
+#define TD_IMAGE_GRIPS 10 /* u16 */
+#define TD_IMAGE_SAMPLES 12 /* u32 */
+#define TD_IMAGE_TAIL_SAMPLES 16 /* u32 */
+#define TD_IMAGE_RESERVED 20 /* u32 */
+#define TD_IMAGE_DT_S 24 /* f64 */
+#define TD_IMAGE_LEAD_S 32 /* f64 */
+#define TD_IMAGE_SCALE_A 40 /* f64 */
+#define TD_IMAGE_GRIP_MIN_N 48 /* f64 */
+#define TD_IMAGE_BYTES 56
+
+/* Configuration: magic u32, version u16, count u16, then float64 by these places. */
+#define TD_CONFIGURATION_MAGIC 0x46434E54u
+#define TD_CONFIGURATION_VERSION 2
+#define TD_CONFIGURATION_VALUES 8 /* offset of the first */
+#define TD_CONFIGURATION_BYTES 736
+
+/* Place in the configuration */
+enum {
+    TD_CFG_DT_S = 0,
+    TD_CFG_LEAD_S = 1,
+    TD_CFG_CURRENT_LIMIT_A = 2,
+    TD_CFG_AMPLIFIER_TOLERANCE = 3,
+    TD_CFG_GRIP_MIN_N = 4,
+    TD_CFG_COUNT_M = 5,
+    TD_CFG_SURFACE_COUNTS = 6,
+    TD_CFG_WINDOW_TICKS = 7,
+    TD_CFG_LEAST_SPEED_M_S = 8,
+    TD_CFG_TOUCH_HEIGHT_M = 9,
+    TD_CFG_REARM_HEIGHT_M = 10,
+    TD_CFG_REARM_S = 11,
+    TD_CFG_GRIP_FILTER_S = 12,
+    TD_CFG_GRIP_MARGIN_N = 13,
+    TD_CFG_GRID_SLACK = 14,
+    TD_CFG_GRID_SLACK_N = 15,
+    TD_CFG_GAIN_RATE_1_S = 16,
+    TD_CFG_WITHHOLD_K = 17,
+    TD_CFG_LEAST_SCALE = 18,
+    TD_CFG_ENCODER_LIMIT_COUNTS = 19,
+    TD_CFG_FASTEST_M_S = 20,
+    TD_CFG_CURRENT_RANGE_A = 21,
+    TD_CFG_OVER_CURRENT = 22,
+    TD_CFG_NO_CURRENT_A = 23,
+    TD_CFG_NO_CURRENT_PART = 24,
+    TD_CFG_NO_CURRENT_S = 25,
+    TD_CFG_STUCK_A_S = 26,
+    TD_CFG_STUCK_A = 27,
+    TD_CFG_STUCK_S = 28,
+    TD_CFG_GRIP_OPEN_N = 29,
+    TD_CFG_GRIP_SHORT_N = 30,
+    TD_CFG_HOST_STARTS = 31,
+    TD_CFG_HAS_SLEW_LIMIT_A_PER_S = 32,
+    TD_CFG_SLEW_LIMIT_A_PER_S = 33,
+    TD_CFG_HAS_ASSUMED_GRIP_N = 34,
+    TD_CFG_ASSUMED_GRIP_N = 35,
+    TD_CFG_HAS_AMPLIFIER = 36,
+    TD_CFG_AMPLIFIER_POLE_HZ = 37,
+    TD_CFG_AMPLIFIER_DELAY_S = 38,
+    TD_CFG_AMPLIFIER_COMMAND_LIMIT_A = 39,
+    TD_CFG_HAS_WALL = 40,
+    TD_CFG_WALL_STIFFNESS_N_M = 41,
+    TD_CFG_WALL_DAMPING_N_S_M = 42,
+    TD_CFG_WALL_FORCE_PER_CURRENT_N_A = 43,
+    TD_CFG_WALL_LATENCY_TICKS = 44,
+    TD_CFG_WALL_DERIVATIVE_FILTER_HZ = 45,
+    TD_CFG_HAS_COIL = 46,
+    TD_CFG_COIL_R_OHM = 47,
+    TD_CFG_COIL_R_WH_K_W = 48,
+    TD_CFG_COIL_R_HA_K_W = 49,
+    TD_CFG_COIL_TAU_W_S = 50,
+    TD_CFG_COIL_TAU_H_S = 51,
+    TD_CFG_COIL_LIMIT_C = 52,
+    TD_CFG_COIL_AMBIENT_C = 53,
+    TD_CFG_COIL_START_WINDING_C = 54,
+    TD_CFG_COIL_START_HOUSING_C = 55,
+    TD_CFG_COIL_NODES = 56,
+    TD_CFG_COMMAND_LIMIT_A = 57,
+    TD_CFG_DECAY = 58,
+    TD_CFG_DECAY_FAST = 59,
+    TD_CFG_DECAY_SLOW = 60,
+    TD_CFG_PREFILTER_NOW = 61,
+    TD_CFG_PREFILTER_BEFORE = 62,
+    TD_CFG_SLEW_A = 63,
+    TD_CFG_GAIN_STEP = 64,
+    TD_CFG_VELOCITY_SMOOTHING = 65,
+    TD_CFG_REARM_TICKS = 66,
+    TD_CFG_OVER_CURRENT_A = 67,
+    TD_CFG_NO_CURRENT_TICKS = 68,
+    TD_CFG_STUCK_TICKS = 69,
+    TD_CFG_ENCODER_RATE_M_S = 70,
+    TD_CFG_GRIP_NEW_PART = 71,
+    TD_CFG_APPROACH_RATE_M_S = 72,
+    TD_CFG_APPROACH_VALUE_0 = 73,
+    TD_CFG_APPROACH_VALUE_1 = 74,
+    TD_CFG_APPROACH_VALUE_2 = 75,
+    TD_CFG_APPROACH_SLOPE_0 = 76,
+    TD_CFG_APPROACH_SLOPE_1 = 77,
+    TD_CFG_APPROACH_SLOPE_2 = 78,
+    TD_CFG_GUARD_TICKS = 79,
+    TD_CFG_GUARD_BY_W = 80,
+    TD_CFG_GUARD_A11 = 81,
+    TD_CFG_GUARD_A12 = 82,
+    TD_CFG_GUARD_A21 = 83,
+    TD_CFG_GUARD_A22 = 84,
+    TD_CFG_GUARD_INFLOW_C = 85,
+    TD_CFG_GUARD_COLD = 86,
+    TD_CFG_GUARD_RISE_K = 87,
+    TD_CFG_GUARD_FROM_HOUSING = 88,
+    TD_CFG_GUARD_LIMIT_C = 89,
+    TD_CFG_GUARD_PLAY_LIMIT_C = 90,
+    TD_CFG_COUNT = 91
+};
+
+/* What a device holds; a port may set less with -D, HELLO_REPLY tells. */
+#ifndef TD_MAX_LIBRARY_SAMPLES
+#define TD_MAX_LIBRARY_SAMPLES 262144
+#endif
+#ifndef TD_MAX_SPEEDS
+#define TD_MAX_SPEEDS 64
+#endif
+#ifndef TD_MAX_GRIPS
+#define TD_MAX_GRIPS 64
+#endif
+#ifndef TD_MAX_SAMPLES
+#define TD_MAX_SAMPLES 20000
+#endif
+#ifndef TD_MAX_WINDOW_TICKS
+#define TD_MAX_WINDOW_TICKS 256
+#endif
+#ifndef TD_MAX_LATENCY_TICKS
+#define TD_MAX_LATENCY_TICKS 31
+#endif
+#ifndef TD_UPLOAD_FRAMES
+#define TD_UPLOAD_FRAMES 16
+#endif
+
+#define TD_MAX_IMAGE_BYTES (56 + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + 2 * TD_MAX_SPEEDS * TD_MAX_GRIPS) + 2 * TD_MAX_LIBRARY_SAMPLES)
+
+#define TD_PULSE_LIMIT_A 0.1
+#define TD_PULSE_LIMIT_S 0.02
+#define TD_LEASE_LEAST_MS 50
+#define TD_LEASE_MOST_MS 1000
+#define TD_TRIAL_GAIN 0.1
+#define TD_REST_SPEED_M_S 0.05
+#define TD_LINK_SILENCE_MS 1000
+#define TD_EVENT_REPEAT_MS 50
+#define TD_EVENT_WINDOW 8
+#define TD_EVENT_QUEUE 64
+#define TD_TELEMETRY_HOLD_MS 10
+#define TD_LONGEST_S 3600.0
+#define TD_ENCODER_MOST_COUNTS 536870912
+
+#endif

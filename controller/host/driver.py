@@ -1,0 +1,297 @@
+"""A device on a port, with calls that wait: what the command line uses.
+
+    with Device("/dev/ttyACM0") as device:
+        device.configure(configuration)
+        device.upload(image, progress=bar)
+        device.arm(gain=0.1)
+        device.listen(60.0, on_event=print, on_samples=record)
+
+One thread, the caller's, pumps everything: there is no second one that could keep the lease alive while the program
+hangs or waits for a prompt, so a host that stops looking after its device loses it within the lease. Calls that wait
+pump; between two calls while armed no more than a lease may pass. Leaving the block, by Ctrl-C or any other exception
+too, stops the device: disarmed if all is well, else by an emergency stop, and waits a moment to see it obeyed.
+Every wait is bounded, by the session's own deadlines at the latest. Not thread-safe.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Protocol
+
+from controller.host.session import Session
+from controller.host.session_states import OPEN, SessionState
+from controller.host.transport import PortError, Transport, UnpluggedError
+from controller.protocol.capacity import LEASE_DEFAULT_MS
+from controller.protocol.codes import Kind, Reason
+from controller.protocol.events import Completed, Connected, Ended, Happened, Progress, Refused, Samples, Told
+from controller.protocol.messages import HelloReply
+from controller.servo.interface import Fault, State
+from transopt.base.errors import InputError
+
+CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
+ANSWER_S = 10.0
+UPLOAD_S = 60.0
+STOP_S = 0.5
+
+
+class DeviceError(InputError):
+    """The device cannot do what was asked, or is gone; one line with what to do."""
+
+
+class LinkLostError(DeviceError):
+    """The session is over: silent, unplugged, another version, not our device."""
+
+
+class Stream(Protocol):
+    """What is needed of a transport."""
+
+    def read(self, timeout_s: float) -> bytes: ...
+
+    def write(self, data: bytes) -> None: ...
+
+    def close(self) -> None: ...
+
+
+Listener = Callable[[Told], None]
+
+
+class Device:
+    """A connected device.
+
+    Parameters
+    ----------
+    port : a name, opened here, or a stream that is already open; closed with the device either way.
+    clock : grows, in s.
+
+    Attributes
+    ----------
+    session : for everything beside the calls here: clock, counters, state. listeners : called with all news.
+
+    Raises
+    ------
+    PortError : the port cannot be opened. LinkLostError : no device of ours answers.
+    """
+
+    def __init__(
+        self,
+        port: str | Stream,
+        *,
+        connect_s: float = CONNECT_S,
+        clock: Callable[[], float] = time.monotonic,
+        session: Session | None = None,
+    ) -> None:
+        self.name = port if isinstance(port, str) else "device"
+        self.session, self._clock = Session() if session is None else session, clock
+        self.listeners: list[Listener] = []
+        self._stream: Stream = Transport(port) if isinstance(port, str) else port
+        try:
+            self.connect(connect_s)
+        except BaseException:
+            self._stream.close()
+            raise
+
+    def connect(self, timeout_s: float = CONNECT_S) -> None:
+        """Say HELLO on the open port; also after the link was lost, which arms nothing."""
+        self.session.connect(self._clock(), timeout_s)
+        self._wait(lambda news: isinstance(news, Connected), timeout_s + 1.0, "connect")
+
+    def now_s(self) -> float:
+        """Of the clock by which all waits here are measured."""
+        return self._clock()
+
+    @property
+    def hello(self) -> HelloReply:
+        """What the device said of itself at the last connect."""
+        assert self.session.device is not None
+        return self.session.device
+
+    @property
+    def state(self) -> State:
+        """As last reported."""
+        return self.session.device_state
+
+    @property
+    def fault(self) -> Fault | None:
+        """As last reported."""
+        return self.session.fault
+
+    def need_no_fault(self) -> None:
+        """
+        Raises
+        ------
+        DeviceError : a fault is latched, so that nothing but `reset` makes sense.
+        """
+        if self.state is State.FAULT:
+            why = "" if self.fault is None else f": {self.fault.value}"
+            raise DeviceError(f"{self.name}: a fault is latched{why} (--reset)")
+
+    # Requests: each returns when the device has done it.
+
+    def configure(self, configuration: bytes) -> bool:
+        """Put a configuration in force; whether anything had to be sent."""
+        self.need_no_fault()
+        self.session.configure(configuration)
+        return not self._done(Kind.CONFIGURE_COMMIT).skipped
+
+    def upload(self, image: bytes, progress: Callable[[int, int], None] | None = None) -> bool:
+        """Put a library in force; whether it had to be sent. progress : called with bytes done and in all."""
+
+        def watch(news: Told) -> None:
+            if progress is not None and isinstance(news, Progress):
+                progress(news.done, news.total)
+
+        self.listeners.append(watch)
+        try:
+            self.need_no_fault()
+            self.session.upload(image)
+            return not self._done(Kind.COMMIT, UPLOAD_S).skipped
+        finally:
+            self.listeners.remove(watch)
+
+    def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
+        """From here on `listen` or `pump` at least once per lease."""
+        self.need_no_fault()
+        self.session.arm(gain, lease_ms, trial=trial)
+        self._done(Kind.ARM)
+
+    def start(self, *, negative: bool = False) -> None:
+        """An excitation, if the device is still armed; returns when it has begun."""
+        self.need_no_fault()
+        if self.session.state is not SessionState.ARMED:
+            raise DeviceError(f"{self.name}: {Reason.NOT_ARMED.value}")
+        self.session.start(negative=negative)
+        self._done(Kind.START)
+
+    def disarm(self) -> None:
+        self.session.disarm()
+        self._done(Kind.DISARM)
+
+    def reset(self) -> None:
+        self.session.reset()
+        self._done(Kind.RESET)
+
+    def set_gain(self, gain: float) -> None:
+        self.session.set_gain(gain)
+        self._done(Kind.GAIN)
+
+    def set_telemetry(self, every: int) -> None:
+        """One record every so many ticks, 0 for none; they come as `Samples` to the listeners."""
+        self.session.set_telemetry(every)
+        self._done(Kind.TELEMETRY)
+
+    def pulse(self, current_A: float, ticks: int) -> None:
+        """For the polarity test; returns when it has begun."""
+        self.need_no_fault()
+        self.session.pulse(current_A, ticks)
+        self._done(Kind.PULSE)
+
+    def checked(self) -> None:
+        self.need_no_fault()
+        self.session.checked()
+        self._done(Kind.CHECKED)
+
+    # Waiting.
+
+    def listen(
+        self,
+        duration_s: float,
+        on_event: Callable[[Happened], None] | None = None,
+        on_samples: Callable[[Samples], None] | None = None,
+        until: Callable[[Told], bool] | None = None,
+    ) -> bool:
+        """Pump for so long, or until some news; whether that came.
+
+        Raises
+        ------
+        LinkLostError : the link is gone; nothing will be armed by itself.
+        """
+        end_s = self._clock() + duration_s
+        while True:
+            for news in self.pump(end_s):
+                if on_event is not None and isinstance(news, Happened):
+                    on_event(news)
+                elif on_samples is not None and isinstance(news, Samples):
+                    on_samples(news)
+                if until is not None and until(news):
+                    return True
+            if self._clock() >= end_s:
+                return False
+
+    def pump(self, until_s: float = 0.0) -> list[Told]:
+        """Send what is due, wait for bytes till the next deadline or `until_s` at the latest, and tell the news.
+
+        Raises
+        ------
+        LinkLostError : the link is gone; what came before it has gone to the listeners.
+        """
+        try:
+            now_s = self._clock()
+            self._stream.write(self.session.bytes_to_send(now_s))
+            wait_s = min(self.session.next_deadline_s(), until_s) - now_s
+            data = self._stream.read(max(wait_s, 0.0))
+            news = self.session.receive(data, self._clock())
+            self._stream.write(self.session.bytes_to_send(self._clock()))
+        except UnpluggedError as error:
+            self.session.unplugged(error.detail)
+            news = self.session.receive(b"", self._clock())
+        for told in news:
+            for listener in tuple(self.listeners):
+                listener(told)
+        for told in news:
+            if isinstance(told, Ended):
+                raise LinkLostError(f"{self.name}: {told}")
+        return news
+
+    def _wait(self, met: Callable[[Told], bool], timeout_s: float, what: str) -> Told:
+        end_s = self._clock() + timeout_s
+        while True:
+            for news in self.pump(end_s):
+                if isinstance(news, Refused):
+                    raise DeviceError(f"{self.name}: {news}")
+                if met(news):
+                    return news
+            if self._clock() >= end_s:
+                raise DeviceError(f"{self.name}: no answer to {what} within {timeout_s:g} s: reset the device")
+
+    def _done(self, kind: Kind, timeout_s: float = ANSWER_S) -> Completed:
+        name = kind.name.lower().replace("_", " ")
+        done = self._wait(lambda news: isinstance(news, Completed) and news.request is kind, timeout_s, name)
+        assert isinstance(done, Completed)
+        return done
+
+    # The end.
+
+    def emergency_stop(self) -> None:
+        """At once; waits a moment for the device to report its fault. Never raises for a link that is gone."""
+        self.session.emergency_stop(self._clock())
+        end_s = self._clock() + STOP_S
+        with suppress(DeviceError, PortError):
+            self._stream.write(self.session.bytes_to_send(self._clock()))
+            while self.session.device_state is not State.FAULT and self._clock() < end_s:
+                self.pump(end_s)
+
+    def close(self) -> None:
+        """Disarm if there is somebody to disarm, then let go of the port; any number of times."""
+        try:
+            if self.session.state in OPEN and (self.session.device_state is not State.IDLE or self.session.arming):
+                with suppress(DeviceError):
+                    self.session.disarm()
+                    self._wait(lambda news: news == Completed(Kind.DISARM), STOP_S, "disarm")
+        finally:
+            self.session.close()
+            self._stream.close()
+
+    def __enter__(self) -> "Device":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            # An ARM that was not answered may have been heard.
+            armed = self.session.device_state in (State.ARMED, State.PLAYING) or self.session.arming
+            if error is not None and armed:
+                self.emergency_stop()
+        finally:
+            self.close()

@@ -1,0 +1,150 @@
+"""What a device is given to play: configuration and image, of a library's transients or of one excitation."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controller.protocol.capacity import LONGEST_S
+from controller.protocol.configuration import configuration_of
+from controller.protocol.image import image_of
+from controller.protocol.messages import HelloReply
+from controller.record.excitation import sweep_command
+from controller.servo.default_drive import AMPLIFIER, RE_25
+from controller.servo.guard import Guard
+from controller.servo.settings import Settings
+from controller.waveforms.bank import Bank, Method, bank, currents, norms
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.library.file import load_library
+from transopt.library.library import Library
+
+EXCITATION_LIMIT_A = 1.25  # without a library: what the built-in motor bears continuously
+TRIAL_HZ, TRIAL_S, TRIAL_A = (20.0, 500.0), 0.5, 0.5  # of the bring-up check, at its gain
+# A blocked rotor stands still, and a held stylus moves less than a count at high frequencies.
+NEVER_STUCK: dict[str, Any] = {"stuck_A_s": 1e3, "stuck_s": LONGEST_S}
+
+
+@dataclass(frozen=True)
+class Load:
+    """Bytes of `configuration_of` these settings, and of `image_of` what they play."""
+
+    settings: Settings
+    configuration: bytes
+    image: bytes
+
+
+@dataclass(frozen=True)
+class Payload(Load):
+    """With the library that it was made of."""
+
+    library: Library
+
+
+def payload(path: Path) -> Payload:
+    """
+    Raises
+    ------
+    InputError : no library, or one that no device could play.
+    """
+    return payload_of(load_library(path))
+
+
+def payload_of(library: Library) -> Payload:
+    """
+    Raises
+    ------
+    InputError : one that no device could play.
+    """
+    settings = Settings.of(library)
+    tail = library.meta["hand_over_samples"]
+    image = image_of(bank(library, Method.BILINEAR), settings.dt_s, settings.lead_s, tail)
+    return Payload(settings, configuration_of(settings), image, library)
+
+
+def excitation_settings(hello: HelloReply, library: Path | None) -> Settings:
+    """Settings under which the host starts what plays.
+
+    They say nothing of the excitation, so that a configuration that has passed the check is good for all of them.
+
+    Parameters
+    ----------
+    hello : of the device; asked for nothing beyond its hardware. library : whose limits, amplifier and coil hold; the
+        built-in device's without, and 1.25 A.
+
+    Raises
+    ------
+    InputError : no library.
+    """
+    if library is not None:
+        return Settings.of(load_library(library), lead_s=0.0, wall=None, host_starts=True, **NEVER_STUCK)
+    return Settings(
+        dt_s=hello.dt_s,
+        lead_s=0.0,
+        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_limit_A),
+        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_limit_A)),
+        coil=RE_25,
+        host_starts=True,
+        **NEVER_STUCK,
+    )
+
+
+def trial_sweep(hello: HelloReply, library: Path | None) -> Load:
+    """A short one for the bring-up check, under the settings of all others.
+
+    Raises
+    ------
+    InputError : no library.
+    """
+    settings = excitation_settings(hello, library)
+    size_A = min(TRIAL_A, 0.5 * settings.current_limit_A)
+    return excitation(settings, sweep_command(*TRIAL_HZ, TRIAL_S, size_A, settings.dt_s), hello)
+
+
+def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> Load:
+    """What a device needs to play a command (N,) [A] at the host's word; the last sample is zero.
+
+    Raises
+    ------
+    InputError : more samples than the device holds, more current than the settings allow, more heat than the coil
+        takes from its start.
+    """
+    s, N = settings, command_A.size
+    room = min(hello.capacity_waveform_samples, hello.capacity_samples)
+    if room < N:
+        raise InputError(
+            f"sweep: {N * s.dt_s:g} s at {1e-3 / s.dt_s:g} kHz are {N} samples, the device holds {room}: "
+            f"--seconds {room * s.dt_s:g} would fit"
+        )
+    current = currents(command_A[None, None], s.amplifier, s.dt_s)
+    for what, peak, limit in (
+        ("current", float(np.abs(current).max()), s.current_limit_A),
+        ("command", float(np.abs(command_A).max()), s.command_limit_A),
+    ):
+        if peak > limit * (1 + 1e-9):
+            raise InputError(
+                f"sweep: the {what} reaches {peak:.3g} A, the limit is {limit:g} A: lower --amplitude or --offset, "
+                "or give the device's own limits with --library"
+            )
+    size = norms(current, s.amplifier, s.dt_s)
+    if s.coil is not None:
+        guard = Guard(s.coil, s.dt_s, s.withhold_K, s.least_scale)
+        rise, left = guard.rise_K(float(size[0, 0]), 0.0, N + 1, 1.0), guard.play_limit_C - guard.winding_C
+        if rise > left:
+            raise InputError(
+                f"sweep: may heat the coil by {rise:.3g} K, {left:.3g} K are left below its limit: "
+                "lower --amplitude, --offset or --seconds"
+            )
+    table = Bank(
+        method=Method.BILINEAR,
+        speeds_m_s=[1.0],
+        grips_N=[0.0],
+        command_A=command_A[None, None],
+        transient_A=size.tolist(),
+        feedback_A=[[0.0]],
+        grip_min_N=0.0,
+        by_grip=False,
+        nearest=False,
+    )
+    return Load(s, configuration_of(s), image_of(table, s.dt_s, s.lead_s, 1))

@@ -1,0 +1,297 @@
+"""Trials of an excitation on a device: started, listened to, and kept only if they are whole.
+
+A trial is every tick of the excitation, with a rest before it and what rings after it. One of which telemetry was
+lost, or in which the grip was not the one asked for, is repeated, not written.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.protocol.codes import LinkNotice
+from controller.protocol.events import Happened, Samples, Told
+from controller.protocol.messages import Record
+from controller.record.trial_file import write_measurement
+from controller.servo.interface import Fault, Notice, State
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+
+BEFORE_S, AFTER_S = 0.05, 0.1  # of rest, and of ringing
+WINDOW_S = 0.3  # over which the grip and the rest are judged
+STILL_M = 5e-4  # in that time; a hand's tremor is 0.1 mm each way
+FREE_N = 0.2  # a sensor that nobody touches
+GRIP_N, GRIP_PART = 0.3, 0.1  # by which the grip may be off, the larger of the two
+ATTEMPTS = 3  # at each trial
+PATIENCE_S = 60.0  # for what a person has to do
+LATE_S = 2.0  # for telemetry that is under way, beyond the excitation itself
+
+
+class Person(Protocol):
+    """Whoever stands at the device."""
+
+    def asked(self, what: str) -> None: ...
+
+
+class AbortedError(Exception):
+    """No trial can be had any more; the text says why."""
+
+
+class _AgainError(Exception):
+    """This one is not whole; the text says why."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What the device measured, tick by tick.
+
+    Attributes
+    ----------
+    time_s : (n,) 0 at the first sample of the excitation; a row's command answers its readings and is held until the
+        next row, so a current of row k knows commands before k only.
+    command_A, current_A, acceleration_m_s2, position_m : (n,); the command as it went out, limits included.
+    grip_N : mean while it played; 0 of the free device.
+    negative : played with the other sign. cut_ticks : in which a limit cut the command.
+    """
+
+    time_s: FloatArray
+    command_A: FloatArray
+    current_A: FloatArray
+    acceleration_m_s2: FloatArray
+    position_m: FloatArray
+    grip_N: float
+    negative: bool
+    cut_ticks: int
+
+    def write(self, path: Path, accelerometer_Hz: float) -> None:
+        """
+        Raises
+        ------
+        InputError : the place cannot be written.
+        """
+        columns = {
+            "time_s": self.time_s,
+            "command_A": self.command_A,
+            "current_A": self.current_A,
+            "acceleration_m_s2": self.acceleration_m_s2,
+            "position_m": self.position_m,
+        }
+        write_measurement(path, columns, {"grip_N": self.grip_N, "accelerometer_Hz": accelerometer_Hz})
+
+
+@dataclass
+class _Ears:
+    """What came since the last `fresh`."""
+
+    records: list[tuple[int, Record]] = field(default_factory=list)
+    happened: list[Happened] = field(default_factory=list)
+
+    def take(self, news: Told) -> None:
+        if isinstance(news, Samples):
+            self.records.extend((news.tick + j * news.every, record) for j, record in enumerate(news.records))
+        elif isinstance(news, Happened):
+            self.happened.append(news)
+
+    def fresh(self) -> None:
+        self.records, self.happened = [], []
+
+    def at(self, what: Notice) -> int | None:
+        """The tick of its last event."""
+        return next((event.tick for event in reversed(self.happened) if event.what is what), None)
+
+
+class Sweeps:
+    """Trials on one device, which is armed no longer than each takes; a context manager that listens.
+
+    Parameters
+    ----------
+    device : IDLE, the excitation in force, telemetry of every tick on. samples : of the excitation. gain : of it.
+    grip_N : asked of the person at it; 0 to let go, None for any.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        person: Person,
+        samples: int,
+        *,
+        gain: float,
+        grip_N: float | None,
+        count_m: float,
+        patience_s: float = PATIENCE_S,
+    ) -> None:
+        self._device, self._person, self._samples, self._gain = device, person, samples, gain
+        self._grip_N, self._count_m, self._patience_s = grip_N, count_m, patience_s
+        self._dt_s = device.hello.dt_s
+        self._ears = _Ears()
+        self._looked = 0  # at this tick, whether the hand is ready
+
+    def __enter__(self) -> "Sweeps":
+        self._device.listeners.append(self._ears.take)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._device.listeners.remove(self._ears.take)
+
+    def trial(self, *, negative: bool, told: Callable[[str], None]) -> Trial:
+        """One whole trial; `told` is called with why one was not.
+
+        Raises
+        ------
+        AbortedError : a fault, a lost lease, the grip that was asked for did not come, the device does not start, or
+            no trial was whole.
+        DeviceError : it does not arm. LinkLostError : the device is gone.
+        """
+        why = ""
+        for _ in range(ATTEMPTS):
+            self._wait_for_hand()
+            try:
+                return self._one(negative)
+            except _AgainError as again:
+                why = str(again)
+                told(f"not whole, once more: {why}")
+        raise AbortedError(f"{ATTEMPTS} attempts at a trial, none whole: {why}")
+
+    # What comes before.
+
+    def _wait_for_hand(self) -> None:
+        if self._grip_N is None:
+            self._person.asked("hold the stylus as it shall be recorded, still")
+        elif self._grip_N == 0:
+            self._person.asked("let go of the stylus, and leave it alone")
+        else:
+            self._person.asked(f"hold the stylus still, at {self._grip_N:g} N")
+        self._ears.fresh()
+        if not self._until(self._ready, self._patience_s, (State.FAULT,)):
+            grips, places = self._window("grip_N"), self._window("encoder_counts")
+            seen = (
+                "no telemetry"
+                if not grips.size
+                else (f"{grips.mean():.2f} N, moving by {1e3 * self._count_m * np.ptp(places):.2f} mm")
+            )
+            raise AbortedError(f"not as asked within {self._patience_s:g} s: {seen}")
+
+    def _window(self, name: str) -> FloatArray:
+        size = round(WINDOW_S / self._dt_s)
+        return np.array([getattr(record, name) for _, record in self._ears.records[-size:]], dtype=float)
+
+    def _ready(self) -> bool:
+        """Whether for a whole window the stylus was still, and held as asked."""
+        ears, window = self._ears, round(WINDOW_S / self._dt_s)
+        newest = ears.records[-1][0] if ears.records else 0
+        if not ears.records or newest - ears.records[0][0] < window or newest - self._looked < window // 10:
+            return False
+        self._looked = newest
+        del ears.records[: -2 * window]
+        places, grips = self._window("encoder_counts"), self._window("grip_N")
+        return float(np.ptp(places)) * self._count_m <= STILL_M and self._wrong_grip(grips) is None
+
+    def _wrong_grip(self, grips: FloatArray) -> str | None:
+        """Why these readings are not the grip that was asked for, None if they are."""
+        asked, mean = self._grip_N, float(grips.mean())
+        if asked is None:
+            return None
+        room = FREE_N if asked == 0 else max(GRIP_N, GRIP_PART * asked)
+        return None if abs(mean - asked) <= room else f"the grip was {mean:.2f} N, asked {asked:g} ± {room:.2g} N"
+
+    # The trial.
+
+    def _until(
+        self, met: Callable[[], bool], limit_s: float, over: tuple[State, ...] = (State.FAULT, State.IDLE)
+    ) -> bool:
+        """Until it is so, or for so long; whether it was.
+
+        Raises
+        ------
+        AbortedError : the device went into one of the states in which it is over.
+        """
+        came = self._device.listen(limit_s, until=lambda _: self._device.state in over or met())
+        if self._device.state in over:
+            # The event that says why may come after the state.
+            self._device.listen(0.1)
+            self._need_nothing_wrong()
+            raise AbortedError(f"the device is {self._device.state.value}")
+        return came
+
+    def _need_nothing_wrong(self) -> None:
+        wrong = [event.what.value for event in self._ears.happened if isinstance(event.what, Fault | LinkNotice)]
+        if wrong:
+            raise AbortedError(wrong[0])
+
+    def _one(self, negative: bool) -> Trial:
+        duration_s, dt_s = self._samples * self._dt_s, self._dt_s
+        before, after = round(BEFORE_S / dt_s), round(AFTER_S / dt_s)
+        self._device.arm(self._gain)
+        self._ears.fresh()
+        # The rest before it, and whatever still was under way.
+        self._until(lambda: len(self._ears.records) > before, LATE_S)
+        try:
+            self._device.start(negative=negative)
+        except LinkLostError:
+            raise
+        except DeviceError as refused:
+            self._until(lambda: False, 0.0)  # a fault or a lost lease says more
+            self._device.disarm()
+            raise AbortedError(str(refused)) from None
+        self._until(lambda: self._ears.at(Notice.FINISHED) is not None, duration_s + LATE_S)
+        end = self._ears.at(Notice.FINISHED)
+        if end is None:
+            raise AbortedError(f"the excitation of {duration_s:g} s has not ended")
+        self._until(lambda: bool(self._ears.records) and self._ears.records[-1][0] >= end + after, LATE_S)
+        # What follows takes longer than a lease may.
+        self._device.disarm()
+        # A lost lease may have been told only now, and nothing is armed again after one.
+        self._need_nothing_wrong()
+        first = end - self._samples
+        rows = [(tick, record) for tick, record in self._ears.records if first - before <= tick <= end + after]
+        lost = before + self._samples + after + 1 - len(rows)
+        if lost > 0:
+            raise _AgainError(
+                f"{lost} of {len(rows) + lost} records of telemetry were lost; every tick takes "
+                f"{1e-3 * Record.FORMAT.size / dt_s:.0f} kB/s, which a slow port never carries"
+            )
+        return self._kept(rows, first, negative)
+
+    def _kept(self, rows: Sequence[tuple[int, Record]], first: int, negative: bool) -> Trial:
+        def column(name: str) -> FloatArray:
+            return np.array([getattr(record, name) for _, record in rows], dtype=float)
+
+        ticks = np.array([tick for tick, _ in rows], dtype=float) - first
+        playing = (ticks >= 0) & (ticks < self._samples)
+        acceleration, grips = column("acceleration_m_s2"), column("grip_N")[playing]
+        if not (np.all(np.isfinite(acceleration)) and np.all(np.isfinite(grips))):
+            raise _AgainError("a sensor gave no number")
+        wrong = self._wrong_grip(grips)
+        if wrong is not None:
+            raise _AgainError(wrong)
+        command, transient = column("command_A"), column("transient_A")
+        return Trial(
+            time_s=ticks * self._dt_s,
+            command_A=command,
+            current_A=column("measured_current_A"),
+            acceleration_m_s2=acceleration,
+            position_m=column("encoder_counts") * self._count_m,
+            # A sensor's zero may lie a little below.
+            grip_N=0.0 if self._grip_N == 0 else max(float(grips.mean()), 0.0),
+            negative=negative,
+            cut_ticks=int(np.sum(command != transient)),
+        )
+
+
+def free_numbers(folder: Path, count: int) -> list[Path]:
+    """Names for so many files, after the last that is there: none is ever written over.
+
+    Raises
+    ------
+    InputError : the folder cannot be made or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        there = [path.stem.removeprefix("sweep_") for path in folder.glob("sweep_*.npz")]
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    last = max((int(number) for number in there if number.isdecimal()), default=0)
+    return [folder / f"sweep_{last + 1 + j:03d}.npz" for j in range(count)]

@@ -1,0 +1,203 @@
+"""A serial port as a stream of bytes: the one file that knows pyserial.
+
+Names are those of `serial.serial_for_url`: a device (`/dev/ttyACM0`, `COM3`, a pseudo-terminal), `socket://HOST:PORT`,
+`loop://`. A thread of its own reads into a bounded queue, because what is not fetched in time is lost in the driver's
+buffer. What pyserial and the system throw, and where they throw nothing, becomes one of four errors of one line.
+
+Thread-safety: `read` by one thread and `write` by one (the same or another); `close` by any, any number of times.
+"""
+
+import contextlib
+import errno
+import os
+import queue
+import select
+import threading
+from types import TracebackType
+from typing import Any
+
+import serial
+from serial.tools import list_ports
+
+from transopt.base.errors import InputError
+
+BAUD = 115_200  # of a real UART only; over USB it means nothing
+POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
+WRITE_TIMEOUT_S = 1.0
+CLOSE_S = 1.0
+BLOCK_BYTES = 4096
+QUEUE_BLOCKS = 1024
+
+
+class PortError(InputError):
+    """The port cannot be opened or used; the message is one line with what to do."""
+
+
+class UnpluggedError(PortError):
+    """The port went away while it was open; `detail` is what the system said of it."""
+
+    def __init__(self, message: str, detail: str = "") -> None:
+        super().__init__(message)
+        self.detail = detail
+
+
+def port_names() -> list[tuple[str, str]]:
+    """(name, description) of the serial ports there are, in the system's order."""
+    return sorted((port.device, port.description or "") for port in list_ports.comports())
+
+
+def _ports_in_words() -> str:
+    names = [name for name, _ in port_names()]
+    return f"there are {', '.join(names)}" if names else "there is no serial port at all: plug the device in"
+
+
+def _refusal(name: str, error: Exception) -> PortError:
+    """Why it does not open, told apart by the system's number, which pyserial often leaves only in its text."""
+    number = getattr(error, "errno", None)
+    cause = error.__context__
+    if number is None and isinstance(cause, OSError):
+        number = cause.errno
+    text = str(error)
+    if number in (errno.EACCES, errno.EPERM) or isinstance(error, PermissionError) or "Permission" in text:
+        group = "add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again"
+        return PortError(f"{name}: no permission: {group}")
+    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text or "busy" in text.lower():
+        return PortError(f"{name}: busy: another program has it open; close that one")
+    if name.startswith("socket:"):
+        why = os.strerror(number) if number else text
+        return PortError(f"{name}: nobody answers there ({why}): start transopt-device")
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "could not open port" in text:
+        return PortError(f"{name}: no such port; {_ports_in_words()}")
+    return PortError(f"{name}: cannot be opened as a serial port ({text}); {_ports_in_words()}")
+
+
+class Transport:
+    """An open port.
+
+    Parameters
+    ----------
+    name : of the port, as `serial_for_url` takes it.
+
+    Raises
+    ------
+    PortError : no such port, no permission, busy, or not a port.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._closing, self._failed = threading.Event(), threading.Event()
+        self._detail = ""
+        self._queue: queue.Queue[bytes] = queue.Queue(QUEUE_BLOCKS)
+        # Not every kind of port knows the word.
+        exclusive: dict[str, Any] = {} if "://" in name else {"exclusive": True}
+        try:
+            self._port = serial.serial_for_url(name, BAUD, timeout=POLL_S, write_timeout=WRITE_TIMEOUT_S, **exclusive)
+        except (OSError, ValueError) as error:  # SerialException is an OSError
+            raise _refusal(name, error) from None
+        # A descriptor can be waited for, and then read without blocking whatever there is, also from a socket, whose
+        # `in_waiting` does not count. Others (loop://, Windows) block for a byte.
+        self._descriptor = self._descriptor_of_port()
+        self._reader = threading.Thread(target=self._read_on, name=f"reader of {name}", daemon=True)
+        self._reader.start()
+
+    def _descriptor_of_port(self) -> int | None:
+        try:
+            descriptor = int(self._port.fileno())
+        except (AttributeError, OSError):  # io.UnsupportedOperation is an OSError
+            return None
+        self._port.timeout = 0
+        return descriptor
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, waiting for the first byte for so long at most; empty if nothing came.
+
+        Raises
+        ------
+        UnpluggedError : the port is gone, and all that came before has been read.
+        """
+        try:
+            blocks = [self._queue.get(timeout=max(timeout_s, 0.0)) if timeout_s > 0 else self._queue.get_nowait()]
+        except queue.Empty:
+            blocks = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                blocks.append(self._queue.get_nowait())
+        data = b"".join(blocks)
+        if not data:
+            self._check()
+        return data
+
+    def write(self, data: bytes) -> None:
+        """
+        Raises
+        ------
+        UnpluggedError : the port is gone, or takes nothing any more.
+        """
+        self._check()
+        if not data:
+            return
+        try:
+            self._port.write(data)
+        except serial.SerialTimeoutException:
+            self._fail("it has taken no data for a second")
+        # A port that another thread is closing, or that is gone, fails in any of these ways.
+        except (OSError, TypeError, ValueError, AttributeError) as error:
+            self._fail(str(error))
+        self._check()
+
+    def close(self) -> None:
+        """Whatever state it is in."""
+        self._closing.set()
+        with contextlib.suppress(Exception):
+            self._port.cancel_read()
+        if threading.current_thread() is not self._reader:
+            self._reader.join(CLOSE_S)
+        # On a port that is gone, termios.error, which is no OSError, comes from here.
+        with contextlib.suppress(Exception):
+            self._port.close()
+
+    def __enter__(self) -> "Transport":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _check(self) -> None:
+        if self._closing.is_set():
+            raise UnpluggedError(f"{self.name}: closed")
+        if self._failed.is_set() and self._queue.empty():
+            message = f"{self.name}: the connection is gone ({self._detail}): plug the device in again"
+            raise UnpluggedError(message, self._detail)
+
+    def _fail(self, detail: str) -> None:
+        if not self._failed.is_set():
+            self._detail = detail
+            self._failed.set()
+
+    def _read_on(self) -> None:
+        """The reader's thread: dies only with a word about it."""
+        try:
+            while not self._closing.is_set():
+                if self._descriptor is None:
+                    data = self._port.read(1)
+                    data += self._port.read(min(self._port.in_waiting, BLOCK_BYTES)) if data else b""
+                elif select.select([self._descriptor], [], [], POLL_S)[0]:
+                    data = self._port.read(BLOCK_BYTES)
+                else:
+                    continue
+                if data:
+                    self._put(data)
+        except Exception as error:  # also termios.error, TypeError of a port closed meanwhile
+            self._fail(str(error) or type(error).__name__)
+        else:
+            self._fail("closed")
+        with contextlib.suppress(queue.Full):
+            self._queue.put_nowait(b"")  # wakes whoever waits
+
+    def _put(self, data: bytes) -> None:
+        while not self._closing.is_set():
+            with contextlib.suppress(queue.Full):
+                self._queue.put(data, timeout=POLL_S)
+                return

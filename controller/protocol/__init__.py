@@ -1,0 +1,1 @@
+"""Bytes on the wire: frames, messages, configuration and image."""

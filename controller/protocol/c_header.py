@@ -1,0 +1,152 @@
+"""The C core's view of the protocol: `python -m controller.protocol.c_header` writes firmware/src/core/td_messages.h.
+
+A test compares the file with `header_text()`, so the two languages cannot drift apart.
+"""
+
+import struct
+from dataclasses import fields
+from pathlib import Path
+
+from controller.protocol import capacity, codes, configuration, image, messages, packed, wire
+from controller.protocol.messages import MESSAGES
+from controller.protocol.packed import OPEN_END, Packed
+
+HEADER_PATH = Path(__file__).parents[1] / "firmware" / "src" / "core" / "td_messages.h"
+C_TYPES = {"B": "u8", "H": "u16", "I": "u32", "i": "i32", "Q": "u64", "f": "f32", "d": "f64"}
+# Field of Capacity -> the macro that a port may set; the first four are those of td_limits.h.
+CAPACITY = {
+    "speeds": "TD_MAX_SPEEDS",
+    "grips": "TD_MAX_GRIPS",
+    "waveform_samples": "TD_MAX_SAMPLES",
+    "approach_ticks": "TD_MAX_WINDOW_TICKS",
+    "latency_ticks": "TD_MAX_LATENCY_TICKS",
+    "samples": "TD_MAX_LIBRARY_SAMPLES",
+    "upload_frames": "TD_UPLOAD_FRAMES",
+}
+
+
+def _define(name: str, value: object, note: str = "") -> str:
+    return f"#define {name} {value}" + (f" /* {note} */" if note else "")
+
+
+def _type(form: str) -> str:
+    return "bytes up to the end" if form == OPEN_END else C_TYPES.get(form, f"{form[:-1]} bytes")
+
+
+def _offsets(prefix: str, layout: list[tuple[str, str]]) -> list[str]:
+    lines, offset = [], 0
+    for name, form in layout:
+        lines.append(_define(f"{prefix}_{name.upper()}", offset, _type(form)))
+        offset += 0 if form == OPEN_END else struct.calcsize("<" + form)
+    return [*lines, _define(f"{prefix}_BYTES", offset)]
+
+
+def _message(name: str, message: type[Packed]) -> list[str]:
+    note = "and more" if message.OPEN else ""
+    lines = _offsets(f"TD_{name}", message.layout())
+    return [*lines[:-1], lines[-1] + (f" /* {note} */" if note else "")]
+
+
+def _enumeration(title: str, prefix: str, members: dict[str, int]) -> list[str]:
+    body = [f"    {prefix}_{name.upper()} = {value}," for name, value in members.items()]
+    body[-1] = body[-1].rstrip(",")
+    return [f"/* {title} */", "enum {", *body, "};", ""]
+
+
+def header_text() -> str:
+    """td_messages.h."""
+    lines = [
+        "/* Generated from controller/protocol/messages.py by `python -m controller.protocol.c_header`: do not edit.",
+        " *",
+        " * Offsets into a frame's body, little-endian, TD_<message>_<field>; TD_<message>_BYTES is its length",
+        " * without an open end. See controller/protocol/messages.py for what each message means.",
+        " */",
+        "#ifndef TD_MESSAGES_H",
+        "#define TD_MESSAGES_H",
+        "",
+        '#include "td_port.h"',
+        "",
+        _define("TD_PROTOCOL", messages.PROTOCOL),
+        _define("TD_MAGIC", f"0x{messages.MAGIC:08X}u"),
+        _define("TD_HEADER_KIND", 0, "u8"),
+        _define("TD_HEADER_FLAGS", 1, "u8, 0"),
+        _define("TD_HEADER_SEQUENCE", 2, "u16"),
+        _define("TD_HEADER_SESSION", 4, "u32"),
+        _define("TD_HEADER_BYTES", messages.HEADER.size),
+        _define("TD_BODY_LIMIT", messages.BODY_LIMIT),
+        _define("TD_PAYLOAD_LIMIT", wire.PAYLOAD_LIMIT),
+        _define("TD_FRAME_LIMIT", wire.ENCODED_LIMIT + 1, "encoded, delimiter included"),
+        _define("TD_HASH_BYTES", packed.HASH_BYTES),
+        _define("TD_DATA_LIMIT", messages.DATA_LIMIT, "bytes of an image in one DATA"),
+        _define("TD_RECORDS_LIMIT", messages.RECORDS_LIMIT, "records in one TELEMETRY_DATA"),
+        _define("TD_RECORD_NO_COUNTS", "INT32_MIN", "of an encoder that gave no number"),
+        "",
+    ]
+    lines += _enumeration("Kind of a frame", "TD_KIND", {kind.name: kind.value for kind in codes.Kind})
+    lines += _enumeration("State", "TD_STATE", {state.name: j for j, state in enumerate(codes.STATES)})
+    lines += _enumeration("Reason of REFUSED", "TD_REASON", {r.name: code for code, r in codes.REASONS.items()})
+    lines += _enumeration(
+        "What an event tells, 0 for nothing", "TD_WHAT", {w.name: code for code, w in codes.EVENTS.items()}
+    )
+    for kind, message in MESSAGES.items():
+        if message.layout():
+            lines += [*_message(kind.name, message), ""]
+        else:
+            lines += [_define(f"TD_{kind.name}_BYTES", 0), ""]
+    lines += ["/* One record of TELEMETRY_DATA. */", *_message("RECORD", messages.Record), ""]
+    lines += ["/* Image of a library: header, then speeds, grips, transient and feedback norms f64, counts i16. */"]
+    lines += [
+        _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),
+        _define("TD_IMAGE_VERSION_VALUE", image.IMAGE_VERSION),
+        _define("TD_IMAGE_BY_GRIP", image.BY_GRIP, "flag"),
+        _define("TD_IMAGE_NEAREST", image.NEAREST, "flag"),
+        _define(
+            "TD_IMAGE_WALLED_COMMAND", image.WALLED_COMMAND, "of the command limit, for a transient beside a wall"
+        ),
+        *_offsets("TD_IMAGE", list(image.IMAGE_FIELDS)),
+        "",
+        "/* Configuration: magic u32, version u16, count u16, then float64 by these places. */",
+        _define("TD_CONFIGURATION_MAGIC", f"0x{configuration.CONFIGURATION_MAGIC:08X}u"),
+        _define("TD_CONFIGURATION_VERSION", configuration.CONFIGURATION_VERSION),
+        _define("TD_CONFIGURATION_VALUES", configuration.HEADER.size, "offset of the first"),
+        _define("TD_CONFIGURATION_BYTES", configuration.CONFIGURATION_BYTES),
+        "",
+    ]
+    places = {name: place for place, name in enumerate(configuration.NAMES)}
+    lines += _enumeration("Place in the configuration", "TD_CFG", {**places, "count": len(places)})
+    lines += ["/* What a device holds; a port may set less with -D, HELLO_REPLY tells. */"]
+    for field in fields(capacity.Capacity):
+        macro = CAPACITY[field.name]
+        lines += [f"#ifndef {macro}", _define(macro, field.default), "#endif"]
+    lines += [
+        "",
+        _define("TD_MAX_IMAGE_BYTES", _largest_image()),
+        "",
+        _define("TD_PULSE_LIMIT_A", capacity.PULSE_LIMIT_A),
+        _define("TD_PULSE_LIMIT_S", capacity.PULSE_LIMIT_S),
+        _define("TD_LEASE_LEAST_MS", capacity.LEASE_LEAST_MS),
+        _define("TD_LEASE_MOST_MS", capacity.LEASE_MOST_MS),
+        _define("TD_TRIAL_GAIN", capacity.TRIAL_GAIN),
+        _define("TD_REST_SPEED_M_S", capacity.REST_SPEED_M_S),
+        _define("TD_LINK_SILENCE_MS", capacity.LINK_SILENCE_MS),
+        _define("TD_EVENT_REPEAT_MS", capacity.EVENT_REPEAT_MS),
+        _define("TD_EVENT_WINDOW", capacity.EVENT_WINDOW),
+        _define("TD_EVENT_QUEUE", capacity.EVENT_QUEUE),
+        _define("TD_TELEMETRY_HOLD_MS", capacity.TELEMETRY_HOLD_MS),
+        _define("TD_LONGEST_S", capacity.LONGEST_S),
+        _define("TD_ENCODER_MOST_COUNTS", capacity.ENCODER_MOST_COUNTS),
+        "",
+        "#endif",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _largest_image() -> str:
+    """`image.capacity_bytes` with the port's own sizes."""
+    nodes = "TD_MAX_SPEEDS * TD_MAX_GRIPS"
+    return f"({image.HEADER.size} + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + 2 * {nodes}) + 2 * TD_MAX_LIBRARY_SAMPLES)"
+
+
+if __name__ == "__main__":
+    HEADER_PATH.parent.mkdir(parents=True, exist_ok=True)
+    HEADER_PATH.write_text(header_text(), encoding="ascii", newline="\n")

@@ -1,0 +1,122 @@
+"""What a session tells its user: frozen events, in the order in which they happened."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from controller.protocol.capacity import Capacity
+from controller.protocol.codes import Kind, Reason, What
+from controller.protocol.messages import HelloReply, Record
+from controller.servo.interface import Fault, State
+
+
+class Cause(Enum):
+    """Why a session ended; the value is the message and the remedy."""
+
+    NO_ANSWER = "nothing answers on this port: is the device powered, and its firmware running?"
+    NOT_OURS = "not our device: it sends, but not this protocol; choose another port or flash the firmware"
+    OTHER_VERSION = "the device speaks another version of the protocol: bring host and firmware to one version"
+    SILENT = "the device has fallen silent: reset or without power? Connect again; it does not arm by itself"
+    UNPLUGGED = "the connection is gone: plug the device in and connect again; it does not arm by itself"
+    CLOSED = "closed by the host"
+    BROKE_PROTOCOL = "the device broke the protocol: reset it, and report this"
+    MISUSED = "the program asked for something out of turn"
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """restarted : the device has started anew since the last connection, and forgot what it was told."""
+
+    device: HelloReply
+    capacity: Capacity
+    restarted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Completed:
+    """A request has been carried out. skipped : nothing was to do, the device had it already."""
+
+    request: Kind
+    skipped: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A request has not been carried out, and those queued behind it are given up. value : NaN if none offends."""
+
+    request: Kind
+    reason: Reason
+    value: float
+
+    def __str__(self) -> str:
+        seen = "" if self.value != self.value else f" (device saw {self.value:g})"
+        return f"{self.request.name.lower().replace('_', ' ')} refused: {self.reason.value}{seen}"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Of an upload, in bytes that have arrived."""
+
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """The device's own state, as far as reported."""
+
+    state: State
+    fault: Fault | None
+
+
+@dataclass(frozen=True, slots=True)
+class Happened:
+    """An event of the device, told exactly once. lost : events so far that found no room in the device."""
+
+    number: int
+    tick: int
+    what: What
+    speed_m_s: float
+    grip_N: float
+    lost: int
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Telemetry of ticks tick, tick + every, ... missed : records lost before these."""
+
+    tick: int
+    every: int
+    records: tuple[Record, ...]
+    missed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The session is over; nothing more comes before another connect."""
+
+    cause: Cause
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.cause.value} ({self.detail})" if self.detail else self.cause.value
+
+
+Told = Connected | Completed | Refused | Progress | Changed | Happened | Samples | Logged | Ended
+
+
+def capacity_of(reply: HelloReply) -> Capacity:
+    """What the device holds."""
+    return Capacity(
+        samples=reply.capacity_samples,
+        speeds=reply.capacity_speeds,
+        grips=reply.capacity_grips,
+        waveform_samples=reply.capacity_waveform_samples,
+        approach_ticks=reply.capacity_approach_ticks,
+        latency_ticks=reply.capacity_latency_ticks,
+        upload_frames=reply.upload_frames,
+    )

@@ -1,0 +1,235 @@
+"""The library as a device stores it: int16 waveforms with one scale, axes and norms in one block of bytes.
+
+    header    HEADER, see IMAGE_FIELDS
+    speeds    nv float64 [m/s]       grips   ng float64 [N]
+    transient nv * ng float64 [A]    norms of the transients' currents, row by row (speed), see `bank.Bank`
+    feedback  nv * ng float64 [A]    of the feedback's beside them
+    waveforms nv * ng * N int16      counts; a command is count * scale_A, row by row
+
+Little-endian; all float64 lie on multiples of 8. SHA-256 of the whole is the library's hash. What is played is
+what is stored, so the Python servo too plays `bank_of(image)`, not the library's own numbers.
+"""
+
+import hashlib
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.protocol.capacity import Capacity
+from controller.protocol.codes import Reason
+from controller.protocol.configuration import Configuration
+from controller.waveforms.bank import Bank, Method
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+
+IMAGE_MAGIC = 0x4D494E54  # "TNIM"
+IMAGE_VERSION = 1
+# (name, struct format) in order; `flags`: bit 0 the grip is looked at, bit 1 nearest node instead of a blend.
+IMAGE_FIELDS = (
+    ("magic", "I"),
+    ("version", "H"),
+    ("flags", "H"),
+    ("speeds", "H"),
+    ("grips", "H"),
+    ("samples", "I"),
+    ("tail_samples", "I"),
+    ("reserved", "I"),
+    ("dt_s", "d"),
+    ("lead_s", "d"),
+    ("scale_A", "d"),
+    ("grip_min_N", "d"),
+)
+HEADER = struct.Struct("<" + "".join(form for _, form in IMAGE_FIELDS))
+BY_GRIP, NEAREST = 1, 2
+FULL_COUNT = 32767
+WALLED_COMMAND = 2.0  # of the command limit: what a transient beside a wall's feedback may ask for, see `check`
+
+
+class ImageError(ValueError):
+    """An image that may not be played; `value` is the number that offends, NaN if there is none."""
+
+    def __init__(self, reason: Reason, value: float = np.nan) -> None:
+        super().__init__(f"{reason.value} ({value:g})")
+        self.reason, self.value = reason, value
+
+
+def image_bytes(speeds: int, grips: int, samples: int) -> int:
+    """Size of an image with so many nodes and samples per waveform."""
+    nodes = speeds * grips
+    return HEADER.size + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples
+
+
+def capacity_bytes(capacity: Capacity) -> int:
+    """Size of the largest image that any use of a device's capacity can make."""
+    nodes = capacity.speeds * capacity.grips
+    return HEADER.size + 8 * (capacity.speeds + capacity.grips + 2 * nodes) + 2 * capacity.samples
+
+
+def sha256(data: bytes) -> bytes:
+    return hashlib.sha256(data).digest()
+
+
+def image_of(bank: Bank, dt_s: float, lead_s: float, tail_samples: int) -> bytes:
+    """The image of a table of transients.
+
+    Parameters
+    ----------
+    tail_samples : each waveform ends in at least so many zero commands, one or more.
+
+    Raises
+    ------
+    InputError : no waveforms, one that is no number, or one that does not end in zeros.
+    """
+    command = np.asarray(bank.command_A, dtype=float)
+    if command.size == 0:
+        raise InputError(f"method {bank.method.value}: has no waveforms that a device could play")
+    peak = float(np.max(np.abs(command)))
+    if not np.isfinite(peak):
+        raise InputError("library: a command is no number: solve it again")
+    if not 0 < tail_samples <= command.shape[-1] or np.any(command[..., -tail_samples:]):
+        raise InputError(
+            f"library: the last {tail_samples} commands of a waveform are not all zero, which a device asks for: "
+            f"use one written by `transopt solve`"
+        )
+    scale_A = peak / FULL_COUNT if peak > 0 else 1.0
+    counts = np.rint(command / scale_A).astype("<i2")
+    speeds, grips, samples = command.shape
+    flags = BY_GRIP * bank.by_grip | NEAREST * bank.nearest
+    head = HEADER.pack(
+        IMAGE_MAGIC,
+        IMAGE_VERSION,
+        flags,
+        speeds,
+        grips,
+        samples,
+        tail_samples,
+        0,
+        dt_s,
+        lead_s,
+        scale_A,
+        bank.grip_min_N,
+    )
+    tables = (bank.speeds_m_s, bank.grips_N, bank.transient_A, bank.feedback_A)
+    return b"".join([head, *(np.asarray(table, dtype="<f8").tobytes() for table in tables), counts.tobytes()])
+
+
+def _fields(image: bytes) -> dict[str, Any]:
+    if len(image) < HEADER.size:
+        raise ImageError(Reason.BAD_FORMAT, len(image))
+    head = dict(zip((name for name, _ in IMAGE_FIELDS), HEADER.unpack_from(image), strict=True))
+    if head["magic"] != IMAGE_MAGIC or head["version"] != IMAGE_VERSION or head["flags"] > BY_GRIP | NEAREST:
+        raise ImageError(Reason.BAD_FORMAT, head["version"])
+    sizes = head["speeds"], head["grips"], head["samples"]
+    if min(sizes) < 1 or head["reserved"] or image_bytes(*sizes) != len(image):
+        raise ImageError(Reason.BAD_FORMAT, len(image))
+    for name in ("scale_A", "grip_min_N"):
+        if not 0 <= head[name] < np.inf:
+            raise ImageError(Reason.BAD_VALUE, head[name])
+    return head
+
+
+def too_large(image: bytes, capacity: Capacity) -> str | None:
+    """Why an image does not fit a device, with the grid and the rate that would; None if it fits.
+
+    Raises
+    ------
+    ImageError : not an image.
+    """
+    head = _fields(image)
+    nv, ng, N, dt_s = head["speeds"], head["grips"], head["samples"], head["dt_s"]
+    axes_fit = nv <= capacity.speeds and ng <= capacity.grips
+    if axes_fit and capacity.waveform_samples >= N and nv * ng * N <= capacity.samples:
+        return None
+    advice = []
+    # A grid of the same proportions, then the same grid at a lower rate or over a shorter time.
+    shrink = min(1.0, (capacity.samples / (N * nv * ng)) ** 0.5)
+    speeds, grips = (max(1, min(int(n * shrink), most)) for n, most in ((nv, capacity.speeds), (ng, capacity.grips)))
+    if capacity.waveform_samples >= N and speeds * grips * N <= capacity.samples:
+        advice.append(f"a grid of {speeds} speeds x {grips} grips")
+    samples = min(capacity.waveform_samples, capacity.samples // (nv * ng))
+    if axes_fit and samples:
+        advice.append(f"{samples} samples ({samples * dt_s * 1e3:.3g} ms, or {samples / (N * dt_s) / 1e3:.3g} kHz)")
+    return (
+        f"library: {nv} speeds x {ng} grips x {N} samples: the device holds {capacity.speeds} x {capacity.grips}, "
+        f"{capacity.waveform_samples} samples each, {capacity.samples} in all: "
+        + (f"{' or '.join(advice)} would fit" if advice else "use a device with more memory")
+    )
+
+
+def bank_of(image: bytes) -> tuple[Bank, dict[str, Any]]:
+    """The table that an image holds, commands count * scale_A, and its header.
+
+    Raises
+    ------
+    ImageError : not an image of this version, not as long as it says, or a scale that is no number.
+    """
+    head = _fields(image)
+    nv, ng, N = head["speeds"], head["grips"], head["samples"]
+    numbers = np.frombuffer(image, dtype="<f8", count=nv + ng + 2 * nv * ng, offset=HEADER.size)
+    speeds, grips, transient, feedback = np.split(numbers, np.cumsum([nv, ng, nv * ng]))
+    counts: NDArray[np.int16] = np.frombuffer(
+        image, dtype="<i2", count=nv * ng * N, offset=len(image) - 2 * nv * ng * N
+    )
+    command: FloatArray = counts.astype(float).reshape(nv, ng, N) * head["scale_A"]
+    nearest = bool(head["flags"] & NEAREST)
+    table = Bank(
+        method=Method.NEAREST if nearest else Method.BILINEAR,
+        speeds_m_s=speeds.tolist(),
+        grips_N=grips.tolist(),
+        command_A=command,
+        transient_A=transient.reshape(nv, ng).tolist(),
+        feedback_A=feedback.reshape(nv, ng).tolist(),
+        grip_min_N=head["grip_min_N"],
+        by_grip=bool(head["flags"] & BY_GRIP),
+        nearest=nearest,
+    )
+    return table, head
+
+
+def check(image: bytes, configuration: Configuration, capacity: Capacity) -> Bank:
+    """What COMMIT asks of an image before anything of it is played.
+
+    Peaks are those of the command and of the current that it makes from rest, i+ = decay i + (1 - decay) c, with one
+    count of room for rounding. Beside a wall a transient is what is left of the command without the feedback's, and
+    the prefilter lets that go beyond the range that their sum keeps; there the clamp has the last word.
+
+    Raises
+    ------
+    ImageError : with the first reason in this order: format, size, axes, timing, more than the one waveform that the
+        host starts, zero tails, peaks.
+    """
+    table, head = bank_of(image)
+    nv, ng, N = head["speeds"], head["grips"], head["samples"]
+    sizes = (
+        (nv, capacity.speeds),
+        (ng, capacity.grips),
+        (N, capacity.waveform_samples),
+        (nv * ng * N, capacity.samples),
+    )
+    for size, most in sizes:
+        if size > most:
+            raise ImageError(Reason.TOO_LARGE, size)
+    axes = (np.asarray(table.speeds_m_s), np.asarray(table.grips_N))
+    if not all(np.all(np.isfinite(axis)) and axis[0] >= 0 and np.all(np.diff(axis) > 0) for axis in axes):
+        raise ImageError(Reason.BAD_AXES)
+    norms = np.asarray([table.transient_A, table.feedback_A])
+    if not (np.all(np.isfinite(norms)) and np.all(norms >= 0)):
+        raise ImageError(Reason.BAD_VALUE)
+    settings = configuration.settings
+    if head["dt_s"] != settings.dt_s or head["lead_s"] != settings.lead_s:
+        raise ImageError(Reason.BAD_TIMING, head["dt_s"] if head["dt_s"] != settings.dt_s else head["lead_s"])
+    playable = table.speeds_m_s[0] > 0 and table.grips_N[0] >= table.grip_min_N
+    if settings.host_starts and not (nv * ng == 1 and playable):
+        raise ImageError(Reason.ONE_WAVEFORM, nv * ng)
+    tail = head["tail_samples"]
+    if not 0 < tail <= N or np.any(table.command_A[..., -tail:]):
+        raise ImageError(Reason.NO_ZERO_TAIL, tail)
+    command_A = settings.command_limit_A * (1.0 if settings.wall is None else WALLED_COMMAND)
+    current = configuration.currents(table.command_A)
+    for values, limit_A in ((table.command_A, command_A), (current, settings.current_limit_A)):
+        peak = float(np.max(np.abs(values)))
+        if not peak <= limit_A + head["scale_A"]:
+            raise ImageError(Reason.OVER_LIMIT, peak)
+    return table

@@ -1,0 +1,401 @@
+"""The message table, for Python and (by `core_header`) for C: kinds, bodies, codes.
+
+A frame's payload is a header of 8 bytes and a body of at most 1024, little-endian, without padding:
+
+    kind u8, flags u8 (0), sequence u16, session u32, body
+
+Each kind's body is the dataclass below of that name: its fields in order, in the format that the annotation names.
+Names end in units. The last field may be open (`Tail`), its length is what is left.
+
+    host asks, device answers with the same sequence    HELLO -> HELLO_REPLY, UPLOAD_BEGIN -> UPLOAD_READY,
+                                                        all others -> DONE; instead of these REFUSED
+    beside that, in any order                           DATA -> ACK, LEASE -> LEASE_REPLY, EVENT_ACK, EMERGENCY_STOP
+    the device on its own                               EVENT, TELEMETRY_DATA, LOG
+
+One request is open at a time. The same sequence again is a repetition: it gets the same answer, and is not carried
+out twice; an older one is dropped. HELLO opens the session its header names, and everything else from another session
+is dropped, but for EMERGENCY_STOP.
+"""
+
+import struct
+from dataclasses import dataclass
+
+from controller.protocol.codes import Kind
+from controller.protocol.packed import (
+    F32,
+    F64,
+    HASH_BYTES,
+    I32,
+    U8,
+    U16,
+    U32,
+    U64,
+    BadBodyError,
+    Hash,
+    Packed,
+    Tail,
+    laid_out,
+)
+
+PROTOCOL = 2
+MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
+HEADER = struct.Struct("<BBHI")
+GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version
+BODY_LIMIT = 1024
+NO_HASH = bytes(HASH_BYTES)
+NO_COUNTS = -(2**31)  # of an encoder that gave no number
+
+
+class OtherProtocolError(ValueError):
+    """HELLO or HELLO_REPLY of another version, or of somebody else's protocol."""
+
+    def __init__(self, magic: int, protocol: int) -> None:
+        super().__init__(f"magic {magic:08x}, protocol {protocol}")
+        self.foreign, self.protocol = magic != MAGIC, protocol
+
+
+# Host to device.
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Hello(Packed):
+    """Magic and protocol come first in every version, so that two versions can tell each other theirs."""
+
+    magic: U32
+    protocol: U16
+    nonce: U32
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Configure(Packed):
+    """A part of the configuration (`configuration`), in any order."""
+
+    offset: U32
+    data: Tail
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class ConfigureCommit(Packed):
+    """In force from the answer on; IDLE only. The coil's estimated temperature survives it."""
+
+    sha256: Hash
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class UploadBegin(Packed):
+    """A library image (`image`) is coming; goes on where the same one was interrupted."""
+
+    length: U32
+    sha256: Hash
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Data(Packed):
+    """A part of the image; taken only at the wanted offset, and every one is answered with ACK."""
+
+    offset: U32
+    data: Tail
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Commit(Packed):
+    """Check the image whole, then play from it; until then the one before stays in force."""
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Arm(Packed):
+    """trial 1: the bring-up check's own tap, before it has passed, at a gain of at most `limits.TRIAL_GAIN`."""
+
+    trial: U8
+    lease_ms: U16
+    gain: F64
+    configuration_sha256: Hash
+    library_sha256: Hash
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Lease(Packed):
+    """The host is there; while ARMED or PLAYING the device disarms by itself `lease_ms` after the last one."""
+
+    host_us: U64
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Disarm(Packed):
+    pass
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Reset(Packed):
+    """Leave FAULT for IDLE."""
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Gain(Packed):
+    gain: F64
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Telemetry(Packed):
+    """One record every so many ticks; 0 for none."""
+
+    every: U16
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Pulse(Packed):
+    """Command for the polarity test, IDLE only; PULSE_ENDED tells its end."""
+
+    current_A: F64
+    ticks: U16
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Checked(Packed):
+    """The configuration of this hash has passed the bring-up check; forgotten at the next start of the device."""
+
+    configuration_sha256: Hash
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Start(Packed):
+    """Play the one waveform of a configuration that the host starts, ARMED only; negative 1: with the other sign.
+
+    PLAYING from the answer on, FINISHED tells the end; an event of a fault, a disarming or a lost lease ends it too.
+    """
+
+    negative: U8
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class EventAck(Packed):
+    """All events below this number have been told to the user."""
+
+    wanted: U32
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class EmergencyStop(Packed):
+    """Obeyed from any session, in any state, never answered: the fault's event is the answer."""
+
+
+# Device to host.
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class HelloReply(Packed):
+    """Who the device is, what it holds, what it does.
+
+    boot : another after every start. real_bytes : 8 computes in double, 4 in float. fault : event code, 0 for none.
+    event : number of the oldest event not yet acknowledged. Hashes are zero for what is not there;
+    checked_sha256 is that of the configuration that has passed the check.
+    """
+
+    magic: U32
+    protocol: U16
+    real_bytes: U8
+    state: U8
+    fault: U8
+    body_limit: U16
+    upload_frames: U16
+    firmware: U32
+    boot: U32
+    nonce: U32
+    event: U32
+    capacity_samples: U32
+    capacity_waveform_samples: U32
+    capacity_speeds: U16
+    capacity_grips: U16
+    capacity_approach_ticks: U16
+    capacity_latency_ticks: U16
+    tick: U64
+    dt_s: F64
+    current_limit_A: F64
+    command_limit_A: F64
+    configuration_sha256: Hash
+    library_sha256: Hash
+    checked_sha256: Hash
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Done(Packed):
+    """The request of this kind has been carried out."""
+
+    request: U8
+    state: U8
+    fault: U8
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Refused(Packed):
+    """`value` is the number that offended, NaN if there is none."""
+
+    request: U8
+    reason: U8
+    state: U8
+    fault: U8
+    value: F64
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class UploadReady(Packed):
+    offset: U32
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Ack(Packed):
+    """Everything below this offset has arrived."""
+
+    wanted: U32
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class LeaseReply(Packed):
+    host_us: U64
+    tick: U64
+    state: U8
+    fault: U8
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Event(Packed):
+    """Numbered without gaps from 0 at each start of the device, sent again until acknowledged.
+
+    lost : events that found no room in the device's queue so far. speed, grip : NaN where no contact is meant.
+    """
+
+    number: U32
+    tick: U64
+    code: U8
+    lost: U16
+    speed_m_s: F64
+    grip_N: F64
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Record(Packed):
+    """Telemetry of one tick; flags bit 0: emergency stop pressed."""
+
+    encoder_counts: I32
+    grip_N: F32
+    measured_current_A: F32
+    acceleration_m_s2: F32
+    command_A: F32
+    transient_A: F32
+    feedback_A: F32
+    winding_C: F32
+    state: U8
+    flags: U8
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class TelemetryData(Packed):
+    """Records of ticks tick, tick + every, ...; `first` numbers them since TELEMETRY, so that gaps can be counted."""
+
+    first: U32
+    tick: U64
+    every: U16
+    records: Tail
+
+
+@laid_out
+@dataclass(frozen=True, slots=True)
+class Log(Packed):
+    """For people: UTF-8."""
+
+    text: Tail
+
+
+MESSAGES: dict[Kind, type[Packed]] = {
+    Kind.HELLO: Hello,
+    Kind.CONFIGURE: Configure,
+    Kind.CONFIGURE_COMMIT: ConfigureCommit,
+    Kind.UPLOAD_BEGIN: UploadBegin,
+    Kind.DATA: Data,
+    Kind.COMMIT: Commit,
+    Kind.ARM: Arm,
+    Kind.LEASE: Lease,
+    Kind.DISARM: Disarm,
+    Kind.RESET: Reset,
+    Kind.GAIN: Gain,
+    Kind.TELEMETRY: Telemetry,
+    Kind.PULSE: Pulse,
+    Kind.CHECKED: Checked,
+    Kind.EVENT_ACK: EventAck,
+    Kind.EMERGENCY_STOP: EmergencyStop,
+    Kind.START: Start,
+    Kind.HELLO_REPLY: HelloReply,
+    Kind.DONE: Done,
+    Kind.REFUSED: Refused,
+    Kind.UPLOAD_READY: UploadReady,
+    Kind.ACK: Ack,
+    Kind.LEASE_REPLY: LeaseReply,
+    Kind.EVENT: Event,
+    Kind.TELEMETRY_DATA: TelemetryData,
+    Kind.LOG: Log,
+}
+KINDS: dict[type[Packed], Kind] = {message: kind for kind, message in MESSAGES.items()}
+DATA_LIMIT = BODY_LIMIT - Data.FORMAT.size  # bytes of an image in one frame
+RECORDS_LIMIT = (BODY_LIMIT - TelemetryData.FORMAT.size) // Record.FORMAT.size
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A message with its header."""
+
+    sequence: int
+    session: int
+    message: Packed
+
+    def payload(self) -> bytes:
+        return HEADER.pack(KINDS[type(self.message)], 0, self.sequence, self.session) + self.message.pack()
+
+
+def read_frame(payload: bytes) -> Frame:
+    """What a sound payload says.
+
+    Raises
+    ------
+    BadBodyError : unknown kind, flags of a later version, a body of the wrong length.
+    OtherProtocolError : HELLO or its reply, by another protocol.
+    """
+    if len(payload) < HEADER.size:
+        raise BadBodyError(f"{len(payload)} bytes")
+    kind, flags, sequence, session = HEADER.unpack_from(payload)
+    message = MESSAGES.get(kind)
+    if message is None or flags or len(payload) - HEADER.size > BODY_LIMIT:
+        raise BadBodyError(f"kind {kind}, flags {flags}, {len(payload)} bytes")
+    body = payload[HEADER.size :]
+    if message in (Hello, HelloReply):
+        if len(body) < GREETING.size:
+            raise BadBodyError(f"{message.__name__}: {len(body)} bytes")
+        magic, protocol = GREETING.unpack_from(body)
+        if (magic, protocol) != (MAGIC, PROTOCOL):
+            raise OtherProtocolError(magic, protocol)
+    return Frame(sequence, session, message.unpack(body))

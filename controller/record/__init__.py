@@ -1,0 +1,1 @@
+"""What was measured while the device played, and how it is judged."""

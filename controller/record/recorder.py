@@ -1,0 +1,278 @@
+"""A device's telemetry and events to files that are whole at any moment.
+
+    telemetry.csv    every record, as `telemetry` writes it for the simulator; grows by blocks of complete lines
+    events.csv       every event, with its tick; written as it comes
+    tap_001.csv ...  acceleration, position and current around each contact in the canonical format that
+                     `transopt.recordings.importers` reads; each written whole, when its time has passed
+
+A contact is told by an armed device; for taps on a real object, which no device foresees, it is where the
+acceleration leaves its running mean.
+
+Nothing here takes longer than a lease: what was written is not touched again.
+"""
+
+import os
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from controller.protocol.codes import STATES
+from controller.protocol.events import Happened, Samples, Told
+from controller.protocol.messages import Record
+from controller.record.telemetry import BLOCK_TICKS, COLUMNS, CSV_NAME, line_of
+from controller.servo.interface import Notice, Output, Readings
+from transopt.base.errors import InputError
+from transopt.base.files import whole_file
+from transopt.base.signals import FloatArray
+
+EVENTS_NAME = "events.csv"
+EVENT_COLUMNS = "tick,time_s,event,speed_m_s,grip_N"
+BEFORE_S, AFTER_S = 0.06, 0.1  # kept around each contact
+MEAN_S = 0.05  # time constant of the running mean of the acceleration
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What the device measured around one contact.
+
+    Attributes
+    ----------
+    number : from 1. tick : at which the waveform began, or the acceleration rose. speed_m_s : as the device took it;
+        NaN for a real object. grip_N : as the device took it, or the mean before contact.
+    ticks : (n,) of the records, evenly spaced; counts, acceleration_m_s2, current_A : (n,).
+    missed : records that were lost in between; with any there is no file.
+    path : of its file, None without one.
+    """
+
+    number: int
+    tick: int
+    speed_m_s: float
+    grip_N: float
+    dt_s: float
+    ticks: FloatArray
+    counts: FloatArray
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    missed: int
+    path: Path | None = None
+
+
+def _readings(tick: int, record: Record) -> tuple[Readings, Output]:
+    return (
+        Readings(
+            tick,
+            record.encoder_counts,
+            record.grip_N,
+            record.measured_current_A,
+            record.acceleration_m_s2,
+            bool(record.flags & 1),
+        ),
+        Output(record.command_A, STATES[record.state], record.transient_A, record.feedback_A, record.winding_C),
+    )
+
+
+class _Lines:
+    """A file that grows by whole lines, each append one write."""
+
+    def __init__(self, path: Path, head: str) -> None:
+        self._path = path
+        try:
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
+        except OSError as error:
+            raise self._refusal(error) from None
+        self.append(head + "\n")
+
+    def append(self, text: str) -> None:
+        block = text.encode("ascii")
+        try:
+            while block:
+                block = block[os.write(self._file, block) :]
+        except OSError as error:
+            raise self._refusal(error) from None
+
+    def close(self) -> None:
+        os.close(self._file)
+
+    def _refusal(self, error: OSError) -> InputError:
+        return InputError(f"{self._path}: cannot be written ({error.strerror}); choose another folder")
+
+
+class Recorder:
+    """Takes a session's news, as a listener of `driver.Device`.
+
+    Parameters
+    ----------
+    folder : None keeps contacts in memory and writes nothing.
+    count_m, surface_counts : of the encoder, as in Settings.
+    trigger_m_s2 : takes for a contact what lies this far from the running mean; None leaves it to the device.
+
+    Attributes
+    ----------
+    contacts : complete ones. records, missed : so far.
+
+    Raises
+    ------
+    InputError : the folder cannot be written, or holds a recording already.
+    """
+
+    def __init__(
+        self,
+        folder: Path | None,
+        dt_s: float,
+        count_m: float,
+        surface_counts: float = 0.0,
+        trigger_m_s2: float | None = None,
+    ) -> None:
+        self._folder, self._dt_s = folder, dt_s
+        self._count_m, self._surface_counts = count_m, surface_counts
+        self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
+        self._deaf_until = 0
+        self._first, self._every = 0, 1  # of the telemetry
+        self.contacts: list[Contact] = []
+        self.records = self.missed = 0
+        self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
+        self._open: list[Happened] = []
+        self._lines: list[str] = []
+        self._telemetry: _Lines | None = None
+        self._events: _Lines | None = None
+        self._begun = False
+        if folder is not None:
+            make_room(folder)
+
+    def in_words(self) -> str:
+        """What is in the folder, to be put behind another sentence; nothing without a folder."""
+        if not self._begun:
+            return ""
+        files = [contact.path.name for contact in self.contacts if contact.path is not None]
+        lost = len(self.contacts) - len(files)
+        gaps = f" ({lost} taps with records lost have no file of their own)" if lost else ""
+        return f"; {self._folder}: {', '.join([CSV_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
+
+    def take(self, news: Told) -> None:
+        if self._folder is not None and not self._begun and isinstance(news, Samples | Happened):
+            # Not before there is something to write: a run that does not come about leaves nothing behind.
+            self._begun = True
+            self._telemetry = _Lines(self._folder / CSV_NAME, ",".join(COLUMNS))
+            self._events = _Lines(self._folder / EVENTS_NAME, EVENT_COLUMNS)
+        if isinstance(news, Samples):
+            self._samples(news)
+        elif isinstance(news, Happened):
+            self._event(news)
+
+    def flush(self) -> None:
+        if self._telemetry is not None:
+            self._telemetry.append("".join(self._lines))
+        self._lines = []
+
+    def close(self) -> None:
+        """What is whole is on the disk; a contact whose time has not passed is in the telemetry only."""
+        try:
+            self.flush()
+        finally:
+            for file in (self._telemetry, self._events):
+                if file is not None:
+                    file.close()
+            self._telemetry = self._events = None
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _samples(self, samples: Samples) -> None:
+        if self.records == 0:
+            self._first, self._every = samples.tick, samples.every
+        self.missed += samples.missed
+        self.records += len(samples.records)
+        for j, record in enumerate(samples.records):
+            tick = samples.tick + j * samples.every
+            self._kept.append((tick, record))
+            if self._trigger_m_s2 is not None:
+                self._feel(tick, record, samples.every, self._trigger_m_s2)
+            if self._telemetry is not None:
+                self._lines.append(line_of(*_readings(tick, record), self._dt_s))
+        if len(self._lines) >= BLOCK_TICKS:
+            self.flush()
+        newest = self._kept[-1][0]
+        after = round(AFTER_S / self._dt_s)
+        while self._open and newest >= self._open[0].tick + after:
+            self._complete(self._open.pop(0))
+
+    def _event(self, event: Happened) -> None:
+        if self._events is not None:
+            self._events.append(
+                f"{event.tick},{event.tick * self._dt_s!r},{event.what.name.lower()},"
+                f"{event.speed_m_s!r},{event.grip_N!r}\n"
+            )
+        if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
+            self._open.append(event)
+
+    def _feel(self, tick: int, record: Record, every: int, trigger_m_s2: float) -> None:
+        a = record.acceleration_m_s2
+        if self._deaf_until == 0:
+            # What comes first is gravity.
+            self._mean_m_s2, self._deaf_until = a, tick + round(BEFORE_S / self._dt_s)
+        if tick >= self._deaf_until and abs(a - self._mean_m_s2) > trigger_m_s2:
+            self._open.append(Happened(0, tick, Notice.CONTACT, float("nan"), float("nan"), 0))
+            self._deaf_until = tick + round((BEFORE_S + AFTER_S) / self._dt_s)
+        self._mean_m_s2 += every * self._dt_s / MEAN_S * (a - self._mean_m_s2)
+
+    def _complete(self, event: Happened) -> None:
+        low, high = event.tick - round(BEFORE_S / self._dt_s), event.tick + round(AFTER_S / self._dt_s)
+        rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
+        ticks = np.array([tick for tick, _ in rows], dtype=float)
+        missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
+        grips = np.array([record.grip_N for _, record in rows], dtype=float)
+        grip_N = event.grip_N if np.isfinite(event.grip_N) else float(grips[ticks < event.tick].mean())
+        contact = Contact(
+            number=len(self.contacts) + 1,
+            tick=event.tick,
+            speed_m_s=event.speed_m_s,
+            grip_N=grip_N,
+            dt_s=self._dt_s,
+            ticks=ticks,
+            counts=np.array([record.encoder_counts for _, record in rows], dtype=float),
+            acceleration_m_s2=np.array([record.acceleration_m_s2 for _, record in rows], dtype=float),
+            current_A=np.array([record.measured_current_A for _, record in rows], dtype=float),
+            missed=missed,
+            path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
+        )
+        self.contacts.append(contact)
+        if contact.path is not None:
+            self._write(contact, contact.path)
+
+    def _write(self, contact: Contact, path: Path) -> None:
+        head = [
+            f"# recorded from a device; time from its tick {contact.tick}",
+            *([f"# speed_m_s: {contact.speed_m_s!r}"] if np.isfinite(contact.speed_m_s) else []),
+            *([f"# grip_N: {contact.grip_N!r}"] if np.isfinite(contact.grip_N) else []),
+            "time_s,acceleration_m_s2,position_m,current_A",
+        ]
+        times = (contact.ticks - contact.tick) * self._dt_s
+        position = (contact.counts - self._surface_counts) * self._count_m
+        columns = zip(times, contact.acceleration_m_s2, position, contact.current_A, strict=True)
+        rows = [f"{t:.6f},{a:.6g},{z:.7f},{i:.6g}" for t, a, z, i in columns]
+        with whole_file(path) as file:
+            file.write(("\n".join([*head, *rows]) + "\n").encode("ascii"))
+
+
+def make_room(folder: Path) -> None:
+    """Make sure that a recording can begin there; they cannot be made again, so none is ever written over.
+
+    Raises
+    ------
+    InputError : it cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        old = next((path.name for name in (CSV_NAME, EVENTS_NAME, "tap_*.csv") for path in folder.glob(name)), None)
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    if old is not None:
+        raise InputError(f"--out {folder}: holds a recording already ({old}); choose another folder")

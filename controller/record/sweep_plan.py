@@ -1,0 +1,154 @@
+"""Which sweeps identify an amplifier or a device: the trials, one file each, on a port and on the simulator alike."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.record.excitation import sweep_command
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+
+FREE_LOW_HZ = 20.0  # nothing holds a free stylus: at 1 Hz and 1 A it would go 0.8 m
+MOST_TRIALS = 100
+
+
+class Purpose(Enum):
+    """What a sweep is to identify; the value is its name on the command line and in files."""
+
+    AMPLIFIER = "amplifier"
+    DEVICE = "device"
+
+
+class Preset(NamedTuple):
+    """What a sweep is like unless it is stated otherwise (seed Sec. 4.1 and 5)."""
+
+    low_Hz: float
+    high_Hz: float
+    amplitude_A: float
+    offsets_A: tuple[float, ...]
+    seconds: float
+    grips_N: tuple[float, ...]
+
+
+PRESETS = {
+    # The second offset keeps the current on one side of the crossover.
+    Purpose.AMPLIFIER: Preset(10.0, 4000.0, 0.3, (0.0, 0.5), 2.0, (3.0,)),
+    Purpose.DEVICE: Preset(1.0, 2000.0, 0.75, (0.0,), 2.0, (1.0, 3.0, 5.0)),
+}
+
+
+@dataclass(frozen=True)
+class PlannedSweep:
+    """One sweep.
+
+    Attributes
+    ----------
+    grip_N : at which the stylus is held still; 0 is the free device. number : from 1, among those alike.
+    polarity : +1 or -1, of sine and offset together.
+    """
+
+    purpose: Purpose
+    grip_N: float
+    number: int
+    polarity: int
+    low_Hz: float
+    high_Hz: float
+    amplitude_A: float
+    offset_A: float
+    seconds: float
+
+    def command(self, dt_s: float) -> FloatArray:
+        """(N,) command to be issued at k dt and held [A].
+
+        Raises
+        ------
+        InputError : see `excitation.sweep_command`.
+        """
+        sweep = sweep_command(self.low_Hz, self.high_Hz, self.seconds, self.amplitude_A, dt_s, self.offset_A)
+        return self.polarity * sweep
+
+    @property
+    def largest_A(self) -> float:
+        return abs(self.offset_A) + self.amplitude_A
+
+    @property
+    def file_name(self) -> str:
+        offset = f"_{self.offset_A:g}A" if self.offset_A else ""
+        sign = "pos" if self.polarity > 0 else "neg"
+        return f"{self.purpose.value}_{self.grip_N:g}N{offset}_{self.number}_{sign}.npz"
+
+
+def sweep_plan(
+    purpose: Purpose,
+    grips_N: Sequence[float] | None,
+    trials: int,
+    *,
+    low_Hz: float | None = None,
+    high_Hz: float | None = None,
+    amplitude_A: float | None = None,
+    offset_A: float | None = None,
+    seconds: float | None = None,
+) -> list[PlannedSweep]:
+    """Trials grip by grip, offset by offset, of alternating polarity; what is None is as in `PRESETS`.
+
+    Parameters
+    ----------
+    trials : of each grip and offset.
+
+    Raises
+    ------
+    InputError : a number out of its range.
+    """
+    preset = PRESETS[purpose]
+    grips = preset.grips_N if grips_N is None else tuple(grips_N)
+    if not grips:
+        raise InputError("--grips: name at least one grip in N, like 1,3,5; 0 is the free device")
+    for grip in grips:
+        if not 0 <= grip <= 50:
+            raise InputError(f"--grips {grip:g}: must be 0 to 50 N, what a hand does")
+    if len(set(grips)) < len(grips):
+        raise InputError(f"--grips {','.join(f'{grip:g}' for grip in grips)}: each grip once")
+    if not 1 <= trials <= MOST_TRIALS:
+        raise InputError(f"--trials {trials}: must be 1 to {MOST_TRIALS}")
+    planned = []
+    for grip in grips:
+        lowest = max(preset.low_Hz, FREE_LOW_HZ) if grip == 0 else preset.low_Hz
+        for offset in preset.offsets_A if offset_A is None else (offset_A,):
+            for number in range(1, trials + 1):
+                trial = PlannedSweep(
+                    purpose=purpose,
+                    grip_N=grip,
+                    number=number,
+                    polarity=1 if number % 2 else -1,
+                    low_Hz=lowest if low_Hz is None else low_Hz,
+                    high_Hz=preset.high_Hz if high_Hz is None else high_Hz,
+                    amplitude_A=preset.amplitude_A if amplitude_A is None else amplitude_A,
+                    offset_A=offset,
+                    seconds=preset.seconds if seconds is None else seconds,
+                )
+                planned.append(trial)
+    return planned
+
+
+def check_plan(planned: Sequence[PlannedSweep], dt_s: float, limit_A: float) -> None:
+    """Refuse a plan before any of it is played.
+
+    Parameters
+    ----------
+    limit_A : of the current, for all t.
+
+    Raises
+    ------
+    InputError : a sweep that cannot be made, or that leaves the limit.
+    """
+    for trial in planned:
+        if not trial.largest_A <= limit_A:
+            raise InputError(
+                f"sweep: offset {trial.offset_A:g} A and amplitude {trial.amplitude_A:g} A together: above the limit "
+                f"of {limit_A:g} A; lower --amplitude or --offset"
+            )
+        if not np.any(trial.command(dt_s)):
+            raise InputError(f"sweep: amplitude {trial.amplitude_A:g} A: nothing would be played")

@@ -1,0 +1,51 @@
+"""The file that one identification trial is kept in: what `transopt identify` reads."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from transopt.base.files import whole_file
+from transopt.base.signals import FloatArray
+
+COLUMNS = (
+    "time_s",
+    "command_A",
+    "current_A",
+    "acceleration_m_s2",
+    "position_m",
+    "force_N",
+    "winding_C",
+    "housing_C",
+    "ambient_C",
+    "voltage_V",
+)
+SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s")
+
+
+def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Mapping[str, float]) -> None:
+    """One measurement as NPZ, whole or not at all: each column an array under its name, each scalar of shape ().
+
+    Parameters
+    ----------
+    columns : some of `COLUMNS`, `time_s` among them; (n,) each, finite. What was measured, at `time_s[k]`; the
+        command of row k is held from there to the next row.
+    scalars : some of `SCALARS`. grip_N : mean over the trial. accelerometer_Hz : bandwidth, one pole.
+
+    Raises
+    ------
+    ValueError : a name that no reader knows, columns of unequal length, a value that is no number.
+    InputError : the place cannot be written.
+    """
+    strange = (set(columns) - set(COLUMNS)) | (set(scalars) - set(SCALARS))
+    if strange or "time_s" not in columns:
+        raise ValueError(f"columns {sorted(columns)}, scalars {sorted(scalars)}")
+    arrays = {name: np.asarray(value, dtype=float) for name, value in {**columns, **scalars}.items()}
+    rows = {arrays[name].shape for name in columns}
+    if len(rows) != 1 or len(next(iter(rows))) != 1 or any(arrays[name].shape != () for name in scalars):
+        raise ValueError(f"shapes { {name: array.shape for name, array in arrays.items()} }")
+    for name, array in arrays.items():
+        if not np.all(np.isfinite(array)):
+            raise ValueError(f"{name}: not every value is a finite number")
+    with whole_file(path) as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]

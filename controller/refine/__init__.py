@@ -1,0 +1,1 @@
+"""Learning from played taps: rounds of correction, their tables and figure."""

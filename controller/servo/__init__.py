@@ -1,0 +1,1 @@
+"""The servo loop, oracle of the compiled core."""

@@ -1,0 +1,151 @@
+"""What makes the servo give up, in one table (DESIGN 7)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from controller.servo.guard import Guard
+from controller.servo.interface import Fault, Readings
+from controller.servo.settings import Settings
+
+
+class Watch:
+    """What the faults are judged by, brought up to date every tick.
+
+    Nothing that is no number, or absurd, gets past this: `counts`, `grip_N` and `current_A` hold the last sound
+    readings, the grip smoothed.
+
+    Attributes
+    ----------
+    bad_encoder, bad_current : no number, or outside anything the device can give.
+    raw_grip_N : as read. step_m_s : speed of the encoder over the last tick.
+    expected_A : current that the amplifier model expects now; measured_A as read.
+    missing_ticks : for so long far less current than expected was measured.
+    still_ticks, still_A_s : since the last count: ticks with current, impulse of the transient.
+    """
+
+    def __init__(self, settings: Settings, guard: Guard | None) -> None:
+        s = settings
+        self.settings, self.guard = s, guard
+        self.has_grip = s.assumed_grip_N is None
+        self.grip_N = 0.0 if s.assumed_grip_N is None else s.assumed_grip_N
+        self.over_current_A = s.over_current * s.current_limit_A
+        self.missing_limit, self.still_limit = s.ticks(s.no_current_s), s.ticks(s.stuck_s)
+        self._rate_m_s = s.count_m / s.dt_s
+        self._new_grip = 1.0 if s.grip_filter_s == 0 else min(s.dt_s / s.grip_filter_s, 1.0)
+        self._seen = self._gripped = False
+        self.counts = 0
+        self.current_A = self.expected_A = self.raw_grip_N = self.step_m_s = 0.0
+        self.emergency_stop = self.bad_encoder = self.bad_current = self.playing = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Start every duration anew."""
+        self.missing_ticks = self.still_ticks = 0
+        self.still_A_s = 0.0
+
+    def step(self, readings: Readings, expected_A: float, transient_A: float, playing: bool) -> None:
+        """One tick.
+
+        Parameters
+        ----------
+        expected_A : current that the model expects. transient_A : transient of the tick before.
+        playing : a waveform that ends if the grip is lost.
+        """
+        s = self.settings
+        self.emergency_stop, self.playing, self.expected_A = readings.emergency_stop, playing, expected_A
+        counts, current, grip = readings.encoder_counts, readings.current_A, readings.grip_N
+        # Comparisons with NaN are false: written so that NaN is bad.
+        self.bad_encoder = not (-s.encoder_limit_counts <= counts <= s.encoder_limit_counts)
+        self.bad_current = not (-s.current_range_A <= current <= s.current_range_A)
+        moved = 0
+        if not self.bad_encoder:
+            counts = int(counts)
+            moved = counts - self.counts if self._seen else 0
+            self.counts, self._seen = counts, True
+        self.step_m_s = moved * self._rate_m_s
+        self.current_A = expected_A if self.bad_current else current
+        self.raw_grip_N = grip
+        if self.has_grip and s.grip_open_N <= grip <= s.grip_short_N:
+            self.grip_N += (self._new_grip if self._gripped else 1.0) * (grip - self.grip_N)
+            self._gripped = True
+        size, expected = abs(self.current_A), abs(expected_A)
+        missing = expected >= s.no_current_A and size < s.no_current_part * expected
+        self.missing_ticks = self.missing_ticks + 1 if missing else 0
+        if moved != 0:
+            self.still_ticks, self.still_A_s = 0, 0.0
+        else:
+            self.still_ticks = self.still_ticks + 1 if size >= s.stuck_A else 0
+            # A slow tail of the transient may well be held still by the hand; its strokes cannot.
+            self.still_A_s += transient_A * s.dt_s if abs(transient_A) >= s.stuck_A else 0.0
+
+
+def _hot(w: Watch) -> bool:
+    return w.guard is not None and w.guard.too_hot
+
+
+def _still_hot(w: Watch) -> bool:
+    return w.guard is not None and not w.guard.winding_C <= w.guard.play_limit_C
+
+
+def _bad(w: Watch) -> bool:
+    return w.bad_encoder or w.bad_current
+
+
+def _jumped(w: Watch) -> bool:
+    return not -w.settings.fastest_m_s <= w.step_m_s <= w.settings.fastest_m_s
+
+
+def _stuck(w: Watch) -> bool:
+    return w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s
+
+
+def _open(w: Watch) -> bool:
+    return w.has_grip and not w.raw_grip_N >= w.settings.grip_open_N
+
+
+def _short(w: Watch) -> bool:
+    return w.has_grip and w.raw_grip_N > w.settings.grip_short_N
+
+
+def _loose(w: Watch) -> bool:
+    return w.has_grip and not w.raw_grip_N >= w.settings.grip_min_N
+
+
+def _lost(w: Watch) -> bool:
+    return w.playing and _loose(w)
+
+
+def _too_much(w: Watch) -> bool:
+    return not -w.over_current_A <= w.current_A <= w.over_current_A
+
+
+def _too_little(w: Watch) -> bool:
+    return w.missing_ticks >= w.missing_limit
+
+
+def _stopped(w: Watch) -> bool:
+    return w.emergency_stop
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """`trips` in any state sends the servo to FAULT at once; there `remains` bars the reset."""
+
+    fault: Fault
+    trips: Callable[[Watch], bool]
+    remains: Callable[[Watch], bool]
+
+
+# The first that trips is the one reported as the servo's fault; each that trips in that tick is an event.
+FAULTS = (
+    Rule(Fault.EMERGENCY_STOP, _stopped, _stopped),
+    Rule(Fault.BAD_SENSOR, _bad, _bad),
+    Rule(Fault.OVER_CURRENT, _too_much, _too_much),
+    Rule(Fault.OVER_TEMPERATURE, _hot, _still_hot),
+    Rule(Fault.ENCODER_JUMP, _jumped, _jumped),
+    Rule(Fault.ENCODER_STUCK, _stuck, _stuck),
+    Rule(Fault.NO_CURRENT, _too_little, _too_little),
+    Rule(Fault.GRIP_OPEN, _open, _open),
+    Rule(Fault.GRIP_SHORT, _short, _short),
+    Rule(Fault.GRIP_LOST, _lost, _loose),
+)

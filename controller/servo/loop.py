@@ -1,0 +1,72 @@
+"""Servo and plant tick by tick: in virtual time, or paced by a clock for demonstrations."""
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from controller.servo.interface import Output, Plant, Readings
+
+SLEEP_S = 1e-3  # shorter waits are not slept: the next ticks catch up
+
+
+class Servo(Protocol):
+    """What the loop needs of a servo."""
+
+    def arm(self) -> object: ...
+
+    def step(self, readings: Readings) -> Output: ...
+
+
+class Clock(Protocol):
+    """Real time; `time.monotonic` and `time.sleep` as `WallClock`, something faster in tests."""
+
+    def now_s(self) -> float: ...
+
+    def sleep(self, duration_s: float) -> None: ...
+
+
+class WallClock:
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, duration_s: float) -> None:
+        time.sleep(duration_s)
+
+
+Observer = Callable[[Readings, Output], None]
+
+
+def run(
+    plant: Plant,
+    servo: Servo,
+    ticks: int,
+    dt_s: float,
+    *,
+    observe: Observer | None = None,
+    clock: Clock | None = None,
+) -> float:
+    """Let `ticks` servo periods pass.
+
+    Parameters
+    ----------
+    observe : called once per tick with what was read and answered.
+    clock : without one time is virtual and nothing waits.
+
+    Returns
+    -------
+    How far the loop fell behind the clock at most [s]; 0 in virtual time.
+    """
+    started_s = 0.0 if clock is None else clock.now_s()
+    behind_s = 0.0
+    for k in range(ticks):
+        readings = plant.readings()
+        output = servo.step(readings)
+        plant.advance(output.command_A)
+        if observe is not None:
+            observe(readings, output)
+        if clock is not None:
+            ahead_s = (k + 1) * dt_s - (clock.now_s() - started_s)
+            behind_s = max(behind_s, -ahead_s)
+            if ahead_s >= SLEEP_S:
+                clock.sleep(ahead_s)
+    return behind_s

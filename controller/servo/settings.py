@@ -1,0 +1,166 @@
+"""Everything the servo is told before it runs; frozen, checked once, plain numbers."""
+
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.library.library import Library
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.coil import CoilModel
+from transopt.plant.wall import Wall
+
+MAY_BE_ZERO = (
+    "lead_s",
+    "amplifier_tolerance",
+    "rearm_s",
+    "grip_filter_s",
+    "grip_margin_N",
+    "grid_slack",
+    "grid_slack_N",
+    "withhold_K",
+    "grip_min_N",
+    "assumed_grip_N",
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of one servo; `of` takes what the library knows.
+
+    Attributes
+    ----------
+    dt_s, lead_s : servo period, and how long before contact a waveform starts.
+    current_limit_A : beta * i_ss, on |i| of transient and feedback together (seed Eq. 8).
+    amplifier : None is ideal; then i = c.
+    amplifier_tolerance : part by which the real amplifier's pole may differ from the stated one, below 1. The clamp
+        keeps the current limit for every such pole, at the price of some error where taps saturate (0.7 % at 10 %).
+        At 0 a pole that is faster by 10 % takes a tap of the built-in library from 4 A to 4.14 A, by 20 % to 4.34 A.
+    wall : None renders no surface but the transient.
+    coil : None where nothing is known of it: no thermal guard, and the winding's temperature is NaN.
+    slew_limit_A_per_s : of the command; None for no such limit.
+    grip_min_N : no transient below it, and a fault while one plays (4 A on a free stylus is 13 g); 0 for a library
+        of the free device, which nobody holds.
+    assumed_grip_N : taken for the grip of a device without a grip sensor, whose readings are then not looked at;
+        None with a sensor.
+
+    count_m : encoder, at the tip. surface_counts : reading at the surface; for an encoder that rounds down
+        half a count less than for one that rounds to the nearest, since at 0.1 m/s half a count is a tick.
+    window_ticks : of the fit to the approach. 100 was chosen by measurement, see `approach`.
+    least_speed_m_s : a slower touch taps nothing; well above the fit's noise, 1 mm/s at worst.
+    touch_height_m : leaving the surface means to be above this, four counts, and moving out.
+    rearm_height_m, rearm_s : a further tap plays only after that long above that height. A rebound of the stylus or
+        a trembling hand on the surface stays lower or is shorter; a hand that taps ten times a second is not.
+    grip_filter_s : time constant of the grip reading's smoothing; a grip changes over tens of ms, the sensor's noise
+        over single ticks.
+    grip_margin_N : a transient starts only this much above `grip_min_N`, so that noise does not abort it.
+    grid_slack, grid_slack_N : by this part of the speed, by this much grip a contact may lie outside the grid before
+        it is told: what sensors and fit are worth, so that a tap on the edge is not reported every other time.
+    gain_rate_1_s : how fast a changed gain is followed: 0 to 1 in 0.1 s is no bang.
+
+    withhold_K : below the coil's limit no transient starts; feedback goes on. A tap heats by 0.2 K at most, a
+        minute on the wall by more.
+    least_scale : a transient that the heat allows less of than this is withheld; a fifth in amplitude is felt, a
+        fourth of a tap is no longer the same material.
+
+    encoder_limit_counts : no device moves further. fastest_m_s : no hand moves faster, nor does a free stylus
+        under 4 A within 20 ms.
+    current_range_A : of the sensor; more is absurd. over_current : of `current_limit_A`, with room for noise and an
+        amplifier slightly off its model.
+    no_current_A, no_current_part, no_current_s : so much is expected, less than this part of it is measured, for so
+        long. A few ticks, for at a change of sign the two may differ at any sound amplifier.
+    stuck_A_s : impulse of the transient's strokes (above `stuck_A`) without a single count. At the turning point of a
+        tap a sound device stays within one count for 1 ms, 4 mA s at 4 A.
+    stuck_A, stuck_s : current and time without a count, which a hand's tremor of 4 counts never allows.
+    grip_open_N, grip_short_N : readings beyond these are no grip: an open or a shorted sensor.
+
+    host_starts : the host starts the one waveform there is, an excitation, and contacts are not looked at. No wall.
+        Whoever holds the stylus at the start has to hold it to the end; the free device is excited as well.
+    """
+
+    dt_s: float
+    lead_s: float
+    current_limit_A: float
+    amplifier: Amplifier | None = None
+    amplifier_tolerance: float = 0.0
+    wall: Wall | None = None
+    coil: CoilModel | None = None
+    slew_limit_A_per_s: float | None = None
+    grip_min_N: float = 0.5
+    assumed_grip_N: float | None = None
+
+    count_m: float = 24.5e-6
+    surface_counts: float = 0.0
+    window_ticks: int = 100
+    least_speed_m_s: float = 0.02
+    touch_height_m: float = 1e-4
+    rearm_height_m: float = 5e-4
+    rearm_s: float = 5e-3
+    grip_filter_s: float = 5e-3
+    grip_margin_N: float = 0.1
+    grid_slack: float = 0.02
+    grid_slack_N: float = 0.1
+    gain_rate_1_s: float = 10.0
+
+    withhold_K: float = 5.0
+    least_scale: float = 0.25
+
+    encoder_limit_counts: int = 1_000_000
+    fastest_m_s: float = 5.0
+    current_range_A: float = 50.0
+    over_current: float = 1.25
+    no_current_A: float = 0.5
+    no_current_part: float = 0.25
+    no_current_s: float = 1e-3
+    stuck_A_s: float = 15e-3
+    stuck_A: float = 0.5
+    stuck_s: float = 1.0
+    grip_open_N: float = -1.0
+    grip_short_N: float = 60.0
+
+    host_starts: bool = False
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, int | float) or field.name in ("grip_open_N", "surface_counts", "host_starts"):
+                continue
+            least = 0.0 if field.name in MAY_BE_ZERO else np.nextafter(0.0, 1.0)
+            if not least <= value < np.inf:
+                sign = ">= 0" if field.name in MAY_BE_ZERO else "> 0"
+                raise InputError(f"servo: {field.name} = {value:g}: must be {sign} and finite")
+        if not (np.isfinite(self.surface_counts) and -np.inf < self.grip_open_N < self.grip_short_N):
+            raise InputError("servo: surface_counts and grip_open_N must be finite, grip_open_N below grip_short_N")
+        if self.amplifier_tolerance >= 1:
+            raise InputError(f"servo: amplifier_tolerance = {self.amplifier_tolerance:g}: must be below 1")
+        if self.host_starts and self.wall is not None:
+            raise InputError("servo: host_starts beside a wall: an excitation has no feedback")
+        if self.window_ticks < 4:
+            raise InputError(f"servo: window_ticks = {self.window_ticks}: a quadratic needs at least 4 readings")
+
+    @classmethod
+    def of(cls, library: Library, **others: Any) -> Self:
+        """Settings for a library; `others` override what it says and the defaults."""
+        meta = library.meta
+        known: dict[str, Any] = {
+            "dt_s": meta["dt_s"],
+            "lead_s": meta["lead_s"],
+            "current_limit_A": meta["limits"]["current_A"],
+            "amplifier": library.amplifier(),
+            "wall": library.wall(),
+            "coil": library.coil(),
+            "slew_limit_A_per_s": meta["limits"]["slew_A_per_s"],
+            "grip_min_N": 0.0 if library.grips_N[0] == 0 else meta["grip_min_N"],
+        }
+        if library.grips_N[0] == 0:
+            known["assumed_grip_N"] = 0.0
+        return cls(**{**known, **others})
+
+    @property
+    def command_limit_A(self) -> float:
+        return self.current_limit_A if self.amplifier is None else self.amplifier.command_limit_A
+
+    def ticks(self, duration_s: float) -> int:
+        """Whole servo periods, at least one."""
+        return max(round(duration_s / self.dt_s), 1)

@@ -1,0 +1,1 @@
+"""The simulated world: a true device, its sensors and its user."""

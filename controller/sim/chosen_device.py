@@ -1,0 +1,38 @@
+"""Which simulated device a command means: a scene's, with what is wrong with it."""
+
+from pathlib import Path
+
+from controller.sim.open_loop import true_device
+from controller.sim.simulator import Imperfections
+from controller.sim.true_device import Device, device_of
+from controller.waveforms.prediction import scene_of
+from transopt.library.file import load_library
+from transopt.scene.scene import Scene
+
+
+def find_scene(scene: str) -> Scene:
+    """A scene by built-in name or by path.
+
+    Raises
+    ------
+    InputError : there is none, or it cannot be used.
+    """
+    import problems
+
+    return problems.load(scene)
+
+
+def scene_like(named: str | Path) -> Scene:
+    """A scene by built-in name or by path, or the one that a library was solved from.
+
+    Raises
+    ------
+    InputError : it is none of these.
+    """
+    path = Path(named)
+    return scene_of(load_library(path)) if path.suffix.lower() == ".npz" else find_scene(str(named))
+
+
+def device_in(scene: Scene, wrong: Imperfections, seed: int) -> Device:
+    """The true device of a scene: that of `transopt-play tap --simulate` with the same mismatch and seed."""
+    return true_device(device_of(scene), wrong, seed)

@@ -1,0 +1,369 @@
+"""The simulator in virtual time: a true device in a user's hand behind the interface of `Plant` (DESIGN 7).
+
+The linear part of the motion is exact (matrix exponential); friction and the contact with a real object enter by
+the midpoint rule, so their error falls with the square of the step. Time passes only in `advance`.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controller.servo.interface import Readings
+from controller.sim.sensors import SEED_SENSORS, SensorBench, Sensors
+from controller.sim.true_device import (
+    CARRIED,
+    COMMAND,
+    CONTACT_FORCE,
+    INPUTS,
+    INTENTION,
+    INTENTION_SPEED,
+    MOTOR_FORCE,
+    NO_GROUND,
+    Device,
+    Flow,
+    Ground,
+    Layout,
+    flow,
+    nonlinear,
+)
+from controller.sim.user import User
+from transopt.base.signals import FloatArray
+from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
+from transopt.recordings.settings import SimulatedTaps
+
+GRIP_STEP_N = 0.05  # by which the grip may change before the matrices do
+EARLIEST_S = 1e-12  # a delay's fraction of a tick below this is none
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """What the true device has and the design model has not.
+
+    Attributes
+    ----------
+    mismatch : every parameter is off by up to this part of it.
+    crossover_A : half-width of the amplifier's dead band around zero; beyond it the output is that much smaller.
+    ground : friction and springs between motor and base. sensors : their resolution and noise.
+    """
+
+    mismatch: float = 0.0
+    crossover_A: float = 0.01
+    ground: Ground = NO_GROUND
+    sensors: Sensors = SEED_SENSORS
+
+
+NONE = Imperfections(crossover_A=0.0)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The truth at every step, (K,) each.
+
+    Attributes
+    ----------
+    times_s : simulator's time. acceleration_m_s2 : of the stylus, all of it. own_m_s2 : the part that the user gives
+    of the hand's own accord. motor_m, stylus_m : positions. current_A : in the coil. contact_N : force of a real
+    object on the stylus. winding_C : NaN without a coil.
+    """
+
+    times_s: FloatArray
+    acceleration_m_s2: FloatArray
+    own_m_s2: FloatArray
+    motor_m: FloatArray
+    motor_m_s: FloatArray
+    stylus_m: FloatArray
+    current_A: FloatArray
+    contact_N: FloatArray
+    winding_C: FloatArray
+
+
+class Coil:
+    """Two thermal nodes and copper (DESIGN 3.3), by the explicit midpoint rule once per servo period."""
+
+    def __init__(self, model: CoilModel) -> None:
+        self._model = model
+        self._C_w, self._C_h = model.tau_w_s / model.R_wh_K_W, model.tau_h_s / model.R_ha_K_W
+        self.winding_C, self.housing_C = model.start_winding_C, model.start_housing_C
+
+    def _rates(self, winding_C: float, housing_C: float, square_A2: float) -> tuple[float, float]:
+        m = self._model
+        heat = m.R_ohm * (1 + COPPER_PER_K * (winding_C - RESISTANCE_REFERENCE_C)) * square_A2
+        out = (winding_C - housing_C) / m.R_wh_K_W
+        # One node: the housing keeps its temperature.
+        away = out if m.nodes == 1 else (housing_C - m.ambient_C) / m.R_ha_K_W
+        return (heat - out) / self._C_w, (out - away) / self._C_h
+
+    def step(self, square_A2: float, dt_s: float) -> None:
+        """`square_A2` : mean of i_eff^2 over the period."""
+        w, h = self._rates(self.winding_C, self.housing_C, square_A2)
+        w, h = self._rates(self.winding_C + w * dt_s / 2, self.housing_C + h * dt_s / 2, square_A2)
+        self.winding_C += w * dt_s
+        self.housing_C += h * dt_s
+
+
+class Simulator:
+    """A device in a user's hand; implements `Plant`.
+
+    Parameters
+    ----------
+    device : as the scene describes it; the mismatch is put on here.
+    user : functions of this simulator's time.
+    dt_s : servo period.
+    seed : of mismatch and noise; the same seed gives the same run, bit for bit.
+    target : a real object at the surface, or None.
+    steps : integration steps per segment of a servo period; the delay's end divides the period into two segments.
+    trace : keep the truth at every step.
+
+    Attributes
+    ----------
+    device : the true one, mismatch included. peak_current_A : over all t; between steps the current is monotone.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        user: User,
+        dt_s: float,
+        *,
+        imperfections: Imperfections = NONE,
+        seed: int = 0,
+        target: SimulatedTaps | None = None,
+        steps: int = 2,
+        trace: bool = False,
+    ) -> None:
+        known = replace(device, ground=imperfections.ground, crossover_A=imperfections.crossover_A)
+        self.device = known.mismatched(imperfections.mismatch, np.random.default_rng([seed, 3]))
+        self._user, self._dt_s, self._target = user, dt_s, target
+        self._bench = SensorBench(imperfections.sensors, dt_s, seed, user.grip_N(0.0))
+        self._bandwidth_Hz = imperfections.sensors.accelerometer_bandwidth_Hz
+        self._coil = None if self.device.coil is None else Coil(self.device.coil)
+        whole = int(self.device.delay_s / dt_s + 1e-9)
+        late = max(self.device.delay_s - whole * dt_s, 0.0)
+        lengths, behind = ((dt_s,), (whole,)) if late < EARLIEST_S else ((late, dt_s - late), (whole + 1, whole))
+        self._behind, self._steps = behind, steps
+        self._step_s = tuple(length / steps for length in lengths)
+        # The newest command first.
+        self._commands = deque([0.0] * (behind[0] + 1), maxlen=behind[0] + 1)
+        self._nonlinear = nonlinear(self.device, target)
+        self._at = Layout(len(self.device.masses_kg))
+        self._tick, self._time_s = 0, 0.0
+        self.peak_current_A = 0.0
+        self._rows: list[tuple[float, ...]] | None = [] if trace else None
+        self._grip_N, self._ahead_m = user.grip_N(0.0), 0.0
+        self._flow = self.flow_at(self._grip_N)
+        self._x = self._start()
+        self._intention_m = user.intention_m(0.0) + self._ahead_m
+        if self._rows is not None:
+            self._keep(0.0)
+
+    # ------------------------------------------------------------------------------------------------ Plant
+
+    def readings(self) -> Readings:
+        x, bench = self._x, self._bench
+        return Readings(
+            tick=self._tick,
+            encoder_counts=bench.counts(float(x[0])),
+            grip_N=bench.grip_N(self._user.grip_N(self._time_s)),
+            current_A=bench.current_A(float(x[self._at.current])),
+            acceleration_m_s2=bench.acceleration_m_s2(float(x[self._at.sensed])),
+        )
+
+    def advance(self, command_A: float) -> None:
+        """One servo period with this command, issued now and held.
+
+        A command that is not a finite number is a programming error of the servo; the amplifier's range cuts others.
+        """
+        if not np.isfinite(command_A):
+            raise ValueError(f"command {command_A} A at tick {self._tick}: must be a finite number")
+        self._commands.appendleft(command_A)
+        self._take_grip(self._user.grip_N(self._time_s))
+        start_s, square = self._tick * self._dt_s, 0.0
+        amplifier, current = self.device.amplifier, self._at.current
+        for segment, (behind, step_s) in enumerate(zip(self._behind, self._step_s, strict=True)):
+            felt = self._felt(self._commands[behind])
+            if amplifier is None:
+                self._x[current] = felt
+            for j in range(1, self._steps + 1):
+                before = abs(float(self._x[current])) + PWM_RIPPLE_A
+                self._advance_step(segment, felt, start_s + j * step_s, step_s)
+                after = abs(float(self._x[current])) + PWM_RIPPLE_A
+                square += step_s * (before * before + before * after + after * after) / 3
+                self.peak_current_A = max(self.peak_current_A, after - PWM_RIPPLE_A)
+            start_s += self._steps * step_s
+        self._tick += 1
+        self._time_s = self._tick * self._dt_s
+        if self._coil is not None:
+            self._coil.step(square / self._dt_s, self._dt_s)
+
+    # ------------------------------------------------------------------------------------------------ truth
+
+    @property
+    def time_s(self) -> float:
+        return self._time_s
+
+    @property
+    def winding_C(self) -> float:
+        return float("nan") if self._coil is None else self._coil.winding_C
+
+    @property
+    def housing_C(self) -> float:
+        return float("nan") if self._coil is None else self._coil.housing_C
+
+    def trace(self) -> Trace:
+        """What was kept so far.
+
+        Raises
+        ------
+        ValueError : made without `trace`.
+        """
+        if self._rows is None:
+            raise ValueError("this simulator keeps no trace: make it with trace=True")
+        return Trace(*np.array(self._rows).T)
+
+    def energy_J(self) -> float:
+        """Kinetic and elastic energy of the chain, the intention at rest; what a passive device cannot gain."""
+        masses, stiffness, _ = self.device.at(self._grip_N)
+        n = masses.size
+        z, v = self._x[:n], self._x[n : 2 * n]
+        elongation = z - np.append(z[1:], self._intention_m)
+        ground = self.device.ground.stiffness_N_m * z[0] ** 2
+        return float((masses @ v**2 + stiffness @ elongation**2 + ground) / 2)
+
+    # ------------------------------------------------------------------------------------------------ as numbers
+
+    @property
+    def dt_s(self) -> float:
+        return self._dt_s
+
+    @property
+    def sensors(self) -> Sensors:
+        return self._bench.sensors
+
+    @property
+    def accelerometer_pole(self) -> tuple[float, float]:
+        """What of the noise behind the accelerometer's pole stays from tick to tick, and what is new [m/s^2]."""
+        return self._bench.accelerometer_pole
+
+    @property
+    def behind(self) -> tuple[int, ...]:
+        """Of each segment of a servo period: by how many periods its command is older than the newest."""
+        return self._behind
+
+    @property
+    def steps(self) -> int:
+        """Integration steps per segment."""
+        return self._steps
+
+    @property
+    def step_s(self) -> tuple[float, ...]:
+        """Their length, by segment."""
+        return self._step_s
+
+    @property
+    def state(self) -> FloatArray:
+        """(S + U,) positions, velocities, current, accelerometer, object and inputs, see `truth.Layout`."""
+        return self._x.copy()
+
+    @property
+    def ahead_m(self) -> float:
+        """How far the hand aims ahead of its intention, to balance friction."""
+        return self._ahead_m
+
+    def flow_at(self, grip_N: float) -> Flow:
+        """The exact linear motion at a grip, over the steps of each segment."""
+        return flow(self.device, self._target, self._bandwidth_Hz, grip_N, self._step_s)
+
+    # ------------------------------------------------------------------------------------------------ inside
+
+    def _start(self) -> FloatArray:
+        """All masses moving with the intention, friction balanced by the springs, nothing else.
+
+        The hand aims ahead by what friction stretches the springs, so that the motor mass is where it means to be.
+        """
+        n = self._at.n
+        x = np.zeros(self._at.states + INPUTS)
+        wanted = self._user.intention_m(0.0)
+        speed = (self._user.intention_m(self._step_s[0]) - wanted) / self._step_s[0]
+        ground = self.device.ground
+        held = self._friction_N(speed) - ground.stiffness_N_m * wanted - ground.damping_N_s_m * speed
+        _, stiffness, _ = self.device.at(self._grip_N)
+        elongations = np.array([held / k if k > 0 else 0.0 for k in stiffness])
+        self._ahead_m = -float(elongations.sum())
+        x[:n] = wanted + self._ahead_m + np.cumsum(elongations[::-1])[::-1]
+        x[n : 2 * n] = speed
+        x[self._at.states + INTENTION_SPEED] = speed
+        return x
+
+    def _take_grip(self, grip_N: float) -> None:
+        if abs(grip_N - self._grip_N) <= GRIP_STEP_N:
+            return
+        skin, n = self.device.skin, self._at.n
+        if skin is not None and self._grip_N <= 0 < grip_N:
+            # A hand that takes hold again does so where the stylus is.
+            self._x[skin + 1 : n] = self._x[skin]
+            self._x[n + skin + 1 : 2 * n] = self._x[n + skin]
+        self._grip_N = round(grip_N / GRIP_STEP_N) * GRIP_STEP_N
+        self._flow = self.flow_at(self._grip_N)
+
+    def _felt(self, command_A: float) -> float:
+        """What the amplifier's pole follows: the command cut at its range, less the crossover's dead band."""
+        amplifier, dead = self.device.amplifier, self.device.crossover_A
+        if amplifier is not None:
+            command_A = min(max(command_A, -amplifier.command_limit_A), amplifier.command_limit_A)
+        return command_A - min(max(command_A, -dead), dead)
+
+    def _friction_N(self, speed_m_s: float) -> float:
+        ground = self.device.ground
+        return -ground.friction_N * math.tanh(speed_m_s / ground.friction_speed_m_s)
+
+    def _contact_N(self, x: FloatArray) -> float:
+        """k delta^n (1 + c d delta/dt) >= 0 on the stylus (DESIGN 5)."""
+        if self._target is None:
+            return 0.0
+        stylus, at = self.device.stylus, self._at
+        depth = float(x[at.target] - x[stylus])
+        if depth <= 0:
+            return 0.0
+        closing = float(x[at.target + 1] - x[at.n + stylus])
+        elastic = self._target.contact_stiffness_N_m * math.pow(depth, self._target.contact_exponent)
+        return max(elastic * (1 + self._target.contact_damping_s_m * closing), 0.0)
+
+    def _push(self, x: FloatArray) -> None:
+        """Put the nonlinear forces of the present state among the inputs."""
+        S = self._at.states
+        x[S + MOTOR_FORCE] = self._friction_N(float(x[self._at.n]))
+        x[S + CONTACT_FORCE] = self._contact_N(x)
+
+    def _advance_step(self, segment: int, felt_A: float, end_s: float, step_s: float) -> None:
+        x, S, user = self._x, self._at.states, self._user
+        before, self._intention_m = self._intention_m, user.intention_m(end_s) + self._ahead_m
+        x[S + COMMAND] = felt_A
+        x[S + INTENTION] = before
+        x[S + INTENTION_SPEED] = (self._intention_m - before) / step_s
+        x[S + CARRIED] = user.carried_m_s2(end_s - step_s / 2)
+        if self._nonlinear:
+            self._push(x)
+            middle = x.copy()
+            middle[:S] = self._flow.half[segment] @ x
+            self._push(middle)
+            x[S + MOTOR_FORCE :] = middle[S + MOTOR_FORCE :]
+        x[:S] = self._flow.whole[segment] @ x
+        if self._rows is not None:
+            self._keep(end_s)
+
+    def _keep(self, time_s: float) -> None:
+        assert self._rows is not None
+        x, n, S = self._x, self._at.n, self._at.states
+        now = x.copy()
+        # The inputs as they are at this instant, not over the step that led here.
+        now[S + INTENTION] = self._intention_m
+        own = now[S + CARRIED] = self._user.carried_m_s2(time_s)
+        if self._nonlinear:
+            self._push(now)
+        stylus = self.device.stylus
+        acceleration = float(self._flow.acceleration @ now)
+        motor_m, motor_m_s, stylus_m = float(x[0]), float(x[n]), float(x[stylus])
+        current, contact = float(x[self._at.current]), float(now[S + CONTACT_FORCE])
+        self._rows.append((time_s, acceleration, own, motor_m, motor_m_s, stylus_m, current, contact, self.winding_C))

@@ -1,0 +1,302 @@
+"""The true device: masses, springs and dampers in absolute coordinates, amplifier, coil (DESIGN 3, 7).
+
+Only the physical parameters of the scene are shared with the design model. Positions are those of the masses along
+the surface normal, not deviations from a nominal motion; the hand's intention is a moving ground.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M, LinearInGrip
+from transopt.plant.coil import CoilModel
+from transopt.recordings.settings import SimulatedTaps
+from transopt.scene.identified import Identified
+from transopt.scene.model_file import ChainHand, DriveDevice, HandPart, StateSpaceDevice
+from transopt.scene.scene import Scene
+from transopt.scene.sections import Drive, FourthOrder, HandSection, SecondOrder
+
+LETTING_GO_N = 0.2  # below this grip the skin's spring and damper fade; at 0 N nobody holds the stylus
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Spring and damper, either of which may depend on the grip."""
+
+    stiffness_N_m: LinearInGrip
+    damping_N_s_m: LinearInGrip
+
+    def scaled(self, stiffness: float, damping: float) -> "Joint":
+        return Joint(_scaled(self.stiffness_N_m, stiffness), _scaled(self.damping_N_s_m, damping))
+
+
+def _scaled(parameter: LinearInGrip, factor: float) -> LinearInGrip:
+    return LinearInGrip(parameter.constant * factor, parameter.per_newton * factor)
+
+
+def _joint(stiffness_N_m: float, damping_N_s_m: float) -> Joint:
+    return Joint(LinearInGrip(stiffness_N_m, 0.0), LinearInGrip(damping_N_s_m, 0.0))
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What ties the motor mass to the device's base and the design model does not know.
+
+    Attributes
+    ----------
+    stiffness_N_m, damping_N_s_m : spring (relaxed at the surface) and viscous friction, >= 0.
+    friction_N : Coulomb friction, >= 0; smoothed as tanh(v / `friction_speed_m_s`).
+    """
+
+    stiffness_N_m: float = 0.0
+    damping_N_s_m: float = 0.0
+    friction_N: float = 0.0
+    friction_speed_m_s: float = 2e-3
+
+
+NO_GROUND = Ground()
+
+
+@dataclass(frozen=True)
+class Device:
+    """Physical parameters of one device in one hand.
+
+    Attributes
+    ----------
+    masses_kg : n masses from the motor to the hand.
+    joints : n; joint j between mass j and mass j + 1, the last one between the last mass and the intention.
+    stylus : index of the mass that carries the accelerometer and meets real objects.
+    skin : index of the joint that a grip closes; None where stylus and hand are one mass.
+    amplifier : None is ideal. crossover_A : half-width of its dead band around zero.
+    coil : None where the drive is stated at the tip.
+    """
+
+    masses_kg: tuple[LinearInGrip, ...]
+    joints: tuple[Joint, ...]
+    stylus: int
+    skin: int | None
+    force_per_current_N_A: float
+    amplifier: Amplifier | None
+    coil: CoilModel | None
+    ground: Ground = NO_GROUND
+    crossover_A: float = 0.0
+
+    @property
+    def delay_s(self) -> float:
+        return 0.0 if self.amplifier is None else self.amplifier.delay_s
+
+    def mismatched(self, fraction: float, random: np.random.Generator) -> "Device":
+        """Every mass, stiffness, damping, the force per ampere, the amplifier's pole and delay times 1 +- `fraction`.
+
+        The factors are independent and uniform; both coefficients of a grip-dependent parameter share one.
+        """
+        n = len(self.masses_kg)
+        factors = iter((1 + fraction * random.uniform(-1, 1, 3 * n + 3)).tolist())
+        masses = tuple(_scaled(mass, next(factors)) for mass in self.masses_kg)
+        joints = tuple(joint.scaled(next(factors), next(factors)) for joint in self.joints)
+        gain, pole, delay = factors
+        amplifier = self.amplifier
+        if amplifier is not None:
+            amplifier = replace(amplifier, pole_Hz=amplifier.pole_Hz * pole, delay_s=amplifier.delay_s * delay)
+        return replace(
+            self,
+            masses_kg=masses,
+            joints=joints,
+            force_per_current_N_A=self.force_per_current_N_A * gain,
+            amplifier=amplifier,
+        )
+
+    def at(self, grip_N: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n,) masses [kg], stiffnesses [N/m] and dampings [N s/m] of the joints at a grip."""
+        masses = np.array([mass.at(grip_N) for mass in self.masses_kg])
+        stiffness = np.array([joint.stiffness_N_m.at(grip_N) for joint in self.joints])
+        damping = np.array([joint.damping_N_s_m.at(grip_N) for joint in self.joints])
+        if self.skin is not None:
+            hold = min(max(grip_N / LETTING_GO_N, 0.0), 1.0)
+            stiffness[self.skin] *= hold
+            damping[self.skin] *= hold
+        return masses, stiffness, damping
+
+
+def device_of(scene: Scene) -> Device:
+    """The device that a scene describes, nothing wrong with it.
+
+    Raises
+    ------
+    InputError : a black box, which has no masses to move.
+    """
+    model = scene.model.moving if isinstance(scene.model, Identified) else scene.model
+    if isinstance(model, StateSpaceDevice):
+        raise InputError(
+            f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "
+            "another device (--device SCENE.toml or library.npz)"
+        )
+    tip = scene.drive_at_tip()
+
+    def held(section: HandSection | ChainHand) -> tuple[LinearInGrip, tuple[Joint, Joint]]:
+        hand = section.hand()
+        skin = Joint(hand.skin_stiffness_N_m, hand.skin_damping_N_s_m)
+        return hand.mass_kg, (skin, Joint(hand.arm_stiffness_N_m, hand.arm_damping_N_s_m))
+
+    masses: tuple[LinearInGrip, ...]
+    joints: tuple[Joint, ...]
+    match model:
+        case SecondOrder():
+            masses, stylus, skin = (SEED_HAND_MASS_KG,), 0, None
+            joints = (Joint(SEED_HAND_STIFFNESS_N_M, SEED_HAND_DAMPING_N_S_M),)
+        case HandPart(mass_kg=whole, stiffness_N_m=stiffness, damping_N_s_m=damping):
+            masses, stylus, skin = (whole.linear(),), 0, None
+            joints = (Joint(stiffness.linear(), damping.linear()),)
+        case FourthOrder(stylus_mass_kg=mass, hand=section):
+            hand_mass, joints = held(section)
+            masses, stylus, skin = (LinearInGrip(tip.moving_mass_kg + mass, 0.0), hand_mass), 0, 0
+        case Drive(stylus_mass_kg=mass, hand=section) | DriveDevice(stylus_mass_kg=mass, hand=section):
+            assert tip.stiffness_N_m is not None
+            assert tip.damping_N_s_m is not None
+            hand_mass, hand_joints = held(section)
+            masses, stylus, skin = (LinearInGrip(tip.moving_mass_kg, 0.0), LinearInGrip(mass, 0.0), hand_mass), 1, 1
+            joints = (_joint(tip.stiffness_N_m, tip.damping_N_s_m), *hand_joints)
+    return Device(
+        masses_kg=masses,
+        joints=joints,
+        stylus=stylus,
+        skin=skin,
+        force_per_current_N_A=tip.force_per_current_N_A,
+        amplifier=scene.amplifier_model(),
+        coil=scene.coil(),
+    )
+
+
+# Inputs of the linear flow, all held over a step except the intention, which moves at a held velocity.
+COMMAND, INTENTION, INTENTION_SPEED, CARRIED, MOTOR_FORCE, CONTACT_FORCE = range(6)
+INPUTS = 6
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things stand in the state vector for n masses: positions, velocities, current, accelerometer, object."""
+
+    n: int
+
+    @property
+    def current(self) -> int:
+        return 2 * self.n
+
+    @property
+    def sensed(self) -> int:
+        """Acceleration behind the accelerometer's own pole."""
+        return 2 * self.n + 1
+
+    @property
+    def target(self) -> int:
+        """Position of the struck object's mass; its velocity follows."""
+        return 2 * self.n + 2
+
+    @property
+    def states(self) -> int:
+        return 2 * self.n + 4
+
+
+def nonlinear(device: Device, target: SimulatedTaps | None) -> bool:
+    return target is not None or device.ground.friction_N > 0
+
+
+def rates(device: Device, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float) -> FloatArray:
+    """(S + U, S + U) generator of the linear motion of states and inputs; the inputs' own rows are zero but one.
+
+    CARRIED is an acceleration that the user gives every mass of the chain alike; the contact force acts on the
+    stylus outwards and on the object inwards.
+    """
+    masses, stiffness, damping = device.at(grip_N)
+    n = masses.size
+    at = Layout(n)
+    S = at.states
+    G = np.zeros((S + INPUTS, S + INPUTS))
+    G[:n, n : 2 * n] = np.eye(n)
+    for j in range(n):
+        # Joint j pulls mass j towards what follows it and that towards mass j.
+        if j + 1 < n:
+            ahead_z, ahead_v = j + 1, n + j + 1
+        else:
+            ahead_z, ahead_v = S + INTENTION, S + INTENTION_SPEED
+        for row, sign, mass in ((n + j, -1.0, masses[j]), *([(n + j + 1, 1.0, masses[j + 1])] if j + 1 < n else [])):
+            G[row, j] += sign * stiffness[j] / mass
+            G[row, ahead_z] -= sign * stiffness[j] / mass
+            G[row, n + j] += sign * damping[j] / mass
+            G[row, ahead_v] -= sign * damping[j] / mass
+    G[n, 0] -= device.ground.stiffness_N_m / masses[0]
+    G[n, n] -= device.ground.damping_N_s_m / masses[0]
+    G[n, at.current] += device.force_per_current_N_A / masses[0]
+    G[n, S + MOTOR_FORCE] += 1 / masses[0]
+    G[n : 2 * n, S + CARRIED] = 1.0
+    G[n + device.stylus, S + CONTACT_FORCE] += 1 / masses[device.stylus]
+    if device.amplifier is not None:
+        G[at.current, at.current] = -device.amplifier.rate_rad_s
+        G[at.current, S + COMMAND] = device.amplifier.rate_rad_s
+    pole = 2 * np.pi * bandwidth_Hz
+    G[at.sensed] = pole * G[n + device.stylus]
+    G[at.sensed, at.sensed] -= pole
+    if target is not None:
+        G[at.target, at.target + 1] = 1.0
+        G[at.target + 1, at.target] = -target.object_stiffness_N_m / target.object_mass_kg
+        G[at.target + 1, at.target + 1] = -target.object_damping_N_s_m / target.object_mass_kg
+        G[at.target + 1, S + CONTACT_FORCE] = -1 / target.object_mass_kg
+    G[S + INTENTION, S + INTENTION_SPEED] = 1.0
+    return G
+
+
+@dataclass(frozen=True)
+class Flow:
+    """The exact linear motion at one grip.
+
+    Attributes
+    ----------
+    whole, half : per segment of the servo period, (S, S + U) maps over one step and over half of it.
+    acceleration : (S + U,) row of the stylus's acceleration.
+    """
+
+    whole: tuple[FloatArray, ...]
+    half: tuple[FloatArray, ...]
+    acceleration: FloatArray
+
+
+def exponential(X: FloatArray) -> FloatArray:
+    """exp(X), by Taylor's series to degree 16 of the balanced matrix, scaled to a 1-norm <= 1/2 and squared back.
+
+    scipy.linalg.expm solves with LU on all cores, which takes milliseconds when they are busy, and a ramping grip
+    needs hundreds. Balancing puts positions, velocities and forces in units of one size, so that at most a few
+    squarings are left; what the series leaves out is below 1e-19 of the balanced matrix.
+    """
+    balanced, (size, _) = linalg.matrix_balance(X, permute=False, separate=True)
+    norm = float(np.abs(balanced).sum(axis=0).max())
+    squarings = int(np.ceil(np.log2(max(2 * norm, 1.0))))
+    scaled, unit = balanced / 2.0**squarings, np.eye(X.shape[0])
+    value = unit
+    for degree in range(16, 0, -1):  # Horner
+        value = unit + scaled @ value / degree
+    for _ in range(squarings):
+        value = value @ value
+    return np.asarray(value * size[:, None] / size)
+
+
+@lru_cache(maxsize=4096)
+def flow(
+    device: Device, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float, steps_s: tuple[float, ...]
+) -> Flow:
+    """Matrix exponentials of the linear part for the step of each segment; kept, since grips come back.
+
+    Half steps only where there are nonlinear forces to be taken in the middle.
+    """
+    G = rates(device, target, bandwidth_Hz, grip_N)
+    n = len(device.masses_kg)
+    S = Layout(n).states
+
+    def maps(fraction: float) -> tuple[FloatArray, ...]:
+        return tuple(np.ascontiguousarray(exponential(G * (h * fraction))[:S]) for h in steps_s)
+
+    return Flow(maps(1.0), maps(0.5) if nonlinear(device, target) else (), G[n + device.stylus].copy())

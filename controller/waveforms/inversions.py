@@ -1,0 +1,71 @@
+"""The two inversions that the optimum is compared with, rebuilt from a library file.
+
+A library keeps their errors, not their commands. The unlimited optimum is found here by a plain Riccati recursion,
+because the designer's own needs CasADi, which the runtime does without.
+"""
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library
+from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import hand_over_rows, linear_stage
+
+
+def unlimited_optimum(problem: TransientProblem) -> FloatArray:
+    """(N,) commands [A] that minimise J of DESIGN 4 without limits, hand-over kept.
+
+    V_k(x) = x' P x + 2 p' x backwards over x+ = A x + b u, e = C x + E u - r, u the command's movement, with the
+    optimal u = K x + k before the hand-over and the prescribed one in it (Joseph's form, so P stays semidefinite).
+    """
+    N = problem.grid.stages
+    if problem.reference_is_zero:
+        return np.zeros(N)
+    stage = linear_stage(problem)
+    A, b, C, E = stage.A, stage.A[:, -1], stage.C, stage.E
+    r = problem.reference_m_s2
+    wanted = (r if problem.error_filter is None else problem.error_filter.apply(r)) / np.linalg.norm(r)
+    weights = problem.tracking_weights / len(problem.devices)
+    movement = problem.movement_weight * stage.current_A**2
+    rows, constants = hand_over_rows(problem, stage)
+    rows[:, -1] -= 1.0
+    P, p = np.zeros_like(A), np.zeros(b.size)
+    laws = []
+    for k in range(N - 1, -1, -1):
+        w = weights[k]
+        if k >= problem.free_stages:
+            K, constant = rows[k - problem.free_stages], constants[k - problem.free_stages]
+        else:
+            H = movement + w * (E @ E) + b @ P @ b
+            K = -(w * (E @ C) + b @ P @ A) / H
+            constant = -(b @ p - w * E.sum() * wanted[k]) / H
+        laws.append((K, constant))
+        closed, tracked = A + np.outer(b, K), C + np.outer(E, K)
+        error = E * constant - wanted[k]
+        p = w * (error @ tracked) + movement * constant * K + (P @ b * constant + p) @ closed
+        P = w * (tracked.T @ tracked) + movement * np.outer(K, K) + closed.T @ P @ closed
+    x = np.zeros(b.size)
+    command = np.empty(N)
+    for k, (K, constant) in enumerate(reversed(laws)):
+        x = A @ x + b * (K @ x + constant)
+        command[k] = x[-1] * stage.current_A
+    if problem.wall is None:
+        command[problem.free_stages :] = 0.0
+    return command
+
+
+def inversion(library: Library, iv: int, ig: int, *, optimal: bool) -> FloatArray:
+    """(N,) transient command of one node by clipping the unlimited optimum, or by the seed's inversion.
+
+    Total current is cut at the library's limit; with a wall its predicted feedback is taken off, as from the optimum.
+    """
+    problem = library.problem(iv, ig)
+    limit = problem.limits.current_A
+    if optimal:
+        command = clipped_optimum(problem.stage, problem.grid, unlimited_optimum(problem), limit)
+    else:
+        command = seed_inversion(
+            problem.stage, problem.grid, problem.reference_m_s2, limit, problem.hand_over_samples
+        )
+    return problem.transient_command(command)

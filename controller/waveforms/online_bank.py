@@ -1,0 +1,63 @@
+"""A bank that solves each tap anew (`transopt.library.online`) where a table would blend.
+
+A simulator's clock stands still meanwhile. On a machine the solve takes milliseconds, and the last of the approach is
+all the time there is: it is for between taps, or for a host that foresees the contact.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from controller.waveforms.bank import Bank, Play, currents, norms
+from controller.waveforms.prediction import scene_of
+from transopt.library.library import Library
+from transopt.library.online import Online
+
+
+@dataclass(frozen=True)
+class FreshBank(Bank):
+    """The table of the blend, and what solves in its place; without a certified answer the blend is played."""
+
+    library: Library
+    solver: Online
+
+    def at(
+        self, speed_m_s: float, grip_N: float, winding_C: float | None = None, housing_C: float | None = None
+    ) -> Play:
+        """The optimum for a contact and a start temperature, from the node's problem posed there."""
+        blend = super().at(speed_m_s, grip_N)
+        if blend.silent:
+            return blend
+        tap = self.solver.solve(speed_m_s, grip_N, winding_C, housing_C)
+        if not tap.solved:
+            return blend
+        amplifier, dt = self.library.amplifier(), self.library.meta["dt_s"]
+        transient = tap.wave.transient_command_A
+        played, pushed = norms(
+            currents(np.stack([transient, tap.wave.command_A - transient]), amplifier, dt), amplifier, dt
+        )
+        return Play(
+            samples_A=transient.tolist(),
+            speed_m_s=tap.wave.speed_m_s,
+            grip_N=tap.wave.grip_N,
+            out_of_grid=blend.out_of_grid,
+            silent=False,
+            transient_A=float(played),
+            feedback_A=float(pushed),
+        )
+
+
+def fresh(library: Library, table: Bank) -> FreshBank:
+    """A bank that solves for this library, `table` its own of the method `online`.
+
+    Raises
+    ------
+    InputError : the solver's extension is not built.
+    """
+    scene = scene_of(library)
+    solver = Online(
+        library, scene.plant, lambda grip: tuple(scene.plant(each) for each in scene.spread_grips_N(grip))
+    )
+    return FreshBank(
+        **{field.name: getattr(table, field.name) for field in fields(Bank)}, library=library, solver=solver
+    )

@@ -1,0 +1,102 @@
+"""What a library says that a tap will do, at its nodes and between them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import ValidationError
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library, interpolation_weights, speed_weights
+from transopt.plant.discretise import discretise
+from transopt.plant.wall import HandOver
+from transopt.proof.replay import replay
+from transopt.scene.scene import Scene
+
+REACTION_S = 30e-3  # until a hand can answer the tap: beyond, no prediction holds
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A tap as the library means it.
+
+    Attributes
+    ----------
+    speed_m_s, grip_N : as played: on the grid's edge for a tap outside it.
+    silent : too little grip or no speed: nothing is played.
+    times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, without the user's own share.
+    reference_m_s2, own_m_s2 : (N,) r and r_u = r_raw - r. current_A : (N,).
+    floor, repeatability : blended like the waveforms; NaN where the recordings have no repeats.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    silent: bool
+    times_s: FloatArray
+    acceleration_m_s2: FloatArray
+    reference_m_s2: FloatArray
+    own_m_s2: FloatArray
+    current_A: FloatArray
+    floor: float
+    repeatability: float
+
+
+def scene_of(library: Library) -> Scene:
+    """The scene that a library was solved from, as the file tells it.
+
+    Raises
+    ------
+    InputError : a scene of another version, or changed by hand.
+    """
+    try:
+        return Scene.model_validate(library.meta["scene"])
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        raise InputError(f"meta.scene: {key}: {message}; solve the scene again") from None
+
+
+def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:
+    """Prediction for any speed and grip.
+
+    At a node it is the library's own; elsewhere the blended command is replayed through the model of that grip,
+    built from the scene that the library carries. `gain` multiplies the transient and a wall's feedback.
+
+    Raises
+    ------
+    InputError : speed or grip is not a finite number.
+    """
+    wave = library.at(speed_m_s, grip_N)
+    v, F = wave.speed_m_s, wave.grip_N
+    by_speed = speed_weights(library.speeds_m_s, v)
+    reference = by_speed @ library.reference_m_s2
+    grid, scene = library.time_grid(), scene_of(library)
+    at_node = v in library.speeds_m_s and F in library.grips_N and gain == 1.0 and not wave.silent
+    if at_node:
+        iv, ig = (int(np.searchsorted(nodes, x)) for nodes, x in ((library.speeds_m_s, v), (library.grips_N, F)))
+        acceleration, current = library.acceleration_m_s2[iv, ig], library.current_A[iv, ig]
+    else:
+        wall, walls, command = library.wall(), None, gain * wave.command_A
+        if wall is not None:
+            nominal = by_speed @ library.nominal_position_at_ticks_m
+            softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
+            walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command_A
+        stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
+        [played] = replay(stage, grid, command[None], reference[None], None, walls=walls)
+        acceleration, current = played.acceleration_m_s2, played.current_A
+    by_v, by_F = interpolation_weights(library.speeds_m_s, v), interpolation_weights(library.grips_N, F)
+    repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
+    used = by_v > 0
+    return Prediction(
+        speed_m_s=v,
+        grip_N=F,
+        silent=wave.silent,
+        times_s=grid.switching_times_s,
+        acceleration_m_s2=acceleration,
+        reference_m_s2=reference,
+        own_m_s2=by_speed @ (library.reference_raw_m_s2 - library.reference_m_s2),
+        current_A=current,
+        floor=float(by_v @ library.floor @ by_F),
+        repeatability=float(repeats[used] @ by_v[used]),
+    )

@@ -1,0 +1,1 @@
+"""The stress suite: random and directed extreme problems, judged from outside."""

@@ -1,0 +1,290 @@
+"""Cases of the stress suite: an entry's problem, described by a few numbers far from everyday ones.
+
+A case is data and knows how to build itself with the library's own constructors, so that what a constructor refuses
+is refused here as it is for a user. Directed families are in `problems.stress.families`, random draws in
+`problems.stress.draw`.
+"""
+
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.chain import Hand, LinearInGrip, Link, StateSpace, chain, drive, second_order
+from transopt.plant.circuit import Circuit, Supply
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import TimeGrid, discretise
+from transopt.plant.wall import HandOver, Wall
+from transopt.problem.heat import Budget
+from transopt.problem.leave_out import thermal_of
+from transopt.problem.objective.weighting import error_filter
+from transopt.problem.problem import Limits, TransientProblem
+
+PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s
+RING_HZ, RING_DECAY_S = 390.0, 4e-3
+HAND = Hand(
+    mass_kg=LinearInGrip(0.01, 0.0),
+    skin_stiffness_N_m=LinearInGrip(3000.0, 2000.0),
+    skin_damping_N_s_m=LinearInGrip(6.0, 3.0),
+    arm_stiffness_N_m=LinearInGrip(160.0, 110.0),
+    arm_damping_N_s_m=LinearInGrip(6.0, 3.0),
+)
+
+
+@dataclass(frozen=True)
+class Device:
+    """Attributes
+    ----------
+    kind : "drive", "second_order", or "defective": a stylus on a link so damped that both poles are one.
+    grip_N : 0 is free. moving_kg, stylus_kg : masses. mode_Hz, damping_ratio : of the transmission.
+    units : the states are stated in units of 1, u, u^2, 1, u, ... of SI.
+    """
+
+    kind: str = "drive"
+    grip_N: float = 3.0
+    moving_kg: float = 14e-3
+    stylus_kg: float = 26e-3
+    mode_Hz: float = 400.0
+    damping_ratio: float = 0.17
+    force_N_A: float = 1.25
+    units: float = 1.0
+
+    def plant(self) -> StateSpace:
+        made = self._in_si()
+        scale = self.units ** (np.arange(made.order) % 3)
+        return StateSpace(
+            A=made.A * scale / scale[:, None],
+            B=made.B / scale[:, None],
+            C=made.C * scale,
+            D=made.D,
+            Ce=made.Ce * scale,
+        )
+
+    def _in_si(self) -> StateSpace:
+        rate = 2 * np.pi * self.mode_Hz
+        if self.kind == "second_order":
+            return second_order(self.grip_N, force_per_current_N_A=self.force_N_A)
+        if self.kind == "defective":
+            link = Link(self.stylus_kg * rate**2, 2 * self.stylus_kg * rate)
+            return chain([self.stylus_kg], [link], force_per_current_N_A=self.force_N_A, stylus=0)
+        reduced = self.moving_kg * self.stylus_kg / (self.moving_kg + self.stylus_kg)
+        return drive(
+            self.grip_N,
+            hand=HAND,
+            stylus_mass_kg=self.stylus_kg,
+            moving_mass_kg=self.moving_kg,
+            transmission=Link(reduced * rate**2, 2 * self.damping_ratio * reduced * rate),
+            force_per_current_N_A=self.force_N_A,
+        )
+
+
+@dataclass(frozen=True)
+class Current:
+    """Attributes
+    ----------
+    limit_A : of the current. command : the amplifier's range, times that limit. pole_Hz : None is ideal.
+    delay_samples : of the amplifier. slew : per tick, times the limit. supply : times R times the limit.
+    """
+
+    limit_A: float = 4.0
+    command: float = 1.5
+    pole_Hz: float | None = 1050.0
+    delay_samples: float = 0.68
+    slew: float | None = None
+    supply: float | None = None
+
+
+@dataclass(frozen=True)
+class Horizon:
+    dt_s: float = 1e-4
+    stages: int = 100
+    lead_s: float = 3e-4
+    hand_over: int = 10
+
+
+@dataclass(frozen=True)
+class Demand:
+    """Attributes
+    ----------
+    kind : "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
+    speed_m_s : incoming; 0 asks for nothing. weights : "one", "late", "sparse", "none" or "tiny".
+    """
+
+    kind: str = "tap"
+    speed_m_s: float = 0.4
+    weights: str = "one"
+    rho: float = 1e-3
+    pacinian: bool = False
+    seed: int = 0
+
+    def reference(self, grid: TimeGrid) -> FloatArray:
+        """(N,) [m/s^2], with the kinds of wrong input that the constructors have to refuse."""
+        N, t = grid.stages, np.maximum(grid.switching_times_s, 0.0)
+        peak = PEAK_PER_SPEED_1_S * self.speed_m_s
+        ringing = 0.3 * np.exp(-t / RING_DECAY_S) * np.sin(2 * np.pi * RING_HZ * t)
+        tap = peak * (np.where(t < 4e-3, np.sin(np.pi * t / 4e-3), 0.0) + ringing)
+        white = np.random.default_rng(self.seed).standard_normal(N)
+        made: dict[str, FloatArray] = {
+            "tap": tap,
+            "constant": np.full(N, peak),
+            "denormal": np.full(N, 5e-324),
+            "noise": peak * white,
+            "sample": peak * np.eye(1, N, N // 2)[0],
+            "huge": 1e6 * peak * white,
+            "overflow": 1e200 * white,
+            "nan": np.where(np.arange(N) == N // 2, np.nan, tap),
+            "empty": np.zeros(0),
+        }
+        return made[self.kind]
+
+    def tracking(self, stages: int) -> FloatArray:
+        """(N,) weights."""
+        k = np.arange(stages)
+        made: dict[str, FloatArray] = {
+            "one": np.ones(stages),
+            "late": np.where(k < stages // 2, 0.0, 1.0),
+            "sparse": np.where(k % 7 == 3, 1.0, 0.0),
+            "none": np.zeros(stages),
+            "tiny": np.where(k % 2 == 0, 1e-10, 1.0),
+        }
+        return made[self.weights]
+
+
+@dataclass(frozen=True)
+class Coil:
+    """Attributes
+    ----------
+    tau_w_s, tau_h_s : time constants. below_K : the start below the limit, negative above it.
+    warming : what the limit current held for the horizon would add to the winding, times `below_K`, at least 1 mK.
+    tap_share : of the time that taps take when they repeat for ever; None for a single tap.
+    """
+
+    tau_w_s: float = 12.0
+    tau_h_s: float = 612.0
+    below_K: float = 0.05
+    warming: float = 2.0
+    nodes: int = 2
+    tap_share: float | None = None
+
+    def model(self, limit_A: float, duration_s: float) -> CoilModel:
+        R_ohm = 2.18
+        # The resistance that gives the wanted warming: rise = R i^2 R_wh (1 - exp(-t / tau)).
+        share = -np.expm1(-duration_s / self.tau_w_s)
+        R_wh = self.warming * max(abs(self.below_K), 1e-3) / (R_ohm * (limit_A + 0.02) ** 2 * share)
+        limit_C = 100.0
+        start = limit_C - self.below_K
+        return CoilModel(
+            R_ohm=R_ohm,
+            R_wh_K_W=R_wh,
+            R_ha_K_W=4.5 * R_wh,
+            tau_w_s=self.tau_w_s,
+            tau_h_s=self.tau_h_s,
+            limit_C=limit_C,
+            ambient_C=25.0,
+            start_winding_C=start,
+            start_housing_C=min(60.0, start),
+            nodes=self.nodes,
+        )
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A virtual wall under the stylus."""
+
+    stiffness_N_m: float = 200.0
+    damping_N_s_m: float = 5.0
+    latency_ticks: int = 1
+    filter_Hz: float = 500.0
+
+
+@dataclass(frozen=True)
+class StressCase:
+    """One problem of the stress suite.
+
+    Attributes
+    ----------
+    family : what it is a case of.
+    """
+
+    family: str
+    device: Device = field(default_factory=Device)
+    current: Current = field(default_factory=Current)
+    horizon: Horizon = field(default_factory=Horizon)
+    demand: Demand = field(default_factory=Demand)
+    coil: Coil | None = None
+    surface: Surface | None = None
+
+    def __str__(self) -> str:
+        """In one line what is not as in the plain case."""
+        plain = StressCase(self.family)
+        words = []
+        for name in ("device", "current", "horizon", "demand", "coil", "surface"):
+            part = getattr(self, name)
+            if part is None:
+                continue
+            usual = getattr(plain, name) or type(part)()
+            changed = [f.name for f in fields(part) if getattr(part, f.name) != getattr(usual, f.name)]
+            said = " ".join(f"{key}={_short(getattr(part, key))}" for key in changed)
+            if said or getattr(plain, name) is None:
+                words.append(f"{name}({said})")
+        return f"{self.family}: {' '.join(words) or 'plain'}"
+
+    def grid(self) -> TimeGrid:
+        horizon = self.horizon
+        delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
+        return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay)
+
+    def problem(self) -> TransientProblem:
+        """Build it.
+
+        Raises
+        ------
+        InputError : a constructor refuses it.
+        """
+        grid, current, speed = self.grid(), self.current, self.demand.speed_m_s
+        amplifier = None
+        if current.pole_Hz is not None:
+            amplifier = Amplifier(current.pole_Hz, grid.delay_s, current.command * current.limit_A)
+        plant, N = self.device.plant(), grid.stages
+        reference = self.demand.reference(grid)
+        wall = None
+        if self.surface is not None:
+            law = Wall(
+                self.surface.stiffness_N_m,
+                self.surface.damping_N_s_m,
+                self.device.force_N_A,
+                self.surface.latency_ticks,
+                self.surface.filter_Hz,
+            )
+            nominal = -speed * grid.issue_times_s
+            wall = HandOver(law, nominal, speed, nominal < 0)
+        supply = None
+        if current.supply is not None and amplifier is not None:
+            circuit = Circuit(R_ohm=2.18, L_H=0.238e-3, emf_V_s_m=self.device.force_N_A)
+            volts = current.supply * circuit.R_ohm * current.limit_A
+            supply = Supply(volts, circuit, amplifier.rate_rad_s, np.full(N, -speed))
+        coil = None if self.coil is None else self.coil.model(current.limit_A, grid.dt_s * N)
+        share = None if self.coil is None else self.coil.tap_share
+        budget = Budget(tap_rate_Hz=None if share is None else share / (N * grid.dt_s))
+        cold = TransientProblem(
+            stage=discretise(plant, amplifier, grid.dt_s, position=wall is not None),
+            grid=grid,
+            reference_m_s2=reference,
+            tracking_weights=self.demand.tracking(N),
+            rho=self.demand.rho,
+            limits=Limits(
+                current_A=current.limit_A,
+                command_A=None if amplifier is None else amplifier.command_limit_A,
+                slew_A_per_s=None if current.slew is None else current.slew * current.limit_A / grid.dt_s,
+            ),
+            hand_over_samples=self.horizon.hand_over,
+            supply=supply,
+            wall=wall,
+            error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,
+        )
+        return replace(cold, thermal=thermal_of(coil, amplifier, grid, budget, wall, reference))
+
+
+def _short(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,115 @@
+"""Random draws over everything at once; a case follows from seed and index alone."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+
+STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
+WHEN_LONG = 2000  # stages from which the parts that need a general solver stay out: minutes each
+
+
+T = TypeVar("T")
+
+
+class _Draw:
+    def __init__(self, seed: int, index: int) -> None:
+        self._random = np.random.default_rng([seed, index])
+
+    def perhaps(self, probability: float) -> bool:
+        return bool(self._random.random() < probability)
+
+    def log(self, low: float, high: float) -> float:
+        return float(np.exp(self._random.uniform(np.log(low), np.log(high))))
+
+    def of(self, *choices: T) -> T:
+        return choices[int(self._random.integers(len(choices)))]
+
+    def weighted(self, choices: Sequence[tuple[int, float]]) -> int:
+        values, shares = zip(*choices, strict=True)
+        return int(self._random.choice(values, p=shares))
+
+    def seed(self) -> int:
+        return int(self._random.integers(2**31))
+
+
+def _device(draw: _Draw) -> Device:
+    kind = "drive" if draw.perhaps(0.8) else draw.of("second_order", "defective")
+    wide = draw.perhaps(0.4)
+    return Device(
+        kind=kind,
+        grip_N=0.0 if draw.perhaps(0.15) else draw.log(0.5, 100.0),
+        moving_kg=draw.log(1e-6, 100.0) if wide else draw.log(1e-3, 1.0),
+        stylus_kg=draw.log(1e-6, 100.0) if wide else draw.log(1e-3, 1.0),
+        mode_Hz=draw.log(50.0, 35e3),
+        damping_ratio=draw.log(1e-4, 1.0),
+        force_N_A=draw.log(0.1, 10.0),
+        units=draw.of(1e-6, 1e-3, 1e3, 1e6) if draw.perhaps(0.1) else 1.0,
+    )
+
+
+def _current(draw: _Draw) -> Current:
+    pole = None if draw.perhaps(0.15) else draw.log(10.0, 1e6)
+    return Current(
+        limit_A=draw.log(1e-6, 10.0) if draw.perhaps(0.4) else draw.log(0.1, 10.0),
+        command=1.0 if draw.perhaps(0.2) else draw.log(0.3, 10.0),
+        pole_Hz=pole,
+        delay_samples=draw.of(0.0, 1.0, 2.999, 20.0, 0.68, 0.68),
+        slew=draw.log(1e-6, 3.0) if draw.perhaps(0.15) else None,
+        supply=draw.log(0.1, 10.0) if draw.perhaps(0.12) else None,
+    )
+
+
+def _horizon(draw: _Draw) -> Horizon:
+    stages = draw.weighted(STAGES)
+    return Horizon(
+        dt_s=draw.log(1e-6, 1e-3) if draw.perhaps(0.5) else 1e-4,
+        stages=stages,
+        lead_s=draw.of(0.0, 1e-4, 3e-4, 5e-3),
+        hand_over=min(stages, draw.of(1, 10, 10, max(stages // 2, 1))),
+    )
+
+
+def _demand(draw: _Draw) -> Demand:
+    kinds = ("constant", "noise", "noise", "sample", "sample", "huge", "denormal", "overflow", "nan", "empty")
+    return Demand(
+        kind="tap" if draw.perhaps(0.65) else draw.of(*kinds),
+        speed_m_s=0.0 if draw.perhaps(0.03) else draw.log(0.01, 5.0),
+        weights="one" if draw.perhaps(0.7) else draw.of("late", "sparse", "tiny", "none"),
+        rho=draw.of(0.0, 1e-12, 1e-6, 1e-3, 1e-3, 1e-3),
+        pacinian=draw.perhaps(0.05),
+        seed=draw.seed(),
+    )
+
+
+def _coil(draw: _Draw) -> Coil:
+    return Coil(
+        tau_w_s=draw.log(1e-5, 1e4),
+        tau_h_s=draw.log(1e-2, 4e4),
+        below_K=draw.of(1e-6, 0.0, -1e-6) if draw.perhaps(0.25) else draw.log(1e-3, 30.0),
+        warming=draw.log(0.3, 30.0),
+        nodes=draw.of(1, 2, 2),
+        tap_share=draw.of(0.02, 0.2, 0.8, 1.2) if draw.perhaps(0.2) else None,
+    )
+
+
+def _surface(draw: _Draw) -> Surface:
+    return Surface(
+        stiffness_N_m=draw.log(1.0, 1e5),
+        damping_N_s_m=draw.log(0.01, 50.0),
+        latency_ticks=draw.of(0, 1, 2, 5),
+        filter_Hz=draw.log(50.0, 5000.0),
+    )
+
+
+def drawn(seed: int, index: int) -> StressCase:
+    """Case `index` of the sequence `seed`, whatever was drawn before it."""
+    draw = _Draw(seed, index)
+    device, current, horizon, demand = _device(draw), _current(draw), _horizon(draw), _demand(draw)
+    coil = _coil(draw) if draw.perhaps(0.15) else None
+    surface = _surface(draw) if draw.perhaps(0.12) else None
+    if horizon.stages >= WHEN_LONG:
+        coil = surface = None
+    return StressCase("random", device, current, horizon, demand, coil, surface)

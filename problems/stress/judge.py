@@ -1,0 +1,140 @@
+"""How a stress case ends, judged strictly: certified and replayed clean, or refused by the name of its cause."""
+
+import re
+import time
+import traceback
+import warnings
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from problems.stress.cases import StressCase
+from problems.stress.oracle import admits_a_command
+from transopt.base.errors import InputError
+from transopt.design.optimum import Designed, optimum
+from transopt.design.verify import admit
+from transopt.problem.problem import Certificate, Multipliers, Status, TransientProblem
+from transopt.proof.replay import Replay, replay
+from transopt.solvers.options import SolverOptions
+
+CERTIFIED = "certified"
+UNCHECKED = ", unchecked"  # a claim that no command keeps all limits, which the independent method could not decide
+# Refusals that may stand, by what their remarks must name: a limit with amount, unit and remedy.
+REMARKS = {
+    Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)|"
+    r"coil: no steady state .*; (lower|raise) ",
+    Status.HAND_OVER: r"hand-over: .*\d.* A.* limit .*(would do|lower)",
+    Status.PRECISION: r"precision: the gap of .*; lower limits.current_A .* or time.stages",
+    Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick; lower ",
+    Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*; lower time.dt_s",
+    Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",
+}
+# A field, its value, and what it must be.
+INPUT = r"^[A-Za-z][\w. :-]*\b.*(must|expected|not finite|lower it|above|choose|has shape)"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one case ended.
+
+    Attributes
+    ----------
+    kind : `CERTIFIED`, "refused: ..." by its name, or "bad: ...". detail : the message or the shortfall.
+    gap : bound on J - optimum over max(J, 1e-3). difference : of the replayed to the predicted acceleration, of the
+        peak. Both NaN unless certified.
+    """
+
+    kind: str
+    detail: str
+    gap: float
+    difference: float
+    elapsed_s: float
+
+    @property
+    def bad(self) -> bool:
+        return self.kind.startswith("bad")
+
+
+def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
+    """The replay of one command as a library's entry gets it."""
+    thermal, supply, wall = problem.thermal, problem.supply, problem.wall
+    (run,) = replay(
+        problem.stage,
+        problem.grid,
+        problem.transient_command(command_A)[None],
+        problem.reference_m_s2[None],
+        None if thermal is None else thermal.coil,
+        supplies=None if supply is None else [supply],
+        walls=None if wall is None else [wall],
+        budgets=None if thermal is None else [thermal.budget],
+    )
+    return run
+
+
+def _numbers(part: Designed | Certificate | Multipliers | Replay, but: tuple[str, ...] = ()) -> bool:
+    """Whether every number in the fields of a result is finite."""
+    values = [getattr(part, field.name) for field in fields(part) if field.name not in but]
+    return all(bool(np.all(np.isfinite(v))) for v in values if isinstance(v, float | np.ndarray))
+
+
+def judge_design(designed: Designed, run: Replay) -> Outcome:
+    """Judge an answer and its replay; the time is the caller's to fill in."""
+    problem, solution, proof = designed.problem, designed.solution, designed.certificate
+    nothing = float("nan")
+    predicted, _ = problem.stage.rollout(solution.command_A)
+    status, shortfalls = admit(solution.status, proof, run, problem, solution.command_A, predicted)
+    said = "; ".join(designed.remarks or shortfalls)
+    if status is Status.OPTIMAL:
+        # Beside a zero reference any motion is infinitely wrong: that of the wall alone.
+        unknown = ("peak_voltage_V", "winding_C", "housing_C", *(["nrmse"] if problem.reference_is_zero else []))
+        whole = _numbers(designed) and _numbers(proof) and _numbers(solution.multipliers) and _numbers(run, unknown)
+        if not (whole and np.all(np.isfinite(solution.command_A))):
+            return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)
+        if problem.supply is not None and not np.isfinite(run.peak_voltage_V):
+            return Outcome("bad: NaN", "peak voltage of a certified answer", nothing, nothing, 0.0)
+        if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
+            return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
+        difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / run.scale_m_s2
+        return Outcome(CERTIFIED, solution.solver, proof.relative_gap, difference, 0.0)
+    if status not in REMARKS or not re.search(REMARKS[status], said):
+        return Outcome(
+            f"bad: {status.name}", f"{said} ({solution.solver}: {solution.message})", nothing, nothing, 0.0
+        )
+    # The other causes are facts of one replay or of the wall alone, not claims about all commands.
+    unchecked = ""
+    if status is Status.INFEASIBLE or (status is Status.HAND_OVER and "K_p z" in said):
+        # A linear limit that is blamed has to fail without the temperature as well.
+        linear = any(not remark.startswith("coil") for remark in designed.remarks)
+        verdict = admits_a_command(problem, ignoring_heat=linear)
+        if verdict.way_out:
+            return Outcome("bad: feasible after all", f"{verdict.way_out}, but {said}", nothing, nothing, 0.0)
+        unchecked = "" if verdict.decided else UNCHECKED
+    return Outcome(f"refused: {status.name}{unchecked}", said, nothing, nothing, 0.0)
+
+
+def judge(case: StressCase) -> Outcome:
+    """Build, solve, replay and judge one case; warnings count as failures, exceptions never leave."""
+    start = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        try:
+            problem = case.problem()
+            designed = optimum(problem, SolverOptions())
+            command = np.nan_to_num(designed.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0)
+            found = judge_design(designed, played(designed.problem, command))
+        except InputError as error:
+            named = re.search(INPUT, str(error)) is not None
+            field = re.split(r"[ =]", str(error))[0].rstrip(":")
+            kind = f"refused: input {field}" if named else "bad: input without a field"
+            found = Outcome(kind, str(error), float("nan"), float("nan"), 0.0)
+        except Warning as warning:
+            found = Outcome(f"bad: {type(warning).__name__}", _where(warning), float("nan"), float("nan"), 0.0)
+        except Exception as error:
+            found = Outcome(f"bad: {type(error).__name__}", _where(error), float("nan"), float("nan"), 0.0)
+    return replace(found, elapsed_s=time.perf_counter() - start)
+
+
+def _where(error: BaseException) -> str:
+    last = traceback.extract_tb(error.__traceback__)
+    places = [f"{frame.filename.rsplit('/', 1)[-1]}:{frame.lineno}" for frame in last[-3:]]
+    return f"{str(error)[:200]} at {' < '.join(reversed(places))}"

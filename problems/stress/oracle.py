@@ -1,0 +1,99 @@
+"""Whether any command meets all limits, decided by a linear program that shares no code with the solvers."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import inside
+
+MOST_STAGES = 700  # of the linear program
+LONGEST_S = 60.0  # of the linear program
+CLEARLY = 1e-4  # of the limits' width: room that no rounding of either method makes
+DECIDED = (0, 2)  # status of scipy's linprog: an optimum, or a proof that there is none
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Attributes
+    ----------
+    way_out : what kind of command lies inside all limits; empty if none was found.
+    decided : whether the search was complete, so that an empty `way_out` means something.
+    """
+
+    way_out: str
+    decided: bool
+
+
+def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) -> Verdict:
+    """Whether a command lies inside all limits, as far as an independent method can tell.
+
+    Doing nothing is tried first. All commands are then searched for the one that is farthest inside, with every
+    stage's state as the sum of impulse responses. The temperature is no linear limit and stays undecided, unless the
+    other limits alone are asked about or the ripple alone, which any current adds to, is already too much.
+    """
+    if ignoring_heat:
+        problem = replace(problem, thermal=None)
+    nothing = np.zeros(problem.grid.stages)
+    if problem.wall is None and inside(problem, nothing):
+        return Verdict("doing nothing keeps all limits", decided=True)
+    if problem.thermal is not None:
+        return Verdict("", decided=not inside(problem, nothing, only="coil"))
+    if problem.grid.stages > MOST_STAGES:
+        return Verdict("", decided=False)
+    room = _room(problem)
+    if room is None:
+        return Verdict("", decided=False)
+    way_out = f"a command keeps all limits with {room:.1e} of them to spare" if room > CLEARLY else ""
+    return Verdict(way_out, decided=True)
+
+
+def _room(problem: TransientProblem) -> float | None:
+    """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit.
+
+    Minus infinity if the hand-over cannot be met at all, None if the linear program ended without telling.
+    """
+    N, limits, stage = problem.grid.stages, problem.limits, problem.stage
+    unit = limits.command_bound_A
+    motion = stage.motion(np.eye(N) * unit)
+    at_rest = stage.motion(np.zeros(N))
+    # Each row of `responses` is what one limited quantity does per command; `offset` what it does without any.
+    quantities = [(motion.current_A.T, np.zeros(N), limits.current_A)]
+    quantities.append((np.eye(N) * unit, np.zeros(N), limits.command_bound_A))
+    if limits.slew_A_per_s is not None:
+        difference = np.eye(N) - np.eye(N, k=-1)
+        quantities.append((difference * unit, np.zeros(N), limits.slew_A_per_s * problem.grid.dt_s))
+    if problem.supply is not None:
+        for side in (0, 1):
+            rest = problem.supply.voltages_V(at_rest, np.zeros(N))[side]
+            columns = [
+                problem.supply.voltages_V(stage.motion(command), command)[side] - rest for command in np.eye(N) * unit
+            ]
+            quantities.append((np.stack(columns, axis=1), rest, problem.supply.limit_V))
+    blocks, bounds = [], []
+    for response, offset, limit in quantities:
+        for sign in (1.0, -1.0):
+            blocks.append(np.hstack([sign * response / limit, np.ones((N, 1))]))
+            bounds.append(1.0 - sign * offset / limit)
+    tail = np.arange(problem.free_stages, N)
+    asked = problem.hand_over_command(at_rest)[tail]
+    answered = np.stack(
+        [command - problem.hand_over_command(stage.motion(command)) for command in np.eye(N) * unit], axis=1
+    )
+    # The feedback is affine: its share without a command is on the right-hand side.
+    at_zero = problem.hand_over_command(at_rest)[:, None]
+    rows = (answered + at_zero)[tail] / unit
+    found = optimize.linprog(
+        c=np.append(np.zeros(N), -1.0),
+        A_ub=np.vstack(blocks),
+        b_ub=np.concatenate(bounds),
+        A_eq=np.hstack([rows, np.zeros((tail.size, 1))]),
+        b_eq=asked / unit,
+        bounds=[*[(-1.0, 1.0)] * N, (None, 1.0)],
+        method="highs",
+        options={"time_limit": LONGEST_S},
+    )
+    if found.status not in DECIDED:
+        return None
+    return -np.inf if found.x is None else float(found.x[-1])

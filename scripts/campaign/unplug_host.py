@@ -1,0 +1,66 @@
+"""The host of `unplug_processes`: a process of its own, to be killed; says on standard output where it is and when.
+
+It is started as `python -m campaign.unplug_host PORT FOLDER LEASE_MS`, with scripts/ on the path.
+"""
+
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from campaign.compiled_device import DT_S, SETTINGS
+from campaign.unplug_cases import CONFIGURATION, IMAGE
+from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.protocol.events import Ended, Told
+from controller.record.recorder import Recorder
+
+EVERY, PENDING_S, ARMING_S, LISTENED_S = 2, 0.1, 5.0, 60.0
+
+
+def say(word: str) -> None:
+    """The clock is that of all processes of this machine."""
+    print(word, time.monotonic(), flush=True)
+
+
+def ended(news: Told) -> None:
+    if isinstance(news, Ended):
+        say("ended")
+
+
+def arm(device: Device, lease_ms: int) -> None:
+    """As soon as the hand is at rest."""
+    end_s = time.monotonic() + ARMING_S
+    while True:
+        try:
+            device.arm(1.0, lease_ms)
+            return
+        except LinkLostError:
+            raise
+        except DeviceError:
+            if time.monotonic() > end_s:
+                raise
+            device.listen(0.02)
+
+
+def main() -> int:
+    port, folder, lease_ms = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
+    with suppress(LinkLostError), Recorder(folder, DT_S, SETTINGS.count_m) as recorder:
+        say("connect")
+        with Device(port) as device:
+            device.listeners += [recorder.take, ended]
+            say("configure")
+            device.configure(CONFIGURATION)
+            device.set_telemetry(EVERY)
+            say("upload")
+            device.upload(IMAGE)
+            say("pending")
+            device.listen(PENDING_S)
+            device.checked()
+            arm(device, lease_ms)
+            say("armed")
+            device.listen(LISTENED_S)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

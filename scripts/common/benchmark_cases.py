@@ -1,0 +1,393 @@
+"""The peers and cases of `benchmark.py`: what is timed, and what its answer is worth."""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+import problems
+from common.measuring import elapsed_ms, timed
+from common.peers import commonly_written
+from controller.servo.loop import run as play
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.true_device import device_of
+from controller.sim.user import RepeatedTaps
+from controller.waveforms.bank import bank
+from controller.waveforms.prediction import scene_of
+from transopt.base.signals import FloatArray
+from transopt.design.build import build_library
+from transopt.library.library import Library
+from transopt.library.online import Online
+from transopt.plant.discretise import discretise
+from transopt.problem.problem import Multipliers, Solution, TransientProblem
+from transopt.problem.stage_data import without_limits
+from transopt.proof.certify import certify
+from transopt.recordings.reference import build_references
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati, sparse_kkt, unlimited
+from transopt.solvers import lq_pass as riccati_lq
+from transopt.solvers import program as transcribe
+from transopt.solvers.choose import solve
+from transopt.solvers.native import extension
+from transopt.solvers.options import SolverOptions
+
+WIDE_SPEEDS, WIDE_GRIPS = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 10)
+ONLINE_TAPS = 1000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one case; gap relative to max(J, 1e-3), violation in A, NaN where it has no meaning."""
+
+    case: str
+    method: str
+    version: str
+    options: str
+    threads: int
+    stages: int
+    setup_ms: float
+    median_ms: float
+    q25_ms: float
+    q75_ms: float
+    runs: int
+    objective_gap: float
+    violation: float
+
+
+def row(
+    case: str,
+    method: str,
+    options: str,
+    stages: int,
+    times_ms: FloatArray,
+    *,
+    setup_ms: float = 0.0,
+    gap: float = float("nan"),
+    violation: float = float("nan"),
+) -> Row:
+    q25, median, q75 = np.percentile(times_ms, [25, 50, 75])
+    version = metadata.version("casadi") if method.startswith(("casadi", "opti")) else metadata.version("transopt")
+    return Row(case, method, version, options, 1, stages, setup_ms, median, q25, q75, times_ms.size, gap, violation)
+
+
+def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> TransientProblem:
+    """One entry of the scene; a longer horizon goes on with nothing to do."""
+    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    wanted = references[scene.grid.speeds_m_s.index(speed_m_s)].motor_m_s2
+    return TransientProblem(
+        stage=discretise(scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s),
+        grid=replace(scene.time_grid(), stages=stages),
+        reference_m_s2=np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages],
+        tracking_weights=np.ones(stages),
+        rho=scene.weights.rho,
+        limits=scene.current_limits(),
+        hand_over_samples=scene.hand_over_samples,
+    )
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A method ready to be timed: what one run does, what preparing it took, and what its answer is worth."""
+
+    name: str
+    options: str
+    run: Callable[[], object]
+    setup_ms: float
+    gap: float
+    violation: float
+
+
+def project_solver(problem: TransientProblem, solver: str) -> Peer:
+    """A solver of the project, its object reused; set-up is what a first call with nothing cached takes longer."""
+    options = SolverOptions(solver)
+    transcribe.state_program.cache_clear()
+    for module in (casadi_piqp, casadi_fatrop, casadi_ipopt):
+        module.solver_object.cache_clear()
+    first, second = (elapsed_ms(lambda: solve(problem, options)) for _ in range(2))
+    solution = solve(problem, options)
+    proof = certify(problem, solution.command_A, solution.multipliers)
+    return Peer(
+        name=solver,
+        options=f"tol {options.tolerance:g}, object reused",
+        run=lambda: solve(problem, options),
+        setup_ms=max(first - second, 0.0),
+        gap=proof.relative_gap,
+        violation=proof.primal_violation,
+    )
+
+
+def unlimited_solver(
+    name: str, options: str, method: Callable[[TransientProblem], Solution], problem: TransientProblem
+) -> Peer:
+    for cached in (transcribe.state_program, riccati_lq.recursions, sparse_kkt.pattern):
+        cached.cache_clear()
+    first, second = (elapsed_ms(lambda: method(problem)) for _ in range(2))
+    solution = method(problem)
+    proof = certify(problem, solution.command_A, solution.multipliers)
+    return Peer(
+        name=name,
+        options=f"{options}: {solution.message}",
+        run=lambda: method(problem),
+        setup_ms=max(first - second, 0.0),
+        gap=proof.relative_gap,
+        violation=proof.primal_violation,
+    )
+
+
+def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
+    """The usual way of writing it, with IPOPT's defaults."""
+    start = time.perf_counter()
+    opti, commands = commonly_written(problem)
+    opti.solver("ipopt", {"print_time": False}, {"print_level": 0, "sb": "yes"})
+    found = np.asarray(opti.solve().value(commands)).ravel()
+    setup_and_first = 1e3 * (time.perf_counter() - start)
+
+    def again() -> None:
+        opti.set_initial(opti.x, 0)
+        opti.solve()
+
+    proof = certify(problem, found, Multipliers.zero(problem))
+    return Peer(
+        name="opti-ipopt",
+        options="as commonly written, IPOPT defaults, object reused",
+        run=again,
+        setup_ms=max(setup_and_first - elapsed_ms(again), 0.0),
+        gap=(proof.objective - lower_bound) / max(proof.objective, 1e-3),
+        violation=proof.primal_violation,
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """One peer on one case."""
+
+    name: str
+    stages: int
+    peer: Peer
+
+
+def compare(runs: int, *cases: Case) -> list[Row]:
+    """Rows of cases that take turns."""
+    times = timed(runs, **{f"{case.name} {case.peer.name}": case.peer.run for case in cases})
+    return [
+        row(
+            case.name,
+            case.peer.name,
+            case.peer.options,
+            case.stages,
+            times[f"{case.name} {case.peer.name}"],
+            setup_ms=case.peer.setup_ms,
+            gap=case.peer.gap,
+            violation=case.peer.violation,
+        )
+        for case in cases
+    ]
+
+
+def calibration() -> Row:
+    """A fixed workload: 200 products and factorisations of 200 x 200 matrices."""
+    matrix = np.random.default_rng(0).standard_normal((200, 200))
+    spd = matrix @ matrix.T + 200 * np.eye(200)
+
+    def work() -> None:
+        for _ in range(200):
+            np.linalg.cholesky(spd)
+            matrix @ matrix
+
+    return row("calibration", "numpy", "200 x (product + Cholesky) of 200 x 200", 0, timed(7, work=work)["work"])
+
+
+def cold_start(runs: int, *arguments: str) -> tuple[FloatArray, float]:
+    """(runs,) times [ms] of `transopt solve` in a fresh process, figures included; and its peak memory [MB]."""
+    resource = (
+        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL); "
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)"
+    )
+    times, memory = [], 0.0
+    for _ in range(runs):
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.perf_counter()
+            solving = [sys.executable, "-c", "from transopt.cli.main import main; main()", "solve", *arguments]
+            command = [sys.executable, "-c", resource, *solving, "--out", folder]
+            done = subprocess.run(command, check=True, capture_output=True, text=True)
+            times.append(1e3 * (time.perf_counter() - start))
+            memory = max(memory, float(done.stdout))
+    return np.array(times), memory
+
+
+def two_processes(runs: int, scene_file: Path) -> FloatArray:
+    """(runs,) times [ms] of a library by two processes, after one that is not counted.
+
+    In an interpreter of its own: workers load the main program again, and this one takes longer than the library.
+    """
+    program = (
+        "import sys, time; from pathlib import Path; from transopt.scene.strikes import recordings\n"
+        "from transopt.design.build import build_library; from transopt.scene.file import load_scene\n"
+        "import problems; scene = problems.load(sys.argv[1]); taps = recordings(scene)\n"
+        "for run in range(int(sys.argv[2]) + 1):\n"
+        "    start = time.perf_counter(); build_library(scene, taps, jobs=2); print(time.perf_counter() - start)\n"
+    )
+    words = [sys.executable, "-c", program, str(scene_file), str(runs)]
+    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    return 1e3 * np.array([float(line) for line in done.stdout.splitlines()][1:])
+
+
+def wide(scene: Scene) -> Scene:
+    """The scene on 20 speeds and 10 grips."""
+    grid = {"speeds_m_s": WIDE_SPEEDS.round(6).tolist(), "grips_N": WIDE_GRIPS.round(6).tolist()}
+    return scene.model_copy(update={"grid": scene.grid.model_copy(update=grid)})
+
+
+def wide_scene_file(folder: Path) -> Path:
+    """wood_on_foam on the same grid, as a file."""
+    wanted = {"speeds_m_s": WIDE_SPEEDS.round(6).tolist(), "grips_N": WIDE_GRIPS.round(6).tolist()}
+    lines = problems.scene_path("wood_on_foam").read_text(encoding="utf-8").splitlines()
+    keys = [line.split(" = ")[0] for line in lines]
+    text = [
+        f"{key} = {json.dumps(wanted[key])}" if key in wanted else line for key, line in zip(keys, lines, strict=True)
+    ]
+    file = folder / "wide.toml"
+    file.write_text("\n".join(text), encoding="utf-8")
+    return file
+
+
+def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
+    """The scene's own library and the wide one, warm and from process start."""
+    taps, taps_of_wide = recordings(scene), recordings(wide(scene))
+    times = timed(
+        runs,
+        library=lambda: build_library(scene, taps),
+        wide=lambda: build_library(wide(scene), taps_of_wide),
+    )
+    told = "solved, certified, priced, replayed, baselines"
+    library = build_library(scene, taps).library
+    assert library is not None
+    found = [
+        row("library", "transopt", f"12 entries {told}", 600, times["library"]),
+        row("library", "transopt, 20 x 10", f"200 entries {told}", 600, times["wide"]),
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        two = two_processes(runs, wide_scene_file(Path(folder)))
+        found.append(row("library", "two processes, 20 x 10", f"200 entries {told}", 600, two))
+        for included, options in {"report": ("--no-figures",), "report and figures": ()}.items():
+            cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), "--jobs", "2", *options)
+            told = f"cold, two processes, {included} included"
+            found.append(row("library", " ".join(("transopt solve, 20 x 10", *options)), told, 600, cold))
+    return found, library
+
+
+def anew(library: Library) -> list[Row]:
+    """`library.online`: random speeds, grips and temperatures, certificates included; second row near the limit."""
+    solver, coil = Online(library, scene_of(library).plant), library.coil()
+    assert coil is not None
+    found = []
+    for name, coldest_C in (("riccati", coil.ambient_C), ("riccati, coil binds", coil.limit_C - 0.1)):
+        random, times, gaps = np.random.default_rng(1), [], []
+        for _ in range(ONLINE_TAPS):
+            speed = random.uniform(library.speeds_m_s[0], library.speeds_m_s[-1])
+            grip = random.uniform(library.grips_N[0], library.grips_N[-1])
+            tap = solver.solve(speed, grip, random.uniform(coldest_C, coil.limit_C))
+            assert tap.certificate is not None, tap.remark
+            times.append(1e3 * tap.elapsed_s)
+            gaps.append(tap.certificate.relative_gap)
+        told = (
+            f"random taps, certified; 99 % within {np.percentile(times, 99):.2f} ms, all within {max(times):.2f} ms"
+        )
+        found.append(row("online", name, told, library.command_A.shape[2], np.array(times), gap=max(gaps)))
+    return found
+
+
+def cached_pass(problem: TransientProblem) -> Peer:
+    """The linear pass when its gains are there: stage data and factorisation are its set-up."""
+    start = time.perf_counter()
+    run = extension.LinearPass(without_limits(problem))
+    run.solve(unlimited.GAP)
+    setup_ms = 1e3 * (time.perf_counter() - start)
+    proof = certify(problem, run.command_A(), replace(Multipliers.zero(problem), hand_over=run.hand_over()))
+
+    def again() -> None:
+        run.solve(unlimited.GAP)
+        run.command_A()
+
+    return Peer(
+        name="riccati-pass, gains kept",
+        options="the same device and weight again, any reference",
+        run=again,
+        setup_ms=setup_ms,
+        gap=proof.relative_gap,
+        violation=proof.primal_violation,
+    )
+
+
+@dataclass(frozen=True)
+class Iterations:
+    """What an iteration of the own method takes beside its parts, all in C [ms].
+
+    Attributes
+    ----------
+    factorisation, vector_solve : of the linear pass, which has no rows: backward with the gains and forward is one.
+    """
+
+    count: int
+    each: float
+    factorisation: float
+    vector_solve: float
+
+    @property
+    def ratio(self) -> float:
+        """Of an iteration to one factorisation and two vector solves; the bound is 2."""
+        return self.each / (self.factorisation + 2 * self.vector_solve)
+
+
+def iterations(problem: TransientProblem, runs: int) -> Iterations:
+    given, run = riccati.stages(problem), extension.LinearPass(without_limits(problem))
+    buffers = extension.Buffers(given.sizes)
+
+    def whole() -> extension.Answer:
+        return extension.interior_point(given, buffers, tolerance=1e-9, max_iterations=250)
+
+    def from_scratch() -> None:
+        run.forget()
+        run.solve(unlimited.GAP)
+
+    times = timed(runs, whole=whole, fresh=from_scratch, kept=lambda: run.solve(unlimited.GAP))
+    whole_ms, fresh_ms, kept_ms = (float(np.median(times[name])) for name in ("whole", "fresh", "kept"))
+    count = whole().iterations
+    # A pass with its gains kept is backward, forward, and backward once more for its proof.
+    return Iterations(count, whole_ms / count, fresh_ms - kept_ms, kept_ms / 1.5)
+
+
+def servo_and_simulator(library: Library, runs: int) -> Row:
+    """A virtual second of random taps: servo, plant, sensors, hand; other taps in every run, so none is known."""
+    settings, table = Settings.of(library), bank(library)
+    device, ticks = device_of(scene_of(library)), round(1 / settings.dt_s)
+    seeds = iter(range(runs + 1))
+
+    def second() -> None:
+        seed = next(seeds)
+        servo = Servo(settings, table)
+        servo.arm()
+        imperfections = Imperfections(mismatch=0.1)
+        # Without friction the motion is exact in any step; one before and one after the delay's end.
+        simulator = Simulator(
+            device, RepeatedTaps(seed), settings.dt_s, imperfections=imperfections, seed=seed, steps=1
+        )
+        play(simulator, servo, ticks, settings.dt_s)
+
+    times = timed(runs, online=second)["online"]
+    return row("online", "servo + simulator", "one virtual second of random taps, two steps per tick", ticks, times)
+
+
+def own(case: str, problem: TransientProblem) -> list[Case]:
+    """The project's own method, where it is built."""
+    return [Case(case, problem.grid.stages, project_solver(problem, "riccati"))] if riccati.available else []

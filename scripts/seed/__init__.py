@@ -1,0 +1,1 @@
+"""Parts of `seed_figures.py`."""

@@ -1,0 +1,236 @@
+"""Taps by every method on the simulator: nominal device, random mismatched devices, and off the library's nodes."""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+
+import numpy as np
+
+import problems
+from controller.record.metrics import align
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
+from controller.sim.experiment import Played, Tap, play_tap
+from controller.sim.simulator import NONE, Imperfections
+from controller.waveforms.bank import Bank, Method, bank
+from transopt.base.files import ctrl_c_waits
+from transopt.base.signals import FloatArray, nrmse
+from transopt.library.library import Library
+from transopt.plant.wall import Wall
+
+NOMINAL = 0  # number of the device that is as the model says; it is also the seed of its noise
+MISMATCH = 0.1  # part by which every parameter of the others is off at most
+EQUAL = 1e-3  # differences of NRMSE below this are the sensors' noise
+
+Condition = tuple[float, float]  # speed [m/s], grip [N]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One tap.
+
+    Attributes
+    ----------
+    device : NOMINAL, or the seed of a mismatched one. nrmse : of the played acceleration against the recorded
+    reference r, after the one shift within 1 ms that suits this tap best. nrmse_unshifted : as it came.
+    """
+
+    method: str
+    device: int
+    speed_m_s: float
+    grip_N: float
+    nrmse: float
+    nrmse_unshifted: float
+    latency_s: float
+    peak_current_A: float
+
+
+@dataclass(frozen=True)
+class Kit:
+    """What every tap needs: one library, the tables of its methods, and the wall of `PROPORTIONAL`."""
+
+    library: Library
+    banks: dict[Method, Bank]
+    wall: Wall
+
+    def play(self, method: Method, device: int, condition: Condition) -> Played:
+        """One tap by the mild user on one device.
+
+        Raises
+        ------
+        RuntimeError : the servo went to FAULT, so that there is nothing to compare.
+        """
+        speed_m_s, grip_N = condition
+        settings = Settings.of(self.library)
+        if method is Method.PROPORTIONAL:
+            settings = Settings.of(self.library, wall=self.wall)
+        imperfections = NONE if device == NOMINAL else Imperfections(mismatch=MISMATCH)
+        tap = Tap(speed_m_s, grip_N, seed=device, imperfections=imperfections)
+        played = play_tap(self.library, Servo(settings, self.banks[method]), tap)
+        if played.metrics.faults:
+            raise RuntimeError(f"{method.value}, device {device}, {speed_m_s:g} m/s, {grip_N:g} N: {played.events}")
+        return played
+
+
+def kit(library: Library, methods: Sequence[Method]) -> Kit:
+    """The wall is that of the scene `walled`: the default scene renders none."""
+    wall = problems.load("walled").wall()
+    assert wall is not None
+    return Kit(library, {method: bank(library, method) for method in methods}, wall)
+
+
+def nodes(library: Library) -> list[Condition]:
+    return [(float(v), float(F)) for v in library.speeds_m_s for F in library.grips_N]
+
+
+def midpoints(library: Library) -> list[Condition]:
+    """The middle of every cell of the grid."""
+    speeds, grips = ((n[1:] + n[:-1]) / 2 for n in (library.speeds_m_s, library.grips_N))
+    return [(float(v), float(F)) for v in speeds for F in grips]
+
+
+def result(played: Played, method: Method, device: int) -> Result:
+    """Every method is shifted to fit the reference itself, so that none loses by a delay that nobody feels."""
+    prediction = played.prediction
+    times, reference = prediction.times_s, prediction.reference_m_s2
+    aligned = align(played.times_s, played.acceleration_m_s2, times, reference)
+    as_it_came = np.interp(times, played.times_s, played.acceleration_m_s2)
+    return Result(
+        method=method.value,
+        device=device,
+        speed_m_s=played.tap.speed_m_s,
+        grip_N=played.tap.grip_N,
+        nrmse=aligned.nrmse,
+        nrmse_unshifted=nrmse(as_it_came, reference),
+        latency_s=aligned.latency_s,
+        peak_current_A=played.metrics.peak_current_A,
+    )
+
+
+# ------------------------------------------------------------------------------------------------ many taps
+
+_own: list[Kit] = []  # of a worker process: sent once, not with every task
+
+
+def _equip(of_process: Kit) -> None:
+    _own.append(of_process)
+
+
+def _taps(method: Method, device: int, conditions: Sequence[Condition], own: Kit | None = None) -> list[Result]:
+    used = _own[0] if own is None else own
+    return [result(used.play(method, device, condition), method, device) for condition in conditions]
+
+
+def compare(
+    own: Kit,
+    conditions: Sequence[Condition],
+    devices: Sequence[int],
+    *,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
+    """Every method of the kit on every device under every condition.
+
+    Parameters
+    ----------
+    jobs : processes. progress : called with the taps done and all taps.
+    """
+    tasks = [(method, device) for device in devices for method in own.banks]
+    total = len(tasks) * len(conditions)
+    found: dict[tuple[Method, int], list[Result]] = {}
+    if jobs == 1:
+        for task in tasks:
+            found[task] = _taps(*task, conditions, own)
+            progress(len(found) * len(conditions), total)
+    else:
+        # Spawned, not forked: the parent has threads that a fork would copy half-alive.
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, spawn, initializer=_equip, initargs=(own,)) as pool:
+            with ctrl_c_waits():
+                futures = {pool.submit(_taps, *task, conditions): task for task in tasks}
+            try:
+                for future in as_completed(futures):
+                    found[futures[future]] = future.result()
+                    progress(len(found) * len(conditions), total)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    return [result for task in tasks for result in found[task]]
+
+
+# ------------------------------------------------------------------------------------------------ summary
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One method over all conditions; NRMSE after the shift unless named otherwise, NaN without such devices.
+
+    Attributes
+    ----------
+    nominal, nominal_worst : mean and largest over the conditions.
+    mean, worst_device, worst_tap : over the mismatched devices: mean over devices and conditions, the largest mean
+        that one device has over its conditions, the largest single tap.
+    nominal_unshifted, mean_unshifted : the same two means as the taps came.
+    ahead, ahead_unshifted : mismatched taps in which this method came nearer to the reference than the optimum on the
+        same device, by more than `EQUAL`; after the shift and as they came. taps : mismatched taps.
+    """
+
+    method: str
+    nominal: float
+    nominal_worst: float
+    mean: float
+    worst_device: float
+    worst_tap: float
+    nominal_unshifted: float
+    mean_unshifted: float
+    ahead: int
+    ahead_unshifted: int
+    taps: int
+
+
+def _table(results: Sequence[Result], method: str, field: str, nominal: bool) -> FloatArray:
+    """(devices, conditions) of one method, in the order of `compare`."""
+    chosen = [r for r in results if r.method == method and (r.device == NOMINAL) == nominal]
+    devices = dict.fromkeys(r.device for r in chosen)
+    return np.array([[getattr(r, field) for r in chosen if r.device == device] for device in devices])
+
+
+def summarise(results: Sequence[Result]) -> list[Summary]:
+    """One summary per method, in the order of the results; the optimum has to be among them."""
+    nothing = float("nan")
+    best, best_came = (_table(results, Method.BILINEAR.value, name, False) for name in ("nrmse", "nrmse_unshifted"))
+    summaries = []
+    for method in dict.fromkeys(r.method for r in results):
+        nominal, others = (_table(results, method, "nrmse", which) for which in (True, False))
+        nominal_came, others_came = (_table(results, method, "nrmse_unshifted", which) for which in (True, False))
+        summaries.append(
+            Summary(
+                method=method,
+                nominal=float(nominal.mean()) if nominal.size else nothing,
+                nominal_worst=float(nominal.max()) if nominal.size else nothing,
+                mean=float(others.mean()) if others.size else nothing,
+                worst_device=float(others.mean(axis=1).max()) if others.size else nothing,
+                worst_tap=float(others.max()) if others.size else nothing,
+                nominal_unshifted=float(nominal_came.mean()) if nominal.size else nothing,
+                mean_unshifted=float(others_came.mean()) if others.size else nothing,
+                ahead=int(np.sum(others < best - EQUAL)),
+                ahead_unshifted=int(np.sum(others_came < best_came - EQUAL)),
+                taps=others.size,
+            )
+        )
+    return summaries
+
+
+FIGURES = ("nominal", "nominal_worst", "mean", "worst_device", "worst_tap", "nominal_unshifted", "mean_unshifted")
+
+
+def exceptions(summaries: Sequence[Summary]) -> list[tuple[str, str, float, float]]:
+    """Where a method is ahead of the optimum: method, figure, its value, the optimum's."""
+    optimum = next(s for s in summaries if s.method == Method.BILINEAR.value)
+    return [
+        (s.method, figure, getattr(s, figure), getattr(optimum, figure))
+        for s in summaries
+        for figure in FIGURES
+        if getattr(s, figure) < getattr(optimum, figure)
+    ]

@@ -1,0 +1,179 @@
+"""A device on a desk in virtual time: Python firmware, simulated stylus, and a hand that does as it is asked."""
+
+from bisect import bisect_right
+from collections.abc import Callable
+from itertools import count
+
+import pytest
+
+from controller.cli import port as port_commands
+from controller.device.endpoint import Device as Firmware
+from controller.host.driver import Device
+from controller.host.session import Session
+from controller.host.transport import UnpluggedError
+from controller.protocol.capacity import Capacity, Hardware
+from controller.servo.interface import Readings
+from controller.sim.simulator import Simulator
+from controller.sim.true_device import device_of
+from controller.sim.virtual_link import Link
+from controller.waveforms.prediction import scene_of
+from tests.benches.device import tokens
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.library.library import Library
+from transopt.recordings.settings import SimulatedTaps
+
+DT_S = 1e-4
+START_M = 12e-3
+PORT = ("--port", "desk")
+
+
+class Hand:
+    """Moves by velocity knots joined by straight lines; still between two requests.
+
+    Attributes
+    ----------
+    held_N : grip. pressed : of the emergency stop.
+    """
+
+    def __init__(self, held_N: float = 3.0) -> None:
+        self.held_N, self.pressed = held_N, False
+        self._times, self._speeds, self._places = [0.0], [0.0], [START_M]
+
+    def go(self, now_s: float, *knots: tuple[float, float]) -> None:
+        """(after so long, this velocity) ..., from where the hand is, at rest at the end."""
+        for after_s, speed_m_s in ((1e-3, self._speeds[-1]), *knots):
+            time_s = max(now_s, self._times[-1]) + after_s
+            step_s = time_s - self._times[-1]
+            self._places.append(self._places[-1] + step_s * (self._speeds[-1] + speed_m_s) / 2)
+            self._times.append(time_s)
+            self._speeds.append(speed_m_s)
+            now_s = time_s
+        assert self._speeds[-1] == 0.0
+
+    def tap(self, now_s: float, speed_m_s: float) -> None:
+        """From where it is straight in at the speed, on for 30 ms, and back."""
+        v = speed_m_s
+        straight_s = self._places[-1] / v + 0.03 - 0.005
+        back_s = 0.3
+        depth = v * (0.01 / 2 + straight_s + 0.06 / 2)
+        self.go(
+            now_s,
+            (0.01, -v),
+            (straight_s, -v),
+            (0.06, 0.0),
+            (0.05, 0.0),
+            (back_s, 2 * depth / back_s / 2),
+            (back_s, 0),
+        )
+
+    def intention_m(self, time_s: float) -> float:
+        j = bisect_right(self._times, time_s) - 1
+        into_s = time_s - self._times[j]
+        if j + 1 == len(self._times):
+            return self._places[j]
+        slope = (self._speeds[j + 1] - self._speeds[j]) / (self._times[j + 1] - self._times[j])
+        return self._places[j] + into_s * (self._speeds[j] + slope * into_s / 2)
+
+    def carried_m_s2(self, time_s: float) -> float:
+        return 0.0
+
+    def grip_N(self, time_s: float) -> float:
+        return self.held_N
+
+
+class Desk:
+    """The host's side is a stream whose time passes while the host waits.
+
+    Attributes
+    ----------
+    wrong : what is wrong with the sensors: applied to every tick's readings. motor : of the command on its way.
+    each_ms : called every millisecond of virtual time, for what shall happen meanwhile.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        *,
+        capacity: Capacity | None = None,
+        hardware: Hardware | None = None,
+        target: SimulatedTaps | None = None,
+    ) -> None:
+        self._tokens, self._boots = tokens(), count(500)
+        self._capacity, self._hardware = capacity, hardware
+        self.firmware = self._started()
+        self.hand, self.link = Hand(), Link()
+        self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
+        self.now_s, self.ticks, self.gone, self.closed = 0.0, 0, False, 0
+        self.wrong: Callable[[Readings], Readings] | None = None
+        self.motor = 1.0
+        self.each_ms: Callable[[], None] = lambda: None
+        self.requests: list[str] = []
+        self.obeys: dict[str, Callable[[], None]] = {
+            "press": lambda: self._press(True),
+            "release": lambda: self._press(False),
+            "move": lambda: self.hand.go(self.now_s, (0.03, 0.05), (0.06, 0.05), (0.03, 0.0)),
+            "let the": lambda: None,
+            "let go": lambda: self._grip(0.0),
+            "hold": lambda: self._grip(3.0),
+            "tap": lambda: self.hand.tap(self.now_s, 0.2),
+        }
+
+    def _started(self) -> Firmware:
+        return Firmware(next(self._boots), self._capacity, self._hardware)
+
+    def _press(self, pressed: bool) -> None:
+        self.hand.pressed = pressed
+
+    def _grip(self, held_N: float) -> None:
+        self.hand.held_N = held_N
+
+    def asked(self, what: str) -> None:
+        """A person's ear."""
+        self.requests.append(what)
+        next(act for words, act in self.obeys.items() if what.startswith(words))()
+
+    def restart(self) -> None:
+        """Power off and on."""
+        self.firmware = self._started()
+
+    def step(self) -> None:
+        self.firmware.receive(self.link.to_device.arrived(self.now_s))
+        read = self.plant.readings()
+        gravity = read.acceleration_m_s2 + STANDARD_GRAVITY_M_S2
+        readings = Readings(
+            read.tick, read.encoder_counts, read.grip_N, read.current_A, gravity, emergency_stop=self.hand.pressed
+        )
+        output = self.firmware.step(readings if self.wrong is None else self.wrong(readings))
+        self.plant.advance(self.motor * output.command_A)
+        self.link.device_sends(self.firmware.bytes_to_send(), self.now_s)
+        self.ticks += 1
+        self.now_s = self.ticks * DT_S
+        if self.ticks % 10 == 0:
+            self.each_ms()
+
+    def read(self, timeout_s: float) -> bytes:
+        end_s = self.now_s + timeout_s
+        while True:
+            if self.gone:
+                raise UnpluggedError("port: the connection is gone (test): plug the device in again")
+            self.step()
+            data = self.link.to_host.arrived(self.now_s)
+            if data or self.now_s >= end_s:
+                return data
+
+    def write(self, data: bytes) -> None:
+        if self.gone:
+            raise UnpluggedError("port: the connection is gone (test): plug the device in again")
+        self.link.host_sends(data, self.now_s)
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def connect(self, port: str = "desk") -> Device:
+        return Device(self, clock=lambda: self.now_s, session=Session(self._tokens))
+
+    def put(self, monkeypatch: pytest.MonkeyPatch) -> "Desk":
+        """Where the commands find it, under any name of a port."""
+        monkeypatch.setattr(port_commands, "open_device", self.connect)
+        monkeypatch.setattr(port_commands, "ConsolePerson", lambda: self)
+        return self

@@ -1,0 +1,8 @@
+"""Where things lie that tests read as files."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = ROOT / "scripts"
+# Real recorded impacts, beside a checkout and no part of it: tests that need them skip where they are absent.
+IMPACTS = ROOT.parent / "shared" / "data" / "impacts"

@@ -1,0 +1,268 @@
+"""`transopt-play` on a device: what is printed, written and returned, whatever goes wrong on the way."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from controller.protocol.codes import Kind
+from controller.record.telemetry import read_csv
+from controller.servo.interface import Fault, State
+from controller.sim.virtual_link import Trouble
+from controller.waveforms.prediction import scene_of
+from tests.benches.commands import Run, assert_refused
+from tests.benches.desk import PORT, Desk
+from transopt.library.library import Library
+from transopt.recordings.importers import load_recording
+from transopt.recordings.tap import prepare
+
+
+def tapping(desk: Desk, speed_m_s: float = 0.2) -> None:
+    """The hand taps as soon as the device is armed."""
+
+    def look() -> None:
+        if desk.firmware.state is State.ARMED:
+            desk.each_ms = lambda: None
+            desk.hand.tap(desk.now_s + 0.05, speed_m_s)
+
+    desk.each_ms = look
+
+
+def when(desk: Desk, state: State, act) -> None:
+    def look() -> None:
+        if desk.firmware.state is state:
+            desk.each_ms = lambda: None
+            act()
+
+    desk.each_ms = look
+
+
+def test_check_then_tap_quietly_then_in_full(play: Run, desk: Desk) -> None:
+    """A device's first quarter of an hour."""
+    refused = play("tap", "library.npz", *PORT, "--out", "taps")
+    assert_refused(refused, "arm refused: this configuration has not passed the bring-up check", "run `check`")
+    assert not list(Path("taps").iterdir())
+    checked = play("check", "library.npz", *PORT)
+    assert checked.code == 0, checked.out + checked.err
+    assert "please press the emergency stop" not in checked.out  # the desk's ear, not the console's
+    for step in ("link", "emergency-stop", "encoder", "accelerometer", "grip-zero", "current-offset", "polarity"):
+        assert f"{step}: passed: " in checked.out
+    assert "passed: this configuration may be armed until the device starts anew" in checked.out
+    desk.hand.held_N = 3.0
+    tapping(desk)
+    first = play("tap", "library.npz", *PORT, "--taps", 1)
+    assert first.code == 0, first.out + first.err
+    assert "gain 0.1" in first.out
+    assert "has this library already" in first.out
+    tapping(desk)
+    second = play("tap", "library.npz", *PORT, "--taps", 1, "--out", "taps")
+    assert second.code == 0, second.out + second.err
+    assert "gain 1\n" in second.out.replace("gain 1 ", "gain 1\n")
+    # One tap at 0.2 m/s: its figures stand in the table's row.
+    [row] = [line.split("│") for line in second.out.splitlines() if line.startswith("│   1 ")]
+    speed, grip, latency_us, error = (float(cell) for cell in row[2:6])
+    assert speed == pytest.approx(0.2, abs=0.01)
+    assert grip == pytest.approx(3.0, abs=0.2)
+    assert abs(latency_us) <= 20
+    assert error <= 3
+    assert "taps: telemetry.csv, events.csv, tap_001.csv, all whole" in second.out
+    recording = load_recording(Path("taps/tap_001.csv"))
+    assert recording.speed_m_s == pytest.approx(0.2, abs=0.01)
+    assert recording.grip_N == pytest.approx(3.0, abs=0.2)
+    assert recording.current is not None
+    assert float(abs(recording.current.values).max()) > 1.0
+    telemetry = read_csv(Path("taps/telemetry.csv"))
+    assert set(telemetry["state"]) >= {"armed", "playing"}
+    assert (telemetry["tick"][1:] - telemetry["tick"][:-1] == 1).all()
+    assert "contact" in Path("taps/events.csv").read_text()
+    # A device that has been off begins again from the start.
+    desk.restart()
+    assert_refused(play("tap", "library.npz", *PORT, "--gain", 1), "has not passed the bring-up check")
+
+
+def test_a_failed_check_is_no_pass(play: Run, desk: Desk) -> None:
+    desk.wrong = lambda readings: replace(readings, acceleration_m_s2=-readings.acceleration_m_s2)
+    outcome = play("check", "library.npz", *PORT, "--skip", "encoder", "--skip", "emergency-stop", "--patience", 0.4)
+    assert outcome.code == 1
+    assert "accelerometer: FAILED: -" in outcome.out
+    assert "polarity: -: left out: a step before it has failed" in outcome.out
+    assert "until then the device does not arm" in outcome.out
+    assert desk.firmware.checked_sha256 == bytes(32)
+
+
+def test_check_of_the_sensors_alone(play: Run, desk: Desk) -> None:
+    outcome = play("check", *PORT, "--skip", "encoder", "--skip", "emergency-stop")
+    assert outcome.code == 0, outcome.out
+    assert "give a library for the rest of the check" in outcome.out
+    assert desk.firmware.servo is None
+
+
+def test_upload_once(play: Run, desk: Desk) -> None:
+    assert "uploaded" in play("upload", "library.npz", *PORT).out
+    assert "the device has this library already" in play("upload", "library.npz", *PORT).out
+    assert desk.closed == 2
+
+
+def test_monitor(play: Run, ready: Desk) -> None:
+    outcome = play("monitor", *PORT, "--for", 0.2)
+    assert outcome.code == 0
+    assert "firmware 1.1.0 (double), boot 000001f4, period 100 us, limits 10 A and 10 A, configuration" in outcome.out
+    for words in ("state", "idle", "z", "+12.0", "grip", "emergency stop", "released", "records lost"):
+        assert words in outcome.out
+
+
+def test_monitor_tells_events(play: Run, ready: Desk) -> None:
+    """What comes while it looks, line by line; what was before, as the state."""
+    ready.each_ms = lambda: ready.asked("press") if ready.now_s > began_s + 0.15 and not ready.hand.pressed else None
+    began_s = ready.now_s
+    first, second = play("monitor", *PORT, "--for", 0.3), play("monitor", *PORT, "--for", 0.1)
+    assert " s  FAULT: emergency stop: release it, then reset" in first.out
+    for outcome in (first, second):
+        assert "fault: emergency stop: release it, then reset" in outcome.out
+        assert "pressed" in outcome.out
+
+
+def test_recording_a_real_object(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = scene_of(library).recordings.simulated
+    desk = Desk(library, target=target).put(monkeypatch)
+    desk.asked("hold")
+    begun = iter([True])
+
+    def look() -> None:
+        if desk.now_s > 0.2 and next(begun, False):
+            desk.hand.tap(desk.now_s, 0.2)
+
+    desk.each_ms = look
+    outcome = play("record", "tap", *PORT, "--out", "real", "--taps", 1, "--for", 3)
+    assert outcome.code == 0, outcome.out + outcome.err
+    assert "real: telemetry.csv, events.csv, tap_001.csv, all whole" in outcome.out
+    recording = load_recording(Path("real/tap_001.csv"))
+    assert recording.speed_m_s is None
+    assert recording.grip_N == pytest.approx(3.0, abs=0.2)
+    tap = prepare(recording, scene_of(library).recordings)
+    assert tap.speed_m_s == pytest.approx(0.2, rel=0.03)
+    assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.5)
+    assert desk.firmware.servo is None
+    # Recordings are never written over.
+    assert_refused(play("record", "tap", *PORT, "--out", "real"), "--out real: holds a recording already", "choose")
+    assert_refused(play("tap", "library.npz", *PORT, "--out", "real"), "--out real: holds a recording already")
+
+
+def test_nothing_recorded_is_exit_code_1(play: Run, desk: Desk) -> None:
+    assert play("record", "tap", *PORT, "--out", "nothing", "--for", 0.1).code == 1
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Run, ready: Desk) -> None:
+    ready.hand.tap(ready.now_s + 0.4, 0.3)
+    count = iter(range(10_000))
+    ready.each_ms = lambda: interrupt() if next(count) == 900 else None
+    outcome = play("tap", "library.npz", *PORT, "--out", "cut")
+    assert outcome.code == 130, outcome.out + outcome.err
+    assert outcome.err.strip() == "stopped; the device is disarmed"
+    assert (ready.firmware.state, ready.firmware.fault) == (State.IDLE, None)
+    assert "cut: telemetry.csv, events.csv, tap_001.csv, all whole" in outcome.out
+    assert load_recording(Path("cut/tap_001.csv")).grip_N == pytest.approx(3.0, abs=0.2)
+    assert read_csv(Path("cut/telemetry.csv"))["tick"].size > 5000
+
+
+def test_ctrl_c_at_rest_stops_nothing(play: Run, ready: Desk) -> None:
+    count = iter(range(10_000))
+    ready.each_ms = lambda: interrupt() if next(count) == 100 else None
+    outcome = play("monitor", *PORT)
+    assert (outcome.code, outcome.err.strip()) == (130, "stopped; nothing is left armed")
+    assert (ready.firmware.state, ready.firmware.fault) == (State.IDLE, None)
+
+
+def test_ctrl_c_during_the_trial_tap_disarms(play: Run, desk: Desk) -> None:
+    desk.obeys["tap"] = interrupt
+    skipped = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
+    outcome = play("check", "library.npz", *PORT, *skipped)
+    assert outcome.code == 130
+    assert (desk.firmware.state, desk.firmware.fault) == (State.IDLE, None)
+    assert desk.firmware.checked_sha256 == bytes(32)
+
+
+def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Run, ready: Desk) -> None:
+    def again() -> None:
+        ready.each_ms = lambda: None
+        interrupt()
+
+    def first() -> None:
+        # The answer to DISARM does not come, so that there is time for impatience.
+        ready.link.to_host.trouble = Trouble(loss=1.0)
+        ready.each_ms = again
+        interrupt()
+
+    when(ready, State.ARMED, first)
+    outcome = play("tap", "library.npz", *PORT)
+    assert outcome.code == 130, outcome.err
+    assert outcome.err.strip() == "stopped; nothing is left armed"
+    assert ready.firmware.fault is Fault.EMERGENCY_STOP
+
+
+@pytest.mark.parametrize("how", ["unplugged", "silent", "restarted"])
+def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Run, ready: Desk, how: str) -> None:
+    def away() -> None:
+        if how == "unplugged":
+            ready.gone = True
+        elif how == "silent":
+            ready.link.unplug()
+        else:
+            ready.restart()
+
+    ready.hand.tap(ready.now_s + 0.4, 0.2)
+    count = iter(range(10_000))
+    ready.each_ms = lambda: away() if next(count) == 800 else None
+    outcome = play("tap", "library.npz", *PORT, "--out", "cut")
+    assert_refused(outcome, "it does not arm by itself", "cut: telemetry.csv, events.csv, tap_001.csv, all whole")
+    assert load_recording(Path("cut/tap_001.csv")).speed_m_s == pytest.approx(0.2, abs=0.01)
+    assert read_csv(Path("cut/telemetry.csv"))["tick"].size > 4000
+    ready.gone = False
+
+
+def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Run, ready: Desk) -> None:
+    """The cable comes loose for less than what counts as a lost link."""
+    count = iter(range(100_000))
+
+    def look() -> None:
+        now_ms = next(count)
+        if now_ms == 500:
+            ready.link.unplug()
+        elif now_ms == 800:
+            ready.link.plug()
+
+    ready.each_ms = look
+    armed_before = ready.link.to_device.kinds[Kind.ARM]
+    outcome = play("tap", "library.npz", *PORT)
+    assert outcome.code == 1, outcome.out + outcome.err
+    assert "the host was silent for longer than its lease: disarmed, no command" in outcome.out
+    assert ready.firmware.state is State.IDLE
+    assert ready.link.to_device.kinds[Kind.ARM] == armed_before + 1
+    assert next(count) < 1500
+
+
+def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Run, ready: Desk) -> None:
+    when(ready, State.ARMED, lambda: ready.asked("press"))
+    outcome = play("tap", "library.npz", *PORT)
+    assert outcome.code == 1
+    assert "fault: emergency stop: release it, then reset" in outcome.out
+    for command in (("tap", "library.npz"), ("upload", "library.npz"), ("check",)):
+        assert_refused(play(*command, *PORT), "a fault is latched: emergency stop: release it, then reset", "--reset")
+    assert_refused(play("upload", "library.npz", *PORT, "--reset"), "the cause of the fault is still there")
+    ready.asked("release")
+    assert play("upload", "library.npz", *PORT, "--reset").code == 0
+    assert ready.firmware.state is State.IDLE
+
+
+def test_arm_refused_in_words(play: Run, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    ready.hand.go(ready.now_s, (0.02, 0.1), (5.0, 0.1), (0.02, 0.0))
+    for _ in range(300):
+        ready.step()
+    assert_refused(play("tap", "library.npz", *PORT), "the stylus is moving: hold it still, then arm (device saw -0.")
+    monkeypatch.setattr(type(ready.firmware.servo.guard), "play_limit_C", 20.0, raising=False)
+    ready.firmware.servo.guard.play_limit_C = 20.0
+    assert_refused(play("tap", "library.npz", *PORT), "the coil is too hot to play: let it cool (device saw 25")

@@ -1,0 +1,149 @@
+"""`transopt-play` on a device: what it says of ports, devices and options that will not do."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from controller.cli import port as port_commands
+from controller.host.payload import payload
+from controller.protocol import messages
+from controller.protocol.capacity import Capacity, Hardware
+from controller.protocol.image import sha256
+from tests.benches.commands import Run, assert_refused
+from tests.benches.desk import PORT, Desk
+from tests.controller.host.test_driver import Served, served
+from transopt.library.library import Library
+
+__all__ = ["served"]  # a fixture
+
+
+def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    Desk(library, capacity=Capacity(samples=3000)).put(monkeypatch)
+    assert_refused(
+        play("upload", "library.npz", *PORT),
+        "library: 4 speeds x 3 grips x 600 samples",
+        "3000 in all",
+        "a grid of 2 speeds x 1 grips or 250 samples (25 ms, or 4.17 kHz) would fit",
+    )
+    Desk(library, hardware=Hardware(current_A=2.0)).put(monkeypatch)
+    assert_refused(play("upload", "library.npz", *PORT), "more than the device's hardware allows (device saw 4)")
+    Desk(library, hardware=Hardware(dt_s=2e-4)).put(monkeypatch)
+    assert_refused(play("upload", "library.npz", *PORT), "servo period or lead differ", "(device saw 0.0001)")
+
+
+def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the host believes to be in force is compared by the device itself."""
+    original = port_commands.load
+
+    def then_changed(device, given) -> None:
+        original(device, given)
+        ready.firmware.store.library_sha256 = b"x" * 32
+
+    monkeypatch.setattr(port_commands, "load", then_changed)
+    assert_refused(
+        play("tap", "library.npz", *PORT), "the device's library is not the one asked for: upload it again"
+    )
+
+
+def test_nobody_answers(play: Run, desk: Desk) -> None:
+    desk.link.unplug()
+    assert_refused(play("monitor", *PORT), "nothing answers on this port: is the device powered")
+
+
+def test_not_our_device_and_another_version(play: Run, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(desk.link.to_host, "arrived", lambda now_s: b"$GPGGA,1*00\r\n")
+    assert_refused(play("monitor", *PORT), "not our device: it sends, but not this protocol")
+    monkeypatch.undo()
+    desk.put(monkeypatch)
+    hello_reply = desk.firmware._hello_reply
+    monkeypatch.setattr(
+        desk.firmware, "_hello_reply", lambda nonce: replace(hello_reply(nonce), protocol=messages.PROTOCOL + 1)
+    )
+    assert_refused(
+        play("monitor", *PORT),
+        "the device speaks another version of the protocol",
+        f"it speaks {messages.PROTOCOL + 1}, the host {messages.PROTOCOL}",
+    )
+
+
+def test_no_such_port(play: Run) -> None:
+    for command in (("monitor",), ("check",), ("upload", "library.npz"), ("tap", "library.npz")):
+        assert_refused(play(*command, "--port", "/dev/no-such-port"), "/dev/no-such-port: no such port; there ")
+    outcome = play("record", "tap", "--port", "/dev/no-such-port", "--out", "x")
+    assert_refused(outcome, "/dev/no-such-port: no such port; there ")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (PermissionError(13, "Permission denied"), "no permission: add yourself to the group dialout"),
+        (BlockingIOError(11, "Resource temporarily unavailable"), "busy: another program has it open"),
+    ],
+)
+def test_a_port_that_may_not_be_opened(
+    play: Run, monkeypatch: pytest.MonkeyPatch, error: OSError, words: str
+) -> None:
+    def refused(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("controller.host.transport.serial.serial_for_url", refused)
+    assert_refused(play("monitor", "--port", "/dev/ttyACM0"), f"/dev/ttyACM0: {words}")
+
+
+def test_ports(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("controller.host.transport.port_names", lambda: [("/dev/ttyACM0", "Teensy"), ("COM3", "")])
+    assert play("ports").out.splitlines() == ["/dev/ttyACM0  Teensy", "COM3"]
+    monkeypatch.setattr("controller.host.transport.port_names", list)
+    assert "no serial port" in play("ports").out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("tap", "library.npz"), "tap: name one device: --simulate, or --port PORT"),
+        (("tap", "library.npz", "--simulate", *PORT), "tap: name one device"),
+        (("tap", "library.npz", *PORT, "--speed", 0.2), "--speed: on a device that is up to its user"),
+        (("tap", "library.npz", *PORT, "--real-time"), "--real-time: "),
+        (("tap", "library.npz", "--simulate", "--taps", 2), "--taps: only with --port"),
+        (("tap", "library.npz", "--simulate", "--for", 2), "--for: only with --port"),
+        (("tap", "library.npz", *PORT, "--gain", 1.5), "--gain 1.5: must be 0 to 1"),
+        (("tap", "library.npz", *PORT, "--taps", 0), "--taps 0: must be 1 to "),
+        (("tap", "library.npz", *PORT, "--accelerometer-hz", 0), "--accelerometer-hz 0: must be 10 to "),
+        (("tap", "missing.npz", *PORT), "missing.npz"),
+        (("monitor", *PORT, "--every", 0), "--every 0: must be 1 to 65535 ticks"),
+        (("monitor", *PORT, "--for", -1), "--for -1: must be "),
+        (("check", *PORT, "--skip", "polarity"), "--skip polarity: must be one of emergency-stop"),
+        (("check", *PORT, "--rest-g", 2), "--rest-g 2: must be -1 to 1 g"),
+        (("check", *PORT, "--patience", 0), "--patience 0: must be "),
+        (("record", "tap", *PORT, "--out", "x", "--trigger", 0), "--trigger 0: must be "),
+        (("record", "tap", *PORT, "--out", "x", "--count-um", 0), "--count-um 0: must be "),
+        (("record", "tap", *PORT, "--out", "/proc/x"), "--out /proc/x: cannot be written"),
+        (("tap", "library.npz", *PORT, "--out", "/proc/x"), "--out /proc/x: cannot be written"),
+    ],
+)
+def test_bad_options_reach_no_device(play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
+    assert_refused(play(*arguments), words)
+    assert desk.ticks == 0
+
+
+def test_over_a_pseudo_terminal(play: Run, served: tuple[Served, str]) -> None:
+    """The whole way once: pyserial, its thread, the kernel; what comes back is what went there."""
+    server, name = served
+    assert play("upload", "library.npz", "--port", name).code == 0
+    assert server.device.store.library_sha256 == sha256(payload(Path("library.npz")).image)
+    outcome = play("monitor", "--port", name, "--for", 0.2)
+    assert outcome.code == 0
+    assert "+4.90 mm" in outcome.out
+    assert_refused(
+        play("tap", "library.npz", "--port", name), f"{name}: arm refused: this configuration has not passed"
+    )
+
+
+def test_start_up_is_light() -> None:
+    heavy = "('numpy', 'serial', 'scipy', 'matplotlib', 'casadi')"
+    program = f"import sys, controller.cli.play; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"

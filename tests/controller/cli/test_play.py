@@ -1,0 +1,61 @@
+"""`transopt-play tap --simulate` as a user meets it: figure and telemetry, messages, exit codes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.benches.commands import Run, assert_refused
+from tests.benches.places import ROOT
+from transopt.library.library import Library
+
+
+def test_tap_with_figure_and_telemetry(play: Run) -> None:
+    outcome = play("tap", "library.npz", "--simulate", "--speed", 0.3, "--grip", 3, "--out", "run")
+    assert (outcome.code, outcome.err) == (0, "")
+    for word in ("latency", "NRMSE", "peak", "spectral error", "rate-hardness", "winding", "clamps", "verdict"):
+        assert word in outcome.out
+    assert {path.name for path in Path("run").iterdir()} == {"tap.png", "telemetry.csv", "telemetry.npz"}
+
+
+def test_nothing_played_is_a_result_that_fell_short(play: Run) -> None:
+    outcome = play("tap", "library.npz", "--simulate", "--grip", 0.1)
+    assert outcome.code == 1
+    assert "no transient played" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ("--simulate",)),
+        (["--simulate", "--speed", "0"], ("--speed 0", "0.03 to 4.5 m/s")),
+        (["--simulate", "--speed", "nan"], ("--speed nan",)),
+        (["--simulate", "--grip", "-1"], ("--grip -1",)),
+        (["--simulate", "--gain", "1.5"], ("--gain 1.5", "0 to 1")),
+        (["--simulate", "--mismatch", "2"], ("--mismatch 2",)),
+        (["--simulate", "--method", "magic"], ("--method magic", "bilinear")),
+        (["--simulate", "--method", "proportional"], ("--method proportional", "no wall")),
+        (["--simulate", "--user", "robot"], ("--user robot", "yielding")),
+        (["--simulate", "--out", "library.npz"], ("--out library.npz",)),
+    ],
+)
+def test_bad_input_is_one_line(play: Run, arguments: list[str], words: tuple[str, ...]) -> None:
+    assert_refused(play("tap", "library.npz", *arguments), *words)
+
+
+def test_no_library(play: Run) -> None:
+    assert_refused(play("tap", "none.npz", "--simulate"), "none.npz: no such file")
+
+
+def test_a_simulated_tap_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
+    library.save(tmp_path / "library.npz")
+    program = (
+        "import sys; from pathlib import Path; import controller.cli.play\n"
+        "assert not {'numpy', 'scipy', 'casadi', 'matplotlib'} & set(sys.modules), 'help must come at once'\n"
+        "sys.argv = ['transopt-play', 'tap', sys.argv[1], '--simulate']\n"
+        "try:\n    controller.cli.play.main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
+        "assert not {'casadi', 'matplotlib', 'serial'} & set(sys.modules)"
+    )
+    path = str(tmp_path / "library.npz")
+    subprocess.run([sys.executable, "-c", program, path], check=True, cwd=ROOT, timeout=60)

@@ -1,0 +1,301 @@
+"""The device's end alone: what it refuses and why, repetitions, pulses, the coil's memory, what it tells."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from controller.device.endpoint import Device
+from controller.device.outbox import EventQueue, record_of
+from controller.protocol import messages as m
+from controller.protocol.capacity import LINK_SILENCE_MS
+from controller.protocol.codes import EVENT_CODES, REASONS, STATES, Kind, LinkNotice, Reason
+from controller.protocol.configuration import configuration_of
+from controller.protocol.image import sha256
+from controller.protocol.packed import Packed
+from controller.protocol.wire import Decoder, encode
+from controller.servo.interface import Fault, Output, Readings, State
+from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS
+from transopt.plant.coil import CoilModel
+
+COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
+REST = Readings(0, 200, 3.0, 0.0, 0.0)
+HASHES = sha256(CONFIGURATION), sha256(IMAGE)
+ARM = m.Arm(0, 200, 1.0, *HASHES)
+
+
+class Bench:
+    """A device and whoever speaks to it, frame by frame."""
+
+    def __init__(self) -> None:
+        self.device, self.decoder, self.sequence, self.tick = Device(7), Decoder(), 1, 0
+        self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
+
+    def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:
+        """What it answers."""
+        number = self.sequence if sequence is None else sequence
+        self.device.receive(encode(m.Frame(number, session, message).payload()))
+        return self.heard()
+
+    def heard(self) -> list[Packed]:
+        return [m.read_frame(payload).message for payload in self.decoder.feed(self.device.bytes_to_send())]
+
+    def ask(self, message: Packed) -> Packed:
+        self.sequence += 1
+        (answer,) = (x for x in self.put(message) if not isinstance(x, m.Event))
+        return answer
+
+    def refused(self, message: Packed) -> Reason:
+        answer = self.ask(message)
+        assert isinstance(answer, m.Refused)
+        assert answer.request == m.KINDS[type(message)]
+        return REASONS[answer.reason]
+
+    def done(self, *messages: Packed) -> None:
+        for message in messages:
+            assert isinstance(self.ask(message), m.Done), message
+
+    def configured(self, configuration: bytes = CONFIGURATION) -> "Bench":
+        self.done(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))
+        return self
+
+    def loaded(self, image: bytes = IMAGE) -> "Bench":
+        assert self.ask(m.UploadBegin(len(image), sha256(image))) == m.UploadReady(0)
+        self.put(m.Data(0, image))
+        self.done(m.Commit())
+        return self
+
+    def ready(self) -> "Bench":
+        self.configured().loaded().done(m.Checked(HASHES[0]))
+        return self
+
+    def step(self, ticks: int = 1, reading: Readings = REST) -> Output:
+        for _ in range(ticks):
+            output = self.device.step(replace(reading, tick=self.tick))
+            self.tick += 1
+        return output
+
+
+def test_arm_is_refused_for_each_reason_in_turn() -> None:
+    bench = Bench()
+    other = bytes(31) + b"x"
+    assert bench.refused(ARM) is Reason.NO_CONFIGURATION
+    bench.configured()
+    assert bench.refused(replace(ARM, configuration_sha256=other)) is Reason.WRONG_CONFIGURATION
+    assert bench.refused(ARM) is Reason.NO_LIBRARY
+    bench.loaded()
+    assert bench.refused(replace(ARM, library_sha256=other)) is Reason.WRONG_LIBRARY
+    assert bench.refused(ARM) is Reason.NOT_CHECKED
+    assert bench.refused(m.Checked(other)) is Reason.WRONG_CONFIGURATION
+    bench.done(m.Checked(HASHES[0]))
+    for lease_ms in (0, 49, 1001, 65_535):
+        assert bench.refused(replace(ARM, lease_ms=lease_ms)) is Reason.BAD_LEASE
+    for gain in (-0.1, 1.1, math.nan, math.inf):
+        assert bench.refused(replace(ARM, gain=gain)) is Reason.BAD_VALUE
+    assert bench.refused(replace(ARM, trial=2)) is Reason.BAD_VALUE
+    bench.done(m.Pulse(0.05, 10))
+    assert bench.refused(ARM) is Reason.PULSING
+    bench.step(10)
+    for k in range(40):
+        bench.step(1, replace(REST, encoder_counts=200 - k))
+    assert bench.refused(ARM) is Reason.NOT_AT_REST
+    bench.step(40, replace(REST, encoder_counts=161))
+    assert bench.device.state is State.IDLE
+    bench.done(ARM)
+    assert bench.device.state is State.ARMED
+    assert bench.refused(ARM) is Reason.NOT_IDLE
+    for message in (m.Commit(), m.UploadBegin(1, other), m.ConfigureCommit(other), m.Pulse(0.05, 1)):
+        assert bench.refused(message) is Reason.NOT_IDLE
+    bench.put(m.EmergencyStop())
+    bench.step()
+    assert bench.refused(ARM) is Reason.FAULT_LATCHED
+
+
+def test_a_hot_coil_is_not_armed_and_a_new_configuration_does_not_cool_it() -> None:
+    bench = Bench()
+    hot = configuration_of(replace(SETTINGS, coil=COIL))
+    bench.configured(hot).loaded().done(m.Checked(sha256(hot)))
+    assert bench.device.servo is not None
+    assert bench.device.servo.guard is not None
+    bench.device.servo.guard.winding_C = 99.0
+    bench.device.servo.guard.housing_C = 70.0
+    arm = replace(ARM, configuration_sha256=sha256(hot))
+    assert bench.refused(arm) is Reason.TOO_HOT
+    bench.configured(configuration_of(replace(SETTINGS, coil=COIL, grip_margin_N=0.2)))
+    assert (bench.device.servo.guard.winding_C, bench.device.servo.guard.housing_C) == (99.0, 70.0)
+
+
+def test_a_repeated_request_is_answered_again_and_not_carried_out_again() -> None:
+    bench = Bench().ready()
+    bench.done(ARM)
+    bench.step(2500)  # the lease runs out
+    assert bench.device.state is State.IDLE
+    bench.heard()
+    (again,) = bench.put(ARM)
+    assert again == m.Done(Kind.ARM, STATES.index(State.ARMED), 0)
+    assert bench.device.state is State.IDLE
+    # An older one is not even answered, nor is one of another session.
+    assert bench.put(ARM, sequence=bench.sequence - 1) == []
+    assert bench.put(ARM, sequence=bench.sequence + 1, session=8) == []
+    assert bench.put(m.Lease(1), session=8) == []
+    assert bench.device.state is State.IDLE
+    assert bench.device.dropped_frames == 3
+
+
+def test_sequence_numbers_go_round() -> None:
+    bench = Bench()
+    bench.put(m.Gain(0.5), sequence=32_000)
+    bench.put(m.Gain(0.5), sequence=64_000)
+    assert bench.put(m.Disarm(), sequence=5) != []
+    assert bench.put(m.Disarm(), sequence=64_000) == []
+
+
+def test_a_late_hello_of_the_same_session_does_not_disarm() -> None:
+    bench = Bench().ready()
+    bench.done(ARM)
+    assert bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 5), sequence=1) == []
+    assert bench.device.state is State.ARMED
+    (reply,) = (x for x in bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 6), session=10) if isinstance(x, m.HelloReply))
+    assert bench.device.state is State.IDLE
+    assert (reply.nonce, reply.boot, reply.checked_sha256) == (6, 7, HASHES[0])
+
+
+def test_a_pulse_is_small_short_and_told() -> None:
+    bench = Bench()
+    assert bench.refused(m.Pulse(0.05, 50)) is Reason.NO_CONFIGURATION
+    bench.configured()
+    for current_A in (0.11, -0.11, math.nan, math.inf):
+        assert bench.refused(m.Pulse(current_A, 50)) is Reason.BAD_VALUE
+    for ticks in (0, 201):
+        assert bench.refused(m.Pulse(0.05, ticks)) is Reason.BAD_VALUE
+    bench.done(m.Pulse(-0.1, 200))
+    assert bench.refused(m.Pulse(0.05, 50)) is Reason.PULSING
+    commands = [bench.step().command_A for _ in range(250)]
+    assert commands == [-0.1] * 200 + [0.0] * 50
+    assert [m.Event(0, 199, 33, 0, math.nan, math.nan).code] == [
+        x.code for x in bench.heard() if isinstance(x, m.Event)
+    ]
+    bench.done(m.Pulse(0.1, 200))
+    bench.step(3)
+    output = bench.step(1, replace(REST, emergency_stop=True))
+    assert (output.command_A, output.state) == (0.0, State.FAULT)
+    assert bench.step().command_A == 0.0
+    codes = [x.code for x in bench.heard() if isinstance(x, m.Event)]
+    assert EVENT_CODES[LinkNotice.PULSE_CUT] in codes
+
+
+def test_emergency_stop_without_configuration_latches() -> None:
+    bench = Bench()
+    bench.put(m.EmergencyStop(), session=12345)
+    assert bench.step().state is State.FAULT
+    assert bench.device.fault is Fault.EMERGENCY_STOP
+    assert bench.refused(m.ConfigureCommit(HASHES[0])) is Reason.FAULT_LATCHED
+    bench.step(1, replace(REST, emergency_stop=True))
+    assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
+    bench.step()
+    bench.done(m.Reset())
+    assert bench.step().state is State.IDLE
+
+
+def test_commit_takes_nothing_half() -> None:
+    bench = Bench()
+    bench.ask(m.UploadBegin(len(IMAGE), HASHES[1]))
+    bench.put(m.Data(0, IMAGE))
+    assert bench.refused(m.Commit()) is Reason.NO_CONFIGURATION
+    bench.configured()
+    bench.ask(m.UploadBegin(len(IMAGE), HASHES[1]))
+    assert bench.put(m.Data(500, IMAGE[500:])) == [m.Ack(len(IMAGE))]
+    bench.done(m.Commit())
+    assert bench.refused(m.Commit()) is Reason.INCOMPLETE
+    wrong = bytes(32)
+    bench.ask(m.UploadBegin(len(IMAGE), wrong))
+    assert bench.put(m.Data(0, IMAGE[:100])) == [m.Ack(100)]
+    assert bench.put(m.Data(200, IMAGE[200:])) == [m.Ack(100)]
+    assert bench.refused(m.Commit()) is Reason.INCOMPLETE
+    assert bench.put(m.Data(100, IMAGE[100:] + b"more")) == [m.Ack(100)]
+    bench.put(m.Data(100, IMAGE[100:]))
+    assert bench.refused(m.Commit()) is Reason.WRONG_HASH
+    assert bench.device.store.library_sha256 == HASHES[1]
+    assert bench.refused(m.UploadBegin(2**31, wrong)) is Reason.TOO_LARGE
+    assert bench.refused(m.Configure(1_000_000, b"x")) is Reason.BAD_OFFSET
+    assert bench.refused(m.ConfigureCommit(wrong)) is Reason.WRONG_HASH
+
+
+def test_a_library_that_a_new_configuration_forbids_goes_out_of_force() -> None:
+    bench = Bench().ready()
+    small = replace(SETTINGS, current_limit_A=0.2)
+    bench.configured(configuration_of(small))
+    assert bench.device.store.library_sha256 == m.NO_HASH
+    assert bench.refused(replace(ARM, configuration_sha256=sha256(configuration_of(small)))) is Reason.NO_LIBRARY
+
+
+def test_the_servo_plays_the_numbers_of_the_image() -> None:
+    bench = Bench().ready()
+    assert bench.device.servo is not None
+    scale = bench.device.servo.bank.command_A.max() / 32767
+    counts = bench.device.servo.bank.command_A / scale
+    assert abs(counts - counts.round()).max() < 1e-9
+
+
+def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens() -> None:
+    bench = Bench().configured()
+    bench.put(m.EmergencyStop())
+    bench.step()
+    (first,) = (x for x in bench.heard() if isinstance(x, m.Event))
+    bench.step(2000)
+    assert [x.number for x in bench.heard() if isinstance(x, m.Event)] == [0] * 4
+    bench.step(LINK_SILENCE_MS * 10)
+    bench.heard()
+    bench.step(5000)
+    assert bench.heard() == []
+    bench.put(m.Lease(0))
+    bench.step(600)
+    assert first.number in [x.number for x in bench.heard() if isinstance(x, m.Event)]
+    bench.put(m.EventAck(1))
+    bench.step(2000)
+    assert bench.heard() == []
+
+
+def test_the_event_queue_counts_what_it_loses() -> None:
+    queue = EventQueue(100)
+    for k in range(80):
+        queue.put(k, LinkNotice.PULSE_ENDED)
+    sent: list[int] = []
+    while queue.oldest != 64:
+        sent += [event.number for event in queue.due()]
+        queue.acknowledge(min(queue.oldest + 3, 64))
+        queue.acknowledge(1000)  # nobody can have seen that
+    queue.put(99, LinkNotice.PULSE_CUT)
+    (last,) = queue.due()
+    assert (last.number, last.lost) == (64, 16)
+    assert sorted(set(sent)) == list(range(64))
+
+
+def test_telemetry_survives_absurd_readings() -> None:
+    nan, inf = math.nan, math.inf
+    output = Output(0.0, State.FAULT, 0.0, 0.0, nan)
+    for counts in (nan, inf, -inf, 1e30, 2**31, -(2**31)):
+        record = record_of(Readings(0, counts, inf, 1e300, -1e300, emergency_stop=True), output)  # type: ignore[arg-type]
+        assert record.encoder_counts == m.NO_COUNTS
+        assert (record.measured_current_A, record.acceleration_m_s2, record.flags) == (inf, -inf, 1)
+        assert len(record.pack()) == m.Record.FORMAT.size
+    assert record_of(Readings(0, -5, nan, 0.0, 0.0), output).encoder_counts == -5
+
+
+@pytest.mark.parametrize("every", [1, 7, 65_535])
+def test_telemetry_records_every_nth_tick_without_gaps(every: int) -> None:
+    bench = Bench().configured()
+    bench.done(m.Telemetry(every))
+    ticks: list[int] = []
+    for _ in range(3000):
+        bench.step()
+        for data in bench.heard():
+            assert isinstance(data, m.TelemetryData)
+            assert data.first == len(ticks)
+            count = len(data.records) // m.Record.FORMAT.size
+            ticks += range(data.tick, data.tick + count * data.every, data.every)
+            # No record waits longer than it may.
+            assert bench.tick - data.tick <= 100
+    assert ticks == list(range(0, 3000, every))[: len(ticks)]
+    assert len(ticks) * every > 3000 - 100 - every
+    assert DT_S == 1e-4

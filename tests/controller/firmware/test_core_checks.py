@@ -1,0 +1,221 @@
+"""What both devices ask of configurations and images, number by number, and where their memory ends."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.device.endpoint import Device
+from controller.firmware.build import NoCompilerError, compiler
+from controller.firmware.core_device import CoreDevice
+from controller.protocol import messages as m
+from controller.protocol.codes import REASON_CODES, Reason
+from controller.protocol.configuration import HEADER, NAMES, configuration_of
+from controller.protocol.image import HEADER as IMAGE_HEADER
+from controller.protocol.image import IMAGE_FIELDS, image_of
+from controller.protocol.packed import Packed
+from controller.protocol.wire import Decoder, encode
+from controller.servo.interface import Readings
+from controller.servo.settings import Settings
+from controller.waveforms.bank import Bank, Method
+from scripts.campaign.conversations import NUMBERS, TAIL, sha256
+from scripts.campaign.parity_runs import DT_S
+from tests.benches.servo import AMPLIFIER, WALL
+from transopt.plant.coil import CoilModel
+
+SETTINGS = Settings(
+    DT_S,
+    3e-4,
+    4.0,
+    AMPLIFIER,
+    wall=WALL,
+    coil=CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0),
+    slew_limit_A_per_s=5e3,
+    assumed_grip_N=3.0,
+)
+IMAGE_REASONS = (
+    Reason.BAD_FORMAT,
+    Reason.TOO_LARGE,
+    Reason.BAD_AXES,
+    Reason.BAD_VALUE,
+    Reason.BAD_TIMING,
+    Reason.NO_ZERO_TAIL,
+    Reason.OVER_LIMIT,
+)
+BARE = Settings(DT_S, 3e-4, 4.0)
+EXCITED = replace(BARE, host_starts=True)
+REST = Readings(0, 200, 3.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler() -> None:
+    try:
+        compiler()
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+
+
+class Pair:
+    """Both devices, told the same."""
+
+    def __init__(self) -> None:
+        self.python, self.core, self._decoder = Device(1), CoreDevice(1), Decoder()
+        self._sequence = 0
+        self.tell(m.Hello(m.MAGIC, m.PROTOCOL, 0))
+
+    def tell(self, *told: Packed) -> list[Packed]:
+        """What they answer, after it has been found to be the same."""
+        for message in told:
+            self._sequence = (self._sequence + 1) % 0x10000
+            data = encode(m.Frame(self._sequence, 5, message).payload())
+            self.python.receive(data)
+            self.core.receive(data)
+        return self.fetch()
+
+    def fetch(self) -> list[Packed]:
+        said = self.python.bytes_to_send(), self.core.bytes_to_send()
+        heard = [m.read_frame(payload).message for payload in self._decoder.feed(said[0])]
+        assert said[0] == said[1], heard
+        return heard
+
+    def step(self, readings: Readings) -> None:
+        outputs = self.python.step(readings), self.core.step(readings)
+        assert outputs[0].command_A == outputs[1].command_A
+
+    def configure(self, data: bytes) -> Packed:
+        return self.tell(m.Configure(0, data), m.ConfigureCommit(sha256(data)))[-1]
+
+    def upload(self, image: bytes) -> Packed:
+        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
+        return self.tell(m.UploadBegin(len(image), sha256(image)), *chunks, m.Commit())[-1]
+
+
+def table(speeds: int = 2, grips: int = 2, samples: int = 40) -> Bank:
+    command = np.zeros((speeds, grips, samples))
+    command[..., : samples - TAIL] = 1.0
+    norms = np.ones((speeds, grips)).tolist()
+    axes = np.linspace(0.1, 0.9, speeds).tolist(), np.linspace(1.0, 5.0, grips).tolist()
+    return Bank(Method.BILINEAR, *axes, command, norms, norms, 0.5, True, False)
+
+
+IMAGE = image_of(table(), DT_S, 3e-4, TAIL)
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, BARE, EXCITED], ids=["all", "bare", "excited"])
+def test_every_number_of_a_configuration_is_asked_for_alike(settings: Settings) -> None:
+    pair, data = Pair(), configuration_of(settings)
+    answers = set()
+    for place, name in enumerate(NAMES):
+        at = HEADER.size + 8 * place
+        (value,) = struct.unpack_from("<d", data, at)
+        for other in (*NUMBERS, value * 1.001, -value, value + 1.0, 1e9, 1e-3):
+            changed = data[:at] + struct.pack("<d", other) + data[at + 8 :]
+            answer = pair.configure(changed)
+            answers.add(answer.reason if isinstance(answer, m.Refused) else 0)
+            if name.startswith(("guard_", "decay", "prefilter", "approach_")) and abs(other - value) > 1e-6:
+                assert isinstance(answer, m.Refused), (name, other)
+    assert isinstance(pair.configure(data), m.Done)
+    assert len(answers) == 5
+
+
+def odd_images() -> Iterator[bytes]:
+    at = 0
+    for _, form in IMAGE_FIELDS:
+        size = struct.calcsize("<" + form)
+        for other in (0, 1, 2, 3, 4, 2 ** (8 * size) - 1) if form != "d" else (*NUMBERS, 1e-4, 3e-4):
+            yield IMAGE[:at] + struct.pack("<" + form, other) + IMAGE[at + size :]
+        at += size
+    tables = range(IMAGE_HEADER.size, IMAGE_HEADER.size + 8 * 12, 8)
+    for at in tables:
+        for number in NUMBERS:
+            yield IMAGE[:at] + struct.pack("<d", number) + IMAGE[at + 8 :]
+    for sample in (0, 29, 30, 39, 159):
+        at = len(IMAGE) - 320 + 2 * sample
+        for count in (-32768, -1, 0, 32767):
+            yield IMAGE[:at] + struct.pack("<h", count) + IMAGE[at + 2 :]
+    for size in (1, 55, 56, len(IMAGE) - 1):
+        yield IMAGE[:size]
+    for sizes in ((64, 64, 12), (65, 1, 12), (1, 65, 12), (1, 1, 20_000), (1, 1, 20_001), (14, 1, 19_000)):
+        yield image_of(table(*sizes), DT_S, 3e-4, TAIL)
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, BARE], ids=["all", "bare"])
+def test_every_number_of_an_image_is_asked_for_alike(settings: Settings) -> None:
+    pair = Pair()
+    assert isinstance(pair.configure(configuration_of(settings)), m.Done)
+    assert isinstance(pair.upload(IMAGE), m.Done)
+    answers = []
+    for image in odd_images():
+        answer = pair.upload(image)
+        answers.append(answer.reason if isinstance(answer, m.Refused) else 0)
+    assert set(answers) >= {REASON_CODES[reason] for reason in IMAGE_REASONS}
+    # What was refused leaves what was there in force.
+    again = pair.tell(m.UploadBegin(len(IMAGE), sha256(IMAGE)))[-1]
+    assert isinstance(again, m.UploadReady)
+
+
+def test_where_the_host_starts_there_is_one_waveform_alike(pair: Pair) -> None:
+    one = table(1, 1)
+    assert isinstance(pair.configure(configuration_of(EXCITED)), m.Done)
+    others = (table(1, 2), table(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
+    for other in others:
+        answer = pair.upload(image_of(other, DT_S, 3e-4, TAIL))
+        assert isinstance(answer, m.Refused)
+        assert answer.reason == REASON_CODES[Reason.ONE_WAVEFORM]
+    assert isinstance(pair.upload(image_of(one, DT_S, 3e-4, TAIL)), m.Done)
+    # In force it stays as long as the configuration takes it, and is started by contacts in the other one.
+    assert isinstance(pair.configure(configuration_of(BARE)), m.Done)
+    assert isinstance(pair.upload(IMAGE), m.Done)
+    assert isinstance(pair.configure(configuration_of(EXCITED)), m.Done)
+    assert pair.python.store.library_sha256 == m.NO_HASH
+
+
+def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(pair: Pair) -> None:
+    """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
+    pair.configure(configuration_of(SETTINGS))
+    pair.tell(m.Telemetry(1))
+    extreme = (1e300, -1e300, 3.4028235e38, 3.5e38, float("nan"))
+    for tick in range(6000):
+        pressed = tick % 50 == 10
+        pair.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
+        if tick % 50 == 20:
+            pair.tell(m.Reset())
+        if tick % (700 if tick < 3000 else 2600) == 0:
+            pair.fetch()
+    for said in pair.tell(m.EventAck(64)):
+        assert not isinstance(said, m.Event)
+    for tick in range(6000, 6500):
+        pair.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
+    last = [said for said in pair.fetch() if isinstance(said, m.Event)][-1]
+    assert last.lost > 50
+
+
+@pytest.fixture
+def pair() -> Pair:
+    return Pair()
+
+
+def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
+    core, decoder = CoreDevice(1), Decoder()
+    for session in range(1000):
+        core.receive(encode(m.Frame(1, session, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
+    assert core.counts()[3] > 100
+    said = decoder.feed(core.bytes_to_send())
+    assert decoder.bad_frames == 0
+    assert len(said) + core.counts()[3] == 1000
+    core.receive(encode(m.Frame(1, 4711, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
+    assert len(decoder.feed(core.bytes_to_send())) == 1
+
+
+def test_a_stop_before_any_configuration_is_latched_alike(pair: Pair) -> None:
+    pair.step(REST)
+    pair.tell(m.EmergencyStop(), m.Reset())
+    pair.step(REST)
+    assert isinstance(pair.configure(configuration_of(BARE)), m.Refused)
+    pair.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
+    pair.tell(m.Reset())
+    pair.step(REST)
+    assert isinstance(pair.tell(m.Reset())[-1], m.Done)
+    assert isinstance(pair.configure(configuration_of(BARE)), m.Done)

@@ -1,0 +1,152 @@
+"""The device in C against the device in Python; `scripts/device_differential.py` in short."""
+
+import hashlib
+import subprocess
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.firmware.build import CORE, NoCompilerError, build, compiler, sources
+from controller.firmware.core_device import CoreDevice, Decoder, crc32, encode, sha256
+from controller.firmware.replay import REPLAY
+from controller.protocol import wire
+from controller.servo.interface import State
+from scripts.device_differential import DAMAGES, Talk, corrupted
+from tests.benches.device import World
+
+SEEDS = (7, 10, 12, 16, 33, 52, 57)
+CHECKS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler() -> None:
+    try:
+        compiler()
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="module")
+def talk() -> Talk:
+    held = Talk()
+    for seed in SEEDS:
+        held.hold(seed, 2000, DAMAGES[seed % len(DAMAGES)])
+    return held
+
+
+def test_both_devices_say_and_do_the_same(talk: Talk) -> None:
+    assert talk.different == []
+    assert talk.ticks == 2000 * len(SEEDS)
+
+
+def test_much_is_said_in_these_conversations(talk: Talk) -> None:
+    """Else the comparison means little."""
+    said = set(talk.said)
+    assert {state.value for state in State} <= said
+    assert {"HelloReply", "Done", "UploadReady", "Ack", "LeaseReply", "Event", "TelemetryData"} <= said
+    assert sum(name.startswith("Refused") for name in said) >= 12
+    assert {f"Refused {why}" for why in ("not_armed", "by_contact", "still_playing", "one_waveform")} <= said
+
+
+def test_a_difference_would_be_seen() -> None:
+    """Two devices of different boots differ in their first answer."""
+    held = Talk()
+    original = CoreDevice.__init__
+
+    def other(self: CoreDevice, boot: int) -> None:
+        original(self, boot + 1)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CoreDevice, "__init__", other)
+        held.hold(0, 200, 0.0)
+    assert len(held.different) == 1
+
+
+def test_corrupted_frames_are_neither_accepted_nor_seen_differently() -> None:
+    assert corrupted(5000, 0) == (0, 0)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.binary(max_size=1031).map(lambda data: b"\1" + data) | st.integers(1, 1032).map(lambda size: b"\1" * size))
+def test_frames_are_those_of_the_python_side(payload: bytes) -> None:
+    frame = encode(payload)
+    assert frame == wire.encode(payload)
+    assert Decoder().feed(frame) == [payload]
+    assert crc32(payload) == zlib.crc32(payload)
+
+
+@pytest.mark.parametrize("size", [253, 254, 255, 507, 508, 509, 1032])
+@pytest.mark.parametrize("zero_at", [None, 1, -1, 250, 252])
+def test_runs_at_the_edge_of_what_one_code_can_say(size: int, zero_at: int | None) -> None:
+    payload = bytearray(b"\5" * size)
+    if zero_at is not None:
+        payload[zero_at] = 0
+    assert encode(bytes(payload)) == wire.encode(bytes(payload))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.binary(max_size=60) | st.sampled_from([b"\0", b"\xff" * 300, b"\1" * 1100, wire.encode(b"12345678")]))
+)
+def test_any_bytes_in_any_pieces_decode_alike(pieces: list[bytes]) -> None:
+    python, core = wire.Decoder(), Decoder()
+    for piece in [*pieces, b"\0"]:
+        assert core.feed(piece) == python.feed(piece)
+
+
+# NIST, FIPS 180-4 examples and the million of a's.
+@pytest.mark.parametrize(
+    ("data", "digest"),
+    [
+        (b"", "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"),
+        (b"abc", "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"),
+        (
+            b"abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq",
+            "248d6a61d20638b8e5c026930c3e6039a33ce45964ff2167f6ecedd419db06c1",
+        ),
+        (b"a" * 1_000_000, "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0"),
+    ],
+)
+def test_sha256_of_the_standards_examples(data: bytes, digest: str) -> None:
+    assert sha256(data).hex() == digest
+
+
+def test_sha256_of_every_length_about_its_blocks() -> None:
+    data = np.random.default_rng(0).bytes(200)
+    for size in range(200):
+        assert sha256(data[:size]) == hashlib.sha256(data[:size]).digest()
+
+
+def test_sanitizers_find_nothing(talk: Talk, tmp_path: Path) -> None:
+    (tmp_path / "talk").write_bytes(bytes(talk.record))
+    files = [*sources(CORE), REPLAY / "td_probe.c", REPLAY / "talk_main.c"]
+    try:
+        checked = build("talk-checked", files, flags=CHECKS)
+    except NoCompilerError as refused:
+        pytest.skip(f"no sanitizers here: {refused}")
+    said = [
+        subprocess.run(
+            [str(program), str(tmp_path / "talk")], capture_output=True, text=True, check=True, timeout=100
+        )
+        for program in (build("talk", files), checked)
+    ]
+    assert [run.stderr for run in said] == ["", ""]
+    assert said[0].stdout == said[1].stdout
+
+
+@pytest.mark.parametrize(("flags", "real_bytes"), [((), 8), (("-DTD_REAL_FLOAT",), 4)], ids=["double", "single"])
+def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...], real_bytes: int) -> None:
+    """And the core goes safe within its lease when the host falls silent."""
+    world, core = World(), CoreDevice(100, flags=flags)
+    world.device = core  # type: ignore[assignment]
+    world.armed()
+    assert world.session.device is not None
+    assert world.session.device.real_bytes == real_bytes
+    assert world.output.state is State.ARMED
+    world.host_alive = False
+    world.until(lambda: world.output.state is State.IDLE, 0.21)
+    assert core.counts()[3] == 0

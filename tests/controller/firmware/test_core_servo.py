@@ -1,0 +1,189 @@
+"""The servo in C against the Python servo; `scripts/device_parity.py` in short."""
+
+import functools
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller.firmware.build import CORE, FLAGS, STRICT, NoCompilerError, build, compiler, sources
+from controller.firmware.replay import EXCITE, NEGATIVE, REPLAY, Core, Recorder, write_runs
+from controller.protocol.codes import EVENT_CODES, EVENTS
+from controller.protocol.image import image_of
+from controller.servo.interface import Fault, Notice
+from scripts.campaign.parity_runs import random_run, tap_run
+from scripts.device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K
+from transopt.library.library import Library
+from transopt.plant.wall import Wall
+
+# exp and fmod only where a configuration is checked, never in a servo period.
+MAY_CALL = {"memcpy", "memset", "memcmp", "memmove", "sqrt", "floor", "exp", "fmod"}
+EXCITED = (1, 9, 17)  # the host starts what is played
+SEEDS = (2, 5, 7, 12, 16, 23, 24, *EXCITED)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler() -> None:
+    try:
+        compiler()
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+
+
+@functools.cache
+def random_recorder(seed: int) -> Recorder:
+    return random_run(seed, 5000)
+
+
+@pytest.fixture(scope="module")
+def played(library: Library) -> list[Recorder]:
+    return [tap_run(library, seed) for seed in range(4)]
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
+def test_the_core_compiles_without_a_warning(flags: tuple[str, ...]) -> None:
+    files = [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"]
+    assert build("strict", files, flags=(*STRICT, *flags)).exists()
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
+def test_the_core_keeps_no_state_of_its_own_and_calls_next_to_nothing(tmp_path: Path, flags: tuple[str, ...]) -> None:
+    command = [*compiler().command, *FLAGS, *flags, f"-I{CORE}", "-c", *map(str, sources(CORE))]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    objects = sorted(map(str, tmp_path.glob("*.o")))
+    said = subprocess.run(["nm", "-A", *objects], capture_output=True, text=True, check=True).stdout
+    symbols = [line.split()[-2:] for line in said.splitlines()]
+    kinds = {kind for kind, _ in symbols}
+    assert "T" in kinds
+    assert not kinds & set("bBdDcCgGsS"), "variables outside any struct"
+    defined = {name for kind, name in symbols if kind == "T"}
+    called = {name for kind, name in symbols if kind == "U"} - defined
+    assert called - {"_GLOBAL_OFFSET_TABLE_"} <= MAY_CALL
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_random_ticks_are_the_same_bit_for_bit(seed: int) -> None:
+    found = Difference()
+    found.add(random_recorder(seed), DOUBLE)
+    assert (found.other_bits, found.other_state, found.other_events) == (0, 0, 0)
+
+
+def test_taps_on_the_simulator_are_the_same_bit_for_bit(played: list[Recorder]) -> None:
+    found = Difference()
+    for recorder in played:
+        found.add(recorder, DOUBLE)
+    assert found.runs == len(played)
+    assert (found.other_bits, found.other_state, found.other_events) == (0, 0, 0)
+
+
+def test_single_precision_stays_within_its_bound(played: list[Recorder]) -> None:
+    found = Difference()
+    for recorder in (*played, *map(random_recorder, SEEDS)):
+        found.add(recorder, FLOAT)
+    assert 0.0 < found.command_A <= COMMAND_A
+    assert 0.0 < found.winding_K <= 1e-4
+    # A comparison that falls the other way is rare enough not to be among these.
+    assert found.runs_apart == 0
+
+
+def test_much_happens_in_these_runs() -> None:
+    """Else the comparison means little."""
+    seen = {
+        EVENTS[int(what)] for seed in SEEDS for what in np.unique(random_recorder(seed).output_rows()["what"]) if what
+    }
+    assert set(Notice) - seen <= {Notice.NO_GRIP}
+    assert set(Fault) - seen <= {Fault.NO_CURRENT, Fault.ENCODER_STUCK}
+
+
+def test_excitations_are_among_these_runs() -> None:
+    """Started, refused while one plays, with either sign, to their end, and cut short by faults."""
+    for seed in EXCITED:
+        recorder = random_recorder(seed)
+        wished, rows = recorder.input_rows()["wishes"], recorder.output_rows()
+        started = (rows["answers"] & EXCITE) > 0
+        assert set((wished[started] & NEGATIVE) > 0) == {True, False}
+        assert EVENT_CODES[Notice.FINISHED] in rows["what"]
+        assert EVENT_CODES[Notice.CONTACT] not in rows["what"]
+        assert np.any(rows["transient_A"])
+
+
+@pytest.mark.parametrize("field", ["current_limit_A", "count_m", "wall"])
+def test_another_configuration_gives_other_commands(field: str) -> None:
+    """The comparison sees what it should see: limits are cut, counts are scaled, walls push."""
+    recorder = random_recorder(2)
+    changed = {
+        "current_limit_A": 0.9 * recorder.settings.current_limit_A,
+        "count_m": 1.001 * recorder.settings.count_m,
+        "wall": Wall(1.0, 0.0, 1.25, 0, 100.0),
+    }
+    found = Difference()
+    core = Core(replace(recorder.settings, **{field: changed[field]}), recorder.image)  # type: ignore[arg-type]
+    found.count(recorder.output_rows(), core.run(recorder.input_rows()))
+    assert found.other_bits > 100
+
+
+def test_pieces_of_a_run_are_the_run() -> None:
+    recorder = random_recorder(5)
+    rows = recorder.input_rows()
+    core = Core(recorder.settings, recorder.image)
+    pieces = [core.run(rows[:1]), core.run(rows[1:777]), core.run(rows[777:])]
+    assert np.concatenate(pieces).tobytes() == Core(recorder.settings, recorder.image).run(rows).tobytes()
+
+
+def test_temperatures_agree_over_minutes() -> None:
+    worst = heat_differences_K(10.0, 0)
+    assert worst[DOUBLE] == 0.0
+    assert worst[FLOAT] <= 1e-3
+
+
+def damaged_images() -> Iterator[bytes]:
+    image = random_recorder(5).image
+    yield b""
+    yield image[:-1]
+    yield image + b"\0"
+    for place, byte in ((0, image[0] ^ 1), (4, 2), (6, 4), (8, 0), (8, 200), (10, 0), (12, image[12] + 1), (20, 1)):
+        yield image[:place] + bytes([byte]) + image[place + 1 :]
+
+
+def test_what_is_no_image_is_refused() -> None:
+    for image in damaged_images():
+        with pytest.raises(ValueError, match="refuses"):
+            Core(random_recorder(5).settings, image)
+
+
+def test_more_than_the_core_holds_is_refused() -> None:
+    recorder = random_recorder(5)
+    for change in ({"window_ticks": 257}, {"wall": Wall(1.0, 0.0, 1.0, 32, 100.0)}, {"rearm_s": 1e9}):
+        with pytest.raises(ValueError, match="refuses"):
+            Core(replace(recorder.settings, **change), recorder.image)  # type: ignore[arg-type]
+    long = replace(recorder.table, command_A=np.zeros((*recorder.table.command_A.shape[:2], 20_001)))
+    with pytest.raises(ValueError, match="refuses"):
+        Core(recorder.settings, image_of(long, 1e-4, 0.0, 10))
+
+
+@pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
+def test_sanitizers_find_nothing(played: list[Recorder], tmp_path: Path, flags: tuple[str, ...]) -> None:
+    write_runs(tmp_path / "runs", [recorder.run_bytes() for recorder in (*played, *map(random_recorder, SEEDS))])
+    files = [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"]
+    plain = build("replay", files, flags=flags)
+    checks = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+    try:
+        checked = build("replay-checked", files, flags=(*flags, *checks))
+    except NoCompilerError as refused:
+        pytest.skip(f"no sanitizers here: {refused}")
+    said = [
+        subprocess.run([str(program), str(tmp_path / "runs")], capture_output=True, text=True, check=True, timeout=60)
+        for program in (plain, checked)
+    ]
+    assert [run.stderr for run in said] == ["", ""]
+    assert said[0].stdout == said[1].stdout
+
+
+def test_the_driver_refuses_what_is_no_run(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_bytes(random_recorder(5).run_bytes()[:-1])
+    driver = build("replay", [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"])
+    for path in (tmp_path / "runs", tmp_path / "nowhere"):
+        assert subprocess.run([str(driver), str(path)], capture_output=True, check=False, timeout=60).returncode == 1

@@ -1,0 +1,63 @@
+"""The core on emulated processors; `scripts/firmware_targets.py` in short."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from controller.firmware.build import NoCompilerError, compiler
+from scripts import firmware_targets
+from scripts.firmware_targets import TARGETS, MissingToolError, Target, need_tools, play, record, table
+from transopt.base.errors import InputError
+
+CORTEX_M7 = TARGETS[1]
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    try:
+        need_tools()
+        compiler()
+    except (MissingToolError, NoCompilerError) as missing:
+        pytest.skip(str(missing))
+    return record(tmp_path_factory.mktemp("records"), seed=0, library=None, runs=2, ticks=1500)
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Path], tmp_path: Path) -> None:
+    found = play(target, records, tmp_path)
+    assert set(found.hashes) == {"runs", "talks"}
+    assert found.alike(), found.hashes
+    assert found.counts["runs servo"][0] == found.counts["talks device"][0] == 3000
+    for _, average, most in found.counts.values():
+        assert 0 < average <= most
+    assert found.text_bytes < 32_768
+    assert 0 < found.stack_bytes < 8192
+    if target.library:
+        # What src/transopt_port.h promises: RAM2 of a Teensy with room for USB, and a third of 192 kB for others.
+        assert found.device_bytes < (470_000 if "Teensy" in target.name else 120_000)
+    assert f"{target.name} | {target.precision} | {found.text_bytes}" in table({target: found})
+
+
+def test_contracted_products_would_be_seen(records: dict[str, Path], tmp_path: Path) -> None:
+    """Without the ban the processor's fused multiply-add gives other bits: the hash is worth something."""
+    found = play(replace(CORTEX_M7, flags=("-ffp-contract=fast",)), records, tmp_path)
+    assert not found.alike()
+    assert "| NO |" in table({CORTEX_M7: found})
+
+
+def test_a_program_that_fails_on_the_target_is_told(records: dict[str, Path], tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    cut.write_bytes(records["runs"].read_bytes()[:-1])
+    folder = tmp_path / "built"
+    folder.mkdir()
+    with pytest.raises(InputError, match="qemu-system-arm: ended with 1"):
+        play(CORTEX_M7, {"runs": cut}, folder)
+
+
+def test_missing_tools_are_named_with_their_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(MissingToolError, match=r"arm-none-eabi-gcc: not found; install gcc-arm-none-eabi"):
+        need_tools()
+    monkeypatch.setattr("sys.argv", ["firmware_targets.py"])
+    assert firmware_targets.main() == 3

@@ -1,0 +1,199 @@
+"""Every step of the bring-up check: passed by a sound device, failed by one with that fault."""
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import pytest
+
+from controller.host.bringup import SKIPPABLE, STEPS, Check, Result, _result, check_skipped, passed, run_steps
+from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.protocol.configuration import configuration_of
+from controller.protocol.image import image_of
+from controller.servo.interface import Readings, State
+from controller.servo.settings import Settings
+from controller.sim.virtual_link import Trouble
+from controller.waveforms.bank import bank
+from tests.benches.desk import Desk
+from transopt.base.errors import InputError
+from transopt.library.library import Library
+
+Wrong = Callable[[Readings], Readings]
+
+
+@pytest.fixture
+def desk(library: Library) -> Desk:
+    return Desk(library)
+
+
+@pytest.fixture
+def device(desk: Desk) -> Iterator[Device]:
+    with desk.connect() as connected:
+        yield connected
+
+
+@pytest.fixture
+def check(desk: Desk, device: Device, library: Library, stated: Settings) -> Check:
+    device.configure(configuration_of(stated))
+    device.upload(image_of(bank(library), stated.dt_s, stated.lead_s, library.meta["hand_over_samples"]))
+    device.set_telemetry(1)
+    return Check(device, stated, desk, loaded=True, patience_s=0.7)
+
+
+def result(check: Check, name: str) -> Result:
+    [step] = [step for step in STEPS if step.name == name]
+    return _result(check, step, (), [])
+
+
+def test_a_sound_device_passes_every_step_and_may_then_be_armed(desk: Desk, check: Check) -> None:
+    told: list[Result] = []
+    with pytest.raises(DeviceError, match="has not passed the bring-up check"):
+        check.device.arm(0.5)
+    results = run_steps(check, told=told.append)
+    assert results == told
+    assert [r.passed for r in results] == [True] * len(STEPS), results
+    assert passed(results)
+    assert desk.requests[0] == "press the emergency stop"
+    assert desk.firmware.state is State.IDLE
+    check.device.checked()
+    assert check.wait(check.at_rest, 2.0)
+    check.device.arm(0.5)
+    check.device.disarm()
+    check.close()
+    assert not check.device.listeners
+
+
+def changed(**by: Callable[[Readings], float]) -> Wrong:
+    return lambda readings: replace(readings, **{name: value(readings) for name, value in by.items()})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "seen"),
+    [
+        ("encoder", changed(encoder_counts=lambda r: -r.encoder_counts), r"^-1\d\d counts, -2\.\d+ mm"),
+        ("encoder", changed(encoder_counts=lambda r: 7), r"^\+0 counts"),
+        ("accelerometer", changed(acceleration_m_s2=lambda r: -r.acceleration_m_s2), r"^-(1\.0|0\.9)\d\d g"),
+        ("accelerometer", changed(acceleration_m_s2=lambda r: 0.0), r"^\+0\.000 g"),
+        ("accelerometer", changed(encoder_counts=lambda r: r.tick // 10), r"^no rest: \d+ counts in 0.3 s"),
+        ("grip-zero", changed(grip_N=lambda r: r.grip_N + 0.5), r"^\+0\.5\d\d N"),
+        ("grip-zero", changed(grip_N=lambda r: float("nan")), "nan"),
+        ("current-offset", changed(current_A=lambda r: r.current_A + 0.1), r"^\+0\.1\d\d\d A"),
+        ("emergency-stop", changed(emergency_stop=lambda r: False), "not pressed within 0.35 s"),
+    ],
+)
+def test_a_wrong_sensor_fails_its_step(
+    desk: Desk, request: pytest.FixtureRequest, name: str, wrong: Wrong, seen: str
+) -> None:
+    desk.wrong = wrong
+    check: Check = request.getfixturevalue("check")
+    check.patience_s = 0.35
+    found = result(check, name)
+    assert not found.passed
+    assert re.search(seen, found.seen), found.seen
+
+
+def test_the_emergency_stop_has_to_come_out_again(desk: Desk, check: Check) -> None:
+    desk.obeys["release"] = lambda: None
+    found = result(check, "emergency-stop")
+    assert (found.passed, found.seen) == (False, "not released within 0.7 s")
+    assert desk.firmware.state is State.FAULT
+
+
+@pytest.mark.parametrize("held_N", [0.0, 3.0])
+@pytest.mark.parametrize("motor", [1.0, -1.0, 0.0])
+def test_polarity(desk: Desk, request: pytest.FixtureRequest, held_N: float, motor: float) -> None:
+    """Sound; reversed motor leads behind the current monitor; a motor cable that is out. Stylus free and held."""
+    desk.hand.held_N, desk.motor = held_N, motor
+    desk.wrong = lambda readings: replace(readings, current_A=readings.current_A * (motor or 1.0))
+    found = result(request.getfixturevalue("check"), "polarity")
+    assert found.passed is (motor == 1.0), found.seen
+    if motor == -1.0:
+        assert "acceleration -" in found.seen
+
+
+def test_a_pulse_with_a_reversed_encoder_fails(desk: Desk, request: pytest.FixtureRequest) -> None:
+    desk.wrong = lambda readings: replace(readings, encoder_counts=-readings.encoder_counts)
+    desk.hand.held_N = 0.0
+    found = result(request.getfixturevalue("check"), "polarity")
+    assert not found.passed
+    assert "encoder -" in found.seen
+
+
+@pytest.mark.parametrize(
+    ("instead", "seen"),
+    [
+        (lambda desk: None, "no contact within 0.7 s"),
+        (lambda desk: desk.asked("press"), "fault: emergency stop|no contact"),
+        (lambda desk: (desk.hand.tap(desk.now_s, 0.2), setattr(desk.hand, "held_N", 0.3)), "no contact.*not held"),
+    ],
+)
+def test_a_trial_without_a_tap_fails_and_leaves_nothing_armed(
+    desk: Desk, check: Check, instead: Callable[[Desk], None], seen: str
+) -> None:
+    desk.obeys["tap"] = lambda: instead(desk)
+    found = result(check, "trial-tap")
+    assert not found.passed
+    assert re.search(seen, found.seen), found.seen
+    assert desk.firmware.state in (State.IDLE, State.FAULT)
+
+
+def test_a_stop_meanwhile_fails_what_drives(desk: Desk, check: Check) -> None:
+    """Pressed while the check asks for something else."""
+    desk.asked("press")
+    check.device.listen(0.05)
+    desk.asked("release")
+    for name in ("polarity", "trial-tap"):
+        found = result(check, name)
+        assert not found.passed
+        assert "a fault is latched: emergency stop" in found.seen
+
+
+def test_a_lossy_link_and_a_slow_clock_fail(desk: Desk, check: Check) -> None:
+    desk.link.set_trouble(Trouble(loss=0.1))
+    assert not result(check, "link").passed
+    desk.link.set_trouble(Trouble())
+    check.device._clock = lambda: 1.1 * desk.now_s
+    found = result(check, "link")
+    assert not found.passed, found.seen
+
+
+def test_after_a_failure_no_current_flows(desk: Desk, check: Check) -> None:
+    desk.wrong = changed(acceleration_m_s2=lambda r: -r.acceleration_m_s2)
+    commands: list[float] = []
+    desk.each_ms = lambda: commands.append(abs(desk.plant._commands[0]))
+    results = run_steps(check, ("emergency-stop", "encoder"))
+    assert [r.name for r in results if r.passed is False] == ["accelerometer"]
+    assert [r.name for r in results if r.passed is None] == ["emergency-stop", "encoder", "polarity", "trial-tap"]
+    assert not passed(results, ("emergency-stop", "encoder"))
+    assert max(commands) == 0.0
+
+
+def test_without_a_library_the_sensors_alone(desk: Desk, device: Device) -> None:
+    device.set_telemetry(1)
+    check = Check(device, Settings(1e-4, 0.0, 1.0), desk, loaded=False)
+    results = run_steps(check, ("encoder",))
+    assert [r.passed for r in results] == [True, True, None, True, True, True, None, None]
+    assert not passed(results, ("encoder",))
+
+
+def test_a_device_without_grip_sensor(check: Check) -> None:
+    check.settings = replace(check.settings, assumed_grip_N=0.0, grip_min_N=0.0)
+    results = run_steps(check, SKIPPABLE[:3])
+    assert "without grip sensor" in results[4].seen
+    assert passed(results, SKIPPABLE[:3]), results
+
+
+def test_a_lost_link_ends_the_check(desk: Desk, check: Check) -> None:
+    def unplug() -> None:
+        desk.gone = True
+
+    desk.obeys["press"] = unplug
+    with pytest.raises(LinkLostError, match="does not arm by itself"):
+        run_steps(check)
+
+
+def test_what_drives_may_not_be_left_out() -> None:
+    assert check_skipped(list(SKIPPABLE)) == SKIPPABLE
+    for name in ("polarity", "trial-tap", "link", "nonsense"):
+        with pytest.raises(InputError, match=f"--skip {name}: must be one of emergency-stop, "):
+            check_skipped([name])

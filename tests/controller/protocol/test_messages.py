@@ -1,0 +1,143 @@
+"""The message table: round trips, lengths, versions; the C header is what the table says."""
+
+import math
+import re
+import shutil
+import struct
+import subprocess
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.protocol import messages as m
+from controller.protocol.c_header import HEADER_PATH, header_text
+from controller.protocol.codes import EVENT_CODES, EVENTS, REASONS, Kind, LinkNotice, Reason
+from controller.protocol.configuration import NAMES
+from controller.protocol.packed import BadBodyError, Packed
+from controller.servo.interface import Fault, Notice
+
+RANGES = {
+    "B": (0, 2**8 - 1),
+    "H": (0, 2**16 - 1),
+    "I": (0, 2**32 - 1),
+    "i": (-(2**31), 2**31 - 1),
+    "Q": (0, 2**64 - 1),
+}
+
+
+def values_of(form: str) -> st.SearchStrategy[object]:
+    if form in RANGES:
+        return st.integers(*RANGES[form])
+    if form in ("f", "d"):
+        return st.floats(width=32 if form == "f" else 64, allow_nan=False)
+    return st.binary(max_size=200) if form == "*" else st.binary(min_size=int(form[:-1]), max_size=int(form[:-1]))
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> Packed:
+    kind = draw(st.sampled_from(list(Kind)))
+    message = m.MESSAGES[kind]
+    drawn = [draw(values_of(form)) for _, form in message.layout()]
+    if message in (m.Hello, m.HelloReply):
+        drawn[:2] = [m.MAGIC, m.PROTOCOL]
+    built: Packed = message(*drawn)
+    return built
+
+
+@given(messages(), st.integers(0, 0xFFFF), st.integers(0, 2**32 - 1))
+def test_every_message_comes_back(message: Packed, sequence: int, session: int) -> None:
+    frame = m.Frame(sequence, session, message)
+    assert m.read_frame(frame.payload()) == frame
+
+
+@given(messages(), st.binary(min_size=1, max_size=20))
+def test_wrong_lengths_are_refused(message: Packed, more: bytes) -> None:
+    payload = m.Frame(1, 2, message).payload()
+    if not message.OPEN:
+        with pytest.raises(BadBodyError):
+            m.read_frame(payload + more)
+    fixed = m.HEADER.size + message.FORMAT.size
+    if message.FORMAT.size:
+        with pytest.raises(BadBodyError):
+            m.read_frame(payload[: fixed - 1])
+
+
+@given(st.binary(max_size=1100))
+def test_any_bytes_are_read_or_refused(payload: bytes) -> None:
+    try:
+        frame = m.read_frame(payload)
+    except (BadBodyError, m.OtherProtocolError):
+        return
+    assert frame.payload() == payload or any(isinstance(x, float) and math.isnan(x) for x in _values(frame.message))
+
+
+def _values(message: Packed) -> list[object]:
+    return [getattr(message, name) for name in message.NAMES]
+
+
+def test_flags_kinds_and_bodies_of_a_later_version_are_refused() -> None:
+    payload = m.Frame(1, 2, m.Disarm()).payload()
+    for changed in (b"\x3f" + payload[1:], payload[:1] + b"\x01" + payload[2:], payload[:5]):
+        with pytest.raises(BadBodyError):
+            m.read_frame(changed)
+    with pytest.raises(BadBodyError):
+        m.read_frame(m.Frame(1, 2, m.Data(0, bytes(m.DATA_LIMIT + 1))).payload())
+    m.read_frame(m.Frame(1, 2, m.Data(0, bytes(m.DATA_LIMIT))).payload())
+
+
+@pytest.mark.parametrize("kind", [Kind.HELLO, Kind.HELLO_REPLY])
+def test_other_versions_are_recognised_whatever_follows(kind: Kind) -> None:
+    head = m.HEADER.pack(kind, 0, 1, 2)
+    with pytest.raises(m.OtherProtocolError) as newer:
+        m.read_frame(head + struct.pack("<IH", m.MAGIC, m.PROTOCOL + 7) + b"of another length")
+    assert not newer.value.foreign
+    assert newer.value.protocol == m.PROTOCOL + 7
+    with pytest.raises(m.OtherProtocolError) as foreign:
+        m.read_frame(head + struct.pack("<IH", m.MAGIC ^ 1, m.PROTOCOL))
+    assert foreign.value.foreign
+    with pytest.raises(BadBodyError):
+        m.read_frame(head + b"\0\0")
+
+
+def test_the_table_is_complete() -> None:
+    assert set(m.MESSAGES) == set(Kind)
+    assert len(set(m.MESSAGES.values())) == len(Kind)
+    assert set(EVENTS.values()) == {*Notice, *Fault, *LinkNotice}
+    assert {EVENT_CODES[what] for what in EVENTS.values()} == set(EVENTS)
+    assert 0 not in EVENTS
+    assert set(REASONS.values()) == set(Reason)
+    for message in m.MESSAGES.values():
+        assert message.FORMAT.size <= m.BODY_LIMIT
+        # Only the last field may be open.
+        assert all(form != "*" for _, form in message.layout()[:-1])
+        assert [name for name, _ in message.layout()] == [field.name for field in fields(message)]  # type: ignore[arg-type]
+
+
+def test_the_c_header_is_generated_from_the_table() -> None:
+    assert HEADER_PATH.read_text(encoding="ascii") == header_text(), "run python -m controller.protocol.c_header"
+
+
+def test_the_c_header_gives_each_field_its_place(tmp_path: Path) -> None:
+    """Offsets as a compiler sees them, against where a distinct value of each field lands."""
+    names = dict(re.findall(r"#define (TD_\w+) (\w+)", header_text()))
+    for kind, message in m.MESSAGES.items():
+        layout = message.layout()
+        for j, (name, form) in enumerate(layout):
+            zeros = [b"" if f == "*" else bytes(int(f[:-1])) if f[-1] == "s" else 0 for _, f in layout]
+            zeros[j] = b"\xff" * (int(form[:-1]) if form[-1] == "s" else 3) if form[-1] in "s*" else 1
+            body = message(*zeros).pack()
+            first = next(place for place, byte in enumerate(body) if byte)
+            # A float's 1.0 has its bits at the end.
+            size = 0 if form[-1] in "s*" else struct.calcsize("<" + form)
+            assert int(names[f"TD_{kind.name}_{name.upper()}"]) == (first - (size - 2) if form in "fd" else first)
+    assert int(names["TD_CONFIGURATION_BYTES"]) == 8 + 8 * len(NAMES)
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    source = tmp_path / "header.c"
+    source.write_text(f'#include <stdint.h>\n#include "{HEADER_PATH}"\nchar image[TD_MAX_IMAGE_BYTES];\n')
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-fsyntax-only"]
+    subprocess.run([compiler, *flags, str(source)], check=True, timeout=60)

@@ -1,0 +1,105 @@
+"""The excitation's command and the file of a trial, by their defining properties."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from controller.record.excitation import sweep_command
+from controller.record.trial_file import write_measurement
+from transopt.base.errors import InputError
+
+DT_S = 1e-4
+
+
+def test_a_sweep_is_as_long_as_asked_and_begins_and_ends_in_zero() -> None:
+    command = sweep_command(1, 2000, 2.0, 0.75, DT_S, offset_A=0.3)
+    assert command.shape == (20_000,)
+    assert command[0] == 0
+    assert command[-1] == 0
+    assert np.max(np.abs(command)) <= 0.3 + 0.75
+    # No bang at either end: a step of the offset would be 0.3 A in one tick.
+    assert np.max(np.abs(np.diff(command[:50]))) < 0.02
+    assert np.max(np.abs(command[-3:])) < 0.05
+
+
+def test_the_frequency_rises_by_equal_parts_in_equal_times() -> None:
+    low, high, seconds = 20.0, 1000.0, 2.0
+    command = sweep_command(low, high, seconds, 1.0, DT_S)
+    phase = np.unwrap(np.angle(signal.hilbert(command)))
+    frequency = np.diff(phase) / (2 * np.pi * DT_S)
+    times = DT_S * (np.arange(frequency.size) + 0.5)
+    inner = (times > 0.2) & (times < 1.9)
+    expected = low * (high / low) ** (times / (seconds - DT_S))
+    # Ripple of the Hilbert transform near the ends aside, the instantaneous frequency is the stated one.
+    assert np.median(np.abs(frequency / expected - 1)[inner]) < 1e-3
+
+
+def test_the_amplitude_is_full_in_the_whole_band_but_its_edges() -> None:
+    low, high, seconds = 10.0, 1000.0, 1.0
+    command = sweep_command(low, high, seconds, 0.75, DT_S)
+    times = DT_S * np.arange(command.size)
+    frequency = low * (high / low) ** (times / times[-1])
+    envelope = np.abs(signal.hilbert(command))
+    band = (frequency > 2 * low) & (frequency < 0.95 * high)
+    assert np.all(np.abs(envelope[band] / 0.75 - 1) < 0.05)
+
+
+def test_the_offset_shifts_the_middle() -> None:
+    plain = sweep_command(10, 1000, 1.0, 0.5, DT_S)
+    shifted = sweep_command(10, 1000, 1.0, 0.5, DT_S, offset_A=-0.4)
+    middle = slice(1000, -500)
+    np.testing.assert_allclose(shifted[middle] - plain[middle], -0.4, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"low_Hz": 0.0}, "low 0 Hz"),
+        ({"low_Hz": 3000.0}, "below high"),
+        ({"high_Hz": 5000.0}, "half the servo's rate, 5000 Hz"),
+        ({"seconds": 0.5}, "one period of 1 Hz takes 1 s"),
+        ({"seconds": float("nan")}, "seconds nan"),
+        ({"low_Hz": 900.0, "high_Hz": 1000.0, "seconds": 0.0012}, "12 samples are too few"),
+        ({"amplitude_A": -1.0}, "amplitude -1 A"),
+        ({"offset_A": float("inf")}, "offset inf A"),
+        ({"dt_s": 0.0}, "dt 0 s"),
+    ],
+)
+def test_numbers_out_of_range_are_named(change: dict[str, float], says: str) -> None:
+    given = {"low_Hz": 1.0, "high_Hz": 2000.0, "seconds": 2.0, "amplitude_A": 0.75, "dt_s": DT_S, **change}
+    with pytest.raises(InputError, match=says):
+        sweep_command(**given)
+
+
+def test_a_measurement_comes_back_as_it_was(tmp_path) -> None:
+    path = tmp_path / "trial_01.npz"
+    time = DT_S * np.arange(50)
+    write_measurement(path, {"time_s": time, "command_A": np.sin(time)}, {"grip_N": 2.5, "accelerometer_Hz": 4000.0})
+    with np.load(path, allow_pickle=False) as read:
+        assert set(read.files) == {"time_s", "command_A", "grip_N", "accelerometer_Hz"}
+        np.testing.assert_array_equal(read["command_A"], np.sin(time))
+        assert read["grip_N"].shape == ()
+        assert read["grip_N"] == 2.5
+    assert [one.name for one in tmp_path.iterdir()] == ["trial_01.npz"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "scalars"),
+    [
+        ({"time_s": np.zeros(3), "acceleration_g": np.zeros(3)}, {}),
+        ({"command_A": np.zeros(3)}, {}),
+        ({"time_s": np.zeros(3), "command_A": np.zeros(4)}, {}),
+        ({"time_s": np.array([0.0, np.nan])}, {}),
+        ({"time_s": np.zeros(3)}, {"grip_N": np.nan}),
+        ({"time_s": np.zeros(3)}, {"mass_kg": 1.0}),
+    ],
+)
+def test_nothing_is_written_that_no_reader_understands(tmp_path, columns, scalars) -> None:
+    with pytest.raises(ValueError, match=r"columns|shapes|finite"):
+        write_measurement(tmp_path / "x.npz", columns, scalars)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path) -> None:
+    with pytest.raises(InputError, match="cannot be written"):
+        write_measurement(tmp_path / "no" / "x.npz", {"time_s": np.zeros(3)}, {})

@@ -1,0 +1,396 @@
+"""Refinement on the device: the convergence condition holds what it says, entries stay certified, limits are kept."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from controller.host.first_run import remember
+from controller.host.payload import payload
+from controller.protocol.image import sha256
+from controller.record.judge import before_pole, through_pole
+from controller.refine.figure import refine_figure
+from controller.refine.learning import Ratio, condition, corrected, factors, ratio, through_q, widest
+from controller.refine.rounds import Heard, Node, Refined, fade_of, node_near, nodes_of, refine, smooth
+from controller.refine.tables import best_round, refine_table, summary
+from controller.servo.interface import State
+from controller.sim.open_loop import true_device
+from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.true_device import device_of
+from controller.waveforms.prediction import scene_of
+from tests.benches.commands import Run, assert_refused
+from tests.benches.desk import DT_S, PORT, Desk
+from transopt.base.errors import InputError
+from transopt.base.plotting import save_figure
+from transopt.base.signals import FloatArray, nrmse
+from transopt.design.resolve import resolve
+from transopt.design.verify import verify_library
+from transopt.library.file import load_library
+from transopt.library.library import SHAPES, Library
+from transopt.library.online import Online
+from transopt.scene.scene import Scene
+from transopt.solvers import riccati
+
+DT = 1e-4
+
+
+def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Library:
+    """Some of its nodes."""
+    arrays = {}
+    for name, letters in SHAPES.items():
+        array = np.asarray(getattr(library, name))
+        for axis, letter in enumerate(letters):
+            array = np.take(array, {"v": speeds, "g": grips}.get(letter, range(array.shape[axis])), axis=axis)
+        arrays[name] = array
+    left_out = {
+        part: said if isinstance(said, str) else [[said[iv][ig] for ig in grips] for iv in speeds]
+        for part, said in library.meta["left_out"].items()
+    }
+    repeatability = [library.meta["repeatability"][iv] for iv in speeds]
+    return Library(**arrays, meta={**library.meta, "left_out": left_out, "repeatability": repeatability})
+
+
+@pytest.fixture(scope="module")
+def small(library: Library) -> Library:
+    """Four nodes: 0.2 m/s, which no limit binds, and 0.4 m/s, at 3 and 5 N."""
+    return part_of(library, [1, 3], [1, 2])
+
+
+def flat(value: complex, deviation: float = 0.0) -> Ratio:
+    f = np.linspace(20, 1000, 200)
+    return Ratio(f, np.full(f.size, value, dtype=complex), np.full(f.size, deviation))
+
+
+class TestCondition:
+    def test_known_ratios(self) -> None:
+        assert factors(flat(1.5), 1.0, limited=False)[0] == pytest.approx(0.5)
+        assert factors(flat(1.5), 0.5, limited=False)[0] == pytest.approx(0.25)
+        assert factors(flat(1.5), 0.5, limited=True)[0] == pytest.approx(0.75)
+        assert factors(flat(1j), 1.0, limited=False)[0] == pytest.approx(np.sqrt(2))
+
+    def test_limits_never_make_it_easier(self) -> None:
+        """The triangle inequality, for any ratio and gain."""
+        random = np.random.default_rng(1)
+        for _ in range(50):
+            value, gain = complex(*random.uniform(-2, 3, 2)), float(random.uniform(0.05, 1))
+            free, limited = (factors(flat(value), gain, limited=which)[0] for which in (False, True))
+            assert free <= limited + 1e-12
+
+    def test_a_device_of_more_than_twice_the_gain_takes_half_of_it(self) -> None:
+        known = widest(flat(2.2), 1.0, limited=False)
+        assert (known.gain, known.met) == (0.5, True)
+        assert known.factor == pytest.approx(0.1, abs=0.01)
+
+    @pytest.mark.parametrize("limited", [False, True])
+    def test_reversed_polarity_never_converges(self, limited: bool) -> None:
+        known = widest(flat(-1.0), 1.0, limited=limited)
+        assert not known.met
+        assert known.gain == 1.0
+
+    def test_uncertainty_counts(self) -> None:
+        sure, unsure = (condition(flat(0.5, deviation), 1.0, limited=False) for deviation in (0.01, 0.3))
+        assert sure.met
+        assert sure.sure_factor == pytest.approx(sure.factor + 0.02, rel=0.05)
+        assert not unsure.met
+        assert unsure.factor < 1
+
+    def test_q_ends_before_the_doubtful_band(self) -> None:
+        f = np.linspace(20, 1000, 400)
+        bad = Ratio(f, np.where(f < 400, 0.9, -1.0).astype(complex), np.zeros(f.size))
+        known = condition(bad, 1.0, limited=False)
+        assert 250 < known.cutoff_Hz < 300
+        assert known.factor == pytest.approx(float((through_q(f, known.cutoff_Hz) * np.abs(1 - bad.value)).max()))
+        assert known.met
+
+
+class TestRatio:
+    def test_a_known_filter_and_its_scatter(self) -> None:
+        """Taps behind a resonance that the model lacks, with noise: T to its deviation and 3 % of averaging."""
+        random = np.random.default_rng(3)
+        b, a = signal.bilinear([1.3], [1 / (2 * np.pi * 300) ** 2, 0.6 / (2 * np.pi * 300), 1.0], fs=1 / DT)
+        times = DT * np.arange(400)
+        predicted, measured = [], []
+        for peak in (20.0, 40.0, 60.0, 80.0) * 3:
+            p = peak * np.exp(-((times - 8e-3) ** 2) / (2 * 0.3e-3**2))
+            predicted.append(p)
+            measured.append(signal.lfilter(b, a, p) + 0.2 * random.standard_normal(times.size))
+        found = ratio(predicted, measured, DT)
+        _, true = signal.freqz(b, a, found.frequencies_Hz, fs=1 / DT)
+        inside = np.abs(found.value - true) <= 0.03 * np.abs(true) + 2 * found.deviation
+        assert inside[found.frequencies_Hz < 600].mean() > 0.95
+        assert 0 < found.deviation.max() < 0.1
+
+
+class TestLearning:
+    def test_the_error_shrinks_by_the_factor_at_most(self) -> None:
+        """The whole recursion on a linear device, beside its own bound."""
+        times = DT * np.arange(600)
+        fade = np.ones(600)
+        r = 50 * np.exp(-((times - 20e-3) ** 2) / (2 * 1e-3**2))
+
+        def device(p: FloatArray) -> FloatArray:
+            spectrum = np.fft.rfft(p, 8192)
+            f = np.fft.rfftfreq(8192, DT)
+            return np.fft.irfft(spectrum * (0.7 + 0.3j * f / (f + 200)), 8192)[:600]
+
+        f = np.linspace(20, 1000, 200)
+        known = condition(Ratio(f, 0.7 + 0.3j * f / (f + 200), np.zeros(f.size)), 1.0, limited=False)
+        assert known.met
+        d, sizes = np.zeros(600), []
+        for _ in range(5):
+            p = r + d
+            after = corrected(d, device(p) - p, DT, known, fade)
+            sizes.append(float(np.linalg.norm(after - d)))
+            d = after
+        shrunk = np.array(sizes[1:]) / sizes[:-1]
+        assert shrunk.max() <= known.factor + 0.02
+        assert nrmse(device(r + d), r) < 0.02
+        assert nrmse(device(r), r) > 0.2
+
+    def test_pole_and_back(self) -> None:
+        values = np.random.default_rng(2).standard_normal(300)
+        for bandwidth in (50.0, 2500.0, 1e5):
+            np.testing.assert_allclose(
+                before_pole(through_pole(values, DT, bandwidth), DT, bandwidth), values, atol=1e-9
+            )
+
+    def test_which_node_a_tap_counts_for(self, library: Library) -> None:
+        assert node_near(library, 0.21, 3.2) == (1, 1)
+        assert node_near(library, 0.26, 5.4) == (2, 2)
+        assert node_near(library, 0.15, 3.0) is None
+        assert node_near(library, 0.2, 2.0) is None
+        assert node_near(library, 0.5, 3.0) is None
+        assert node_near(library, 0.45, 0.6) == (3, 0)
+
+
+class TestResolve:
+    def test_without_a_correction_nothing_changes(self, small: Library) -> None:
+        zero = np.zeros(small.command_A.shape[2])
+        again, kept = resolve(small, dict.fromkeys(nodes_of(small), zero), {"rounds": []})
+        assert not kept
+        for name in ("command_A", "nrmse", "floor", "objective", "peak_current_A", "mu_current_upper"):
+            np.testing.assert_allclose(getattr(again, name), getattr(small, name), rtol=1e-9, atol=1e-9)
+        assert again.meta["left_out"] == small.meta["left_out"]
+        assert again.meta["limits"] == small.meta["limits"]
+
+    def test_corrected_entries_are_certified_from_the_file_alone(self, small: Library, tmp_path: Path) -> None:
+        asked = {(0, 0): 0.2 * small.reference_m_s2[0], (1, 1): 0.3 * small.reference_m_s2[1]}
+        refined, kept = resolve(small, asked, {"rounds": []})
+        assert not kept
+        refined.save(tmp_path / "refined.npz")
+        loaded = load_library(tmp_path / "refined.npz")
+        assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
+        # What no limit binds follows its correction; what one does stays within it.
+        assert loaded.nrmse[0, 0] == pytest.approx(0.2, abs=5e-3)
+        assert loaded.floor[0, 0] == pytest.approx(loaded.nrmse[0, 0], abs=1e-6)
+        assert loaded.peak_current_A.max() <= loaded.meta["limits"]["current_A"] + 1e-6
+        np.testing.assert_array_equal(loaded.command_A[0, 1], small.command_A[0, 1])
+        assert loaded.at(0.2, 3.0).command_A == pytest.approx(loaded.command_A[0, 0])
+
+    @pytest.mark.skipif(not riccati.available, reason="the solver's extension is not built")
+    def test_a_tap_solved_anew_asks_for_the_same(self, small: Library, scene: Scene) -> None:
+        """At a node, and between nodes by a correction blended like the reference."""
+        share = 0.2
+        asked = {node: share * small.reference_m_s2[node[0]] for node in nodes_of(small)}
+        refined, _ = resolve(small, asked, {"rounds": []})
+        online = Online(refined, scene.plant, lambda grip: ())
+        at_node = online.solve(0.2, 3.0).wave
+        np.testing.assert_allclose(at_node.command_A, refined.command_A[0, 0], atol=1e-6)
+        plain = Online(small, scene.plant, lambda grip: ()).solve(0.22, 4.0).wave
+        between = online.solve(0.22, 4.0).wave
+        # But for the weight of the command's movement, which is relative to the limit.
+        assert nrmse(between.command_A, (1 + share) * plain.command_A) < 0.02
+
+    def test_another_correction_than_the_one_solved_for_is_found_out(self, small: Library) -> None:
+        refined, _ = resolve(small, {(0, 0): 0.2 * small.reference_m_s2[0]}, {"rounds": []})
+        wrong = refined.correction_m_s2.copy()
+        wrong[0, 0] *= 0.9
+        shortfalls = verify_library(replace(refined, correction_m_s2=wrong))[0].shortfalls
+        assert any("gap" in text for text in shortfalls)
+
+    def test_a_library_as_solved_has_no_such_array(self, small: Library) -> None:
+        assert "correction_m_s2" not in small.arrays()
+        assert not small.correction_m_s2.any()
+
+    def test_a_wall_is_refused(self, small: Library) -> None:
+        walled = replace(small, meta={**small.meta, "feedback": {}})
+        with pytest.raises(InputError, match="wall"):
+            resolve(walled, {}, {})
+
+
+class Bent:
+    """A linear device in place of all the rest: a = T p, with one exception per round where a test wants it."""
+
+    def __init__(self, gain: float, worse: Mapping[int, Node] | None = None) -> None:
+        self.gain, self.worse = gain, worse or {}
+        self.peaks: list[float] = []
+
+    def __call__(self, library: Library, number: int) -> dict[Node, list[Heard]]:
+        self.peaks.append(float(library.peak_current_A.max()))
+        grid, heard = library.time_grid(), {}
+        for node in nodes_of(library):
+            gain = 0.3 if self.worse.get(number) == node else self.gain
+            p = smooth(library.acceleration_m_s2[node], grid.dt_s)
+            taps = [
+                Heard(fade_of(grid.switching_times_s) * ((gain + off) * p - p), 0.0, 1.0) for off in (-1e-3, 1e-3)
+            ]
+            heard[node] = taps
+        return heard
+
+
+STATED: dict[str, Any] = {"source": "a test"}
+
+
+@pytest.fixture(scope="module")
+def refined(small: Library) -> Refined:
+    return refine(small, Bent(0.8, {2: (0, 1)}), resolve, 3, STATED)
+
+
+class TestRounds:
+    def test_free_nodes_converge_and_limited_ones_stay_at_their_optimum(
+        self, small: Library, refined: Refined
+    ) -> None:
+        first, *_, last = refined.rounds
+        assert first[0, 0].nrmse == pytest.approx(0.2, abs=0.01)
+        assert last[0, 0].nrmse < 0.012
+        assert not last[0, 0].limited
+        assert last[1, 1].limited
+        assert last[1, 1].nrmse < first[1, 1].nrmse
+        assert last[1, 1].nrmse > small.nrmse[1, 1]  # a weaker motor under the same limit
+        for results in refined.rounds[1:]:
+            assert all(node.condition is not None and node.condition.met for node in results.values())
+            assert results[0, 0].condition is not None
+            assert results[0, 0].condition.factor == pytest.approx(0.2, abs=0.02)
+
+    def test_a_round_that_does_not_improve_is_taken_back(self, refined: Refined) -> None:
+        second, third = refined.rounds[2][0, 1], refined.rounds[3][0, 1]
+        assert not second.better
+        assert third.condition is not None
+        assert third.condition.gain == 0.5
+        assert best_round(refined.rounds, (0, 1)) in (1, 3)
+
+    def test_certified_within_all_limits(self, small: Library, refined: Refined, tmp_path: Path) -> None:
+        refined.library.save(tmp_path / "refined.npz")
+        loaded = load_library(tmp_path / "refined.npz")
+        assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
+        assert loaded.peak_current_A.max() <= 4 + 1e-6
+        kept = loaded.meta["refinement"]
+        assert kept["source"] == "a test"
+        assert [np.array(one["nrmse"]).shape for one in kept["rounds"]] == [(2, 2)] * 4
+        assert kept["rounds"][0]["gain"] == [[None] * 2] * 2
+        np.testing.assert_array_equal(loaded.reference_m_s2, small.reference_m_s2)
+        # Refined once more it begins where it ended.
+        again = refine(loaded, Bent(0.8), resolve, 1, STATED)
+        assert again.rounds[0][0, 0].nrmse == pytest.approx(refined.rounds[-1][0, 0].nrmse, abs=2e-3)
+
+    def test_the_wrong_polarity_is_left_alone(self, small: Library) -> None:
+        refined = refine(small, Bent(-1.0), resolve, 1, STATED)
+        assert not refined.better
+        assert refined.rounds[1][0, 0].condition is not None
+        assert not refined.rounds[1][0, 0].condition.met
+        np.testing.assert_array_equal(refined.library.command_A, small.command_A)
+        words, good = summary(small, refined, Path("library.npz"))
+        assert not good
+        assert "no node became better" in words
+
+    def test_a_node_that_nobody_tapped_at(self, small: Library) -> None:
+        def without(library: Library, number: int) -> dict[Node, list[Heard]]:
+            return {node: taps for node, taps in Bent(0.8)(library, number).items() if node != (1, 0)}
+
+        refined = refine(small, without, resolve, 1, STATED)
+        assert (1, 0) not in refined.rounds[1]
+        np.testing.assert_array_equal(refined.library.command_A[1, 0], small.command_A[1, 0])
+        assert refined.library.meta["refinement"]["rounds"][0]["nrmse"][1][0] is None
+
+    def test_table_and_figure(self, small: Library, refined: Refined, tmp_path: Path) -> None:
+        table = refine_table(small, refined, "title")
+        assert table.row_count == 5
+        save_figure(refine_figure(small, refined), tmp_path / "refinement.png")
+        assert (tmp_path / "refinement.png").stat().st_size > 10_000
+        words, good = summary(small, refined, tmp_path / "library.npz")
+        assert good
+        assert "4 of 4 nodes refined" in words
+        assert f"transopt verify {tmp_path / 'library.npz'}" in words
+
+
+class TestCommand:
+    def test_on_a_mismatched_simulator(self, play: Run, library: Library) -> None:
+        part_of(library, [2], [1]).save(Path("library.npz"))
+        arguments = ("--mismatch", 0.2, "--seed", 4, "--rounds", 1, "--taps", 2, "--out", "better")
+        outcome = play("refine", "library.npz", "--simulate", *arguments)
+        assert outcome.code == 0, outcome.out + outcome.err
+        refined = load_library(Path("better/library.npz"))
+        assert [check.shortfalls for check in verify_library(refined)] == [[]]
+        told = refined.meta["refinement"]
+        before, after = (one["nrmse"][0][0] for one in told["rounds"])
+        assert before > 0.05
+        assert after < before / 3
+        assert told["rounds"][1]["sure_factor"][0][0] < 1
+        assert max(one["peak_current_A"][0][0] for one in told["rounds"]) <= 4
+        assert "mismatch 0.2, seed 4" in told["source"]
+        assert "1 of 1 nodes refined" in outcome.out
+        assert Path("better/refinement.png").exists()
+        # What is played is what was refined.
+        shown = play("tap", "better/library.npz", "--simulate", "--mismatch", 0.2, "--seed", 4)
+        assert shown.code == 0
+
+    def test_on_a_device(self, play: Run, ready: Desk, library: Library) -> None:
+        """The whole way over the protocol: the hand taps while the device is armed, twice a round."""
+        one = part_of(library, [1], [1])
+        one.save(Path("library.npz"))
+        device = true_device(device_of(scene_of(library)), Imperfections(mismatch=0.2), 4)
+        ready.plant = Simulator(device, ready.hand, DT_S, seed=4, steps=1)
+        ready.ticks, ready.now_s = 0, 0.0
+        given = payload(Path("library.npz"))
+        ready.firmware.checked_sha256 = sha256(given.configuration)
+        remember(ready.firmware.boot, sha256(given.configuration))
+        next_s = 0.0
+
+        def look() -> None:
+            nonlocal next_s
+            if ready.firmware.state is State.ARMED and ready.now_s >= next_s:
+                next_s = ready.now_s + 1.2
+                ready.hand.tap(ready.now_s + 0.05, 0.2)
+
+        ready.each_ms = look
+        arguments = ("--rounds", 1, "--taps", 2, "--out", "better", "--for", 10)
+        outcome = play("refine", "library.npz", *PORT, *arguments)
+        assert outcome.code == 0, outcome.out + outcome.err
+        assert "round 0: tap 2 times at each of 1 nodes: 0.2 m/s at 3 N x 2" in outcome.out
+        assert "counts for 0.2 m/s at 3 N; missing: none" in outcome.out
+        before, after = (
+            r["nrmse"][0][0] for r in load_library(Path("better/library.npz")).meta["refinement"]["rounds"]
+        )
+        assert after < before / 2
+        assert sorted(path.name for path in Path("better/round_1").glob("tap_*.csv")) == [
+            "tap_001.csv",
+            "tap_002.csv",
+        ]
+
+    def test_a_device_that_has_not_played_yet(self, play: Run, ready: Desk) -> None:
+        assert_refused(play("refine", "library.npz", *PORT, "--out", "x"), "has not played this configuration since")
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            ((), "refine: name one device"),
+            (("--simulate", *PORT), "refine: name one device"),
+            (("--simulate", "--for", 3), "--for: only with --port"),
+            ((*PORT, "--mismatch", 0.1), "--mismatch: only with --simulate"),
+            (("--simulate", "--rounds", 0), "--rounds 0: must be 1 to 20"),
+            (("--simulate", "--taps", 1), "--taps 1: must be 2 to 100"),
+            (("--simulate", "--mismatch", 0.9), "--mismatch 0.9: must be 0 to 0.5"),
+            (("--simulate", "--device", "none"), "none: no built-in scene"),
+        ],
+    )
+    def test_bad_input_is_one_line(self, play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
+        assert_refused(play("refine", "library.npz", "--out", "x", *arguments), words)
+        assert desk.ticks == 0
+
+    def test_never_over_the_library_itself(self, play: Run) -> None:
+        outcome = play("refine", "library.npz", "--simulate", "--out", ".")
+        assert_refused(outcome, "--out .: holds the library that is refined")

@@ -1,0 +1,161 @@
+"""The fault table tick by tick, open loop: at once, silent, latched; `test_soak` has them in closed loop."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.servo.interface import Fault, State
+from controller.servo.settings import Settings
+from controller.waveforms.bank import Bank
+from tests.benches.servo import CONTACT, WALL, Bench, tap_m
+
+
+class Injection:
+    """One fault: how it is brought about on a bench, how long it takes to show, and how it goes away."""
+
+    def __init__(self, fault: Fault, *, ticks: int = 1, playing: bool = False, **change: float) -> None:
+        self.fault, self.ticks, self.playing, self.change = fault, ticks, playing, change
+
+
+NAN, INF = math.nan, math.inf
+INJECTIONS = [
+    Injection(Fault.EMERGENCY_STOP, emergency_stop=True),
+    Injection(Fault.BAD_SENSOR, encoder_counts=NAN),
+    Injection(Fault.BAD_SENSOR, encoder_counts=INF),
+    Injection(Fault.BAD_SENSOR, encoder_counts=2**40),
+    Injection(Fault.BAD_SENSOR, current_A=NAN),
+    Injection(Fault.BAD_SENSOR, current_A=-INF),
+    Injection(Fault.BAD_SENSOR, current_A=1e300),
+    Injection(Fault.OVER_CURRENT, current_A=5.01),
+    Injection(Fault.OVER_CURRENT, current_A=-20.0),
+    Injection(Fault.ENCODER_JUMP, encoder_counts=100_000),
+    Injection(Fault.GRIP_OPEN, grip_N=NAN),
+    Injection(Fault.GRIP_OPEN, grip_N=-5.0),
+    Injection(Fault.GRIP_OPEN, grip_N=-INF),
+    Injection(Fault.GRIP_SHORT, grip_N=80.0),
+    Injection(Fault.GRIP_SHORT, grip_N=INF),
+    Injection(Fault.GRIP_LOST, playing=True, grip_N=0.4),
+    Injection(Fault.NO_CURRENT, ticks=10, playing=True, current_A=0.0),
+]
+
+
+@pytest.mark.parametrize("injection", INJECTIONS, ids=lambda i: f"{i.fault.name}-{i.change}")
+def test_every_fault_latches_at_once_and_silences(bench: Bench, injection: Injection) -> None:
+    rng = np.random.default_rng(2)
+    # No current can only be seen while one is wanted: within the first stroke.
+    span = (CONTACT, CONTACT + 25) if injection.ticks > 1 else (CONTACT, CONTACT + 590)
+    instants = rng.integers(*(span if injection.playing else (5, CONTACT + 600)), size=100)
+    for instant in sorted(set(instants.tolist())):
+        made = Bench(bench.servo.settings, bench.servo.bank)
+        made.servo.arm()
+        made.run(instant)
+        assert made.servo.state in (State.ARMED, State.PLAYING)
+        made.change = injection.change
+        for _ in range(injection.ticks):
+            output = made.step()
+            if output.state is State.FAULT:
+                break
+        assert output.state is State.FAULT
+        assert made.servo.fault is injection.fault
+        assert injection.fault in [event.what for event in output.events]
+        assert (output.command_A, output.transient_A, output.feedback_A) == (0.0, 0.0, 0.0)
+        # It holds while the cause is there, is not forgotten when it goes, and only a reset ends it.
+        made.run(3)
+        if injection.fault not in (Fault.ENCODER_JUMP, Fault.NO_CURRENT):
+            assert not made.servo.reset()
+        made.change = {}
+        made.run(30)
+        assert not made.servo.arm()
+        assert all(o.command_A == 0.0 and o.state is State.FAULT for o in made.outputs[instant + injection.ticks :])
+        assert made.servo.reset()
+        assert made.servo.state is State.IDLE
+        assert made.servo.fault is None
+        assert made.step().command_A == 0.0
+
+
+def test_stuck_encoder(stated: Settings, tables: Bank) -> None:
+    """The stroke of a transient with no count, and a wall that pushes for a second with no count."""
+    frozen = Bench(stated, tables, lambda k: tap_m(min(k, CONTACT - 3), 0.4))
+    frozen.servo.arm()
+    frozen.run(CONTACT + 300)
+    assert frozen.servo.fault is Fault.ENCODER_STUCK
+    stiff = replace(stated, wall=replace(WALL, stiffness_N_m=500.0))
+    pressed = Bench(stiff, tables, lambda k: tap_m(min(k, CONTACT + 700)))
+    pressed.servo.arm()
+    pressed.run(CONTACT + 10_000)
+    assert pressed.servo.fault is None
+    assert pressed.current_A > 0.5
+    pressed.run(800)
+    assert pressed.servo.fault is Fault.ENCODER_STUCK
+
+
+def test_over_temperature_needs_cooling_before_the_reset(stated: Settings, tables: Bank) -> None:
+    bench = Bench(stated, tables)
+    bench.servo.arm()
+    guard = bench.servo.guard
+    assert guard is not None
+    bench.run(CONTACT + 20)
+    for hot in (100.001, NAN):
+        guard.winding_C = hot
+        output = bench.step()
+        assert (output.state, output.command_A) == (State.FAULT, 0.0)
+        assert bench.servo.fault is Fault.OVER_TEMPERATURE
+        assert not bench.servo.reset()
+        guard.winding_C = 96.0
+        bench.step()
+        assert not bench.servo.reset()
+        guard.winding_C = 94.0
+        bench.step()
+        assert bench.servo.reset()
+        bench.servo.arm()
+
+
+def test_a_current_that_nobody_commands_is_booked_in_full(stated: Settings, tables: Bank) -> None:
+    """A shorted amplifier goes on heating in FAULT: the guard follows the coil, and the reset waits for it."""
+    coil = stated.coil
+    assert coil is not None
+    bench = Bench(stated, tables)
+    bench.change = {"current_A": 20.0}
+    bench.run(10_000)
+    winding, _ = coil.simulate(np.full((1, 100), 20.02**2), np.full(100, 1e-2))
+    assert bench.servo.guard is not None
+    assert bench.servo.guard.winding_C >= winding[0, -1] - 1.0
+    bench.change = {}
+    bench.run(10)
+    assert not bench.servo.reset()
+    assert Fault.OVER_TEMPERATURE in bench.events()
+
+
+def test_a_current_that_cannot_be_read_is_booked_as_too_much(stated: Settings, tables: Bank) -> None:
+    bench = Bench(stated, tables)
+    bench.change = {"current_A": float("nan")}
+    bench.run(10_000)
+    assert bench.servo.guard is not None
+    assert bench.servo.guard.winding_C > 35
+
+
+def test_only_what_was_latched_has_to_be_gone(stated: Settings, tables: Bank) -> None:
+    """The emergency stop of a stylus that lies on the table is reset without anybody holding it."""
+    bench = Bench(stated, tables, lambda k: 5e-3)
+    bench.grip_N = 0.0
+    bench.change = {"emergency_stop": True}
+    bench.run(10)
+    assert bench.servo.fault is Fault.EMERGENCY_STOP
+    bench.change = {}
+    bench.run(10)
+    assert bench.servo.reset()
+
+
+def test_what_goes_wrong_in_fault_is_told_once_and_bars_the_reset(stated: Settings, tables: Bank) -> None:
+    bench = Bench(stated, tables, lambda k: 5e-3)
+    bench.change = {"grip_N": 100.0}
+    bench.run(5)
+    bench.change = {"emergency_stop": True}
+    bench.run(5)
+    assert bench.events() == [Fault.GRIP_SHORT, Fault.EMERGENCY_STOP]
+    assert not bench.servo.reset()
+    bench.change = {}
+    bench.run(5)
+    assert bench.servo.reset()

@@ -1,0 +1,72 @@
+"""README's Python runs as it stands there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.benches.places import ROOT
+from transopt.library.library import Library
+from transopt.solvers.native import extension as native
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+
+
+ONLINE, API, NUMPY = BLOCKS
+
+
+def test_readme_has_the_three_examples() -> None:
+    assert "Online" in ONLINE
+    assert "build_library" in API
+    assert "transopt" not in re.sub("#.*", "", NUMPY)
+
+
+@pytest.mark.skipif(not native.available, reason="the extension is not built")
+def test_online(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out/wood_on_foam").mkdir(parents=True)
+    library.save(tmp_path / "out/wood_on_foam/library.npz")
+    exec(ONLINE, {})
+    assert re.search(r"J = 0\.\d+, gap \de-\d+, ", capsys.readouterr().out)
+
+
+def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(API, {})  # the block is this repository's own text
+    assert "0.4 m/s, 5 N: 19.08%" in capsys.readouterr().out
+    assert (tmp_path / "library.npz").exists()
+
+
+class TestNumpyAlone:
+    @pytest.mark.parametrize("entry", ["3, 2", "3, 0", "0, 1"])
+    def test_certifies_a_real_library(
+        self,
+        library: Library,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+        entry: str,
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        library.save(tmp_path / "library.npz")
+        assert "iv, ig = 3, 2" in NUMPY
+        names: dict[str, float] = {}
+        exec(NUMPY.replace("iv, ig = 3, 2", f"iv, ig = {entry}"), names)
+        iv, ig = (int(part) for part in entry.split(","))
+        assert names["J"] == pytest.approx(library.objective[iv, ig], rel=1e-9)
+        assert "above the optimum" in capsys.readouterr().out
+
+    def test_rejects_a_changed_command(
+        self, library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        from dataclasses import replace
+
+        monkeypatch.chdir(tmp_path)
+        command = library.command_A.copy()
+        command[3, 2, 100] += 0.01
+        replace(library, command_A=command).save(tmp_path / "library.npz")
+        with pytest.raises(AssertionError):
+            exec(NUMPY, {})

@@ -1,0 +1,290 @@
+"""The stress suite in its short form, and its judge: what is not proven must come out as bad."""
+
+import os
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, repeat
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from problems.stress.__main__ import START_S, main, run_cases, summary
+from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress.draw import drawn
+from problems.stress.families import SMALL_A, directed, rescaled
+from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
+from problems.stress.oracle import Verdict, admits_a_command
+from transopt.base import console
+from transopt.design.optimum import Designed, optimum
+from transopt.problem.problem import Certificate, Limits, Status
+from transopt.solvers.choose import prove
+from transopt.solvers.options import SolverOptions
+
+SATURATED = StressCase("saturated", current=Current(limit_A=SMALL_A), horizon=Horizon(stages=40))
+STARVED = StressCase("starved", current=Current(supply=0.01, limit_A=1.0))  # less than its back-EMF
+SHORT = 40  # stages, of the random cases that run here
+
+
+@pytest.fixture(scope="module")
+def designed() -> Designed:
+    return optimum(SATURATED.problem(), SolverOptions())
+
+
+def families() -> list[str]:
+    return sorted({case.family for case in directed()})
+
+
+@pytest.mark.parametrize("family", families())
+def test_every_named_extreme_is_certified_or_refused_by_name(family: str) -> None:
+    for case in directed():
+        if case.family == family and case.horizon.stages <= 100:
+            outcome = judge(case)
+            assert not outcome.bad, f"{case}: {outcome.kind}: {outcome.detail}"
+            assert family != "input" or outcome.kind.startswith("refused: input")
+            assert not outcome.gap > Certificate.GAP_TOLERANCE
+
+
+def test_random_cases_are_certified_or_refused_by_name() -> None:
+    cases = [case for case in (drawn(0, index) for index in range(60)) if case.horizon.stages <= SHORT]
+    assert len(cases) > 20
+    outcomes = [judge(case) for case in cases]
+    assert not [f"{case}: {outcome}" for case, outcome in zip(cases, outcomes, strict=True) if outcome.bad]
+    assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(cases) / 2
+
+
+def test_what_the_compiled_pass_cannot_prove_is_tried_again() -> None:
+    """Masses of 1.5 mg over ticks of 0.8 ms: rounding rules, and the refusal says so."""
+    assert judge(drawn(1, 204)).kind == "refused: PRECISION"
+
+
+def test_a_case_follows_from_seed_and_index_alone() -> None:
+    forwards = [drawn(7, index) for index in range(20)]
+    assert forwards == [drawn(7, index) for index in range(19, -1, -1)][::-1]
+    assert len({str(case) for case in forwards}) == 20
+    assert drawn(8, 3) != drawn(7, 3)
+
+
+@pytest.mark.parametrize("units", [1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("limit_A", [SMALL_A, 1e-6])
+def test_the_same_problem_in_other_units_has_the_same_command(units: float, limit_A: float) -> None:
+    case = StressCase("units", Device(mode_Hz=2e3), Current(limit_A=limit_A), Horizon(stages=60))
+    own, other = (optimum(c.problem(), SolverOptions()) for c in (case, rescaled(case, units)))
+    assert own.certificate.accepted
+    assert other.certificate.accepted
+    off = np.abs(own.solution.command_A - other.solution.command_A).max()
+    assert off <= 1e-6 * limit_A
+    assert other.certificate.objective == pytest.approx(own.certificate.objective, rel=1e-9)
+
+
+def test_a_small_limit_is_held_as_exactly_as_a_large_one() -> None:
+    """A microampere over a limit of a microampere is twice the limit."""
+    case = StressCase("limit", current=Current(limit_A=1e-6), horizon=Horizon(stages=40), demand=Demand(rho=0.0))
+    found = optimum(case.problem(), SolverOptions())
+    assert found.certificate.accepted
+    over = found.solution.command_A * (1 + 1e-3)
+    assert not prove(found.problem, over, found.solution.multipliers, SolverOptions()).accepted
+
+
+class TestJudge:
+    def judged(self, designed: Designed, command_A: np.ndarray) -> Outcome:
+        proof = prove(designed.problem, command_A, designed.solution.multipliers, SolverOptions())
+        changed = replace(designed, solution=replace(designed.solution, command_A=command_A), certificate=proof)
+        return judge_design(changed, played(designed.problem, np.nan_to_num(command_A)))
+
+    def test_accepts_what_is_right(self, designed: Designed) -> None:
+        outcome = self.judged(designed, designed.solution.command_A)
+        assert outcome.kind == CERTIFIED
+        assert outcome.gap <= 1e-6
+        assert outcome.difference <= 1e-6
+
+    def test_a_perturbed_answer_is_bad(self, designed: Designed) -> None:
+        off = designed.solution.command_A.copy()
+        off[10] -= 0.01
+        assert self.judged(designed, off).kind == "bad: NOT_CERTIFIED"
+
+    def test_a_flipped_multiplier_is_bad(self, designed: Designed) -> None:
+        m = designed.solution.multipliers
+        flipped = replace(m, current_lower=m.current_upper, current_upper=m.current_lower)
+        solution = replace(designed.solution, multipliers=flipped)
+        proof = prove(designed.problem, solution.command_A, flipped, SolverOptions())
+        outcome = judge_design(
+            replace(designed, solution=solution, certificate=proof), played(designed.problem, solution.command_A)
+        )
+        assert outcome.kind == "bad: NOT_CERTIFIED"
+
+    def test_a_command_that_is_no_number_is_bad(self, designed: Designed) -> None:
+        off = designed.solution.command_A.copy()
+        off[3] = np.nan
+        assert self.judged(designed, off).bad
+
+    def test_a_figure_that_is_no_number_is_bad(self, designed: Designed) -> None:
+        run = played(designed.problem, designed.solution.command_A)
+        assert judge_design(replace(designed, floor=float("nan")), run).kind == "bad: NaN"
+        assert judge_design(designed, replace(run, peak_current_A=float("nan"))).bad
+
+    def test_another_replay_is_bad(self, designed: Designed) -> None:
+        run = played(designed.problem, designed.solution.command_A)
+        off = replace(run, acceleration_m_s2=run.acceleration_m_s2 * (1 + 1e-5))
+        assert judge_design(designed, off).kind == "bad: REPLAY_VIOLATION"
+
+    @pytest.mark.parametrize("status", [Status.NUMERICAL_FAILURE, Status.ITERATION_LIMIT, Status.INFEASIBLE])
+    def test_a_refusal_without_a_cause_is_bad(self, designed: Designed, status: Status) -> None:
+        refused = replace(designed, solution=replace(designed.solution, status=status))
+        outcome = judge_design(refused, played(designed.problem, designed.solution.command_A))
+        assert outcome.kind == f"bad: {status.name}"
+
+    def test_a_false_claim_that_nothing_is_feasible_is_bad(self, designed: Designed) -> None:
+        refused = replace(
+            designed,
+            solution=replace(designed.solution, status=Status.INFEASIBLE),
+            remarks=["current 0.5 A over its 0.3 A at 1.0 ms at the least; 0.8 A would do"],
+        )
+        outcome = judge_design(refused, played(designed.problem, designed.solution.command_A))
+        assert outcome.kind == "bad: feasible after all"
+
+    def test_warnings_and_exceptions_are_bad(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def divides(*_: object) -> None:
+            np.ones(1) / np.zeros(1)
+
+        def breaks(*_: object) -> None:
+            raise KeyError("x")
+
+        for broken, kind in ((divides, "bad: RuntimeWarning"), (breaks, "bad: KeyError")):
+            monkeypatch.setattr("problems.stress.judge.optimum", broken)
+            assert judge(SATURATED).kind == kind
+
+    def test_the_oracle_sees_both_ways(self) -> None:
+        assert admits_a_command(SATURATED.problem()).way_out
+        assert admits_a_command(STARVED.problem()) == Verdict("", decided=True)
+
+    def test_a_claim_that_the_linear_program_cannot_decide_has_a_line_of_its_own(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        assert judge(STARVED).kind == "refused: INFEASIBLE"
+        monkeypatch.setattr("problems.stress.oracle.LONGEST_S", 0.0)
+        assert admits_a_command(STARVED.problem()) == Verdict("", decided=False)
+        assert judge(STARVED).kind == "refused: INFEASIBLE, unchecked"
+
+    def test_a_linear_limit_that_is_blamed_has_to_fail_without_the_temperature(self) -> None:
+        walled = StressCase("wall", horizon=Horizon(stages=SHORT), coil=Coil(), surface=Surface(200.0)).problem()
+        assert admits_a_command(walled) == Verdict("", decided=False)
+        assert "to spare" in admits_a_command(walled, ignoring_heat=True).way_out
+        found = optimum(walled, SolverOptions())
+        kinds = {}
+        for limit in ("current 0.5 A over its 0.3 A", "coil 0.5 K over its 100 C"):
+            refused = replace(found.solution, status=Status.INFEASIBLE)
+            claim = replace(found, solution=refused, remarks=[f"{limit} at 1.0 ms at the least; 0.8 would do, raise"])
+            kinds[limit[:4]] = judge_design(claim, played(found.problem, found.solution.command_A)).kind
+        assert kinds == {"curr": "bad: feasible after all", "coil": "refused: INFEASIBLE, unchecked"}
+
+    def test_no_current_heats_less_than_the_ripple(self) -> None:
+        warm = StressCase("start", horizon=Horizon(stages=SHORT), coil=Coil(below_K=1e-6)).problem()
+        assert warm.thermal is not None
+        model = replace(warm.thermal.model, headroom_K=np.full_like(warm.thermal.model.headroom_K, -1.0))
+        hot = replace(warm, thermal=replace(warm.thermal, model=model))
+        assert admits_a_command(hot) == Verdict("", decided=True)
+
+
+def hangs(case: StressCase) -> Outcome:
+    while case.family == "hang":
+        time.sleep(0.1)
+    return fine(case)
+
+
+def dies(case: StressCase) -> Outcome:
+    if case.family == "die":
+        os._exit(3)
+    return fine(case)
+
+
+def prints(case: StressCase) -> Outcome:
+    if case.family == "print":
+        os.write(2, b"a library says so\n")
+    return fine(case)
+
+
+def fine(_: StressCase) -> Outcome:
+    return Outcome(CERTIFIED, "", 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("judged", "family", "kind"),
+    [(hangs, "hang", "bad: hang"), (dies, "die", "bad: worker died"), (prints, "print", "bad: printed")],
+)
+def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: str, kind: str) -> None:
+    cases = [StressCase(name) for name in ("one", family, "two", "three")]
+    limit_s = 8.0 if family == "hang" else 100.0
+    outcomes = dict(run_cases(cases, 1, limit_s, judged))  # type: ignore[arg-type]
+    assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
+    _, lines = summary(cases, outcomes, "python -m problems.stress.__main__")
+    assert any("--case 1" in line for line in lines)
+
+
+@dataclass
+class Judging:
+    """A judge whose first worker ends while it starts, when it unpickles this."""
+
+    path: Path
+
+    def __call__(self, case: StressCase) -> Outcome:
+        return fine(case)
+
+    def __setstate__(self, state: dict[str, Path]) -> None:
+        self.path = state["path"]
+        if not self.path.exists():
+            self.path.touch()
+            os._exit(4)
+
+
+def test_the_runner_goes_on_after_a_worker_that_dies_while_it_starts(tmp_path: Path) -> None:
+    cases = [StressCase(name) for name in ("one", "two", "three")]
+    outcomes = dict(run_cases(cases, 1, 100.0, Judging(tmp_path / "started")))
+    assert [outcomes[index].kind for index in range(3)] == ["bad: worker died", CERTIFIED, CERTIFIED]
+    assert outcomes[0].detail == "exit code 4 while it started"
+
+
+def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock leaps past the deadline of the first worker, then stands still."""
+    readings = chain([0.0], repeat(2 * START_S))
+    monkeypatch.setattr("problems.stress.__main__.monotonic", lambda: next(readings))
+    cases = [StressCase(name) for name in ("one", "two", "three")]
+    outcomes = dict(run_cases(cases, 1, 100.0, fine))
+    assert [outcomes[index].kind for index in range(3)] == ["bad: worker did not start", CERTIFIED, CERTIFIED]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("--cases 0", "--cases: 0 must be a whole number, at least 1"),
+        ("--seed x", "--seed: x must be a whole number, at least 0"),
+        ("--seed 1.5", "--seed: 1.5 must be"),
+        ("--jobs -1", "--jobs: -1 must be"),
+        ("--limit-s 0", "--limit-s: 0 must be a number, at least 1"),
+        ("--limit-s nan", "--limit-s: nan must be"),
+        ("--directed --case 100000", "--case 100000: there are"),
+        ("--bogus", "--bogus"),
+    ],
+)
+def test_wrong_options_end_in_one_line(arguments: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        console.run(lambda: main(arguments.split()))
+    assert left.value.code == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert printed.err.startswith("error: ")
+    assert said in printed.err
+
+
+def test_one_case_alone_is_told_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--directed", "--case", "0"]) == 0
+    assert "certified in" in capsys.readouterr().out
+
+
+def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:
+    for name in ("current_A", "command_A", "slew_A_per_s"):
+        make = partial(Limits, **{"current_A": 1.0, "command_A": 1.0, name: float("nan")})
+        with pytest.raises(ValueError, match=f"limits.{name} = nan"):
+            make()

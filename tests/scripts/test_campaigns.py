@@ -1,0 +1,160 @@
+"""Unplugs, kills, uploads and taps on the compiled device: the scripts of these names in short."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller.firmware.build import NoCompilerError, compiler
+from controller.record.recorder import Recorder
+from controller.record.telemetry import CSV_NAME
+from controller.servo.interface import Output, Readings, State
+from scripts import device_end_to_end as end_to_end
+from scripts.campaign.unplug_cases import IMAGE, KINDS, PHASES, Case, Judged, Outcome
+from scripts.campaign.unplug_processes import play
+from scripts.device_end_to_end import StraightTaps, behind_pole
+from scripts.upload_speed import LINES, Line, images, measure
+from transopt.library.library import Library
+
+CASES = 12
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiler() -> None:
+    try:
+        compiler()
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.fixture
+def _terminal() -> None:
+    try:
+        for end in os.openpty():
+            os.close(end)
+    except OSError as error:
+        pytest.skip(f"no pseudo-terminals here: {error}")
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> list[Outcome]:
+    folder = tmp_path_factory.mktemp("campaign")
+    kinds, phases = len(KINDS), list(PHASES)
+    cases = [(phases[j % len(phases)], KINDS[(j + j // kinds) % kinds]) for j in range(CASES)]
+    return [case_of(*case, folder / str(j), j).play() for j, case in enumerate(cases)]
+
+
+def test_whatever_happens_the_device_is_safe_and_the_host_says_so(outcomes: list[Outcome]) -> None:
+    assert [words for outcome in outcomes for words in outcome.breaches] == []
+
+
+def test_the_cases_are_of_every_kind(outcomes: list[Outcome]) -> None:
+    """Else they would show little."""
+    assert {outcome.kind for outcome in outcomes} == set(KINDS)
+    assert {outcome.phase for outcome in outcomes} == set(PHASES)
+    # Some device had to give up by itself, at the very end of its lease.
+    assert max(outcome.held_ms / outcome.lease_ms for outcome in outcomes) > 0.95
+    assert sum(outcome.rows for outcome in outcomes) > 1000
+
+
+def case_of(phase: str, kind: str, folder: Path, seed: int = 0) -> Case:
+    case = Case(seed, folder)
+    case.outcome.phase, case.outcome.kind = phase, kind
+    return case
+
+
+def test_a_device_that_goes_on_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that commands once more as its lease ends."""
+    step = Judged.step
+
+    def late(self: Judged, readings: Readings) -> Output:
+        was = self.state
+        output = step(self, readings)
+        if was is not State.IDLE and output.state is State.IDLE:
+            self._hold(readings.tick, Output(0.1, was, 0.0, 0.0, 25.0))
+        return output
+
+    monkeypatch.setattr(Judged, "step", late)
+    [words] = case_of("armed", "host killed", tmp_path / "late").play().breaches
+    assert "ticks after a heartbeat" in words
+
+
+def test_a_host_that_arms_by_itself_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = case_of("armed", "cable", tmp_path / "arms")
+    world = case._world
+    connected = world.connected
+
+    def arming() -> object:
+        connected()
+        case._configure()
+        world.session.upload(IMAGE)
+        world.until(lambda: world.session.idle, 1.0)
+        case._arm()
+        return world
+
+    monkeypatch.setattr(world, "connected", arming)
+    assert any("armed by itself after connecting again" in words for words in case.play().breaches)
+
+
+def test_a_spoilt_recording_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flush = Recorder.flush
+
+    def spoilt(self: Recorder) -> None:
+        self._lines = [line.replace(",armed,", ",idle,") for line in self._lines]
+        flush(self)
+
+    monkeypatch.setattr(Recorder, "flush", spoilt)
+    breaches = case_of("playing", "cable", tmp_path / "spoilt").play().breaches
+    assert any(words.startswith("recording: tick") for words in breaches)
+
+
+@pytest.mark.usefixtures("_terminal")
+def test_a_host_is_killed(tmp_path: Path) -> None:
+    ended = play(4, tmp_path / "real", kind="host killed")
+    assert ended.breaches == []
+    assert ended.phase == "armed"
+    assert ended.held_ms > 0.9 * ended.lease_ms
+    assert (tmp_path / "real" / CSV_NAME).exists()
+
+
+@pytest.mark.usefixtures("_terminal")
+@pytest.mark.parametrize(
+    "line", [LINES[0], Line("a tenth lost", ("--loss", "0.1"), None)], ids=lambda line: line.name
+)
+def test_a_large_library_arrives(line: Line) -> None:
+    result = measure(line, images(2), 1)
+    assert result.complete
+    assert result.bytes > 400_000
+    assert (result.sent > 1.05) == (line.most_s is None)
+
+
+def test_the_scripted_hand_goes_straight_through_the_window_and_jumps_nowhere() -> None:
+    hand = StraightTaps([(0.1, 1.0), (0.4, 5.0)], 1e-4)
+    times = np.arange(0.0, 2 * hand.period_s, 1e-3)
+    z = np.array([hand.intention_m(t) for t in times])
+    assert np.abs(np.diff(z)).max() < 1e-3 * 1.5
+    for tap, speed in enumerate((0.1, 0.4)):
+        for late in (-0.2, 0.0, 0.1):
+            assert hand.intention_m(hand.contact_s(tap) + late) == pytest.approx(-speed * late, abs=1e-12)
+        assert hand.grip_N(hand.contact_s(tap)) == (1.0, 5.0)[tap]
+
+
+def test_the_pole_is_that_of_a_first_order_lag() -> None:
+    """A ramp behind a pole of time constant T is late by T (1 - exp(-t / T))."""
+    dt_s, bandwidth_Hz = 1e-4, 400.0
+    t, T = dt_s * np.arange(100), 1 / (2 * np.pi * bandwidth_Hz)
+    np.testing.assert_allclose(behind_pole(t, bandwidth_Hz, dt_s), t - T * (1 - np.exp(-t / T)), atol=1e-15)
+
+
+@pytest.mark.usefixtures("_terminal")
+def test_a_tap_goes_over_the_line_into_a_file_and_agrees_with_its_prediction(
+    library: Library, tmp_path: Path
+) -> None:
+    hand = StraightTaps([(0.3, 3.0)], library.time_grid().dt_s)
+    recorder = end_to_end.recorded(library, hand, end_to_end.IDEAL, 1, 0, tmp_path / "taps")
+    bandwidth_Hz = end_to_end.IDEAL.accelerometer_bandwidth_Hz
+    [condition] = end_to_end.imported(library, hand, recorder, 1, bandwidth_Hz)
+    assert condition.latency_rms_s < end_to_end.MOST_LATENCY_S
+    assert condition.nrmse < 0.01
+    assert condition.taps[0].speed_m_s == pytest.approx(condition.taps[0].fitted_m_s, rel=5e-3)

@@ -1,0 +1,85 @@
+"""The parts of the loop script that no command does: scene files, the known truth, what counts as fallen short."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller.sim.chosen_device import device_in
+from controller.sim.simulator import Imperfections
+from transopt.design.build import build_library
+from transopt.library.library import Library
+from transopt.recordings.tap import read_recordings
+from transopt.scene.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def loop(scripts: Any) -> Any:
+    return scripts.identification_loop
+
+
+def test_recorded_files_give_the_library_of_the_simulated_object(loop: Any, library: Library, tmp_path: Path) -> None:
+    import problems
+
+    path = loop.recorded_scene("wood_on_foam", tmp_path)
+    scene = problems.load(path)
+    assert scene.recordings.simulated is None
+    again = build_library(scene, read_recordings(scene.recordings)).library
+    assert again is not None
+    # The files round accelerations to 1e-4 g and speeds to 1e-4 m/s.
+    np.testing.assert_allclose(again.reference_m_s2, library.reference_m_s2, atol=0.2)
+    np.testing.assert_allclose(again.nrmse, library.nrmse, atol=2e-3)
+
+
+def test_a_scene_on_its_model(loop: Any, tmp_path: Path) -> None:
+    path, model = loop.recorded_scene("wood_on_foam", tmp_path), tmp_path / "m.json"
+    before = tomllib.loads(path.read_text())
+    for parts, left in (({"amplifier": {"pole_Hz": 1.0}}, {"command_limit_A"}), ({}, set(before["amplifier"]))):
+        model.write_text(json.dumps({"schema": 1, **parts}))
+        after = tomllib.loads(loop.with_model(path, model).read_text())
+        assert after["model"] == "m.json"
+        assert set(after["amplifier"]) == left
+        assert {key: value for key, value in after.items() if key not in ("model", "amplifier")} == {
+            key: value for key, value in before.items() if key not in ("model", "amplifier")
+        }
+
+
+def test_without_mismatch_the_known_truth_is_the_library(loop: Any, scene: Scene, library: Library) -> None:
+    device = device_in(scene, Imperfections(), 0)
+    f = np.geomspace(5, 2000, 30)
+    for grip in (1.0, 5.0):
+        np.testing.assert_allclose(loop.plant_of(device, grip).response(f), scene.plant(grip).response(f), rtol=1e-9)
+    truth = loop.known_truth(library, device)
+    np.testing.assert_allclose(truth.nrmse, library.nrmse.ravel(), atol=1e-6)
+    assert truth.peak_current_A == pytest.approx(4.0, abs=1e-6)
+    other = loop.known_truth(library, device_in(scene, Imperfections(mismatch=0.2), 4))
+    assert other.worst > truth.worst
+
+
+def test_rounds_keep_the_best_so_far(loop: Any, library: Library) -> None:
+    from dataclasses import replace
+
+    rounds = [
+        {"true_nrmse": [[0.2, 0.3]], "better": [[True, True]], "peak_current_A": [[1.0, 2.0]]},
+        {"true_nrmse": [[0.1, 0.4]], "better": [[True, False]], "peak_current_A": [[1.0, 3.0]]},
+        {"true_nrmse": [[0.15, 0.2]], "better": [[False, True]], "peak_current_A": [[1.0, 1.0]]},
+    ]
+    found = loop.rounds_of(replace(library, meta={**library.meta, "refinement": {"rounds": rounds}}))
+    assert [stage.nrmse for stage in found] == [[0.1, 0.3], [0.1, 0.2]]
+    assert [stage.peak_current_A for stage in found] == [3.0, 1.0]
+
+
+def test_what_falls_short(loop: Any) -> None:
+    def stages(nominal: float, model: float, refined: float, peak: float = 4.0) -> list[Any]:
+        named = {"nominal model": nominal, "identified model": model, "refined, kept": refined, "known": 0.01}
+        return [loop.Stage(name, [value], peak) for name, value in named.items()]
+
+    assert loop.shortfalls(0.1, stages(0.09, 0.04, 0.03), 4.0) == []
+    [half] = loop.shortfalls(0.1, stages(0.09, 0.06, 0.03), 4.0)
+    assert "identified 6.00%, nominal 9.00%, known truth 1.00%" in half
+    [worse] = loop.shortfalls(0.1, stages(0.09, 0.04, 0.05), 4.0)
+    assert "refined, kept 5.00%, identified model 4.00%" in worse
+    assert len(loop.shortfalls(0.1, stages(0.09, 0.04, 0.03, peak=4.01), 4.0)) == 4

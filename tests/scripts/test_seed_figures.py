@@ -1,0 +1,216 @@
+"""The seed's experiment in short form: one saturated entry, one mismatched device, a few methods."""
+
+import csv
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+from controller.waveforms.bank import Method
+from tests.benches.places import SCRIPTS
+from transopt.library.library import Library
+from transopt.scene.scene import Scene
+
+SATURATED = (0.4, 5.0)
+METHODS = (
+    Method.BILINEAR,
+    Method.CLIPPED_OPTIMUM,
+    Method.SEED_INVERSION,
+    Method.BLIND,
+    Method.FIXED_WIDTH_PULSE,
+    Method.PROPORTIONAL,
+)
+
+
+@pytest.fixture(scope="module")
+def scripts() -> Iterator[dict[str, ModuleType]]:
+    """The script and its parts, found beside it as when it is called by its path."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPTS))
+        names = ("seed_figures", "seed.comparison", "seed.device")
+        yield {name: importlib.import_module(name) for name in names}
+
+
+@pytest.fixture(scope="module")
+def figures(scripts: dict[str, ModuleType]) -> ModuleType:
+    return scripts["seed_figures"]
+
+
+@pytest.fixture(scope="module")
+def comparison(scripts: dict[str, ModuleType]) -> ModuleType:
+    return scripts["seed.comparison"]
+
+
+@pytest.fixture(scope="module")
+def device(scripts: dict[str, ModuleType]) -> ModuleType:
+    return scripts["seed.device"]
+
+
+@pytest.fixture(scope="module")
+def written(figures: ModuleType, scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Everything that the command writes, on the corner of the grid where the current limit binds."""
+    out = tmp_path_factory.mktemp("seed")
+    grid = scene.grid.model_copy(update={"speeds_m_s": [0.3, 0.4], "grips_N": [1.0, 5.0]})
+    library, steady = figures.libraries(scene.model_copy(update={"grid": grid}))
+    experiment = figures.Experiment(library, steady, [SATURATED], METHODS, devices=1, jobs=1)
+    figures.write_all(experiment, out, "the command", sweep_s=1.0)
+    return out
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+class TestFiles:
+    def test_every_figure_that_the_text_shows_is_there_and_whole(self, written: Path) -> None:
+        text = (written / "seed.md").read_text(encoding="utf-8")
+        shown = re.findall(r"\]\((\w+\.png)\)", text)
+        assert {name[:5] for name in shown} == {"fig01", "fig05", "fig06", "fig07", "fig10", "metho"}
+        for name in shown:
+            assert np.ptp(image.imread(written / name)) > 0
+        tables = {"taps.csv", "methods.csv", "off_nodes.csv", "limits.csv"}
+        assert {path.name for path in written.iterdir()} == {*shown, *tables, "seed.md"}
+
+    def test_text_names_command_machine_and_versions(self, written: Path) -> None:
+        text = (written / "seed.md").read_text(encoding="utf-8")
+        for word in (
+            "the command",
+            "cores",
+            "Python 3",
+            "casadi",
+            "numpy",
+            "at most" if "except" in text else "ahead",
+        ):
+            assert word in text
+
+    def test_rows(self, written: Path) -> None:
+        taps = rows_of(written / "taps.csv")
+        assert [(row["method"], row["device"]) for row in taps] == [
+            (method.value, device) for device in ("0", "1") for method in METHODS
+        ]
+        assert {(row["speed_m_s"], row["grip_N"]) for row in taps} == {("0.4", "5.0")}
+        assert [row["method"] for row in rows_of(written / "methods.csv")] == [method.value for method in METHODS]
+        assert len(rows_of(written / "off_nodes.csv")) == len(METHODS)
+
+
+class TestWhatTheExperimentShows:
+    def test_optimum_ahead_of_every_other_method_where_the_limit_binds(self, written: Path) -> None:
+        best, *others = rows_of(written / "methods.csv")
+        for row in others:
+            for figure in ("nominal", "nominal_worst", "mean", "worst_tap", "nominal_unshifted", "mean_unshifted"):
+                assert float(best[figure]) < float(row[figure]), (row["method"], figure)
+            assert row["ahead"] == row["ahead_unshifted"] == "0"
+
+    def test_limits(self, written: Path) -> None:
+        [row] = rows_of(written / "limits.csv")
+        assert float(row["needed_A"]) == pytest.approx(5.3, abs=0.1)
+        assert float(row["optimum"]) == pytest.approx(0.191, abs=0.005)
+        assert float(row["optimum"]) < float(row["seed"]) < float(row["optimum_steady"]) < float(row["seed_steady"])
+        assert float(row["optimum"]) < float(row["blind"])
+        assert float(row["predicted_error"]) < 0.03
+        assert abs(float(row["latency_s"])) < 20e-6
+
+    def test_proportional_alone_pushes_but_does_not_tap(self, written: Path) -> None:
+        for row in rows_of(written / "taps.csv"):
+            if row["method"] == "proportional":
+                assert float(row["nrmse"]) == pytest.approx(1.0, abs=0.05)
+                assert float(row["peak_current_A"]) > 0.5
+
+    def test_processes_change_nothing(self, comparison: ModuleType, library: Library) -> None:
+        kit = comparison.kit(library, [Method.BILINEAR])
+        one, two = (comparison.compare(kit, [(0.3, 3.0)], [0, 1], jobs=jobs) for jobs in (1, 2))
+        assert one == two
+
+
+class TestSummary:
+    def results(self, comparison: ModuleType, **errors: list[list[float]]) -> list[Any]:
+        """Made-up taps: per method a row per device, the nominal one first; the unshifted errors twice as large."""
+        return [
+            comparison.Result(method, device, 0.1 * (j + 1), 3.0, value, 2 * value, 0.0, 1.0)
+            for method, table in errors.items()
+            for device, row in enumerate(table)
+            for j, value in enumerate(row)
+        ]
+
+    def test_means_worst_cases_and_exceptions(self, comparison: ModuleType) -> None:
+        results = self.results(
+            comparison, bilinear=[[0.1, 0.3], [0.2, 0.4], [0.1, 0.1]], blind=[[0.2, 0.3], [0.1999, 0.3], [0.5, 0.5]]
+        )
+        optimum, blind = comparison.summarise(results)
+        assert (optimum.nominal, optimum.nominal_worst) == pytest.approx((0.2, 0.3))
+        assert (optimum.mean, optimum.worst_device, optimum.worst_tap) == pytest.approx((0.2, 0.3, 0.4))
+        assert (optimum.nominal_unshifted, optimum.mean_unshifted) == pytest.approx((0.4, 0.4))
+        assert (optimum.ahead, blind.ahead, blind.ahead_unshifted, blind.taps) == (
+            0,
+            1,
+            1,
+            4,
+        )  # 0.1999 against 0.2 is no difference
+        assert comparison.exceptions([optimum, blind]) == []
+        better = self.results(comparison, bilinear=[[0.3], [0.3]], blind=[[0.4], [0.2]])
+        found = comparison.exceptions(comparison.summarise(better))
+        assert [figure for _, figure, _, _ in found] == ["mean", "worst_device", "worst_tap", "mean_unshifted"]
+
+    def test_nominal_device_alone(self, comparison: ModuleType) -> None:
+        [optimum] = comparison.summarise(self.results(comparison, bilinear=[[0.1, 0.2]]))
+        assert optimum.nominal == pytest.approx(0.15)
+        assert np.isnan(optimum.mean)
+        assert comparison.exceptions([optimum]) == []
+
+
+class TestDevice:
+    def test_amplifier_is_found_from_its_own_response(self, device: ModuleType) -> None:
+        response = 0.9 * device.amplifier_model(800.0, 50e-6, 1e-4, device.AMPLIFIER_HZ)
+        assert device.fitted_amplifier(response, 1e-4) == pytest.approx((0.9, 800.0, 50e-6), rel=1e-4)
+
+    def test_sweep_finds_the_model(self, device: ModuleType, scene: Scene) -> None:
+        found = device.sweep_response(scene, 3.0, 2.0)
+        size_dB, phase_deg = device.deviation(scene, 3.0, found, 10.0)
+        assert size_dB < 0.5
+        assert phase_deg < 3.0
+        assert found.coherence[found.frequencies_Hz > 10].min() > 0.9
+
+    def test_grips_as_the_design_states_them(self, device: ModuleType, scene: Scene) -> None:
+        for grip in (0.5, 1.0, 3.0, 5.0):
+            shape = device.shape(scene, grip)
+            assert 36 < shape.slow_dB_decade < 40
+            assert 13.5 < shape.fast_dB_decade < 24
+            assert shape.at_80_Hz_g_A == pytest.approx(3.0, abs=0.3)
+            assert shape.resonance_Hz == pytest.approx(390, abs=10)
+            assert 8 <= shape.resonance_g_A <= 9
+
+
+class TestCommandLine:
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["--devices", "0"], "--devices 0: must be at least 1"),
+            (["--jobs", "0"], "--jobs 0: must be at least 1"),
+            (["--out", "file"], "--out file: cannot be written"),
+        ],
+    )
+    def test_bad_input(
+        self,
+        figures: ModuleType,
+        arguments: list[str],
+        words: str,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")  # which the command would set for good
+        Path("file").touch()
+        monkeypatch.setattr(sys, "argv", ["seed_figures.py", "--out", "out", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            figures.main()
+        assert stop.value.code == 2
+        assert words in capsys.readouterr().err

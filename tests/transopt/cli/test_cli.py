@@ -1,0 +1,402 @@
+"""The command line as a user meets it: outputs, messages, exit codes, nothing lost."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from tests.benches.commands import Run, Terminal, assert_refused
+from tests.benches.places import IMPACTS, ROOT
+from transopt.library.file import load_library
+from transopt.library.library import Library
+from transopt.problem.problem import Status
+
+WOOD = problems.scene_path("wood_on_foam").read_text()
+EXAMPLES = problems.FOLDER / "recordings"
+# A quick scene: one speed, one grip, from the shipped files.
+QUICK = (
+    problems.scene_path("own_taps")
+    .read_text()
+    .replace("[0.2, 0.3, 0.4]", "[0.2]")
+    .replace("[1.0, 3.0, 5.0]", "[3.0]")
+    .replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', f'files = ["{EXAMPLES.as_posix()}/tap_0.2_m_s.csv"]')
+)
+
+
+@pytest.fixture
+def run(terminal: Terminal) -> Run:
+    """Run `transopt ARGS` in an empty folder."""
+    return partial(terminal, "transopt")
+
+
+@pytest.fixture(scope="module")
+def quick_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scene") / "quick.toml"
+    path.write_text(QUICK.replace('motor = "motors/', f'motor = "{problems.FOLDER.as_posix()}/motors/'))
+    return path
+
+
+@pytest.fixture
+def solved(run: Run, quick_scene: Path) -> Path:
+    """Folder of a solved one-entry library."""
+    assert run("solve", quick_scene, "--out", "solved").code == 0
+    return Path("solved")
+
+
+class TestScene:
+    def test_list_names_every_scene_and_what_it_shows(self, run: Run) -> None:
+        outcome = run("scene", "list")
+        assert outcome.code == 0
+        for name in problems.scene_names():
+            assert name in outcome.out
+
+    def test_show_prints_the_file(self, run: Run) -> None:
+        assert run("scene", "show", "wood_on_foam").out == WOOD
+
+    def test_new_copies_and_the_copy_solves(self, run: Run) -> None:
+        outcome = run("scene", "new", "mine.toml", "--from", "wood_on_foam")
+        assert outcome.code == 0
+        assert "transopt solve mine.toml" in outcome.out
+        text = Path("mine.toml").read_text()
+        assert text == WOOD
+        Path("mine.toml").write_text(
+            text.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]")
+        )
+        assert run("solve", "mine.toml").code == 0
+        assert Path("out/mine/library.npz").exists()
+
+    def test_new_never_overwrites(self, run: Run) -> None:
+        Path("mine.toml").write_text("precious")
+        assert_refused(run("scene", "new", "mine.toml"), "mine.toml", "exists already")
+        assert Path("mine.toml").read_text() == "precious"
+
+    def test_refusals(self, run: Run) -> None:
+        assert_refused(run("scene", "show", "wood"), "no built-in scene", "wood_on_foam")
+        assert_refused(run("scene", "new", "mine.txt"), "ends in .toml")
+        assert_refused(run("scene", "new", "absent/mine.toml"), "cannot be written")
+        assert_refused(run("scene", "new", "mine.toml", "--from", "nope"), "nope", "no built-in scene")
+        assert not Path("mine.toml").exists()
+
+
+class TestTaps:
+    def test_table_figure_and_section(self, run: Run) -> None:
+        outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")), "--out", "look")
+        assert outcome.code == 0
+        assert "tap_0.3_m_s.csv" in outcome.out
+        assert "stated" in outcome.out
+        assert Path("look/taps.png").read_bytes()[:4] == b"\x89PNG"
+
+    def test_the_lines_make_a_scene_that_solves(self, run: Run) -> None:
+        """Put where the user is told to put them."""
+        outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")))
+        lines = outcome.out[outcome.out.index("# in [grid]") :]
+        grid, recordings = lines.split("\n\n")
+        text = problems.scene_path("own_taps").read_text()
+        text = text.replace("speeds_m_s = [0.2, 0.3, 0.4]", grid).replace("[1.0, 3.0, 5.0]", "[3.0]")
+        text = text.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', recordings)
+        assert "# in [recordings]" in text
+        Path("pasted.toml").write_text(text)
+        assert run("solve", "pasted.toml").code == 0
+
+    def test_a_pattern_and_a_name_with_brackets(self, run: Run) -> None:
+        Path("a [1]").mkdir()
+        Path("a [1]/tap[1].csv").write_bytes((EXAMPLES / "tap_0.2_m_s.csv").read_bytes())
+        assert run("taps", "a [1]/tap[1].csv").code == 0
+        assert run("taps", EXAMPLES / "tap_*.csv").out.count("stated") == 3
+        assert_refused(run("taps", "a [1]/none*.csv"), "none*.csv", "matches no file")
+
+    def test_speed_is_for_files_that_state_none(self, run: Run) -> None:
+        outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
+        assert "0.3098" in outcome.out
+
+    def test_text_files_need_columns_and_scaling_is_stated(self, run: Run) -> None:
+        rows = "\n".join(f"{k * 2e-5:.6f} {100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
+        Path("impact.txt").write_text(f"# time, acceleration\n{rows}\n")
+        assert_refused(run("taps", "impact.txt"), "impact.txt", "columns")
+        columns = ("--columns", "time_s,acceleration_g")
+        assert_refused(run("taps", "impact.txt", *columns), "no incoming speed")
+        outcome = run("taps", "impact.txt", *columns, "--speed", 1.0, "--time-scale", 10, "--amplitude-scale", 0.02)
+        assert outcome.code == 0
+        assert "similarity-scaled" in outcome.out
+        assert "time_scale = 10.0" in outcome.out
+
+    def test_refusals(self, run: Run) -> None:
+        assert_refused(run("taps", "absent.csv"), "absent.csv")
+        Path("empty.csv").write_text("")
+        assert_refused(run("taps", "empty.csv"), "empty.csv", "empty")
+        assert_refused(
+            run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than or equal to 0.0001"
+        )
+
+
+class TestSolve:
+    def test_files_table_and_last_line(self, run: Run, solved: Path) -> None:
+        names = {"library.npz", "report.md", "report.json", "transients.png", "methods.png", "bode.png"}
+        assert {path.name for path in solved.iterdir()} == names
+        report = json.loads((solved / "report.json").read_text())
+        (entry,) = report["entries"]
+        assert entry["status"] == Status.OPTIMAL.value
+        assert entry["certificate"]["relative_gap"] <= 1e-6
+        assert entry["repeatability"] is None
+        assert "temperature" in entry["left_out"]
+        markdown = (solved / "report.md").read_text()
+        for word in ("NRMSE %", "floor %", "seed %", "clipped %", "what binds", "Left out", "25.55 C"):
+            assert word in markdown
+
+    def test_ends_with_error_certificate_and_time_in_one_line(self, run: Run, quick_scene: Path) -> None:
+        outcome = run("solve", quick_scene, "--out", "here")
+        assert outcome.code == 0
+        found = re.fullmatch(
+            r"1 of 1 entries certified and replayed: NRMSE (\S+) to (\S+) % \(worst at 0\.2 m/s, 3 N: (\S+) points "
+            r"over its floor\), gap <= (\S+), violation <= (\S+) A, V or K; "
+            r"(\S+) ms per entry \(median\), (\S+) s in all",
+            outcome.out.splitlines()[-1],
+        )
+        assert found is not None, outcome.out
+        (entry,) = json.loads(Path("here/report.json").read_text())["entries"]
+        assert found[1] == found[2] == f"{100 * entry['nrmse']:.2f}"
+        assert found[3] == f"{100 * max(entry['nrmse'] - entry['floor'], 0):.2f}"
+        assert float(found[4]) == pytest.approx(entry["certificate"]["relative_gap"], rel=0.5)
+        assert float(found[7]) > 0
+
+    def test_simulated_recordings_are_called_simulated(self, run: Run) -> None:
+        Path("one.toml").write_text(WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]"))
+        assert run("solve", "one.toml").code == 0
+        assert "**simulated**: the undriven device at 3 N" in Path("out/one/report.md").read_text()
+
+    def test_recordings_folder_is_named_by_the_user(self, run: Run) -> None:
+        assert_refused(run("solve", "measured_impacts"), "acc_base_a*.txt", "--recordings FOLDER", "github.com")
+        assert not Path("out/measured_impacts").exists()  # no empty folder is left behind
+        assert_refused(
+            run("solve", "measured_impacts", "--recordings", "absent"), "--recordings absent", "no such folder"
+        )
+        if not IMPACTS.is_dir():
+            pytest.skip(f"the measured impacts are not at {IMPACTS}")
+        assert run("solve", "measured_impacts", "--recordings", IMPACTS).code == 0
+        assert "Similarity-scaled: time x 10" in Path("out/measured_impacts/report.md").read_text()
+
+    def test_refused_entries_exit_1_and_keep_the_earlier_library(self, run: Run, quick_scene: Path) -> None:
+        assert run("solve", quick_scene, "--out", "here").code == 0
+        before = Path("here/library.npz").read_bytes()
+        stiff = Path("stiff.toml")
+        weak = quick_scene.read_text().replace("steady_current_A = 1.25", "steady_current_A = 1.25\ncurrent_A = 0.3")
+        assert "current_A = 0.3" in weak
+        stiff.write_text(weak.replace("beta = 3.2", "") + "\n[feedback]\nstiffness_N_m = 2000.0\n")
+        outcome = run("solve", stiff, "--out", "here")
+        assert outcome.code == 1
+        reason = re.search(
+            r"refused: 0\.2 m/s, 3 N: (hand-over: K_p z / k_f = .* A at .* mm .*, limit 0.3 A)", outcome.out
+        )
+        assert reason is not None, outcome.out
+        last = outcome.out.splitlines()[-1]
+        assert last.startswith("1 of 1 entries refused; no library written, an earlier one is kept; ")
+        assert last.endswith(" s in all")
+        assert Path("here/library.npz").read_bytes() == before
+        assert reason[1] in Path("here/refused.md").read_text()
+        assert run("solve", quick_scene, "--out", "here").code == 0
+        assert not Path("here/refused.md").exists()
+
+    def test_without_figures_an_earlier_builds_figures_go(self, run, quick_scene: Path) -> None:
+        assert run("solve", quick_scene, "--out", "here").code == 0
+        drawn = {file.name for file in Path("here").glob("*.png")}
+        assert drawn == {"transients.png", "methods.png", "bode.png"}
+        assert run("solve", quick_scene, "--out", "here", "--no-figures").code == 0
+        assert {file.name for file in Path("here").iterdir()} == {"library.npz", "report.md", "report.json"}
+
+    @pytest.mark.parametrize("columns", [80, 100])
+    def test_narrow_terminals_keep_whole_words(
+        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, columns: int
+    ) -> None:
+        from rich.console import Console
+
+        monkeypatch.setattr("transopt.base.console.console", lambda: Console(width=columns))
+        outcome = run("solve", quick_scene)
+        header = next(line for line in outcome.out.splitlines() if "NRMSE" in line)
+        assert "what binds" in header
+        assert "verdict" in header
+        assert max(map(len, outcome.out.splitlines()[:8])) <= columns
+
+    def test_brackets_in_names_are_only_brackets(self, run: Run, quick_scene: Path) -> None:
+        text = quick_scene.read_text()
+        line = next(line for line in text.splitlines() if line.startswith("description"))
+        Path("b.toml").write_text(text.replace(line, 'description = "tap in [g] and [/x]"'))
+        outcome = run("solve", "b.toml", "--out", "run [1]/[/b]")
+        assert outcome.code == 0
+        assert "tap in [g] and [/x]" in outcome.out
+        assert run("show", "run [1]/[/b]/library.npz").code == 0
+
+    def test_second_solver(self, run: Run, quick_scene: Path) -> None:
+        assert run("solve", quick_scene, "--solver", "casadi-ipopt", "--jobs", 2).code == 0
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["absent"], ["absent", "no built-in scene"]),
+            (["absent.toml"], ["absent.toml", "no such file"]),
+            (
+                ["wood_on_foam", "--solver", "osqp"],
+                ["--solver osqp", "riccati, casadi-piqp, casadi-fatrop, casadi-ipopt"],
+            ),
+            (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
+            (["wood_on_foam", "--jobs", "0"], ["--jobs 0", "at least 1"]),
+            (["wood_on_foam", "--grid-tolerance", "0"], ["--grid-tolerance 0", "between 0 and 1"]),
+            (["wood_on_foam", "--grid-tolerance", "0.02", "--grid-cap", "11"], ["--grid-cap 11", "12 entries"]),
+        ],
+    )
+    def test_bad_arguments(self, run: Run, arguments: list[str], words: list[str]) -> None:
+        assert_refused(run("solve", *arguments), *words)
+        assert not list(Path.cwd().glob("out/*/*"))
+
+    def test_an_output_folder_that_cannot_be_written(self, run: Run, quick_scene: Path) -> None:
+        Path("file").write_text("in the way")
+        assert_refused(run("solve", quick_scene, "--out", "file"), "--out file", "cannot be written")
+        assert_refused(run("solve", quick_scene, "--out", "file/below"), "--out file/below", "cannot be written")
+        assert Path("file").read_text() == "in the way"
+
+    @pytest.mark.parametrize(
+        ("old", "new", "words"),
+        [
+            ("speeds_m_s = [0.2]", "speeds_m_s = [0.3]", ["tap_0.2_m_s.csv", "0.209 m/s", "limit 15%"]),
+            ("speeds_m_s = [0.2]", "speeds_m_s = [0.2, 0.4]", ["no recording within 15% of 0.4 m/s"]),
+            ("stages = 600", "stages = 6000", ["tap_0.2_m_s.csv", "the window needs 599.7", "record longer"]),
+            ("beta = 3.2", "current_A = -1.0", ["limits.current_A = -1.0", "greater than 0"]),
+            (
+                "mass_kg = 0.010",
+                "mass_kg = { constant = 0.01, per_newton = -0.01 }",
+                ["mass 3 of the chain", "-0.02 kg"],
+            ),
+        ],
+    )
+    def test_a_bad_scene_leaves_earlier_output_untouched(
+        self, run: Run, quick_scene: Path, old: str, new: str, words: list[str]
+    ) -> None:
+        assert run("solve", quick_scene, "--out", "here").code == 0
+        before = {path.name: path.read_bytes() for path in Path("here").iterdir()}
+        text = quick_scene.read_text()
+        assert old in text
+        Path("bad.toml").write_text(text.replace(old, new))
+        assert_refused(run("solve", "bad.toml", "--out", "here"), *words)
+        assert {path.name: path.read_bytes() for path in Path("here").iterdir()} == before
+
+    @pytest.mark.parametrize("instant", ["recordings", "entries", "writing"])
+    def test_interrupted_solve_loses_nothing(
+        self, run: Run, quick_scene: Path, monkeypatch: pytest.MonkeyPatch, instant: str
+    ) -> None:
+        assert run("solve", quick_scene, "--out", "here").code == 0
+        before = {path.name: path.read_bytes() for path in Path("here").iterdir()}
+
+        def interrupt(*_: object, **__: object) -> None:
+            raise KeyboardInterrupt
+
+        target = {
+            "recordings": "transopt.cli.main._recordings",
+            "entries": "transopt.design.entry.replay",
+            "writing": "transopt.report.figures.bode_figure",
+        }[instant]
+        monkeypatch.setattr(target, interrupt)
+        outcome = run("solve", quick_scene, "--out", "here")
+        assert outcome.code == 130
+        assert "Traceback" not in outcome.err
+        assert {path.name: path.read_bytes() for path in Path("here").iterdir()} == before
+
+
+def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
+    """The signal itself, sent while entries are solved: one line, exit code 130, no file, no child left."""
+    program = (
+        # A background job of a shell starts with SIGINT ignored; a user's terminal does not.
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "sys.argv = ['transopt', 'solve', '--jobs', '2']; from transopt.cli.main import main; main()"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    folder = tmp_path / "out" / "wood_on_foam"
+    while not folder.exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)  # polls for the process to have begun; nothing is measured
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert "stopped; earlier results are untouched" in err
+    assert "Traceback" not in err
+    assert list(folder.iterdir()) == []
+
+
+class TestVerifyShowExport:
+    def test_verify(self, run: Run, solved: Path) -> None:
+        outcome = run("verify", solved / "library.npz")
+        assert outcome.code == 0
+        assert "1 of 1 entries certified and replayed clean" in outcome.out
+
+    def test_verify_fails_on_a_library_that_claims_too_much(self, run: Run, solved: Path) -> None:
+        from dataclasses import replace
+
+        library = load_library(solved / "library.npz")
+        command = library.command_A.copy()
+        command[0, 0, 20] += 0.05
+        replace(library, command_A=command).save(Path("changed.npz"))
+        outcome = run("verify", "changed.npz")
+        assert outcome.code == 1
+        assert "0 of 1 entries" in outcome.out
+
+    def test_a_damaged_library_is_refused(self, run: Run, solved: Path) -> None:
+        content = (solved / "library.npz").read_bytes()
+        Path("cut.npz").write_bytes(content[: len(content) // 2])
+        for command in (["verify"], ["show"], ["export"]):
+            more = ["x.csv"] if command == ["export"] else []
+            assert_refused(run(*command, "cut.npz", *more), "cut.npz")
+            assert_refused(run(*command, "absent.npz", *more), "absent.npz: no such file")
+
+    def test_show_with_figure(self, run: Run, solved: Path) -> None:
+        outcome = run("show", solved / "library.npz", "--figure", "look.png")
+        assert outcome.code == 0
+        assert "at its floor" in outcome.out
+        assert Path("look.png").read_bytes()[:4] == b"\x89PNG"
+        assert_refused(run("show", solved / "library.npz", "--figure", "absent/look.png"), "cannot be written")
+
+    @pytest.mark.parametrize("suffix", ["mat", "csv", "wav", "h"])
+    def test_export(self, run: Run, solved: Path, suffix: str) -> None:
+        assert run("export", solved / "library.npz", f"x.{suffix}").code == 0
+        assert Path(f"x.{suffix}").stat().st_size > 1000
+
+    def test_export_refusals(self, run: Run, solved: Path) -> None:
+        assert_refused(run("export", solved / "library.npz", "x.pdf"), ".mat", ".csv", ".wav", ".h")
+        assert_refused(run("export", solved / "library.npz", "absent/x.csv"), "cannot be written")
+
+
+def test_shipped_recordings_are_what_the_generator_writes(tmp_path: Path) -> None:
+    from problems.generators.strikes import write_examples
+
+    write_examples(tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == sorted(path.name for path in EXAMPLES.iterdir())
+    assert len(names) == 3
+    for name in names:
+        fresh, shipped = (np.loadtxt(f / name, delimiter=",", skiprows=4) for f in (tmp_path, EXAMPLES))
+        np.testing.assert_allclose(fresh, shipped, atol=2e-4)  # the last digit may round differently elsewhere
+
+
+def test_reading_a_library_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
+    """The runtime path: load, blend, and look at a controller, in a fresh interpreter."""
+    library.save(tmp_path / "library.npz")
+    program = (
+        "import sys; from pathlib import Path; import controller, transopt.library.file as l; "
+        "l.load_library(Path(sys.argv[1])).at(0.25, 2.0); "
+        "assert not {'casadi', 'matplotlib', 'serial'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program, str(tmp_path / "library.npz")], check=True)

@@ -1,0 +1,104 @@
+"""`transopt identify device`: the model and the figure it writes, and what it refuses."""
+
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from controller.record.trial_file import write_measurement
+from tests.benches.identification import ACCELEROMETER_HZ, Rig, assert_near, mismatched
+from transopt.base.errors import InputError
+from transopt.cli.identify_device import identify_device
+from transopt.scene.model_file import load_model
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """A device 5 % off the nominal one, crossover on."""
+    return Rig(mismatched(0.05, 3), crossover_A=0.01)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, rig: Rig) -> Path:
+    place = tmp_path_factory.mktemp("records")
+    for run in [*rig.sweeps((0.0, 3.0)), *rig.transients((3.0,))]:
+        columns = {name: getattr(run, name).values for name in ("command", "current", "acceleration")}
+        units = {"command": "command_A", "current": "current_A", "acceleration": "acceleration_m_s2"}
+        write_measurement(
+            place / run.name,
+            {"time_s": run.require("current", "").times_s, **{units[name]: x for name, x in columns.items()}},
+            {"grip_N": run.grip_N or 0.0, "accelerometer_Hz": ACCELEROMETER_HZ},
+        )
+    return place
+
+
+def call(*arguments: object) -> tuple[int, str, Exception | None]:
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(identify_device)
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return result.exit_code, result.output, result.exception if isinstance(result.exception, InputError) else None
+
+
+def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "MODEL.json"
+    burst = folder / "burst_3N.npz"
+    code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive", "--validate", burst)
+    assert code == 1  # the free device has nothing to be judged by
+    assert "free device: nothing kept for validation" in output
+    assert "verdict: supports design errors down to" in output
+    assert "which sweeps cannot tell (--force-per-current)" in output
+    assert "next:" not in output
+    assert "moving_mass_kg" in output
+    part = load_model(out).device
+    assert part is not None
+    assert part.kind == "drive"
+    assert part.nrmse.keys() == {"3"}
+    assert (tmp_path / "MODEL_device.png").read_bytes()[:4] == b"\x89PNG"
+    code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive")
+    assert code == 0, output
+    assert f'model = "{out}" above the first [table] takes the place of [model]' in output
+
+
+def test_a_force_per_ampere_scales_the_masses(folder: Path, tmp_path: Path) -> None:
+    files = sorted(folder.glob("sweep_*"))
+    masses = []
+    for force in (1.25, 2.5):
+        out = tmp_path / f"{force}.json"
+        assert call(*files, "--out", out, "--kind", "drive", "--force-per-current", force)[0] == 0
+        part = load_model(out).device
+        assert part is not None
+        assert part.kind == "drive"
+        masses.append(part.moving_mass_kg)
+    assert masses[1] == pytest.approx(2 * masses[0], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--out", "model.txt"), "a model file ends in .json"),
+        (("--kind", "chain"), "--kind chain: unknown; choose auto, drive, state_space"),
+        (("--force-per-current", "-1"), "--force-per-current -1 N/A: must be above 0"),
+        (("--force-per-current", "1", "--scene", "own_taps"), "give one of them"),
+        (("--kind", "drive", "--order", "6"), "leave it out with --kind drive"),
+        (("--kind", "state_space", "--order", "5"), "--order 5: must be even"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_in_one_line(
+    options: tuple[str, ...], message: str, folder: Path, tmp_path: Path
+) -> None:
+    out = () if "--out" in options else ("--out", tmp_path / "M.json")
+    code, _, error = call(folder / "sweep_0N_0.npz", folder / "sweep_0N_1.npz", *out, *options)
+    assert code != 0
+    assert message in str(error)
+    assert not (tmp_path / "M.json").exists()
+
+
+def test_the_free_device_alone_gives_a_black_box(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "M.json"
+    code, _, _ = call(*sorted(folder.glob("sweep_0N*")), "--out", out, "--order", "2")
+    assert code == 0
+    part = load_model(out).device
+    assert part is not None
+    assert part.kind == "state_space"
+    assert_near(part.plant(0.0), mismatched(0.05, 3).plant(0.0))

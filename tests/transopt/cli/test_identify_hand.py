@@ -1,0 +1,74 @@
+"""`transopt identify hand`: the part and the figure it writes, its verdict and what it refuses."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import typer
+
+from problems.generators.tapping_trials import FOURTH_ORDER_STYLUS_KG, Trials, tapping_trials, write_trials
+from transopt.base.errors import InputError
+from transopt.cli.identify_hand import identify_hand
+from transopt.identify.hand.chain import NAMES
+from transopt.identify.hand.lines import COEFFICIENTS
+from transopt.scene.model_file import load_model
+
+
+@pytest.fixture(scope="module")
+def trials() -> Trials:
+    return tapping_trials(1)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Callable[[Trials], list[Path]]:
+    return lambda trials: write_trials(trials, tmp_path / "session")
+
+
+def test_the_command_writes_part_and_figure(
+    trials: Trials, files: Callable[[Trials], list[Path]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "MODEL.json"
+    identify_hand(files(trials)[::2], out)
+    part = load_model(out).hand
+    assert part is not None
+    assert part.parameters == list(COEFFICIENTS)
+    assert part.mass_kg.constant == pytest.approx(0.215, rel=0.06)
+    assert part.grips_N[0] == trials.grip_N[::2].min()
+    assert part.grips_N[-1] == trials.grip_N[::2].max()
+    assert len(part.sources) == 41
+    assert part.verdict.startswith("supports designs with a second_order hand")
+    assert part.fourth_order is not None
+    assert part.fourth_order["parameters"] == list(NAMES)
+    # What a scene builds from it is the hand of the lines.
+    plant = part.plant(5.0, force_per_current_N_A=1.0)
+    assert 1 / plant.D[0, 0] == pytest.approx(part.mass_kg.constant + 5 * part.mass_kg.per_newton, rel=1e-12)
+    assert (tmp_path / "MODEL_hand.png").read_bytes().startswith(b"\x89PNG")
+    printed = capsys.readouterr().out
+    assert "fourth order: determined: " in printed
+    assert "hand: supports designs" in printed
+
+
+def test_a_hand_that_falls_short_is_written_with_its_verdict(
+    files: Callable[[Trials], list[Path]], tmp_path: Path
+) -> None:
+    out = tmp_path / "MODEL.json"
+    with pytest.raises(typer.Exit) as stop:
+        identify_hand(files(tapping_trials(3, hand="fourth_order"))[::2], out)
+    assert stop.value.exit_code == 1
+    content = json.loads(out.read_text(encoding="utf-8"))["hand"]
+    assert content["verdict"].startswith("not to be relied upon: one mass on a spring and a damper leaves")
+    assert content["fourth_order"]["stylus_mass_kg"] == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.03)
+
+
+def test_the_command_refuses_its_options(
+    trials: Trials, files: Callable[[Trials], list[Path]], tmp_path: Path
+) -> None:
+    paths = files(trials)[:3]
+    with pytest.raises(InputError, match=r"model\.toml: a model file ends in \.json"):
+        identify_hand(paths, tmp_path / "model.toml")
+    with pytest.raises(InputError, match=r"--window 1 s: must be 0\.01 to 0\.1 s"):
+        identify_hand(paths, tmp_path / "model.json", 1.0)
+    with pytest.raises(InputError, match=r"3 taps: at least 12"):
+        identify_hand(paths, tmp_path / "model.json")
+    assert not (tmp_path / "model.json").exists()

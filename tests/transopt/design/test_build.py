@@ -1,0 +1,383 @@
+"""The built-in scene end to end: what the issue asks for, entry by entry."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from tests.benches.places import IMPACTS
+from tests.conftest import ProblemMaker
+from transopt.base.signals import nrmse
+from transopt.design.build import Build, build_library
+from transopt.design.verify import admit, verify_library
+from transopt.library.library import Library
+from transopt.problem.heat import thermal_limit
+from transopt.problem.problem import Status, verdict
+from transopt.proof.certify import certify
+from transopt.proof.replay import replay
+from transopt.recordings.recording import Recording
+from transopt.recordings.tap import read_recordings
+from transopt.scene.scene import Scene
+from transopt.solvers import choose, riccati
+from transopt.solvers.choose import solve, solve_certified
+from transopt.solvers.options import SolverOptions
+
+CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
+
+
+def assert_entries_are_proven(build: Build) -> None:
+    for entry in build.all_entries():
+        assert entry.status is Status.OPTIMAL, entry.shortfalls
+        assert entry.certificate.primal_violation_A <= 1e-6
+        assert entry.certificate.relative_gap <= 1e-6
+        assert entry.played.peak_current_A <= build.scene.limits.transient_current_A + 1e-6
+        assert entry.played.step_error <= 1e-10
+        assert entry.played.scale_m_s2 == np.abs(entry.played.acceleration_m_s2).max()
+        # What changes of sign within a period add for ever.
+        steady = build.scene.thermal.tap_rate_Hz is not None
+        assert np.isnan(entry.played.winding_C) or entry.played.winding_C <= 100 + (7.5e-3 if steady else 1e-5)
+
+
+def assert_independent_check_is_clean(library: Library, path: Path) -> None:
+    if not CHECKER.exists():
+        pytest.skip(f"the independent checker is not at {CHECKER}")
+    library.save(path)
+    run = subprocess.run([sys.executable, str(CHECKER), str(path)], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "0 shortfalls" in run.stdout
+
+
+def test_every_entry_is_certified_and_replayed_clean(build: Build) -> None:
+    assert_entries_are_proven(build)
+    assert not build.refused
+
+
+def test_unsaturated_entries_reach_their_floor(build: Build) -> None:
+    free = [entry for entry in build.all_entries() if entry.binding == "none"]
+    assert len(free) == 9
+    for entry in free:
+        assert entry.nrmse <= entry.floor + 1e-3
+        assert entry.floor <= 0.01
+        assert entry.solution.solver == "unlimited"
+        assert "inside all limits" in entry.left_out["limits"]
+
+
+def test_saturated_entries_beat_the_better_baseline(build: Build) -> None:
+    compared = 0
+    for entry in build.all_entries():
+        better = min(entry.baselines.seed, entry.baselines.clipped)
+        if better > entry.floor + 0.02:
+            compared += 1
+            assert entry.nrmse <= 0.7 * better
+    assert compared == 2
+
+
+def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
+    """Free motion after the end, by the design model: no term of the problem holds it down, so it is shown."""
+    for entry in build.entries[3]:
+        stage, N = entry.problem.stage, entry.problem.grid.stages
+        acceleration, _ = stage.rollout(np.append(entry.solution.command_A, np.zeros(200)))
+        after = np.abs(acceleration[N:]).max()
+        assert (1 - 1e-9) * after <= entry.played.after_peak_m_s2 <= 1.1 * after
+
+
+def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
+    """EVIDENCE, Physics: floors, and 0.4 m/s at 4 A; the recordings here are noisy and scaled, hence the margins."""
+    for entry in build.all_entries():
+        assert entry.floor == pytest.approx({1.0: 0.0041, 3.0: 0.0049, 5.0: 0.0053}[entry.grip_N], abs=5e-4)
+    fast = [entry.nrmse for entry in build.entries[3]]
+    np.testing.assert_allclose(fast, [0.0115, 0.102, 0.191], rtol=0.03)
+    clipped = [entry.baselines.clipped for entry in build.entries[3]]
+    np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
+    assert all(0.12 < entry.baselines.seed < 0.16 for row in build.entries[:3] for entry in row)
+
+
+def test_an_optimum_at_the_old_limit_is_far_off(make_problem: ProblemMaker) -> None:
+    for grip, expected in ((1.0, 0.60), (3.0, 0.65), (5.0, 0.69)):
+        problem = make_problem(0.4, grip, current_A=1.25)
+        acceleration, _ = problem.stage.rollout(solve(problem).command_A)
+        assert nrmse(acceleration, problem.reference_m_s2) == pytest.approx(expected, abs=0.01)
+
+
+def test_independent_checker_finds_nothing(library: Library, tmp_path: Path) -> None:
+    assert_independent_check_is_clean(library, tmp_path / "library.npz")
+
+
+def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
+    if not IMPACTS.is_dir():
+        pytest.skip(f"the measured impacts are not at {IMPACTS}")
+    scene = problems.load("measured_impacts")
+    settings = scene.recordings.model_copy(update={"folder": str(IMPACTS)})
+    scene = scene.model_copy(update={"recordings": settings})
+    build = build_library(scene, read_recordings(settings))
+    assert_entries_are_proven(build)
+    assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
+    assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
+    # EVIDENCE: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
+    first, _, last = build.entries[3]
+    assert (first.nrmse, last.nrmse) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
+    assert (first.baselines.clipped, last.baselines.clipped) == (
+        pytest.approx(0.25, abs=0.02),
+        pytest.approx(0.51, abs=0.02),
+    )
+    assert build.library is not None
+    assert "scaled to every grid speed" in build.library.meta["sources"][0]["speed_source"]
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+def test_processes_give_the_same_library(scene: Scene, taps: list[Recording], library: Library) -> None:
+    done: list[int] = []
+    parallel = build_library(scene, taps, jobs=2, progress=done.append)
+    assert parallel.library is not None
+    np.testing.assert_array_equal(parallel.library.command_A, library.command_A)
+    assert sum(done) == 12
+
+
+def test_second_method_gives_the_same_library(scene: Scene, taps: list[Recording], build: Build) -> None:
+    other = build_library(scene, taps, options=SolverOptions("casadi-ipopt"))
+    for ours, theirs in zip(build.all_entries(), other.all_entries(), strict=True):
+        scale = max(ours.certificate.objective, 1e-3)
+        assert abs(ours.certificate.objective - theirs.certificate.objective) <= 1e-6 * scale
+
+
+def test_an_entry_that_one_solver_cannot_prove_goes_to_the_other(
+    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two iterations are too few for all; with enough for another than the wanted one, its answer is taken."""
+    problem = make_problem(0.4, 5.0)
+    other = "riccati" if riccati.available else "casadi-ipopt"
+    monkeypatch.setattr(choose, "polished", lambda problem, answer: answer)  # which would complete the first
+    assert solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=8))[0].solver == other
+    refused, _ = solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=2))
+    assert (refused.solver, refused.status) == ("casadi-piqp", Status.ITERATION_LIMIT)
+
+
+def warm(scene: Scene, **start_C: float) -> Scene:
+    return scene.model_copy(update={"thermal": scene.thermal.model_copy(update=start_C)})
+
+
+@pytest.mark.parametrize(("start_C", "binding"), [(99.9, 0), (99.995, 3)])
+def test_temperature_that_could_bind_is_kept_and_proven(
+    scene: Scene, taps: list[Recording], build: Build, tmp_path: Path, start_C: float, binding: int
+) -> None:
+    """From 99.9 C, 4 A held throughout would reach 100.61 C: the bound proves nothing, the solved entries do."""
+    hot = warm(scene, start_winding_C=start_C)
+    without, build = build, build_library(hot, taps)
+    assert_entries_are_proven(build)
+    too_warm = 0
+    for cold, entry in zip(without.all_entries(), build.all_entries(), strict=True):
+        # Not left out for the bound, as it is from 25 C on: the answer itself is shown to stay inside, or it is in.
+        assert "cannot pass" not in entry.left_out.get("temperature", "")
+        thermal = entry.problem.thermal
+        assert thermal is not None
+        highest = [
+            thermal.temperatures_C(
+                each.problem.stage.rollout(each.solution.command_A)[1], each.solution.command_A
+            ).max()
+            for each in (cold, entry)
+        ]
+        assert highest[1] <= 100 + 1e-6
+        # The model starts to look one stage after the start, which may be the hottest instant.
+        assert max(highest[1], start_C) == pytest.approx(entry.played.winding_C, abs=2e-4)
+        # It binds exactly where the optimum of a cold motor would leave it.
+        assert ("coil 100 C" in entry.binding) == (highest[0] > 100)
+        too_warm += highest[0] > 100
+    assert too_warm == binding
+    assert build.library is not None
+    assert all(not check.shortfalls for check in verify_library(build.library))
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+def test_a_start_that_no_current_can_hold_is_refused_by_name(scene: Scene, taps: list[Recording]) -> None:
+    """The housing warms the winding beyond its limit with the motor at rest."""
+    hot = warm(scene, start_winding_C=99.9, start_housing_C=300.0)
+    hot = hot.model_copy(update={"grid": scene.grid.model_copy(update={"speeds_m_s": [0.2], "grips_N": [3.0]})})
+    build = build_library(hot, [tap for tap in taps if "_0.2_m_s_" in tap.name])
+    assert build.library is None
+    (entry,) = build.refused
+    assert entry.status is Status.INFEASIBLE
+    assert entry.verdict == "refused"
+    assert "coil" in entry.shortfalls[0]
+    assert "100 C" in entry.shortfalls[0]
+
+
+def test_every_part_left_out_has_its_reason(build: Build) -> None:
+    for entry in build.all_entries():
+        assert set(entry.left_out) >= {"feedback", "position", "supply", "slew", "temperature"}
+        assert "25.55 C" in entry.left_out["temperature"]
+    assert build.library is not None
+    limits = build.library.meta["left_out"]["limits"]
+    assert limits[3][1] is None
+    assert limits[0][0].startswith("the unlimited optimum is inside all limits")
+
+
+@pytest.mark.parametrize("kind", ["second_order", "fourth_order"])
+def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: str) -> None:
+    from pydantic import TypeAdapter
+
+    from transopt.scene.sections import FourthOrder, SecondOrder
+
+    table = {"kind": kind} if kind == "second_order" else {**scene.model.model_dump(), "kind": kind}
+    model = TypeAdapter(SecondOrder | FourthOrder).validate_python(table)
+    build = build_library(scene.model_copy(update={"model": model}), taps)
+    assert build.library is not None
+    assert_entries_are_proven(build)
+
+
+def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
+    build = build_library(scene.model_copy(update={"amplifier": "ideal"}), taps)
+    assert_entries_are_proven(build)
+    assert build.library is not None
+    assert build.library.meta["amplifier"] is None
+    assert all(not check.shortfalls for check in verify_library(build.library))
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+def test_slew_limit_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
+    limits = scene.limits.model_copy(update={"slew_A_per_s": 5000.0})
+    build = build_library(scene.model_copy(update={"limits": limits}), taps)
+    assert_entries_are_proven(build)
+    assert build.library is not None
+    assert "slew" in "".join(entry.binding for entry in build.all_entries())
+    assert all(not check.shortfalls for check in verify_library(build.library))
+    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
+
+
+class TestAdmission:
+    """Both the certificate and the replay decide."""
+
+    @pytest.fixture
+    def parts(self, scene: Scene, make_problem: ProblemMaker) -> dict:
+        problem = make_problem(0.4, 5.0)
+        solution = solve(problem)
+        # The temperature cannot bind, but what is admitted has to keep it all the same.
+        coil = scene.coil()
+        assert coil is not None
+        limit = thermal_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
+        problem = replace(problem, thermal=limit)
+        predicted, _ = problem.stage.rollout(solution.command_A)
+        (played,) = replay(problem.stage, problem.grid, solution.command_A[None], problem.reference_m_s2[None], coil)
+        return {
+            "status": solution.status,
+            "certificate": certify(problem, solution.command_A, solution.multipliers),
+            "played": played,
+            "problem": problem,
+            "command_A": solution.command_A,
+            "predicted_m_s2": predicted,
+        }
+
+    def test_clean(self, parts: dict) -> None:
+        assert admit(**parts) == (Status.OPTIMAL, [])
+
+    def test_solver_status_is_not_overruled(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "status": Status.ITERATION_LIMIT})
+        assert status is Status.ITERATION_LIMIT
+        assert "iteration limit" in why[0]
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"duality_gap": 1.0},
+            {"duality_gap": np.nan},
+            {"primal_violation_A": 1e-5},
+            {"primal_violation_V": 1e-5},
+            {"primal_violation_K": 1e-5},
+            {"primal_violation_K": np.nan},
+            {"lower_bound": np.nan},
+            {"lower_bound": 1.0},  # above J: something is wrong with one of the two
+            {"finite": False},
+        ],
+    )
+    def test_bad_certificate(self, parts: dict, change: dict) -> None:
+        status, why = admit(**{**parts, "certificate": replace(parts["certificate"], **change)})
+        assert status is Status.NOT_CERTIFIED
+        assert "limit 1e-06" in why[0]
+
+    def test_a_loose_bound_has_a_name_of_its_own(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "certificate": replace(parts["certificate"], lower_bound=-np.inf)})
+        assert status is Status.NOT_GLOBAL
+        assert "above the convex lower bound, limit 1%" in why[0]
+
+    @pytest.mark.parametrize(
+        ("change", "text"),
+        [
+            ({"peak_current_A": 4.00001}, "replayed current 4.000010 A, limit 4 A"),
+            ({"peak_current_A": np.nan}, "replayed current nan A"),
+            ({"peak_command_A": 6.1}, "command 6.100000 A, limit 6 A"),
+            ({"winding_C": 100.5}, "winding 100.500 C, limit 100 C"),
+            ({"winding_C": 100.002}, "winding 100.002 C, limit 100 C"),
+            ({"winding_C": np.nan}, "winding nan C"),
+            ({"step_error": 1e-3}, "replay did not converge"),
+        ],
+    )
+    def test_replay_beyond_a_limit(self, parts: dict, change: dict, text: str) -> None:
+        status, why = admit(**{**parts, "played": replace(parts["played"], **change)})
+        assert status is Status.REPLAY_VIOLATION
+        assert text in why[0]
+
+    def test_command_other_than_the_one_replayed(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "command_A": parts["command_A"] + 1e-5})
+        assert status is Status.REPLAY_VIOLATION
+        assert "differs from the predicted one by 1.0e-05 A" in why[0]
+
+    def test_replay_that_misses_the_prediction(self, parts: dict) -> None:
+        status, why = admit(**{**parts, "predicted_m_s2": np.roll(parts["predicted_m_s2"], 1)})
+        assert status is Status.REPLAY_VIOLATION
+        assert "differs from the predicted" in why[0]
+
+
+class TestVerify:
+    def test_a_library_verifies_from_its_file_alone(self, library: Library) -> None:
+        checks = verify_library(library)
+        assert len(checks) == 12
+        assert all(not check.shortfalls for check in checks)
+
+    @pytest.mark.parametrize(
+        "field", ["nrmse", "peak_current_A", "peak_temperature_C", "objective", "current_A", "acceleration_m_s2"]
+    )
+    def test_a_figure_that_does_not_follow_from_the_waveform(self, library: Library, field: str) -> None:
+        changed = getattr(library, field).copy()
+        changed[1, 2] *= 1.01
+        checks = verify_library(replace(library, **{field: changed}))
+        failed = [(check.speed_m_s, check.grip_N) for check in checks if check.shortfalls]
+        assert failed == [(0.2, 5.0)]
+
+    @pytest.mark.parametrize("field", ["transient_command_A", "floor", "duality_gap", "primal_violation"])
+    def test_what_is_exported_and_claimed_is_checked_too(self, library: Library, field: str) -> None:
+        changed = getattr(library, field).copy()
+        changed[1, 2] = 10 * changed[1, 2] + 1e-3
+        checks = verify_library(replace(library, **{field: changed}))
+        (failed,) = [check for check in checks if check.shortfalls]
+        assert (failed.speed_m_s, failed.grip_N) == (0.2, 5.0)
+        assert field in failed.shortfalls[0]
+
+    def test_a_limit_that_is_said_to_bind(self, library: Library) -> None:
+        binding = library.binding.astype("U200")
+        binding[0, 0] = "current +4 A at 1.00 ms"
+        assert "binding says" in verify_library(replace(library, binding=binding))[0].shortfalls[0]
+
+    def test_a_waveform_of_another_node(self, library: Library) -> None:
+        swapped = library.command_A[::-1].copy()
+        assert all(check.shortfalls for check in verify_library(replace(library, command_A=swapped)))
+
+    def test_another_plant(self, library: Library) -> None:
+        softer = library.plant_A * 0.999
+        assert all(check.shortfalls for check in verify_library(replace(library, plant_A=softer)))
+
+    def test_a_status_that_is_not_optimal(self, library: Library) -> None:
+        status = library.status.astype("U100")
+        status[0, 0] = Status.ITERATION_LIMIT.value
+        checks = verify_library(replace(library, status=status))
+        assert "status in the file" in checks[0].shortfalls[0]
+
+
+def test_verdicts() -> None:
+    assert verdict(0.0055, 0.005, np.nan) == "at its floor"
+    assert verdict(0.02, 0.005, 0.03) == "below repeatability"
+    assert verdict(0.1, 0.005, np.nan) == "below 20 % threshold"
+    assert verdict(0.3, 0.005, 0.05) == "above 20 % threshold"
+    assert verdict(0.97, 0.97, 0.05) == "above 20 % threshold"

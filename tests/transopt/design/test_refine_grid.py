@@ -1,0 +1,260 @@
+"""Grid refinement: the rule for references between recordings, and the error between the nodes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from scripts.grid_refinement import excess, random_points, soft_hand
+from tests.benches.commands import Outcome, Terminal
+from transopt.base.errors import InputError
+from transopt.base.signals import Signal, highpass
+from transopt.design.build import Build, build_library
+from transopt.design.refine_grid import CLOSER_LOOK, MARGIN, Refinement, refine_grid
+from transopt.design.verify import verify_library
+from transopt.library.file import load_library
+from transopt.library.library import Library
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between, build_references
+from transopt.report.grid_figure import grid_figure
+from transopt.report.markdown import build_json, build_markdown
+from transopt.report.tables import refinement_summary
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+from transopt.solvers.options import SolverOptions
+
+
+def with_grid(scene: Scene, speeds_m_s: list[float], grips_N: list[float]) -> Scene:
+    grid = scene.grid.model_copy(update={"speeds_m_s": speeds_m_s, "grips_N": grips_N})
+    return scene.model_copy(update={"grid": grid})
+
+
+@pytest.fixture(scope="module")
+def refinement(scene: Scene, taps: list[Recording]) -> Refinement:
+    return refine_grid(scene, taps, 0.02)
+
+
+@pytest.fixture(scope="module")
+def refined(scene: Scene, taps: list[Recording], refinement: Refinement) -> Build:
+    return build_library(scene, taps, refinement=refinement)
+
+
+class TestBetween:
+    def test_recorded_speeds_are_themselves(self, references: list[Reference]) -> None:
+        for reference in references:
+            assert between(references, reference.speed_m_s) is reference
+
+    def test_shape_is_linear_in_speed(self, references: list[Reference]) -> None:
+        slow, fast = references[:2]
+        middle = between(references, 0.15)
+        for name in ("motor_m_s2", "raw_m_s2", "nominal_position_m", "nominal_velocity_m_s"):
+            of_slow, of_middle, of_fast = (getattr(r, name) / r.speed_m_s for r in (slow, middle, fast))
+            np.testing.assert_allclose(of_middle, (of_slow + of_fast) / 2, rtol=1e-12, atol=1e-12)
+        assert middle.between_m_s == (0.1, 0.2)
+
+    def test_beside_a_node_it_is_the_scaled_tap(self, references: list[Reference]) -> None:
+        beside = between(references, 0.2 * (1 + 1e-9))
+        np.testing.assert_allclose(beside.motor_m_s2, references[1].motor_m_s2, rtol=1e-6, atol=1e-6)
+
+    def test_it_is_a_reference_of_its_speed(self, scene: Scene, references: list[Reference]) -> None:
+        """z_nom integrates r_raw - r from dz/dt = -v, and r = H r_raw, since every step is linear in (r, v)."""
+        reference, grid = between(references, 0.33), scene.time_grid()
+        tau, v = grid.switching_times_s, reference.nominal_velocity_m_s
+        user = reference.raw_m_s2 - reference.motor_m_s2
+        mean = (user[1:] + user[:-1]) / 2
+        np.testing.assert_allclose(np.diff(v), mean * np.diff(tau), atol=2e-2 * np.abs(np.diff(v)).max())
+        assert np.interp(0.0, tau, v) == pytest.approx(-0.33, rel=1e-9, abs=1e-3)
+        assert np.interp(0.0, tau, reference.nominal_position_m) == pytest.approx(0.0, abs=1e-6)
+        ticks = np.interp(tau[:-1], grid.issue_times_s, reference.nominal_position_at_ticks_m)
+        np.testing.assert_allclose(ticks, reference.nominal_position_m[:-1], atol=1e-6)
+        step = reference.times_s[1] - reference.times_s[0]
+        slow, fast = (r.repeats_m_s2.mean(axis=0) / r.speed_m_s for r in references[2:])
+        raw = Signal(float(reference.times_s[0]), float(step), 0.33 * (0.7 * slow + 0.3 * fast))
+        np.testing.assert_allclose(
+            highpass(raw, scene.recordings.highpass_Hz).at(tau), reference.motor_m_s2, atol=1e-9
+        )
+
+    def test_repeatability_and_taps_of_both_neighbours(self, references: list[Reference]) -> None:
+        slow, fast = references[2:]
+        reference = between(references, 0.36)
+        assert reference.repeatability == max(slow.repeatability, fast.repeatability)
+        assert reference.taps == slow.taps + fast.taps
+        np.testing.assert_allclose(reference.factors[:3], 1.2 * slow.factors)
+        np.testing.assert_allclose(reference.repeats_m_s2[3:], 0.9 * fast.repeats_m_s2)
+        once = replace(slow, repeatability=float("nan"))
+        assert np.isnan(between([once, fast], 0.36).repeatability)
+
+    @pytest.mark.parametrize("speed", [0.05, 0.41, float("nan")])
+    def test_outside_the_recorded_speeds(self, references: list[Reference], speed: float) -> None:
+        with pytest.raises(InputError, match=r"known from 0\.1 to 0\.4 m/s only"):
+            between(references, speed)
+
+
+class TestTolerance:
+    def test_default_scene(
+        self, scene: Scene, refinement: Refinement, refined: Build, library: Library, references: list[Reference]
+    ) -> None:
+        assert not refinement.shortfall
+        assert refined.library is not None
+        before, after = excess(scene, references, random_points(scene, 25), library, refined.library).T
+        assert before.max() > 0.04
+        assert after.max() <= 0.02
+        assert refinement.entries <= 40
+        assert all(not check.shortfalls for check in verify_library(refined.library))
+
+    def test_resonance_that_moves_with_grip(self, scene: Scene) -> None:
+        soft = with_grid(soft_hand(scene), [0.35, 0.4], [1.0, 3.0])
+        taps = recordings(soft)
+        found = refine_grid(soft, taps, 0.02)
+        assert not found.shortfall
+        assert max(p.excess_before for p in found.points) > 0.07
+        assert max(p.excess_after for p in found.points) <= 0.02
+        built = build_library(soft, taps, refinement=found)
+        assert built.library is not None
+        recorded = build_references(taps, soft.grid.speeds_m_s, soft.time_grid(), soft.recordings)
+        assert excess(soft, recorded, random_points(soft, 15), built.library).max() <= 0.02
+
+    def test_nodes_of_the_scene_stay(self, scene: Scene, refinement: Refinement) -> None:
+        assert set(scene.grid.speeds_m_s) < set(refinement.grid.speeds_m_s)
+        assert set(scene.grid.grips_N) < set(refinement.grid.grips_N)
+        assert refinement.grid.grip_min_N == scene.grid.grip_min_N
+
+    def test_points_are_what_a_device_would_play(
+        self, scene: Scene, refinement: Refinement, refined: Build, library: Library, references: list[Reference]
+    ) -> None:
+        """The map says the same as the definition applied to the two library files."""
+        assert refined.library is not None
+        points = refinement.off(refinement.grid)[::40]
+        at = np.array([(p.speed_m_s, p.grip_N) for p in points])
+        expected = [(p.excess_before, p.excess_after) for p in points]
+        np.testing.assert_allclose(expected, excess(scene, references, at, library, refined.library), atol=1e-9)
+
+    def test_margins_cover_a_kink_anywhere_in_an_interval(self) -> None:
+        at, kinks = np.linspace(0, 1, 5), np.linspace(0.001, 0.999, 997)
+        # Interpolating max(0, x - k) from its values at 0 and 1; the error is largest at k.
+        error = (1 - kinks) * at[:, None] - np.maximum(0, at[:, None] - kinks)
+        worst = kinks * (1 - kinks)
+        assert np.all(error[2] >= CLOSER_LOOK / MARGIN * worst)
+        assert np.all(error.max(axis=0) >= MARGIN * worst)
+
+    def test_nothing_to_blend_at_a_node(self, refinement: Refinement) -> None:
+        nodes = [p for p in refinement.points if p not in refinement.off(refinement.grid)]
+        assert len(nodes) == refinement.entries
+        assert max(abs(p.excess_after) for p in nodes) == 0.0
+
+    def test_generous_tolerance_keeps_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
+        found = refine_grid(scene, taps, 0.5)
+        assert (found.grid, found.rounds, found.shortfall) == (scene.grid, 0, "")
+
+
+class TestSmallGrids:
+    def test_one_grip(self, scene: Scene, taps: list[Recording]) -> None:
+        found = refine_grid(with_grid(scene, scene.grid.speeds_m_s, [3.0]), taps, 0.02)
+        assert not found.shortfall
+        assert found.grid.grips_N == [3.0]
+        assert len(found.grid.speeds_m_s) > 4
+        figure = grid_figure(found)
+        assert figure.axes[0].get_xlabel() == "speed [m/s]"
+
+    def test_one_speed(self, scene: Scene) -> None:
+        soft = with_grid(soft_hand(scene), [0.2], [1.0, 5.0])
+        found = refine_grid(soft, recordings(soft), 0.02)
+        assert not found.shortfall
+        assert found.grid.speeds_m_s == [0.2]
+        assert len(found.grid.grips_N) > 2
+        assert grid_figure(found).axes[0].get_xlabel() == "grip [N]"
+
+    def test_one_entry_has_nothing_to_refine(self, scene: Scene) -> None:
+        single = with_grid(scene, [0.2], [3.0])
+        taps = recordings(single)
+        found = refine_grid(single, taps, 0.02)
+        assert (found.entries, found.rounds, found.shortfall) == (1, 0, "")
+        assert "nothing lies between the nodes" in refinement_summary(found)
+        build = build_library(single, taps, refinement=found)
+        assert "nothing lies between the nodes" in build_markdown(build)
+        assert build.library is not None
+        assert build.library.meta["grid_refinement"]["worst_excess_after"] == 0.0
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("tolerance", [0.0, -0.1, 1.0, float("nan")])
+    def test_tolerance(self, scene: Scene, taps: list[Recording], tolerance: float) -> None:
+        with pytest.raises(InputError, match=f"--grid-tolerance {tolerance:g}: must be between 0 and 1"):
+            refine_grid(scene, taps, tolerance)
+
+    def test_cap_below_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
+        with pytest.raises(InputError, match="--grid-cap 11: the scene's own grid has 12 entries"):
+            refine_grid(scene, taps, 0.02, cap=11)
+
+    def test_cap_ends_it_with_what_remains(self, scene: Scene, taps: list[Recording]) -> None:
+        found = refine_grid(scene, taps, 0.02, cap=16)
+        assert found.entries <= 16
+        for words in ("not met", "--grid-cap 16", "worst remaining excess", "m/s", "raise --grid-cap"):
+            assert words in found.shortfall
+        assert refinement_summary(found) == found.shortfall
+
+    def test_an_optimum_that_no_solver_can_prove(self, scene: Scene, taps: list[Recording]) -> None:
+        with pytest.raises(InputError, match=r"--grid-tolerance: no proven optimum at 0\.4 m/s"):
+            refine_grid(scene, taps, 0.02, options=SolverOptions(max_iterations=2))
+
+
+class TestCommandLine:
+    def solve(self, terminal: Terminal, *arguments: str) -> Outcome:
+        text = problems.scene_path("wood_on_foam").read_text().replace("[0.1, 0.2, 0.3, 0.4]", "[0.1, 0.2]")
+        Path("quick.toml").write_text(text.replace("[1.0, 3.0, 5.0]", "[3.0]"))
+        return terminal("transopt", "solve", "quick.toml", "--out", "here", *arguments)
+
+    def test_figure_report_and_library(self, terminal: Terminal) -> None:
+        outcome = self.solve(terminal, "--grid-tolerance", "0.01")
+        assert outcome.code == 0
+        assert "2 -> 3 entries in 1 round," in outcome.out
+        assert Path("here/grid_error.png").read_bytes()[:4] == b"\x89PNG"
+        assert "## Between the nodes" in Path("here/report.md").read_text()
+        library = load_library(Path("here/library.npz"))
+        np.testing.assert_array_equal(library.speeds_m_s, [0.1, 0.15, 0.2])
+        assert self.solve(terminal).code == 0
+        assert not Path("here/grid_error.png").exists(), "belongs to an earlier library"
+
+    def test_cap_writes_what_was_reached_and_exits_1(self, terminal: Terminal) -> None:
+        outcome = self.solve(terminal, "--grid-tolerance", "0.001", "--grid-cap", "3")
+        assert outcome.code == 1
+        message = "grid tolerance 0.1 % not met with 3 entries (3 speeds x 1 grips, --grid-cap 3)"
+        assert message in outcome.out
+        assert load_library(Path("here/library.npz")).speeds_m_s.size == 3
+        assert "not met" in Path("here/report.md").read_text()
+
+
+class TestWhatIsWritten:
+    def test_library_says_what_was_recorded(self, scene: Scene, refinement: Refinement, refined: Build) -> None:
+        assert refined.library is not None
+        meta = refined.library.meta
+        said = meta["grid_refinement"]
+        assert said["tolerance"] == 0.02
+        assert said["recorded_speeds_m_s"] == scene.grid.speeds_m_s
+        assert said["worst_excess_after"] <= 0.02 < said["worst_excess_before"]
+        assert said["points"] == len(refinement.points)
+        assert meta["scene"]["grid"]["speeds_m_s"] == refinement.grid.speeds_m_s
+        assert {source["grid_speed_m_s"] for source in meta["sources"]} == set(scene.grid.speeds_m_s)
+
+    def test_a_library_as_it_stood_says_nothing(self, library: Library) -> None:
+        assert library.meta["grid_refinement"] is None
+
+    def test_report(self, refined: Build) -> None:
+        text = build_markdown(refined)
+        for words in (
+            "## Between the nodes",
+            "| of the scene | 4 | 3 | 12 |",
+            "| refined |",
+            "not recorded but derived",
+        ):
+            assert words in text
+        assert '"between_m_s": [' in build_json(refined)
+
+    def test_figure(self, refinement: Refinement) -> None:
+        before, after, bar = grid_figure(refinement).axes
+        assert "grid of the scene, 12 entries" in before.get_title()
+        assert f"refined, {refinement.entries} entries" in after.get_title()
+        assert before.collections[0].get_clim() == after.collections[0].get_clim()
+        assert "NRMSE [%]" in bar.get_ylabel()

@@ -1,0 +1,100 @@
+"""Entries of varied scenes."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+
+from transopt.design import sweep
+from transopt.design.build import Build
+from transopt.design.sweep import DEFECT, REFUSED, Item, Outcome, Task, run_task
+from transopt.recordings.recording import Recording
+from transopt.scene.keys import Changes
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+
+
+def task(
+    scene: Scene, taps: list[Recording], points: list[Changes], speeds: list[float], grip_N: float = 5.0
+) -> Task:
+    pairs = [(p, speed) for p in range(len(points)) for speed in speeds]
+    items = tuple(Item(j, p, speed) for j, (p, speed) in enumerate(pairs))
+    return Task(scene, tuple(taps), "of the session", grip_N, tuple(points), items, SolverOptions())
+
+
+def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) -> None:
+    found = run_task(task(scene, taps, [{}], scene.grid.speeds_m_s))
+    own = [row[2] for row in build.entries]
+    assert [outcome.status for outcome in found] == ["OPTIMAL"] * 4
+    for outcome, entry in zip(found, own, strict=True):
+        assert outcome.nrmse == pytest.approx(entry.nrmse, rel=1e-9)
+        assert outcome.floor == pytest.approx(entry.floor, rel=1e-9)
+        assert outcome.peak_current_A == pytest.approx(entry.played.peak_current_A, rel=1e-9)
+        assert outcome.peak_temperature_C == pytest.approx(entry.played.winding_C, rel=1e-9)
+        assert outcome.binding == entry.binding
+        assert outcome.relative_gap <= 1e-6
+    mu = own[3].solution.multipliers
+    assert found[3].mu_current_1_A == pytest.approx(max(mu.current_lower.max(), mu.current_upper.max()), rel=1e-6)
+
+
+def test_larger_current_limit_is_never_worse(scene: Scene, taps: list[Recording]) -> None:
+    limits = [1.25, 2.0, 2.9, 3.0, 4.0, 5.5]
+    found = run_task(task(scene, taps, [{"limits.current_A": A} for A in limits], [0.4]))
+    J = [outcome.objective for outcome in found]
+    # The optimum itself is monotone, each answer is within its own gap of it.
+    assert all(b <= a + 1e-6 * max(a, 1e-3) for a, b in pairwise(J))
+    assert J[0] > 100 * J[-1]
+    assert all(o.peak_current_A <= A + 1e-6 for o, A in zip(found, limits, strict=True))
+
+
+def test_points_of_other_devices_in_one_task_come_out_as_alone(scene: Scene, taps: list[Recording]) -> None:
+    points: list[Changes] = [{}, {"amplifier.pole_Hz": 300.0}, {"limits.supply_V": 9.0}, {"thermal.ambient_C": 30.0}]
+    together = run_task(task(scene, taps, points, [0.4]))
+    for outcome, point in zip(together, points, strict=True):
+        [alone] = run_task(task(scene, taps, [point], [0.4]))
+        assert alone.nrmse == pytest.approx(outcome.nrmse, rel=1e-8)
+        assert alone.status == outcome.status == "OPTIMAL"
+    assert together[2].peak_voltage_V <= 9.0 * 1.001
+    assert together[0].peak_voltage_V != together[0].peak_voltage_V  # NaN: no rail, no voltage
+
+
+def test_what_cannot_be_is_a_row_with_its_reason(scene: Scene, taps: list[Recording]) -> None:
+    points: list[Changes] = [{"limits.current_A": 50.0}, {}]
+    refused, fine = run_task(task(scene, taps, points, [0.4]))
+    assert refused.status == REFUSED
+    assert "above the motor's i_peak_A" in refused.reason
+    assert (fine.status, fine.reason) == ("OPTIMAL", "")
+
+
+def test_infeasible_entry_is_told(scene: Scene, taps: list[Recording]) -> None:
+    [outcome] = run_task(task(scene, taps, [{"limits.supply_V": 0.2}], [0.4]))
+    assert outcome.status == "INFEASIBLE"
+    assert "back-EMF" in outcome.reason
+
+
+def test_a_defect_takes_nobody_with_it(scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch) -> None:
+    optimum = sweep.optimum
+
+    def breaks(problem: object, options: SolverOptions) -> object:
+        if problem.limits.current_A == 3.0:  # type: ignore[attr-defined]
+            raise RuntimeError("two\nlines")
+        return optimum(problem, options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(sweep, "optimum", breaks)
+    one, other = run_task(task(scene, taps, [{"limits.current_A": 3.0}, {"limits.current_A": 3.5}], [0.4]))
+    assert (one.status, one.reason) == (DEFECT, "RuntimeError: two lines")
+    assert other.status == "OPTIMAL"
+
+
+def test_baselines_and_prices_only_where_wanted(scene: Scene, taps: list[Recording], build: Build) -> None:
+    plain = task(scene, taps, [{}], [0.4])
+    [without], [full] = run_task(plain), run_task(replace(plain, rivals=True))
+    entry = build.entries[3][2]
+    assert without.price == ""
+    assert full.price == "; ".join(price.sentence for price in entry.prices)
+    assert full.nrmse_clipped == pytest.approx(entry.baselines.clipped, rel=1e-9)
+    assert full.nrmse_seed == pytest.approx(entry.baselines.seed, rel=1e-9)
+    same = {"price", "nrmse_seed", "nrmse_clipped", "solve_ms", "total_ms"}
+    for name in Outcome.__dataclass_fields__:
+        if name not in same and getattr(full, name) == getattr(full, name):
+            assert getattr(full, name) == getattr(without, name)

@@ -1,0 +1,111 @@
+"""The black box: stable, real, with the zeros that physics asks for, and exact where the device has its order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig
+from transopt.base.errors import InputError
+from transopt.identify.device.black_box import RESOLVED, BlackBox, fit_black_box
+from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+from transopt.plant.chain import Link, StateSpace, chain
+
+INSTRUMENT = Instrument(DT_S, AMPLIFIER, ACCELEROMETER_HZ)
+
+
+@pytest.fixture(scope="module")
+def estimate() -> TransferEstimate:
+    runs = Rig().sweeps((3.0,))
+    return estimate_transfer(
+        [Trial(run.name, run.require("current", ""), run.require("acceleration", "")) for run in runs]
+    )
+
+
+def response_of(
+    plant: StateSpace, grip_N: float, estimate: TransferEstimate, noise: float, seed: int = 0
+) -> GripResponse:
+    random = np.random.default_rng(seed)
+    truth, _ = sampled_response(plant, INSTRUMENT, estimate.frequencies_Hz)
+    error = random.standard_normal(truth.size) + 1j * random.standard_normal(truth.size)
+    return GripResponse(grip_N, replace(estimate, response=truth + noise * estimate.deviation * error))
+
+
+def four_masses() -> StateSpace:
+    """A second resonance at 150 Hz that no drive chain has: order 8."""
+    links = [Link(6e4, 8.0), Link(9e3, 0.5), Link(9e3, 15.0), Link(490.0, 15.0)]
+    return chain([0.014, 0.02, 0.012, 0.010], links, force_per_current_N_A=1.25, stylus=1)
+
+
+@pytest.mark.parametrize(
+    ("plant", "grip_N", "order"),
+    [
+        (DEFAULT.plant(0.0), 0.0, 2),
+        (DEFAULT.plant(1.0), 1.0, 6),
+        (DEFAULT.plant(5.0), 5.0, 6),
+        (four_masses(), 3.0, 8),
+    ],
+)
+def test_a_device_of_its_order_is_found(
+    plant: StateSpace, grip_N: float, order: int, estimate: TransferEstimate
+) -> None:
+    box = fit_black_box([response_of(plant, grip_N, estimate, 1.0)], INSTRUMENT, order)
+    assert box.order == order
+    assert 0.8 < box.scatter[0] < 1.25
+    frequencies = np.geomspace(2, 800, 200)
+    ratio = box.plants[0].response(frequencies) / plant.response(frequencies)
+    assert np.all(np.abs(20 * np.log10(np.abs(ratio))) < 0.5)
+    assert np.all(np.abs(np.degrees(np.angle(ratio))) < 2.5)
+
+
+def test_the_order_is_found_where_none_is_stated(estimate: TransferEstimate) -> None:
+    box = fit_black_box([response_of(DEFAULT.plant(3.0), 3.0, estimate, 1.0)], INSTRUMENT)
+    assert box.order == 6
+
+
+@pytest.mark.parametrize("order", [2, 4, 8])
+def test_whatever_the_order_the_model_is_stable_real_and_stands_still_under_a_constant_current(
+    order: int, estimate: TransferEstimate
+) -> None:
+    plant = fit_black_box([response_of(DEFAULT.plant(3.0), 3.0, estimate, 1.0)], INSTRUMENT, order).plants[0]
+    assert plant.A.dtype == float
+    assert np.all(np.linalg.eigvals(plant.A).real < 0)
+    # Two zeros at s = 0: the acceleration falls with the square of the frequency, far below the slowest pole.
+    slowest = np.abs(np.linalg.eigvals(plant.A)).min() / (2 * np.pi)
+    high, low = np.abs(plant.response(np.array([1e-2, 1e-3]) * slowest))
+    assert high / low == pytest.approx(100, rel=1e-2)
+
+
+def test_between_grips_the_neighbours_blend_and_free_never_mixes_with_held() -> None:
+    plants = tuple(DEFAULT.plant(grip) for grip in (1.0, 3.0, 5.0))
+    box = BlackBox((1.0, 3.0, 5.0), plants, np.ones(3), 0.0)
+    assert box.shares(3.0) == [(plants[1], 1.0)]
+    assert box.shares(3.5) == [(plants[1], pytest.approx(0.75)), (plants[2], pytest.approx(0.25))]
+    assert box.without(3.0).shares(3.0) == [(plants[0], pytest.approx(0.5)), (plants[2], pytest.approx(0.5))]
+    with pytest.raises(InputError, match="grip 0 N: outside the recorded grips"):
+        box.shares(0.0)
+    with pytest.raises(InputError, match="grip 6 N"):
+        box.shares(6.0)
+
+
+@pytest.mark.parametrize("order", [3, 0, 22])
+def test_an_order_that_cannot_be_is_refused(order: int, estimate: TransferEstimate) -> None:
+    with pytest.raises(InputError, match=f"--order {order}: must be even, 2 to 20"):
+        fit_black_box([GripResponse(3.0, estimate)], INSTRUMENT, order)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_resonance_is_narrower_than_what_was_measured_between(seed: int, estimate: TransferEstimate) -> None:
+    """A pole pair to spare hides between two bins, where noise alone would put it: 24 dB off at 6.4 Hz were seen."""
+    plant = DEFAULT.plant(5.0)
+    box = fit_black_box([response_of(plant, 5.0, estimate, 1.0, seed)], INSTRUMENT, 10)
+    poles = np.linalg.eigvals(box.plants[0].A)
+    resonant = poles[poles.imag > 0]
+    f = estimate.frequencies_Hz
+    spacing_Hz = np.interp(np.abs(resonant) / (2 * np.pi), f, np.gradient(f))
+    assert np.all(-2 * resonant.real >= 2 * np.pi * RESOLVED * spacing_Hz * (1 - 1e-6))
+    fine = np.geomspace(2, 800, 4000)
+    ratio = box.plants[0].response(fine) / plant.response(fine)
+    assert np.all(np.abs(20 * np.log10(np.abs(ratio))) < 1)

@@ -1,0 +1,129 @@
+"""The chain's parameters: found, with intervals that cover, and open where the data leave them open."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
+from transopt.base.errors import InputError
+from transopt.identify.device.chain import HAND, SHARED, DriveChain
+from transopt.identify.device.chain_fit import GripResponse, fit_chain, fit_per_grip, refit, scaled_to
+from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+
+INSTRUMENT = Instrument(DT_S, AMPLIFIER, ACCELEROMETER_HZ)
+GRIPS_N = (0.0, 1.0, 3.0, 5.0)
+
+
+@pytest.fixture(scope="module")
+def estimate() -> TransferEstimate:
+    """What four sweeps give: frequencies and noise that the tests put on responses of their own."""
+    runs = Rig().sweeps((3.0,))
+    trials = [Trial(run.name, run.require("current", ""), run.require("acceleration", "")) for run in runs]
+    return estimate_transfer(trials)
+
+
+Measured = Callable[..., list[GripResponse]]
+
+
+@pytest.fixture
+def measured(estimate: TransferEstimate) -> Measured:
+    """Responses of a device with normal noise of the stated deviation times `noise`."""
+    deviation = GripResponse(3.0, estimate).deviation
+
+    def make(
+        device: DriveChain,
+        grips_N: tuple[float, ...] = GRIPS_N,
+        *,
+        noise: float = 1.0,
+        seed: int = 0,
+        high_Hz: float = 2e3,
+    ) -> list[GripResponse]:
+        random, found = np.random.default_rng(seed), []
+        for grip in grips_N:
+            truth, _ = sampled_response(device.plant(grip), INSTRUMENT, estimate.frequencies_Hz)
+            error = random.standard_normal(truth.size) + 1j * random.standard_normal(truth.size)
+            response = truth + noise * deviation * error
+            one = replace(estimate, response=response, deviation=deviation, degrees=np.full(truth.size, 1e3))
+            found.append(GripResponse(grip, one.between(0.0, high_Hz)))
+        return found
+
+    return make
+
+
+def test_without_noise_the_device_itself_is_found(measured: Measured) -> None:
+    truth = mismatched(0.3, 1)
+    fit = fit_chain(measured(truth, noise=0.0), INSTRUMENT, DEFAULT)
+    np.testing.assert_allclose(fit.device.shared, truth.shared, rtol=1e-4)
+    for grip in (1.0, 2.0, 5.0):
+        np.testing.assert_allclose(fit.device.hand_at(grip), truth.hand_at(grip), rtol=1e-3)
+    assert fit.at_bounds == ()
+    assert fit.agreeing >= 3
+
+
+def test_a_device_ten_times_as_heavy_is_found_from_the_nominal_one(measured: Measured) -> None:
+    truth = DriveChain(1.25, 10 * DEFAULT.shared, 10 * DEFAULT.hand)
+    responses = measured(truth, noise=0.01)
+    near = scaled_to(DEFAULT, responses, INSTRUMENT)
+    np.testing.assert_allclose(near.shared, truth.shared, rtol=0.1)
+    fit = fit_chain(responses, INSTRUMENT, DEFAULT, random_starts=1)
+    np.testing.assert_allclose(fit.device.shared, truth.shared, rtol=0.02)
+
+
+def test_intervals_cover_the_truth(measured: Measured) -> None:
+    first = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+    inside = []
+    for seed in range(1, 31):
+        fit = refit(first, measured(DEFAULT, seed=seed), INSTRUMENT)
+        _, values, covariance = fit.stated()
+        _, truth, _ = fit.coordinates.stated(fit.coordinates.of(DEFAULT))
+        inside.append(np.abs(values - truth) < 1.96 * np.sqrt(np.diag(covariance)))
+        assert 0.8 < fit.scatter < 1.2
+    assert 0.90 <= np.mean(inside) <= 0.99
+    assert np.min(np.mean(inside, axis=0)) > 0.75  # no single one of the 14 parameters far off, in 30 draws
+
+
+def test_what_the_band_does_not_show_is_called_unknown(measured: Measured) -> None:
+    """Below 60 Hz the transmission is rigid: its damping leaves no trace."""
+    fit = fit_chain(measured(DEFAULT, noise=10.0, high_Hz=60.0), INSTRUMENT, DEFAULT, random_starts=0)
+    assert "transmission_damping_N_s_m" in {*fit.unidentified, *fit.at_bounds}
+    full = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+    assert full.unidentified == {}
+
+
+def test_a_hand_that_is_no_line_over_grip_shows_against_the_fit_of_its_own_grip(measured: Measured) -> None:
+    bent = DriveChain(DEFAULT.force_per_current_N_A, DEFAULT.shared, DEFAULT.hand * [[1.0, 1.0]])
+    responses = measured(bent)
+    softer = DriveChain(1.25, DEFAULT.shared, 0.6 * DEFAULT.hand)
+    responses[2] = measured(softer)[2]
+    fit = fit_chain(responses, INSTRUMENT, DEFAULT, random_starts=0)
+    own = {one.grip_N: one for one in fit_per_grip(fit, responses, INSTRUMENT, least_coherence=0.8)}
+    assert own[3.0].scatter > 10
+    assert own[3.0].own_scatter < 0.2 * own[3.0].scatter
+    assert own[3.0].difference_dB > 1
+    straight = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+    for one in fit_per_grip(straight, measured(DEFAULT), INSTRUMENT, least_coherence=0.8):
+        assert one.scatter == pytest.approx(one.own_scatter, rel=0.1)
+        assert one.difference_dB < 0.1
+
+
+def test_noise_beyond_the_stated_one_widens_the_intervals(measured: Measured) -> None:
+    quiet = fit_chain(measured(DEFAULT), INSTRUMENT, DEFAULT, random_starts=0)
+    loud = fit_chain(measured(DEFAULT, noise=3.0), INSTRUMENT, DEFAULT, random_starts=0)
+    ratio = np.sqrt(np.diag(loud.covariance) / np.diag(quiet.covariance))
+    assert np.all((ratio > 2.5) & (ratio < 3.5))
+
+
+def test_one_held_grip_makes_a_hand_without_slopes(measured: Measured) -> None:
+    fit = fit_chain(measured(DEFAULT, (0.0, 3.0)), INSTRUMENT, DEFAULT, random_starts=0)
+    names, values, covariance = fit.stated()
+    assert names == (*SHARED, *(f"hand.{name}.constant" for name in HAND))
+    np.testing.assert_allclose(values[4:], DEFAULT.hand_at(3.0), rtol=0.1)
+    assert covariance.shape == (9, 9)
+
+
+def test_the_free_device_alone_is_refused_with_what_to_do(measured: Measured) -> None:
+    with pytest.raises(InputError, match=r"only the free device.*record held grips"):
+        fit_chain(measured(DEFAULT, (0.0,)), INSTRUMENT, DEFAULT)

@@ -1,0 +1,339 @@
+"""From records to the device part of a model file: against a known truth, on records of two different simulations."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.record.excitation import sweep_command
+from controller.sim.sensors import Sensors
+from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.true_device import device_of
+from controller.sim.user import StillHand
+from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, assert_near, mismatched
+from tests.transopt.identify.device.test_black_box import four_masses
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal
+from transopt.identify.checks import Fault
+from transopt.identify.device.chain import DriveChain
+from transopt.identify.device.identify import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
+from transopt.identify.device.validation import compare, short_of, verdict
+from transopt.identify.measurement import Measurement
+from transopt.plant.chain import StateSpace
+from transopt.scene.scene import Scene
+
+GRIPS_N = (0.0, 1.0, 3.0, 5.0)
+SETTINGS = Settings(nominal=DEFAULT, scene_plant=DEFAULT.plant, amplifier=AMPLIFIER, kind=Kind.DRIVE, random_starts=1)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """A device 5 % off the nominal one, crossover on."""
+    return Rig(mismatched(0.05, 3), crossover_A=0.01)
+
+
+@pytest.fixture(scope="module")
+def sweeps(rig: Rig) -> list[Measurement]:
+    return rig.sweeps(GRIPS_N)
+
+
+@pytest.fixture(scope="module")
+def found(rig: Rig, sweeps: list[Measurement]) -> DeviceResult:
+    return identify(sweeps, rig.transients((0.0, 1.0, 2.0, 3.0, 4.0, 5.0)), SETTINGS)
+
+
+@pytest.mark.parametrize(("crossover_A", "mismatch"), [(0.0, 0.0), (0.01, 0.0), (0.01, 0.05)])
+def test_the_response_is_found_within_a_decibel_and_five_degrees(crossover_A: float, mismatch: float) -> None:
+    rig = Rig(mismatched(mismatch, 5), crossover_A=crossover_A)
+    result = identify(rig.sweeps(GRIPS_N, seed=1), [], SETTINGS)
+    part = device_part(result)
+    for grip in (*GRIPS_N, 2.0, 4.0):
+        assert_near(part.plant(grip), rig.device.plant(grip))
+    assert all(error <= 0.05 for error in result.chosen.recorded.values())
+    assert set(result.chosen.between) == {3.0}
+    assert result.chosen.between[3.0] <= 0.08
+    assert result.short == []
+
+
+def test_transients_outside_the_fit_are_predicted_at_recorded_grips_and_between(found: DeviceResult) -> None:
+    assert set(found.chosen.recorded) == set(GRIPS_N)
+    assert all(error <= 0.05 for error in found.chosen.recorded.values())
+    assert set(found.chosen.between) == {2.0, 3.0, 4.0}
+    assert all(error <= 0.08 for error in found.chosen.between.values())
+    assert found.verdict.startswith("supports design errors down to ")
+    assert all(len(grip.fitted) == 4 for grip in found.grips)
+
+
+def test_the_model_of_another_device_is_told_from_the_right_one(rig: Rig, found: DeviceResult) -> None:
+    """The error figure sees a stylus of 20 % more mass, so that a good figure means something."""
+    wrong = DriveChain(1.25, rig.device.shared * [1.0, 1.2, 1.0, 1.0], rig.device.hand)
+    run = found.grips[2].kept[0]
+    assert (
+        compare(wrong, 3.0, found.instrument, run).nrmse > 5 * compare(rig.device, 3.0, found.instrument, run).nrmse
+    )
+
+
+def test_a_static_offset_of_the_accelerometer_costs_nothing(rig: Rig, found: DeviceResult) -> None:
+    run = found.grips[2].kept[0]
+    signal = run.require("acceleration", "")
+    tilted = replace(run, acceleration=replace(signal, values=signal.values + 9.81))
+    plain = compare(rig.device, 3.0, found.instrument, run)
+    assert compare(rig.device, 3.0, found.instrument, tilted).nrmse == pytest.approx(plain.nrmse, rel=1e-6)
+
+
+def test_without_transients_the_last_trial_of_each_grip_is_kept_out(sweeps: list[Measurement]) -> None:
+    result = identify(sweeps, [], SETTINGS)
+    for grip in result.grips:
+        assert [run.name for run in grip.kept] == [f"sweep_{grip.grip_N:g}N_3.npz"]
+        assert len(grip.fitted) == 3
+
+
+def test_two_trials_per_grip_leave_nothing_to_judge_by(sweeps: list[Measurement]) -> None:
+    result = identify([run for run in sweeps if run.name[-5] in "01"], [], SETTINGS)
+    assert result.verdict.startswith("not validated")
+    assert "give --validate FILES" in result.short[0]
+    assert device_part(result).nrmse == {}
+
+
+def test_the_part_states_covariance_and_intervals_that_hold_the_truth(rig: Rig, found: DeviceResult) -> None:
+    part = device_part(found)
+    assert part.kind == "drive"
+    assert len(part.parameters) == 14
+    assert part.intervals["moving_mass_kg"][0] < part.moving_mass_kg < part.intervals["moving_mass_kg"][1]
+    truth = dict(zip(part.parameters[:4], rig.device.shared.tolist(), strict=True))
+    for name, value in truth.items():
+        low, high = part.intervals[name]
+        assert low - (high - low) < value < high + (high - low)
+    assert len(part.sources) == 4 * 4 + 4
+    assert json.loads(part.model_dump_json())["nrmse"].keys() == {"0", "1", "3", "5"}
+
+
+def test_a_device_that_is_no_chain_is_given_to_the_black_box() -> None:
+    """A second resonance at 150 Hz."""
+
+    class Other(DriveChain):
+        def plant(self, grip_N: float) -> StateSpace:
+            return four_masses()
+
+    rig = Rig(Other(1.25, DEFAULT.shared, DEFAULT.hand))
+    result = identify(
+        rig.sweeps((3.0,)), rig.transients((3.0,)), replace(SETTINGS, scene_plant=None, kind=Kind.AUTO, order=8)
+    )
+    assert result.chosen.kind is Kind.STATE_SPACE
+    assert result.other is not None
+    assert result.chosen.error < 0.3 * result.other.error
+    part = device_part(result)
+    assert part.kind == "state_space"
+    assert_near(part.plant(3.0), four_masses())
+    drive = identify(rig.sweeps((3.0,)), rig.transients((3.0,)), replace(SETTINGS, scene_plant=None))
+    assert any("lack of fit at" in text and "at 3 N" in text for text in drive.advice)
+
+
+def test_the_chain_is_chosen_where_the_device_is_one(sweeps: list[Measurement], rig: Rig) -> None:
+    result = identify(
+        [run for run in sweeps if run.grip_N in (1.0, 3.0)],
+        rig.transients((1.0, 2.0)),
+        replace(SETTINGS, kind=Kind.AUTO, order=6),
+    )
+    assert result.chosen.kind is Kind.DRIVE
+    assert result.other is not None
+    assert any("no free device" in text for text in result.advice)
+
+
+def test_a_command_alone_will_do_where_the_amplifier_is_known(rig: Rig) -> None:
+    quiet = Rig(rig.device, crossover_A=0.0)
+    runs = [replace(run, current=None) for run in quiet.sweeps((0.0, 3.0))]
+    part = device_part(identify(runs, [], SETTINGS))
+    assert_near(part.plant(3.0), rig.device.plant(3.0))
+
+
+def simulated(scene: Scene, grip_N: float, command_A: np.ndarray, seed: int, name: str) -> Measurement:
+    """A record of the controller's simulator: absolute coordinates, its own integration and sensors."""
+    wrong = Imperfections(crossover_A=0.01, sensors=Sensors())
+    simulator = Simulator(
+        device_of(scene), StillHand(grip_N, height_m=0.0), DT_S, imperfections=wrong, seed=seed, steps=1
+    )
+    rows = np.empty((command_A.size, 2))
+    for k, command in enumerate(command_A.tolist()):
+        read = simulator.readings()
+        rows[k] = read.current_A, read.acceleration_m_s2
+        simulator.advance(command)
+    current, acceleration = (Signal(0.0, DT_S, column.copy()) for column in rows.T)
+    return Measurement(
+        name=name,
+        source=name,
+        sha256="0" * 64,
+        command=Signal(0.0, DT_S, command_A),
+        current=current,
+        acceleration=acceleration,
+        grip_N=grip_N,
+        accelerometer_Hz=ACCELEROMETER_HZ,
+    )
+
+
+def test_records_of_the_simulator_lead_to_the_scenes_device(scene: Scene) -> None:
+    """Another path through signs, read times and sensors: what it says must be what the design model says."""
+    command = sweep_command(1.0, 2000.0, 1.0, 0.75, DT_S)
+    runs = [
+        simulated(scene, grip, (-1) ** j * command, 10 * j, f"{grip:g}N_{j}")
+        for grip in (0.0, 1.0, 3.0, 5.0)
+        for j in range(3)
+    ]
+    result = identify(runs, [], SETTINGS)
+    part = device_part(result)
+    for grip in (0.0, 1.0, 2.0, 3.0, 5.0):
+        assert_near(part.plant(grip), scene.plant(grip))
+    assert all(error <= 0.05 for error in result.chosen.recorded.values())
+    assert all(0.7 < residual < 1.4 for residual in result.residuals)
+    np.testing.assert_allclose(part.moving_mass_kg, scene.drive_at_tip().moving_mass_kg, rtol=0.02)
+
+
+# ------------------------------------------------------------------------------------------------ bad input
+
+
+def spoiled(runs: list[Measurement], which: int, spoil: Callable[[Measurement], Measurement]) -> list[Measurement]:
+    return [spoil(run) if j == which else run for j, run in enumerate(runs)]
+
+
+def scaled(run: Measurement, factor: float) -> Measurement:
+    return replace(run, acceleration=run.require("acceleration", "").scaled(factor))
+
+
+def driven(run: Measurement, spoil: Callable[[FloatArray], FloatArray]) -> Measurement:
+    signal = run.require("current", "")
+    return replace(run, current=replace(signal, values=spoil(signal.values)))
+
+
+def cut(run: Measurement, samples: int) -> Measurement:
+    signals = {name: run.require(name, "") for name in ("command", "current", "acceleration")}
+    return replace(run, **{name: replace(x, values=x.values[:samples]) for name, x in signals.items()})
+
+
+def clipped(run: Measurement) -> Measurement:
+    signal = run.require("acceleration", "")
+    return replace(run, acceleration=replace(signal, values=np.clip(signal.values, -20.0, 20.0)))
+
+
+@pytest.fixture(scope="module")
+def held(rig: Rig) -> list[Measurement]:
+    return rig.sweeps((3.0,))
+
+
+BAD = {
+    "all reversed": (lambda runs: [scaled(run, -1.0) for run in runs], "wrong polarity.*turn the accelerometer"),
+    "all in g": (lambda runs: [scaled(run, 1 / 9.80665) for run in runs], "units off by 9.81"),
+    "one reversed": (lambda runs: spoiled(runs, 1, lambda run: scaled(run, -1.0)), "sweep_3N_1.npz: wrong polarity"),
+    "one in g": (lambda runs: spoiled(runs, 2, lambda run: scaled(run, 1 / 9.80665)), "sweep_3N_2.npz: units off"),
+    "clipped": (lambda runs: spoiled(runs, 0, clipped), "sweep_3N_0.npz: clipped sensor: acceleration"),
+    # The last trial of three or more is kept for validation.
+    "kept one reversed": (
+        lambda runs: spoiled(runs, 3, lambda run: scaled(run, -1.0)),
+        "sweep_3N_3.npz: wrong polarity: .* than in the sweeps of 3 N",
+    ),
+    "kept one in g": (
+        lambda runs: spoiled(runs, 3, lambda run: scaled(run, 1 / 9.80665)),
+        "sweep_3N_3.npz: units off by 9.81: .* of the sweeps of 3 N",
+    ),
+    "current in mA": (
+        lambda runs: [driven(run, lambda current: 1e3 * current) for run in runs],
+        "sweep_3N_0.npz: current off scale.*are both in A",
+    ),
+    "current reversed": (
+        lambda runs: spoiled(runs, 1, lambda run: driven(run, np.negative)),
+        "sweep_3N_1.npz: wrong polarity: current_A is opposite to command_A",
+    ),
+    "current monitor dead": (
+        lambda runs: spoiled(
+            runs, 1, lambda run: driven(run, lambda x: 0.005 * np.random.default_rng(1).standard_normal(x.size))
+        ),
+        "sweep_3N_1.npz: coherence low: the measured current does not follow the command",
+    ),
+    "ten samples": (lambda runs: [cut(run, 10) for run in runs], "3 N: too few cycles: .* bands of frequency"),
+    "a hundred samples": (lambda runs: [cut(run, 100) for run in runs], "3 N: too few cycles"),
+    "no grip": (lambda runs: spoiled(runs, 0, lambda run: replace(run, grip_N=None)), "sweep_3N_0.npz: missing grip"),
+    "no acceleration": (
+        lambda runs: spoiled(runs, 0, lambda run: replace(run, acceleration=None)),
+        "sweep_3N_0.npz: no column acceleration_m_s2",
+    ),
+    "nothing driven": (
+        lambda runs: spoiled(runs, 0, lambda run: replace(run, current=None, command=None)),
+        "neither current_A nor command_A",
+    ),
+    "two sensors": (
+        lambda runs: spoiled(runs, 0, lambda run: replace(run, accelerometer_Hz=1000.0)),
+        "accelerometer_Hz 2500.0.*must be one sensor",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_record_is_named_with_what_to_do(case: str, held: list[Measurement]) -> None:
+    spoil, message = BAD[case]
+    with pytest.raises(InputError, match=message) as raised:
+        identify(spoil(held), [], SETTINGS)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_transient_that_is_reversed_is_no_error_of_the_model(rig: Rig, held: list[Measurement]) -> None:
+    (burst,) = rig.transients((3.0,))
+    assert identify(held, [burst], SETTINGS).chosen.recorded[3.0] < 0.05
+    with pytest.raises(InputError, match=r"burst_3N.npz: wrong polarity.* sweeps of 3 N"):
+        identify(held, [scaled(burst, -1.0)], SETTINGS)
+
+
+@pytest.mark.parametrize(("shift", "told"), [(1, "1 samples later"), (-1, "1 samples earlier")])
+def test_a_current_that_is_read_at_another_tick_is_told(held: list[Measurement], shift: int, told: str) -> None:
+    result = identify([driven(run, lambda x: np.roll(x, shift)) for run in held], [], SETTINGS)
+    findings = [str(finding) for finding in result.findings if finding.fault is Fault.SHIFTED]
+    assert len(findings) == len(held)
+    assert told in findings[0]
+    assert "their intervals do not hold" in result.verdict
+    assert "their intervals do not hold" in device_part(result).verdict
+
+
+def test_good_records_raise_no_doubt(found: DeviceResult) -> None:
+    assert "do not hold" not in found.verdict
+    assert [f for f in found.findings if f.fault in {Fault.SHIFTED, Fault.CURRENT_SCALE, Fault.BANDWIDTH}] == []
+
+
+def test_an_accelerometer_of_unknown_bandwidth_is_told(held: list[Measurement]) -> None:
+    result = identify([replace(run, accelerometer_Hz=None) for run in held], [], SETTINGS)
+    assert any(finding.fault is Fault.BANDWIDTH for finding in result.findings)
+
+
+def test_too_few_cycles_are_told(rig: Rig) -> None:
+    command = sweep_command(1.0, 2000.0, 1.0, 0.75, DT_S)
+    hasty = [rig.record(f"hasty_{j}", 3.0, (-1) ** j * command, j) for j in range(3)]
+    told = [str(finding) for finding in identify(hasty, [], SETTINGS).findings]
+    assert any(text.startswith("3 N: too few cycles") for text in told)
+
+
+def test_where_nothing_was_excited_the_band_and_the_grip_are_named(rig: Rig) -> None:
+    command = sweep_command(1.0, 200.0, 1.0, 0.75, DT_S)
+    runs = [rig.record(f"low_{j}", 3.0, (-1) ** j * command, j) for j in range(3)]
+    result = identify(runs, [], replace(SETTINGS, played_N=(1.0, 3.0, 5.0)))
+    assert any(text.startswith("coherence low at ") and "-800 Hz at 3 N" in text for text in result.advice)
+    assert any(text.startswith("the scene plays 1 N, recorded are 3 to 3 N") for text in result.advice)
+    assert any("one held grip, 3 N" in text for text in result.advice)
+
+
+def test_lack_of_fit_names_its_band(found: DeviceResult, rig: Rig) -> None:
+    soft = DriveChain(1.25, rig.device.shared, rig.device.hand * [[1.0], [0.5], [1.0], [1.0], [1.0]])
+    bands = lack_of_fit(found.grips[2].response, soft, found.instrument)
+    assert bands
+    assert all(2 <= low <= high <= 800 for low, high in bands)
+    assert lack_of_fit(found.grips[2].response, found.chosen.model, found.instrument) == []
+
+
+def test_the_verdict_speaks_of_the_worst_grip() -> None:
+    text = verdict({1.0: 0.02, 5.0: 0.031, 3.0: float("nan")}, {2.0: 0.05})
+    assert "down to 3.1 % (worst held-out NRMSE, 5 N); below that you design the model's error" in text
+    assert "not validated: 3 N" in text
+    assert "between recorded grips down to 5 % (at 2 N" in text
+    assert verdict({1.0: 0.02, 5.0: 1.99}, {}) == (
+        "supports no design: at 5 N it misses 199 % of what was kept out of the fit"
+    )
+    assert len(short_of({1.0: 0.02, 5.0: 0.06}, {2.0: 0.09})) == 2
+    assert short_of({1.0: 0.02}, {2.0: 0.03}) == []

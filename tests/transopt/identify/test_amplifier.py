@@ -1,0 +1,304 @@
+"""The amplifier from its sweeps: exact records in, pole, delay and crossover out, with intervals that mean it."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from typer.testing import CliRunner
+
+from controller.record.trial_file import write_measurement
+from tests.benches.sweeps import DELAY_S, DT_S, POLE_HZ, amplifier_trial, save_amplifier_trial
+from transopt.base.errors import InputError
+from transopt.base.signals import Signal
+from transopt.cli.main import app
+from transopt.identify.amplifier import (
+    AmplifierFit,
+    check_alike,
+    continuous_response,
+    estimate_crossover,
+    fit_amplifier,
+    less_dead_band,
+    sampled_response,
+    simulate_current,
+)
+from transopt.identify.figures.amplifier import amplifier_figure, prefilter_response
+from transopt.identify.spectrum import Trial, estimate_transfer
+from transopt.scene.model_file import load_model
+
+FINE = 100  # steps of a microsecond in a servo period
+
+
+def finely_simulated(command: np.ndarray, pole_Hz: float, delay_s: float) -> np.ndarray:
+    """The current by stepping the differential equation every microsecond, a delayed command held."""
+    held = np.repeat(command, FINE)
+    late = round(delay_s / DT_S * FINE)
+    held = np.concatenate([np.zeros(late), held])[: held.size]
+    keep = np.exp(-2 * np.pi * pole_Hz * DT_S / FINE)
+    current, i = np.empty(command.size), 0.0
+    for k, c in enumerate(held):
+        if k % FINE == 0:
+            current[k // FINE] = i
+        i = keep * i + (1 - keep) * c
+    return current
+
+
+@pytest.mark.parametrize("delay_us", [0, 1, 68, 100, 268])
+def test_the_simulated_current_is_the_differential_equation_s(delay_us: int) -> None:
+    command = np.random.default_rng(delay_us).standard_normal(300)
+    found = simulate_current(command, POLE_HZ, 1e-6 * delay_us, DT_S)
+    np.testing.assert_allclose(found, finely_simulated(command, POLE_HZ, 1e-6 * delay_us), atol=1e-12)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 30e-6, 99.9999e-6, 100e-6, 231e-6])
+def test_the_sampled_response_is_that_of_the_simulated_current(delay_s: float) -> None:
+    impulse = np.zeros(4096)
+    impulse[0] = 1.0
+    answer = np.fft.rfft(simulate_current(impulse, POLE_HZ, delay_s, DT_S))
+    lines = np.fft.rfftfreq(impulse.size, DT_S)
+    np.testing.assert_allclose(sampled_response(lines, POLE_HZ, delay_s, DT_S), answer, atol=1e-12)
+
+
+def test_the_response_goes_over_into_the_continuous_one_as_the_rate_grows() -> None:
+    f, dt_s = np.array([10.0, 300.0, 1000.0, 3000.0]), 1e-7
+    exact = sampled_response(f, POLE_HZ, DELAY_S, dt_s)
+    np.testing.assert_allclose(exact, continuous_response(f, POLE_HZ, DELAY_S + dt_s / 2), atol=1e-5)
+
+
+@pytest.mark.parametrize("pole_Hz", [300.0, 1050.0, 2500.0])
+@pytest.mark.parametrize("delay_s", [0.0, 68e-6, 100e-6, 137e-6, 420e-6])
+def test_without_noise_everything_is_recovered(pole_Hz: float, delay_s: float) -> None:
+    trial = amplifier_trial(0, crossover_A=0.0, pole_Hz=pole_Hz, delay_s=delay_s, noise_A=0.0, seconds=1.0)
+    fit = fit_amplifier([trial])
+    assert fit.pole_Hz == pytest.approx(pole_Hz, rel=1e-4)
+    assert fit.delay_s == pytest.approx(delay_s, abs=2e-8)
+    assert fit.gain == pytest.approx(1.0, rel=1e-4)
+    assert fit.delay_with_hold_s == fit.delay_s + 0.5 * DT_S
+    assert not fit.crossover.shows
+    assert fit.misfit_dB < 0.01
+    assert fit.shortcomings() == []
+
+
+SETS = {
+    "through zero": [{"amplitude_A": 1.0}, {"amplitude_A": 1.0, "sign": -1}],
+    "with offset": [{"offset_A": 1.0}, {"offset_A": 1.0, "sign": -1}],
+}
+SEEDS, LONG_SEEDS = 15, 50
+
+
+@cache
+def repeated(name: str, seeds: int) -> list[AmplifierFit]:
+    return [
+        fit_amplifier([amplifier_trial(1000 * seed + j, seconds=0.4, **one) for j, one in enumerate(SETS[name])])
+        for seed in range(seeds)
+    ]
+
+
+@pytest.fixture
+def fits(long: bool) -> Callable[[str], list[AmplifierFit]]:
+    """Of so many repeated experiments."""
+    return lambda name: repeated(name, LONG_SEEDS if long else SEEDS)
+
+
+Fits = Callable[[str], list[AmplifierFit]]
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("name", SETS)
+def test_pole_and_delay_at_realistic_noise_over_many_seeds(name: str, fits: Fits) -> None:
+    for fit in fits(name):
+        assert fit.pole_Hz == pytest.approx(POLE_HZ, rel=0.02)
+        assert fit.delay_s == pytest.approx(DELAY_S, abs=3e-6)
+        assert fit.shortcomings() == []
+    assert np.mean([fit.pole_Hz for fit in fits(name)]) == pytest.approx(POLE_HZ, rel=1e-3)
+    assert np.mean([fit.delay_s for fit in fits(name)]) == pytest.approx(DELAY_S, abs=1e-7)
+
+
+@pytest.mark.timeout(300)
+def test_intervals_hold_the_truth_as_often_as_they_say(fits: Fits, long: bool) -> None:
+    truth = {"pole_Hz": POLE_HZ, "delay_s": DELAY_S, "gain": 1.0}
+
+    def share(name: str, key: str) -> float:
+        return float(np.mean([fit.intervals[key][0] <= truth[key] <= fit.intervals[key][1] for fit in fits(name)]))
+
+    def least(experiments: int) -> float:
+        """One in 200 such series holds the truth less often."""
+        return float(binom.ppf(5e-3, experiments, 0.95)) / experiments
+
+    seeds = len(fits("through zero"))
+    for key in ("pole_Hz", "delay_s"):
+        assert np.mean([share(name, key) for name in SETS]) >= least(seeds * len(SETS))
+    assert share("through zero", "gain") >= least(seeds)
+    errors = np.array([[fit.pole_Hz - POLE_HZ, fit.delay_s - DELAY_S] for fit in fits("through zero")])
+    stated = np.mean([fit.covariance for fit in fits("through zero")], axis=0)[:2, :2]
+    scale = np.sqrt(np.diag(stated))
+    np.testing.assert_allclose(
+        np.cov(errors.T) / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.45 if long else 1.0
+    )
+
+
+@pytest.mark.timeout(300)
+def test_the_crossover_is_found_where_the_records_hold_it(fits: Fits) -> None:
+    widths = np.array([fit.crossover.half_width_A for fit in fits("through zero")])
+    deviations = [fit.crossover.deviation_A for fit in fits("through zero")]
+    assert widths.mean() == pytest.approx(0.01, abs=1e-4)
+    assert 0.6 < widths.std() / np.mean(deviations) < 1.5
+
+
+def test_gains_through_zero_and_beyond_the_crossover_are_the_describing_function_s() -> None:
+    trials = [amplifier_trial(0), amplifier_trial(1, sign=-1), amplifier_trial(2, offset_A=1.0)]
+    describing = 1 - 4 * 0.01 / (np.pi * 0.5)
+    np.testing.assert_allclose(fit_amplifier(trials).trial_gains, [describing, describing, 1.0], atol=2e-3)
+
+
+@pytest.mark.parametrize("crossover_A", [0.0, 0.05])
+def test_a_crossover_is_neither_invented_nor_missed(crossover_A: float) -> None:
+    trials = [amplifier_trial(j, crossover_A=crossover_A, sign=(-1) ** j) for j in range(2)]
+    found = estimate_crossover(trials, POLE_HZ, DELAY_S)
+    assert found.shows == (crossover_A > 0)
+    assert abs(found.half_width_A - crossover_A) < 4 * found.deviation_A
+
+
+def test_with_the_dead_band_ignored_the_gain_is_wrong() -> None:
+    """The reason for taking it off."""
+    fit = fit_amplifier([amplifier_trial(j, crossover_A=0.05, sign=(-1) ** j) for j in range(2)])
+    assert fit.gain == pytest.approx(1.0, abs=2e-3)
+    assert np.all(fit.trial_gains < 0.9)
+
+
+def test_what_a_continuous_fit_would_say() -> None:
+    fit = fit_amplifier([amplifier_trial(1, crossover_A=0.0)])
+    assert fit.continuous_delay_s == pytest.approx(fit.delay_with_hold_s, abs=6e-6)
+    assert fit.continuous_pole_Hz < 0.95 * POLE_HZ  # the hold is taken for a slower pole
+
+
+def test_an_amplifier_that_is_no_single_pole_is_told() -> None:
+    resonant = amplifier_trial(1, crossover_A=0.0)
+    echo = resonant.output.values + 0.4 * np.roll(resonant.output.values, 20)
+    fit = fit_amplifier([Trial("echo", resonant.input, Signal(0.0, DT_S, echo))])
+    told = fit.shortcomings()
+    assert any("the amplifier has further dynamics" in line for line in told)
+    assert fit.verdict().startswith("not fit to design with: ")
+
+
+def test_a_gain_off_one_is_told() -> None:
+    trial = amplifier_trial(1)
+    fit = fit_amplifier([Trial("half", trial.input, trial.output.scaled(0.5))])
+    assert fit.gain == pytest.approx(0.5, abs=2e-3)
+    assert "gain from command to current is 0.5, must be near 1" in fit.verdict()
+
+
+SPOILT = {
+    "a tick late": (
+        lambda x: np.roll(x, 1),
+        "trial 2: samples shifted: the current comes [+](0.9|1.0). samples later",
+    ),
+    "in mA": (lambda x: 1e3 * x, "trial 2: current off scale: the gain from command to current is 1.*e[+]03 times"),
+    "dead": (
+        lambda x: np.random.default_rng(2).normal(0, 5e-3, x.size),
+        "trial 2: coherence low: the current does not follow the command",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SPOILT)
+def test_a_file_that_is_not_like_the_others_is_named(case: str) -> None:
+    spoil, message = SPOILT[case]
+    trials = [amplifier_trial(j, offset_A=0.7 * (j // 2), sign=(-1) ** j, seconds=1.0) for j in range(4)]
+    each = [estimate_transfer([trial]) for trial in trials]
+    names = [trial.name for trial in trials]
+    assert check_alike(names, each) == []
+    output = replace(trials[2].output, values=np.asarray(spoil(trials[2].output.values)))
+    each[2] = estimate_transfer([replace(trials[2], output=output)])
+    (finding,) = check_alike(names, each)
+    assert finding.fatal
+    assert re.match(message, str(finding))
+
+
+def test_records_too_short_are_said_to_be_that() -> None:
+    short = estimate_transfer([amplifier_trial(0, seconds=0.012, low_Hz=100.0)])
+    (finding,) = check_alike(["short"], [short])
+    assert str(finding).startswith("short: too few cycles: resolves ")
+
+
+def test_a_faint_sweep_is_refused_or_told() -> None:
+    with pytest.raises(InputError, match=r"bins have a coherence of 0.8, at least 12 are needed; sweep with more"):
+        fit_amplifier([amplifier_trial(1, amplitude_A=0.001, crossover_A=0.0, seconds=0.3, noise_A=0.05)])
+    fit = fit_amplifier([amplifier_trial(1, amplitude_A=0.05, crossover_A=0.0, seconds=0.3, noise_A=0.01)])
+    assert "is known to" in fit.verdict()
+
+
+def test_the_prefilter_flattens_the_response() -> None:
+    fit = fit_amplifier([amplifier_trial(1)])
+    f = np.array([100.0, 500.0, 1000.0])
+    flat = np.abs(fit.response(f) * prefilter_response(fit, f))
+    assert np.all(flat > 0.93)
+    assert abs(fit.response(np.array([1000.0]))[0]) < 0.75
+    magnitude, phase = amplifier_figure(fit).axes
+    assert magnitude.get_ylabel() == "magnitude [dB]"
+    assert phase.get_ylabel() == "phase [deg]"
+    assert {line.get_label() for line in magnitude.get_lines()} >= {"command to current, 95 % band"}
+
+
+def test_a_dead_band_takes_off_what_it_says() -> None:
+    np.testing.assert_allclose(less_dead_band(np.array([-1.0, -0.1, 0.0, 0.05, 0.3]), 0.1), [-0.9, 0, 0, 0, 0.2])
+
+
+# ------------------------------------------------------------------------------------------------- command line
+
+
+def files(folder: Path) -> list[str]:
+    trials = [amplifier_trial(j, sign=(-1) ** j, offset_A=0.5 * (j // 2), seconds=1.0) for j in range(4)]
+    return [str(save_amplifier_trial(folder / f"sweep{j}.npz", trial)) for j, trial in enumerate(trials)]
+
+
+def test_the_command_writes_model_and_figure_and_says_so(tmp_path: Path) -> None:
+    model = tmp_path / "arm.json"
+    result = CliRunner().invoke(app, ["identify", "amplifier", *files(tmp_path), "--out", str(model)])
+    assert result.exit_code == 0, result.output
+    for said in ("pole", "delay beyond the hold", "delay with the hold's half sample", "crossover", "95 % interval"):
+        assert said in result.output
+    assert "fit to design with" in result.output
+    part = load_model(model).amplifier
+    assert part is not None
+    assert part.pole_Hz == pytest.approx(POLE_HZ, rel=0.01)
+    assert part.delay_s == pytest.approx(DELAY_S, abs=1e-6)
+    assert part.delay_with_hold_s == pytest.approx(part.delay_s + 5e-5)
+    assert part.parameters == ["pole_Hz", "delay_s"]
+    assert len(part.sources) == 4
+    assert (tmp_path / "arm_amplifier.png").read_bytes().startswith(b"\x89PNG")
+    assert set(json.loads(model.read_text())) == {"schema", "versions", "amplifier"}
+
+
+def test_a_fit_that_falls_short_is_written_with_its_verdict_and_exits_with_1(tmp_path: Path) -> None:
+    trial = amplifier_trial(1, seconds=1.0)
+    halved = Trial("t", trial.input, trial.output.scaled(0.5))
+    path = save_amplifier_trial(tmp_path / "half.npz", halved)
+    result = CliRunner().invoke(app, ["identify", "amplifier", str(path), "--out", str(tmp_path / "m.json")])
+    assert result.exit_code == 1
+    part = load_model(tmp_path / "m.json").amplifier
+    assert part is not None
+    assert part.verdict.startswith("not fit to design with: the gain")
+
+
+def test_bad_records_end_in_one_line_and_write_nothing(tmp_path: Path) -> None:
+    trial = amplifier_trial(1, seconds=0.5)
+    save_amplifier_trial(tmp_path / "turned.npz", Trial("t", trial.input, trial.output.scaled(-1.0)))
+    write_measurement(tmp_path / "half.npz", {"time_s": trial.input.times_s, "command_A": trial.input.values}, {})
+    out = tmp_path / "m.json"
+
+    def refused(name: str, target: Path = out) -> str:
+        result = CliRunner().invoke(app, ["identify", "amplifier", str(tmp_path / name), "--out", str(target)])
+        assert isinstance(result.exception, InputError)
+        assert "\n" not in str(result.exception)
+        assert not target.exists()
+        return str(result.exception)
+
+    assert "turned.npz: wrong polarity: from command to current: phase" in refused("turned.npz")
+    assert refused("half.npz") == "half.npz: no column current_A; record it too"
+    assert "a model file ends in .json" in refused("half.npz", tmp_path / "m.txt")

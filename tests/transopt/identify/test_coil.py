@@ -1,0 +1,219 @@
+"""The coil's thermal parameters from heating and cooling: recovered, with intervals that hold, or refused."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal
+from transopt.cli.identify_coil import identify_coil
+from transopt.identify.coil import NAMES, CoilFit, fit_coil, heat_record
+from transopt.identify.measurement import Measurement
+from transopt.plant.coil import CoilModel, effective_square
+from transopt.scene.model_file import load_model
+
+R_OHM = 2.18  # Maxon RE 25, 118743
+TRUTH = {"R_wh_K_W": 3.1, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 612.0}
+NOISE_K, CURRENT_NOISE_A, VOLTAGE_NOISE_V = 0.3, 5e-3, 5e-3
+
+
+def measured(
+    seed: int = 1,
+    *,
+    current_A: float = 1.1,
+    heating_s: float = 1500.0,
+    cooling_s: float = 1500.0,
+    every_s: float = 1.0,
+    ambient_C: float = 22.0,
+    housing: bool = True,
+    voltage: bool = False,
+    ambient: bool = False,
+    warm_K: float = 0.0,
+    truth: dict[str, float] = TRUTH,
+) -> Measurement:
+    """A record of `truth`; `warm_K`: by how much the motor is above ambient at its begin."""
+    random = np.random.default_rng(seed)
+    rows = round((30.0 + heating_s + cooling_s) / every_s) + 1
+    t = every_s * np.arange(rows)
+    i = np.where((t >= 30.0) & (t < 30.0 + heating_s), current_A, 0.0)
+    warm = ambient_C + warm_K
+    coil = CoilModel(R_OHM, **truth, limit_C=1e9, ambient_C=ambient_C, start_winding_C=warm, start_housing_C=warm)  # type: ignore[arg-type]
+    winding, casing = coil.simulate(effective_square(i)[None, :-1], np.full(rows - 1, every_s))
+
+    def noisy(values: FloatArray, deviation: float) -> Signal:
+        return Signal(0.0, every_s, values + deviation * random.standard_normal(rows))
+
+    u = R_OHM * (1 + 0.0039 * (winding[0] - 25.0)) * i
+    return Measurement(
+        name="heat.npz",
+        source="heat.npz",
+        sha256="0" * 64,
+        current=noisy(i, CURRENT_NOISE_A),
+        winding=None if voltage else noisy(winding[0], NOISE_K),
+        voltage=noisy(u, VOLTAGE_NOISE_V) if voltage else None,
+        housing=noisy(casing[0], NOISE_K) if housing else None,
+        ambient=noisy(np.full(rows, ambient_C), NOISE_K) if ambient else None,
+    )
+
+
+def fitted(run: Measurement, starts: int = 1) -> CoilFit:
+    return fit_coil(heat_record(run, R_OHM), limit_C=100.0, starts=starts)
+
+
+def values(fit: CoilFit) -> FloatArray:
+    return np.array([getattr(fit.coil, name) for name in NAMES])
+
+
+def test_the_datasheet_comes_back() -> None:
+    fit = fitted(measured(), starts=3)
+    assert np.all(np.abs(values(fit) / list(TRUTH.values()) - 1) < [0.01, 0.01, 0.05, 0.02])
+    half = (fit.intervals[:, 1] - fit.intervals[:, 0]) / 2
+    assert np.all(np.abs(values(fit) - list(TRUTH.values())) < 2 * half)
+    assert fit.misfit == pytest.approx(1.0, abs=0.1)
+    assert not fit.shortfalls()
+    # All starts end in the same optimum.
+    assert fit.starts[-1] == pytest.approx(fit.starts[0], rel=1e-4)
+    # The datasheet's continuous current follows: 1.24 A, 1.248 A by the formula.
+    assert replace(fit.coil, ambient_C=25.0).continuous_current_A() == pytest.approx(1.248, abs=0.005)
+
+
+def test_without_noise_the_parameters_are_exact() -> None:
+    run = measured()
+    assert run.current is not None
+    i = np.where(np.abs(run.current.values) > 0.5, 1.1, 0.0)
+    coil = CoilModel(R_OHM, **TRUTH, limit_C=1e9, ambient_C=22.0, start_winding_C=22.0, start_housing_C=22.0)  # type: ignore[arg-type]
+    winding, _ = coil.simulate(effective_square(i)[None, :-1], np.full(i.size - 1, 1.0))
+    exact = replace(run, current=replace(run.current, values=i), winding=Signal(0.0, 1.0, winding[0]), housing=None)
+    # What is left is that a step's mean is taken between its ends.
+    np.testing.assert_allclose(values(fitted(exact)), list(TRUTH.values()), rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"housing": False},
+        {"housing": False, "ambient": True, "warm_K": 15.0},
+        {"housing": False, "voltage": True, "every_s": 0.5},
+    ],
+    ids=["winding alone", "begun warm", "by resistance"],
+)
+def test_what_else_may_be_recorded(kind: dict[str, Any]) -> None:
+    fit = fitted(measured(2, **kind))
+    half = (fit.intervals[:, 1] - fit.intervals[:, 0]) / 2
+    assert np.all(np.abs(values(fit) - list(TRUTH.values())) < 2 * half)
+    assert fit.misfit == pytest.approx(1.0, abs=0.2)
+    assert fit.coil.R_ha_K_W == pytest.approx(14.0, rel=0.02)
+
+
+def test_intervals_cover_the_truth() -> None:
+    """12 records, 48 intervals of 95 %: one in 10^4 such tests would see fewer than 39 cover."""
+    covered = 0
+    for seed in range(12):
+        fit = fitted(measured(100 + seed, housing=False, heating_s=900.0, cooling_s=900.0))
+        truth = np.array(list(TRUTH.values()))
+        covered += int(np.count_nonzero((fit.intervals[:, 0] <= truth) & (truth <= fit.intervals[:, 1])))
+    assert covered >= 39
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ({"heating_s": 300.0, "cooling_s": 300.0}, r"current flows for 300 s, the housing is not steady"),
+        (
+            {"current_A": 0.2, "housing": False},
+            r"the winding rises by \d\.\d K \(at least 10 K\): heat with more",
+        ),
+        ({"every_s": 5.0}, r"one row in 5 s, the winding's time constant is .* record every 1\.\d s"),
+        ({"truth": {**TRUTH, "tau_w_s": 300.0}}, r"only one node shows in the record"),
+        ({"warm_K": 15.0}, r"the model misses the record by .* did the coil begin cold"),
+    ],
+)
+def test_records_that_fall_short_say_what_to_record(kind: dict[str, Any], message: str) -> None:
+    told = fitted(measured(3, **kind)).shortfalls()
+    assert any(re.search(message, text) for text in told), told
+
+
+def test_a_unit_that_is_wrong_is_asked_for() -> None:
+    """It fits as well as the right one."""
+    run = measured(3)
+    assert run.current is not None
+    in_mA = replace(run, current=run.current.scaled(1e3))
+    assert any(
+        "K/W is that of no such motor" in text and "current_A in A" in text for text in fitted(in_mA).shortfalls()
+    )
+
+
+def test_an_ambient_that_drifts_is_told() -> None:
+    run = measured(ambient=True)
+    assert run.ambient is not None
+    rising = replace(run.ambient, values=run.ambient.values + np.linspace(0, 6, run.ambient.values.size))
+    told = fitted(replace(run, ambient=rising)).shortfalls()
+    assert any("the ambient drifts by" in text for text in told)
+
+
+def test_records_that_tell_nothing_are_refused() -> None:
+    run = measured(heating_s=100.0, cooling_s=100.0)
+    assert run.current is not None
+    assert run.winding is not None
+    n = run.current.values.size
+    with pytest.raises(InputError, match=r"^heat\.npz: no column current_A; record it too"):
+        heat_record(replace(run, current=None), R_OHM)
+    with pytest.raises(InputError, match=r"neither winding_C nor voltage_V: record one of them"):
+        heat_record(replace(run, winding=None), R_OHM)
+    with pytest.raises(InputError, match=r"nothing heats the coil; record current_A"):
+        heat_record(replace(run, current=run.current.scaled(0.0)), R_OHM)
+    with pytest.raises(InputError, match=r"no step: the current stays at 1 A throughout"):
+        heat_record(replace(run, current=replace(run.current, values=np.ones(n))), R_OHM)
+    flat = 25 + NOISE_K * np.random.default_rng(0).standard_normal(n)
+    with pytest.raises(InputError, match=r"the winding rises by .* K, its noise is 0\.\d+ K: at least"):
+        heat_record(replace(run, winding=replace(run.winding, values=flat)), R_OHM)
+    with pytest.raises(InputError, match=r"--resistance-ohm -2: must be > 0"):
+        heat_record(run, -2.0)
+    by_voltage = measured(voltage=True, housing=False, heating_s=100.0, cooling_s=100.0)
+    with pytest.raises(InputError, match=r"voltage over current is .* ohm, .*check sign and unit of voltage_V"):
+        heat_record(by_voltage, 100.0)
+
+
+def write(run: Measurement, path: Path) -> Path:
+    assert run.current is not None
+    assert run.winding is not None
+    np.savez(path, time_s=run.current.times_s, current_A=run.current.values, winding_C=run.winding.values)
+    return path
+
+
+def test_the_command_writes_part_and_figure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "MODEL.json"
+    identify_coil(write(measured(housing=False), tmp_path / "heat.npz"), out)
+    part = load_model(out).coil
+    assert part is not None
+    assert part.parameters == list(NAMES)
+    assert part.R_ha_K_W == pytest.approx(14.0, rel=0.01)
+    assert part.verdict.startswith("supports temperature limits")
+    assert "1.2" in part.verdict
+    assert len(part.sources) == 1
+    assert (tmp_path / "MODEL_coil.png").read_bytes().startswith(b"\x89PNG")
+    assert "R_wh_K_W" in capsys.readouterr().out
+
+
+def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path) -> None:
+    out = tmp_path / "MODEL.json"
+    heat = write(measured(heating_s=200.0, cooling_s=200.0), tmp_path / "heat.npz")
+    with pytest.raises(typer.Exit) as stop:
+        identify_coil(heat, out, resistance_ohm=R_OHM)
+    assert stop.value.exit_code == 1
+    part = load_model(out).coil
+    assert part is not None
+    assert part.verdict.startswith("not to be relied upon: current flows for 200 s")
+
+
+def test_the_command_refuses_its_options(tmp_path: Path) -> None:
+    heat = write(measured(heating_s=100.0, cooling_s=100.0), tmp_path / "heat.npz")
+    with pytest.raises(InputError, match=r"coil\.txt: a model file ends in \.json"):
+        identify_coil(heat, tmp_path / "coil.txt")
+    with pytest.raises(InputError, match=r"nowhere"):
+        identify_coil(heat, tmp_path / "coil.json", scene="nowhere")

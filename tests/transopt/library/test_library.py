@@ -1,0 +1,274 @@
+"""The library file: round trip, refusal of everything else, blending between nodes."""
+
+import json
+import zipfile
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from transopt.base.errors import InputError
+from transopt.library.file import load_library
+from transopt.library.library import HASH_FIELD, SHAPES, Library, content_hash
+
+COIL = {"R_ohm": 2.18, "R_wh_K_W": 3.0, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 600.0, "limit_C": 100.0}
+
+
+@pytest.fixture
+def saved(library: Library, tmp_path: Path) -> Path:
+    path = tmp_path / "library.npz"
+    library.save(path)
+    return path
+
+
+def rewrite(path: Path, *, drop: str | None = None, **changed: object) -> None:
+    """The same file with arrays changed or dropped, the old hash kept."""
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if name != drop}
+    np.savez(path, **{**arrays, **changed})
+
+
+def rehash(path: Path) -> None:
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files if name != HASH_FIELD}
+    np.savez(path, **arrays, **{HASH_FIELD: np.array(content_hash(arrays))})
+
+
+def test_round_trip(library: Library, saved: Path) -> None:
+    again = load_library(saved)
+    for field in fields(Library):
+        if field.name == "meta":
+            assert again.meta == library.meta
+        else:
+            np.testing.assert_array_equal(getattr(again, field.name), getattr(library, field.name))
+
+
+def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Library) -> None:
+    with np.load(saved, allow_pickle=False) as file:
+        names = set(file.files)
+        absent = {
+            name
+            for name in SHAPES
+            if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "current_sign", "spread", "correction"))
+        }
+        assert len(absent) == 14
+        assert names >= (set(SHAPES) - absent) | {"meta"}
+        assert not absent & names, "no slew, supply or temperature limit is in force and there is one device"
+        meta = json.loads(str(file["meta"]))
+        assert file["command_A"].shape == (4, 3, 600)
+    assert meta["schema"] == 1
+    assert meta["limits"] == {
+        "current_A": 4.0,
+        "steady_current_A": 1.25,
+        "slew_A_per_s": None,
+        "supply_V": None,
+        "temperature_C": None,
+    }
+    assert len(meta["weights"]["tracking"]) == 600
+    assert set(meta["versions"]) == {"transopt", "casadi", "numpy", "scipy", "python"}
+    assert len(meta["sources"]) == 12
+    assert "simulated" in meta["sources"][0]["origin"]
+
+
+def test_hand_over_is_zero_and_transient_is_the_command(library: Library) -> None:
+    assert not library.command_A[..., -10:].any()
+    np.testing.assert_array_equal(library.transient_command_A, library.command_A)
+
+
+@pytest.mark.parametrize("field", ["command_A", "mu_current_upper", "plant_A", "nrmse"])
+def test_any_changed_number_is_noticed(saved: Path, library: Library, field: str) -> None:
+    array = getattr(library, field).copy()
+    array.flat[-1] += 1e-12
+    rewrite(saved, **{field: array})
+    with pytest.raises(InputError, match="does not match its hash"):
+        load_library(saved)
+
+
+def test_changed_meta_is_noticed(saved: Path, library: Library) -> None:
+    rewrite(saved, meta=np.array(json.dumps({**library.meta, "lead_s": 0.0})))
+    with pytest.raises(InputError, match="does not match its hash"):
+        load_library(saved)
+
+
+class TestRefusals:
+    def test_missing(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"absent.npz: no such file; give a library.npz"):
+            load_library(tmp_path / "absent.npz")
+
+    def test_folder(self, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="a folder, not a file"):
+            load_library(tmp_path)
+
+    @pytest.mark.parametrize("content", [b"", b"not a zip", b"PK\x03\x04 truncated"])
+    def test_not_an_archive(self, tmp_path: Path, content: bytes) -> None:
+        path = tmp_path / "x.npz"
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"x\.npz: "):
+            load_library(path)
+
+    def test_single_array(self, tmp_path: Path) -> None:
+        np.save(tmp_path / "x.npy", np.zeros(3))
+        with pytest.raises(InputError, match="a single array, not a library"):
+            load_library(tmp_path / "x.npy")
+
+    def test_pickle(self, saved: Path) -> None:
+        rewrite(saved, command_A=np.array([{"a": 1}], dtype=object))
+        with pytest.raises(InputError, match="pickled objects, which are never loaded"):
+            load_library(saved)
+
+    @pytest.mark.parametrize("name", ["command_A", "plant_Ce", "mu_end"])
+    def test_missing_array(self, saved: Path, name: str) -> None:
+        rewrite(saved, drop=name)
+        with pytest.raises(InputError, match=f"array {name} is missing"):
+            load_library(saved)
+
+    @pytest.mark.parametrize("name", ["meta", HASH_FIELD])
+    def test_foreign(self, saved: Path, name: str) -> None:
+        rewrite(saved, drop=name)
+        with pytest.raises(InputError, match=f"no array {name}: not a library of this project"):
+            load_library(saved)
+
+    def test_wrong_shape(self, saved: Path, library: Library) -> None:
+        rewrite(saved, current_A=library.current_A[:, :, :-1])
+        rehash(saved)
+        with pytest.raises(InputError, match=r"current_A has shape \(4, 3, 599\), expected \(4, 3, 600\)"):
+            load_library(saved)
+
+    def test_wrong_dimensions(self, saved: Path, library: Library) -> None:
+        rewrite(saved, nrmse=library.nrmse.ravel())
+        rehash(saved)
+        with pytest.raises(InputError, match="nrmse has 1 dimensions, expected 2"):
+            load_library(saved)
+
+    def test_wrong_type(self, saved: Path, library: Library) -> None:
+        rewrite(saved, command_A=library.command_A.astype(int))
+        rehash(saved)
+        with pytest.raises(InputError, match="command_A has type int64, expected float"):
+            load_library(saved)
+
+    def test_not_finite(self, saved: Path, library: Library) -> None:
+        command = library.command_A.copy()
+        command[0, 0, 0] = np.nan
+        rewrite(saved, command_A=command)
+        rehash(saved)
+        with pytest.raises(InputError, match="command_A holds a number that is not finite"):
+            load_library(saved)
+
+    def test_unordered_grid(self, saved: Path, library: Library) -> None:
+        rewrite(saved, speeds_m_s=library.speeds_m_s[::-1])
+        rehash(saved)
+        with pytest.raises(InputError, match="speeds_m_s is empty or not strictly increasing"):
+            load_library(saved)
+
+    def test_other_schema(self, saved: Path, library: Library) -> None:
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, "schema": 2})))
+        rehash(saved)
+        with pytest.raises(InputError, match="schema 2, this version reads 1"):
+            load_library(saved)
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            {"dt_s": "x"},
+            {"dt_s": 0},
+            {"dt_s": -1e-4},
+            {"lead_s": None},
+            {"amplifier": {"pole_Hz": "x", "delay_s": 0, "command_limit_A": 6}},
+            {"amplifier": {"pole_Hz": 1000.0, "delay_s": -1.0, "command_limit_A": 6}},
+            {"weights": {"rho": 1e-3, "tracking": [1.0]}},
+            {"weights": {"rho": 1e-3, "tracking": [1.0], "error_filter": "none", "spread": None}},
+            {"feedback": {"stiffness_N_m": 200.0}},
+            {"thermal": {"R_ohm": 1.0, "limit_C": 100.0}},
+            {"thermal": {"coil": {"limit_C": 100.0}, "budget": {}}},
+            {"thermal": {"coil": {**COIL, "R_ohm": -1.0}, "budget": {}}},
+            {"thermal": {"coil": COIL, "budget": {"taps": 1.0}}},
+            {"circuit": {"R_ohm": 2.18}},
+        ],
+    )
+    def test_meta_that_describes_no_problem(self, saved: Path, library: Library, change: dict) -> None:
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
+        rehash(saved)
+        with pytest.raises(InputError, match="meta"):
+            load_library(saved)
+
+    def test_truncated_at_every_tenth(self, saved: Path, tmp_path: Path) -> None:
+        whole = saved.read_bytes()
+        cut = tmp_path / "cut.npz"
+        for part in range(1, 10):
+            cut.write_bytes(whole[: len(whole) * part // 10])
+            with pytest.raises(InputError):
+                load_library(cut)
+
+    def test_flipped_bytes(self, saved: Path, tmp_path: Path) -> None:
+        whole = bytearray(saved.read_bytes())
+        random = np.random.default_rng(4)
+        broken = tmp_path / "broken.npz"
+        data_end = zipfile.ZipFile(saved).start_dir
+        for position in random.integers(0, data_end, 60):
+            flipped = whole.copy()
+            flipped[position] ^= 0x55
+            broken.write_bytes(flipped)
+            try:
+                again = load_library(broken)
+            except InputError:
+                continue
+            # Not every byte of a zip carries content (time stamps); what loads must be the same library.
+            np.testing.assert_array_equal(again.command_A, load_library(saved).command_A)
+
+    def test_unwritable_folder(self, library: Library, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"cannot be written .*choose another"):
+            library.save(tmp_path / "absent" / "library.npz")
+
+
+class TestBlend:
+    def test_nodes_are_returned_as_they_are(self, library: Library) -> None:
+        waveform = library.at(0.3, 5.0)
+        np.testing.assert_allclose(waveform.command_A, library.command_A[2, 2], atol=1e-15)
+        assert not waveform.speed_clamped
+        assert not waveform.grip_clamped
+
+    def test_between_nodes_is_bilinear(self, library: Library) -> None:
+        c = library.command_A
+        expected = 0.75 * (0.5 * c[0, 0] + 0.5 * c[0, 1]) + 0.25 * (0.5 * c[1, 0] + 0.5 * c[1, 1])
+        np.testing.assert_allclose(library.at(0.125, 2.0).command_A, expected, atol=1e-12)
+
+    def test_outside_the_edge_is_taken_and_reported(self, library: Library) -> None:
+        waveform = library.at(0.05, 9.0)
+        np.testing.assert_array_equal(waveform.command_A, library.command_A[0, 2])
+        assert (waveform.speed_m_s, waveform.grip_N) == (0.1, 5.0)
+        assert waveform.speed_clamped
+        assert waveform.grip_clamped
+
+    def test_limits_survive_blending(self, library: Library) -> None:
+        random = np.random.default_rng(6)
+        for _ in range(50):
+            grip = random.uniform(1, 5)
+            command = library.at(random.uniform(0.1, 0.4), grip).command_A
+            _, current = library.stage(0).rollout(command)
+            assert np.abs(current).max() <= 4 + 1e-9
+            assert np.abs(command).max() <= 6 + 1e-9
+
+    def test_below_the_least_grip_nothing_is_played(self, library: Library) -> None:
+        waveform = library.at(0.3, 0.4)
+        assert waveform.silent
+        assert not waveform.command_A.any()
+        for speed in (0.0, -0.3):
+            assert library.at(speed, 3.0).silent
+            assert not library.at(speed, 3.0).command_A.any()
+        edge = library.at(0.3, 0.5)
+        assert not edge.silent
+        np.testing.assert_array_equal(edge.command_A, library.command_A[2, 0])
+
+    @pytest.mark.parametrize(("speed", "grip"), [(np.nan, 1.0), (0.2, np.inf)])
+    def test_nonsense_is_refused(self, library: Library, speed: float, grip: float) -> None:
+        with pytest.raises(InputError, match="both must be finite"):
+            library.at(speed, grip)
+
+    def test_one_grip_and_one_speed_are_enough(self, library: Library) -> None:
+        cut = {}
+        for name, letters in SHAPES.items():
+            index = tuple(slice(1, 2) if letter in "vg" else slice(None) for letter in letters)
+            cut[name] = getattr(library, name)[index]
+        small = replace(library, **cut)
+        np.testing.assert_array_equal(small.at(0.9, 0.6).command_A, library.command_A[1, 1])

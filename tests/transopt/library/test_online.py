@@ -1,0 +1,209 @@
+"""The optimum for a measured tap: against the designer, against the blend, and where there is none."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller.waveforms.bank import Method, bank
+from controller.waveforms.online_bank import fresh
+from controller.waveforms.prediction import scene_of
+from tests.benches.places import ROOT
+from tests.conftest import walled_scene
+from transopt.base.errors import InputError
+from transopt.design.build import build_library
+from transopt.design.optimum import optimum
+from transopt.library import online
+from transopt.library.library import Library
+from transopt.library.online import Online
+from transopt.proof.certify import certify
+from transopt.proof.replay import replay
+from transopt.recordings.recording import Recording
+from transopt.scene.scene import Scene
+from transopt.solvers.native import extension as native
+from transopt.solvers.options import SolverOptions
+
+pytestmark = pytest.mark.skipif(not native.available, reason="the extension is not built")
+
+
+@pytest.fixture(scope="module")
+def solver(library: Library) -> Online:
+    return Online(library, scene_of(library).plant)
+
+
+def test_at_every_node_it_is_the_entry(library: Library, solver: Online) -> None:
+    for iv, speed in enumerate(library.speeds_m_s):
+        for ig, grip in enumerate(library.grips_N):
+            tap = solver.solve(float(speed), float(grip))
+            assert tap.solved
+            assert tap.certificate is not None
+            assert tap.certificate.accepted
+            assert tap.certificate.objective == pytest.approx(library.objective[iv, ig], rel=1e-6, abs=1e-9)
+            np.testing.assert_allclose(tap.wave.command_A, library.command_A[iv, ig], atol=1e-4)
+            np.testing.assert_array_equal(tap.wave.command_A, tap.wave.transient_command_A)
+
+
+@pytest.mark.parametrize(("speed", "grip"), [(0.37, 4.2), (0.15, 1.3), (0.4, 2.0)])
+def test_between_nodes_it_is_the_optimum_of_another_solver(
+    library: Library, solver: Online, speed: float, grip: float
+) -> None:
+    tap = solver.solve(speed, grip)
+    problem = solver._posed(speed, grip, library.coil())
+    other = optimum(problem, SolverOptions("casadi-piqp"))
+    assert tap.certificate is not None
+    assert tap.certificate.objective == pytest.approx(other.certificate.objective, rel=1e-6)
+    blend = library.at(speed, grip).command_A
+    rolled_out = problem.objective(blend, problem.accelerations(blend))
+    assert tap.certificate.objective <= rolled_out + tap.certificate.duality_gap
+
+
+class TestHeat:
+    def test_a_hot_start_keeps_the_limit_which_the_blend_leaves(self, library: Library, solver: Online) -> None:
+        coil = library.coil()
+        assert coil is not None
+        start = coil.limit_C - 0.03
+        tap, warm = solver.solve(0.4, 5.0, start, start), replace(coil, start_winding_C=start, start_housing_C=start)
+        assert tap.certificate is not None
+        # Not convex: the bound is that of the convex problem.
+        c = tap.certificate
+        assert c.accepted
+        assert c.objective - c.duality_gap > c.lower_bound > 0.9 * c.objective
+        commands = np.stack([tap.wave.command_A, library.at(0.4, 5.0).command_A])
+        problem = solver._posed(0.4, 5.0, warm)
+        wanted = np.stack([problem.reference_m_s2] * 2)
+        cool, hot = replay(problem.stage, problem.grid, commands, wanted, warm)
+        assert cool.winding_C == pytest.approx(coil.limit_C, abs=1e-3)
+        assert hot.winding_C > coil.limit_C + 0.01
+        assert not cool.shortfalls(problem, commands[0], problem.stage.rollout(commands[0])[0])
+
+    @pytest.mark.parametrize("start_C", [99.5, 99.97])
+    def test_which_problem_comes_first_changes_no_answer(
+        self, solver: Online, monkeypatch: pytest.MonkeyPatch, start_C: float
+    ) -> None:
+        """The winding binds from one of the starts on; a wrong guess costs time alone."""
+        taps = []
+        for guess in (False, True):
+            monkeypatch.setattr(online, "_overheats", lambda effect, guess=guess: guess)
+            taps.append(solver.solve(0.4, 5.0, start_C, start_C))
+        cold, hot = taps
+        assert cold.certificate is not None
+        assert hot.certificate is not None
+        assert hot.certificate.accepted
+        assert cold.certificate.objective == pytest.approx(hot.certificate.objective, rel=1e-7)
+        np.testing.assert_allclose(cold.wave.command_A, hot.wave.command_A, atol=1e-4)
+        # Only where it binds is a convex problem needed to bound J from below.
+        convex = [
+            abs(c.objective - c.duality_gap - c.lower_bound) < 1e-12 for c in (cold.certificate, hot.certificate)
+        ]
+        assert convex == [start_C == 99.5] * 2
+
+    def test_without_a_bound_of_its_own_the_convex_problem_is_solved(
+        self, solver: Online, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        own = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
+        monkeypatch.setattr(online, "relaxed_bound", lambda effect, multipliers: -np.inf)
+        solved = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
+        assert own is not None
+        assert solved is not None
+        assert own.lower_bound == pytest.approx(solved.lower_bound, rel=1e-4)
+
+    def test_far_below_the_limit_it_changes_nothing(self, solver: Online) -> None:
+        cold, warm = solver.solve(0.4, 5.0, 25.0), solver.solve(0.4, 5.0, 90.0)
+        np.testing.assert_array_equal(cold.wave.command_A, warm.wave.command_A)
+
+    def test_above_the_limit_there_is_only_the_blend_and_the_reason(self, library: Library, solver: Online) -> None:
+        tap = solver.solve(0.3, 2.0, 101.0)
+        assert not tap.solved
+        assert tap.remark.startswith("winding 101 C is above its limit 100 C")
+        np.testing.assert_array_equal(tap.wave.command_A, library.at(0.3, 2.0).command_A)
+
+    @pytest.mark.parametrize("temperatures", [(float("nan"), None), (25.0, float("inf"))])
+    def test_no_number_is_refused(self, solver: Online, temperatures: tuple[float, float | None]) -> None:
+        with pytest.raises(InputError, match="both must be finite"):
+            solver.solve(0.3, 2.0, *temperatures)
+
+
+def test_outside_the_grid_its_edge_is_solved_and_said(library: Library, solver: Online) -> None:
+    tap = solver.solve(0.9, 7.0)
+    assert tap.solved
+    assert tap.wave.speed_clamped
+    assert tap.wave.grip_clamped
+    np.testing.assert_array_equal(tap.wave.command_A, solver.solve(0.4, 5.0).wave.command_A)
+
+
+def test_without_grip_nothing_is_solved(solver: Online) -> None:
+    tap = solver.solve(0.3, 0.1)
+    assert not tap.solved
+    assert tap.wave.silent
+    assert not tap.wave.command_A.any()
+
+
+def test_what_is_not_certified_is_not_played(
+    library: Library, solver: Online, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two iterations are too few."""
+    monkeypatch.setattr(online, "MOST_ITERATIONS", 2)
+    tap = solver.solve(0.4, 5.0)
+    assert tap.remark == "no certified optimum"
+    np.testing.assert_array_equal(tap.wave.command_A, library.at(0.4, 5.0).command_A)
+
+
+def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
+    """The ticks at which it pushes are those of the answer; the feedback is taken off the command."""
+    walled = build_library(walled_scene(scene, 200.0), taps).library
+    assert walled is not None
+    solver = Online(walled, scene_of(walled).plant)
+    for speed, grip in ((0.2, 3.0), (0.4, 5.0), (0.33, 2.2)):
+        tap = solver.solve(speed, grip)
+        assert tap.solved, tap.remark
+        handed_over = tap.wave.transient_command_A[-walled.meta["hand_over_samples"] :]
+        assert not handed_over.any()
+        assert np.abs(tap.wave.command_A - tap.wave.transient_command_A).max() > 0.1
+    problem = walled.problem(1, 1)
+    entry = solver.solve(0.2, 3.0)
+    np.testing.assert_allclose(entry.wave.command_A, walled.command_A[1, 1], atol=1e-4)
+    assert entry.certificate is not None
+    assert certify(problem, walled.command_A[1, 1], walled.multipliers(1, 1)).objective == pytest.approx(
+        entry.certificate.objective, rel=1e-6
+    )
+
+
+def test_without_the_extension_it_is_refused(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(online, "available", False)
+    with pytest.raises(InputError, match="online: the solver's extension is not built"):
+        Online(library, scene_of(library).plant)
+
+
+class TestBank:
+    def test_plays_the_optimum_and_bounds_its_heat(self, library: Library, solver: Online) -> None:
+        table = bank(library, Method.ONLINE)
+        found, blended = fresh(library, table).at(0.37, 4.2), table.at(0.37, 4.2)
+        np.testing.assert_array_equal(found.samples_A, solver.solve(0.37, 4.2).wave.transient_command_A)
+        assert (found.speed_m_s, found.grip_N, found.out_of_grid) == (0.37, 4.2, False)
+        assert found.transient_A == pytest.approx(blended.transient_A, rel=0.1)
+        assert found.feedback_A == pytest.approx(0.0, abs=1e-12)
+        assert found.samples_A != blended.samples_A
+
+    def test_a_hot_coil_is_solved_for(self, library: Library) -> None:
+        found = fresh(library, bank(library, Method.ONLINE))
+        cold, hot = found.at(0.4, 5.0, 25.0, 25.0), found.at(0.4, 5.0, 99.97, 99.97)
+        assert hot.transient_A < 0.9 * cold.transient_A
+
+    def test_silence_stays_silence(self, library: Library) -> None:
+        assert fresh(library, bank(library, Method.ONLINE)).at(0.3, 0.1).silent
+
+
+def test_a_tap_played_online_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
+    library.save(tmp_path / "library.npz")
+    program = (
+        "import sys; import controller.cli.play\n"
+        "sys.argv = ['transopt-play', 'tap', sys.argv[1], '--simulate', '--method', 'online']\n"
+        "try:\n    controller.cli.play.main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
+        "assert 'transopt.library.online' in sys.modules\n"
+        "assert not {'casadi', 'matplotlib', 'serial'} & set(sys.modules)"
+    )
+    path = str(tmp_path / "library.npz")
+    subprocess.run([sys.executable, "-c", program, path], check=True, cwd=ROOT, timeout=60)

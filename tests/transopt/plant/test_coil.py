@@ -1,0 +1,96 @@
+"""Coil temperature: the datasheet's continuous current, an independent integrator, the bound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from transopt.base.errors import InputError
+from transopt.plant.coil import CoilModel, effective_square, following_square_mean
+from transopt.scene.scene import Scene
+
+
+@pytest.fixture
+def coil(scene: Scene) -> CoilModel:
+    model = scene.coil()
+    assert model is not None
+    return model
+
+
+def rate(coil: CoilModel, T: np.ndarray, i_A: float) -> list[float]:
+    power = coil.R_ohm * (1 + 0.0039 * (T[0] - 25)) * (abs(i_A) + 0.02) ** 2
+    through = (T[0] - T[1]) / coil.R_wh_K_W
+    away = (T[1] - coil.ambient_C) / coil.R_ha_K_W
+    return [(power - through) * coil.R_wh_K_W / coil.tau_w_s, (through - away) * coil.R_ha_K_W / coil.tau_h_s]
+
+
+def test_the_model_returns_the_datasheets_continuous_current(coil: CoilModel) -> None:
+    assert coil.continuous_current_A() == pytest.approx(1.24, rel=0.01)
+    assert coil.continuous_current_A() == pytest.approx(1.2476, abs=1e-4)
+
+
+def test_continuous_current_is_the_steady_state_of_the_simulation(coil: CoilModel) -> None:
+    steps = np.full(4000, 2.0)
+    heat = np.full((1, 4000), coil.continuous_current_A() ** 2)
+    winding, _ = coil.simulate(heat, steps)
+    assert winding[0, -1] == pytest.approx(coil.limit_C, abs=0.05)
+
+
+def test_simulation_agrees_with_an_independent_integrator(coil: CoilModel) -> None:
+    hot = replace(coil, start_winding_C=80.0, start_housing_C=60.0)
+    currents = np.array([4.0, -3.0, 0.0, 2.0])
+    T = np.array([80.0, 60.0])
+    for i in currents:
+        T = solve_ivp(lambda _, T, i=i: rate(hot, T, i), (0, 0.5), T, rtol=1e-11, atol=1e-11).y[:, -1]
+    steps = np.full(2000, 1e-3)
+    winding, housing = hot.simulate(np.repeat(effective_square(currents), 500)[None], steps)
+    assert winding[0, -1] == pytest.approx(T[0], abs=1e-6)
+    assert housing[0, -1] == pytest.approx(T[1], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("winding_C", "housing_C", "ambient_C"), [(25, 25, 25), (90, 30, 25), (30, 90, 25), (30, 40, 60)]
+)
+def test_the_adiabatic_bound_holds_and_is_not_idle(
+    coil: CoilModel, winding_C: float, housing_C: float, ambient_C: float
+) -> None:
+    start = replace(coil, start_winding_C=winding_C, start_housing_C=housing_C, ambient_C=ambient_C)
+    for duration in (0.06, 5.0):
+        run = solve_ivp(
+            lambda _, T: rate(start, T, 4.0),
+            (0, duration),
+            [winding_C, housing_C],
+            rtol=1e-10,
+            max_step=duration / 50,
+        )
+        bound = start.adiabatic_bound_C(4.0, duration)
+        assert run.y[0].max() <= bound
+        if winding_C == housing_C == ambient_C and duration < 1:
+            # From equal temperatures next to no heat leaves within a tap.
+            assert bound - run.y[0].max() < 0.01
+
+
+def test_a_start_above_the_limit_is_named(scene: Scene) -> None:
+    hot = scene.model_copy(update={"thermal": scene.thermal.model_copy(update={"start_winding_C": 101.0})})
+    with pytest.raises(InputError, match=r"start_winding_C = 101 C is above the winding limit 100 C"):
+        hot.coil()
+
+
+@pytest.mark.parametrize("pole_Hz", [100.0, 1050.0, 30e3, 1e6])
+@pytest.mark.parametrize(("before", "command"), [(0.0, 4.0), (-2.5, 2.5), (4.0, -0.01), (1.0, 1.0), (0.3, 0.0)])
+def test_heat_of_a_current_that_follows_a_held_command(pole_Hz: float, before: float, command: float) -> None:
+    """Against quadrature on points that are dense where the current moves; poles far below and above the step."""
+    w, step = 2 * np.pi * pole_Hz, 12.5e-6
+    t = (
+        np.concatenate([[0.0], np.geomspace(1e-4 / w, step, 200_000)])
+        if 1e-4 / w < step
+        else np.linspace(0, step, 2000)
+    )
+    wanted = np.trapezoid(effective_square(command + (before - command) * np.exp(-w * t)), t) / step
+    found = following_square_mean(np.array([before]), np.array([command]), np.array([w * step]))
+    assert found[0] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_step_without_length_heats_as_its_current() -> None:
+    assert following_square_mean(np.array([3.0]), np.array([-1.0]), np.array([0.0]))[0] == pytest.approx(3.02**2)

@@ -1,0 +1,37 @@
+"""What the optimum is compared with: the unlimited optimum, clipped, and the seed's inversion."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tests.conftest import ProblemMaker
+from transopt.base.signals import nrmse
+from transopt.plant.discretise import discretise
+from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.solvers import unlimited
+
+
+def test_clipping_at_no_limit_is_the_unlimited_optimum(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.2, 3.0)
+    free = unlimited.solve(problem).command_A
+    again = clipped_optimum(problem.stage, problem.grid, free, 100.0)
+    np.testing.assert_allclose(again, free, atol=1e-9)
+
+
+def test_clipped_optimum_keeps_the_limits(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0)
+    command = clipped_optimum(problem.stage, problem.grid, unlimited.solve(problem).command_A, 4.0)
+    _, current = problem.stage.rollout(command)
+    assert np.abs(current).max() <= 4 + 1e-9
+
+
+def test_inversion_recovers_a_known_current(make_problem: ProblemMaker) -> None:
+    """A current that comes and goes smoothly while the device comes to rest is what the inverse must return."""
+    problem = make_problem(ideal=True)
+    grid, fine = replace(problem.grid, stages=4000, lead_s=0.0), 50
+    times = grid.dt_s / fine * np.arange(grid.stages * fine)
+    current = np.where((times > 0.02) & (times < 0.05), np.sin(np.pi * (times - 0.02) / 0.03) ** 4, 0.0)
+    stage = discretise(problem.stage.plant, None, grid.dt_s / fine)
+    reference = stage.rollout(current)[0][::fine]
+    found = seed_inversion(problem.stage, grid, reference, 100.0, 10)
+    assert nrmse(found, current[::fine]) < 0.02

@@ -1,0 +1,261 @@
+"""Solvers against each other, the certificate against them and against tampering."""
+
+from dataclasses import fields, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from tests.conftest import ProblemMaker
+from transopt.base.errors import InputError
+from transopt.problem.problem import OBJECTIVE_SCALE, Limits, Multipliers, Solution, Status, TransientProblem
+from transopt.proof.certify import binding_limits, certify, reduced_gradient
+from transopt.solvers import program as transcribe
+from transopt.solvers import unlimited
+from transopt.solvers.choose import solve
+from transopt.solvers.options import SolverOptions
+from transopt.solvers.statement import state
+
+VARIANTS = [
+    {"speed_m_s": 0.2, "grip_N": 1.0},
+    {"speed_m_s": 0.4, "grip_N": 3.0},
+    {"speed_m_s": 0.4, "grip_N": 5.0, "current_A": 1.25},
+    {"speed_m_s": 0.4, "grip_N": 5.0, "slew_A_per_s": 5000.0},
+    {"speed_m_s": 0.4, "grip_N": 5.0, "ideal": True},
+    {"speed_m_s": 0.4, "grip_N": 3.0, "stages": 30},
+]
+
+
+@pytest.fixture(scope="module")
+def saturated(make_problem: ProblemMaker) -> tuple[TransientProblem, Solution]:
+    problem = make_problem(0.4, 5.0)
+    return problem, solve(problem)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_two_methods_agree_and_are_certified(make_problem: ProblemMaker, variant: dict) -> None:
+    problem = make_problem(**variant)
+    objectives = []
+    for solver in ("casadi-piqp", "casadi-ipopt"):
+        solution = solve(problem, SolverOptions(solver))
+        certificate = certify(problem, solution.command_A, solution.multipliers)
+        assert solution.status is Status.OPTIMAL
+        assert certificate.accepted
+        assert certificate.primal_violation_A <= 1e-6
+        assert certificate.relative_gap <= 1e-6
+        objectives.append(certificate.objective)
+    assert abs(objectives[0] - objectives[1]) <= 1e-6 * max(objectives[0], 1e-3)
+
+
+def test_both_methods_agree_on_every_entry_of_the_default_scene(make_problem: ProblemMaker) -> None:
+    """Also where the unlimited optimum would do: J to 1e-6 max(J, 1e-3)."""
+    for speed in (0.1, 0.2, 0.3, 0.4):
+        for grip in (1.0, 3.0, 5.0):
+            problem = make_problem(speed, grip)
+            proofs = []
+            for solver in ("casadi-piqp", "casadi-ipopt"):
+                solution = solve(problem, SolverOptions(solver))
+                proofs.append(certify(problem, solution.command_A, solution.multipliers))
+            assert all(proof.accepted for proof in proofs)
+            first, second = (proof.objective for proof in proofs)
+            assert abs(first - second) <= 1e-6 * max(first, 1e-3)
+
+
+def test_certified_lower_bound_is_below_every_feasible_command(saturated: tuple[TransientProblem, Solution]) -> None:
+    """J - gap bounds the optimum: random feasible commands, also close to the optimum, never fall below it."""
+    problem, solution = saturated
+    certificate = certify(problem, solution.command_A, solution.multipliers)
+    random = np.random.default_rng(11)
+    for size in (1e-4, 1e-2, 1.0):
+        other = solution.command_A + size * random.standard_normal(problem.grid.stages)
+        other[problem.free_stages :] = 0
+        # Commands scaled into the box stay feasible, because zero is.
+        _, current = problem.stage.rollout(other)
+        other *= min(1.0, 4 / np.abs(current).max(), 6 / np.abs(other).max())
+        acceleration, _ = problem.stage.rollout(other)
+        assert problem.objective(other, acceleration) >= certificate.objective - certificate.duality_gap
+
+
+def test_unlimited_optimum_has_no_gradient_left(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.2, 3.0)
+    free = unlimited.solve(problem)
+    certificate = certify(problem, free.command_A, free.multipliers)
+    assert certificate.accepted
+    assert certificate.dual_residual < 1e-12
+    np.testing.assert_allclose(free.command_A, solve(problem).command_A, atol=1e-6)
+
+
+def test_unlimited_optimum_obeys_no_limit(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0)
+    _, current = problem.stage.rollout(unlimited.solve(problem).command_A)
+    assert np.abs(current).max() == pytest.approx(5.3, abs=0.1)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker, variant: dict) -> None:
+    """Objective, dynamics and reduced gradient from CasADi's own functions, to 1e-12."""
+    problem = make_problem(**variant)
+    solution = solve(problem)
+    statement = state(problem)
+    shape, stage, p = statement.shape, statement.stage, statement.p
+    program = transcribe.state_program(shape)
+    nz = shape.variables - 1
+    z = np.zeros((shape.stages + 1, nz))
+    movement = np.diff(solution.command_A, prepend=0.0) / stage.current_A
+    for k in range(shape.stages):
+        z[k + 1] = stage.A @ z[k] + stage.A[:, -1] * movement[k]
+    x = np.column_stack([movement, z[1:]]).ravel()
+
+    values = ca.Function("values", [program.x, program.p], [program.f, program.g, ca.gradient(program.f, program.x)])
+    f, g, by_x = (np.asarray(value).ravel() for value in values(x, p))
+    motion = problem.stage.motion(solution.command_A)
+    objective = problem.objective(solution.command_A, motion.acceleration_m_s2)
+    assert f[0] * OBJECTIVE_SCALE == pytest.approx(objective, rel=1e-12, abs=1e-12)
+    dynamics = program.rows["dynamics"]
+    assert dynamics.stop - dynamics.start == shape.stages * nz
+    assert np.abs(g[dynamics]).max() < 1e-12
+    assert np.abs(g[program.rows["hand_over"]]).max() < 1e-12
+    np.testing.assert_allclose(statement.command(x), solution.command_A, rtol=0, atol=1e-12)
+
+    jacobian = program.qp_data(p=p)["A"].sparse().toarray()[dynamics] if shape.stages <= 60 else None
+    if jacobian is not None:
+        # Reduced gradient by the null space of the dynamics: x = X c, with dc_k = c_k - c_(k-1).
+        states = np.delete(np.arange(x.size), np.arange(0, x.size, nz + 1))
+        moves = np.arange(0, x.size, nz + 1)
+        sensitivity = -np.linalg.solve(jacobian[:, states], jacobian[:, moves])
+        by_movement = by_x[moves] + sensitivity.T @ by_x[states]
+        by_command = (by_movement - np.append(by_movement[1:], 0.0)) * OBJECTIVE_SCALE / stage.current_A
+        plain = reduced_gradient(problem, solution.command_A, motion, Multipliers.zero(problem))
+        np.testing.assert_allclose(plain, by_command, atol=1e-12)
+
+
+def test_gradient_of_the_objective_by_differences(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0, stages=40)
+    random = np.random.default_rng(2)
+    command = random.uniform(-1, 1, 40)
+    gradient = reduced_gradient(problem, command, problem.stage.motion(command), Multipliers.zero(problem))
+    for k in (0, 7, 29, 39):
+        step = np.eye(40)[k]  # J is quadratic: central differences are exact for any step
+        up, down = (problem.objective(c, problem.stage.rollout(c)[0]) for c in (command + step, command - step))
+        assert gradient[k] == pytest.approx((up - down) / 2, rel=1e-9, abs=1e-13)
+
+
+class TestTampering:
+    """What the certificate is for: answers that are not what they claim to be."""
+
+    def test_perturbed_command(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        assert certify(problem, solution.command_A, solution.multipliers).accepted
+        for k in (5, 300):
+            command = solution.command_A.copy()
+            command[k] -= 0.01
+            assert not certify(problem, command, solution.multipliers).accepted
+
+    def test_command_one_tick_late(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        assert not certify(problem, np.roll(solution.command_A, 1), solution.multipliers).accepted
+
+    def test_flipped_sign(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        assert not certify(problem, -solution.command_A, solution.multipliers).accepted
+
+    @pytest.mark.parametrize("name", ["current_upper", "command_upper", "command_lower", "hand_over"])
+    def test_missing_multiplier(self, saturated: tuple[TransientProblem, Solution], name: str) -> None:
+        problem, solution = saturated
+        assert np.any(getattr(solution.multipliers, name) != 0), "the limit does not bind: the test shows nothing"
+        missing = replace(solution.multipliers, **{name: np.zeros_like(getattr(solution.multipliers, name))})
+        assert not certify(problem, solution.command_A, missing).accepted
+
+    @pytest.mark.parametrize("name", ["current_upper", "command_upper", "hand_over"])
+    def test_negated_multiplier(self, saturated: tuple[TransientProblem, Solution], name: str) -> None:
+        problem, solution = saturated
+        negated = replace(solution.multipliers, **{name: -getattr(solution.multipliers, name)})
+        assert not certify(problem, solution.command_A, negated).accepted
+
+    def test_swapped_multipliers(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        m = solution.multipliers
+        swapped = replace(m, current_lower=m.current_upper, current_upper=m.current_lower)
+        assert not certify(problem, solution.command_A, swapped).accepted
+
+    @pytest.mark.parametrize("field", [f.name for f in fields(Multipliers)])
+    def test_nan_in_a_multiplier(self, saturated: tuple[TransientProblem, Solution], field: str) -> None:
+        problem, solution = saturated
+        array = getattr(solution.multipliers, field).copy()
+        array[-1] = np.nan
+        assert not certify(problem, solution.command_A, replace(solution.multipliers, **{field: array})).accepted
+
+    def test_nan_in_the_command(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        command = solution.command_A.copy()
+        command[100] = np.nan
+        assert not certify(problem, command, solution.multipliers).accepted
+
+    def test_wrong_length(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        assert not certify(problem, solution.command_A[:-1], solution.multipliers).accepted
+
+    def test_clipped_unlimited_optimum(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0)
+        clipped = np.clip(unlimited.solve(problem).command_A, -4, 4)
+        assert not certify(problem, clipped, Multipliers.zero(problem)).accepted
+
+    def test_command_that_does_not_end(self, saturated: tuple[TransientProblem, Solution]) -> None:
+        problem, solution = saturated
+        command = solution.command_A.copy()
+        command[-3] = 1e-3
+        certificate = certify(problem, command, solution.multipliers)
+        assert certificate.primal_violation_A >= 1e-3
+        assert not certificate.accepted
+
+
+def test_zero_reference_is_the_zero_waveform(make_problem: ProblemMaker) -> None:
+    problem = replace(make_problem(), reference_m_s2=np.full(600, 1e-9))
+    solution = solve(problem)
+    assert solution.status is Status.OPTIMAL
+    assert not solution.command_A.any()
+    assert certify(problem, solution.command_A, solution.multipliers).accepted
+    assert not certify(problem, solution.command_A + 1e-3, solution.multipliers).accepted
+
+
+def test_a_longer_horizon_is_certified_too(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0, stages=3000)
+    solution = solve(problem)
+    assert certify(problem, solution.command_A, solution.multipliers).accepted
+
+
+def test_iteration_limit_is_not_optimal(make_problem: ProblemMaker) -> None:
+    for solver in ("casadi-piqp", "casadi-ipopt"):
+        solution = solve(make_problem(0.4, 5.0), SolverOptions(solver, max_iterations=2))
+        assert solution.status is Status.ITERATION_LIMIT
+        assert solution.message
+
+
+def test_binding_names_limit_sign_and_time(saturated: tuple[TransientProblem, Solution]) -> None:
+    problem, solution = saturated
+    text = binding_limits(problem, solution.command_A, solution.multipliers)
+    _, current = problem.stage.rollout(solution.command_A)
+    at_limit = problem.grid.switching_times_s[current > 4 - 1e-6] * 1e3
+    assert f"current +4 A at {at_limit[0]:.2f} to {at_limit[-1]:.2f} ms" in text
+    assert "current -4 A" not in text
+
+
+def test_options_and_limits_are_checked() -> None:
+    with pytest.raises(
+        InputError, match="--solver osqp: unknown; choose one of riccati, casadi-piqp, casadi-fatrop, casadi-ipopt"
+    ):
+        solve.__globals__["check_name"]("osqp")
+    with pytest.raises(InputError, match=r"--solver-tolerance 2: must be between 0 and 1"):
+        SolverOptions(tolerance=2.0)
+    with pytest.raises(InputError, match=r"limits.current_A = 0: must be > 0"):
+        Limits(0.0, 6.0)
+
+
+def test_bad_problem_data_is_refused(make_problem: ProblemMaker) -> None:
+    problem = make_problem()
+    with pytest.raises(InputError, match="reference_m_s2 holds a number that is not finite"):
+        replace(problem, reference_m_s2=np.full(600, np.nan))
+    with pytest.raises(InputError, match=r"tracking_weights has shape \(3,\)"):
+        replace(problem, tracking_weights=np.ones(3))
+    with pytest.raises(InputError, match="hand_over_samples = 0"):
+        replace(problem, hand_over_samples=0)

@@ -1,0 +1,107 @@
+"""Proofs from multipliers alone: what they must never claim, with a coil and without."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from problems.stress.cases import Coil, Current, Demand, Horizon, StressCase
+from tests.conftest import ProblemMaker
+from transopt.problem.problem import Multipliers, TransientProblem
+from transopt.proof.certify import certify, inside, reduced_gradient
+from transopt.proof.farkas import is_infeasible
+from transopt.solvers.choose import capable, solve
+from transopt.solvers.options import SolverOptions
+
+COIL = Coil(below_K=0.0005, nodes=1, tau_w_s=12.0, warming=50.0)
+
+
+def with_headroom(problem: TransientProblem, headroom_K: np.ndarray) -> TransientProblem:
+    thermal = problem.thermal
+    assert thermal is not None
+    return replace(problem, thermal=replace(thermal, model=replace(thermal.model, headroom_K=headroom_K)))
+
+
+@pytest.fixture(scope="module")
+def warm() -> TransientProblem:
+    """A convex coil that doing nothing keeps cool, and the limit current does not."""
+    case = StressCase("coil", current=Current(limit_A=1e-3), horizon=Horizon(stages=40), coil=COIL)
+    problem = case.problem()
+    thermal = problem.thermal
+    assert thermal is not None
+    problem = replace(problem, thermal=thermal.relaxed(problem.limits.current_A))
+    assert problem.thermal is not None
+    rest, full = np.zeros(40), np.full(40, 1e-3)
+    full[problem.free_stages :] = 0.0
+    idle, hot = (problem.thermal.temperatures_C(problem.stage.motion(c).current_A, c) for c in (rest, full))
+    limit = idle + 0.2 * (hot - idle).max()
+    problem = with_headroom(problem, limit - problem.thermal.model.unpowered_C)
+    assert inside(problem, rest)
+    assert not inside(problem, full)
+    return problem
+
+
+class TestFarkas:
+    def test_no_sign_of_the_ripple_proves_a_feasible_coil_infeasible(self, warm: TransientProblem) -> None:
+        """The slope of |mean i| may be anything; what it leaves below the size has to count."""
+        full = np.full(40, 1e-3)
+        full[warm.free_stages :] = 0.0
+        sign = np.sign(warm.stage.motion(full).current_A)
+        last = np.eye(40)[-1]
+        for slope in (np.zeros(40), sign, -sign, *np.random.default_rng(1).uniform(-1, 1, (20, 40))):
+            ray = replace(Multipliers.zero(warm), temperature_upper=last, current_sign=slope)
+            assert not is_infeasible(warm, full, ray)
+
+    def test_a_coil_that_nothing_keeps_cool_is_proven(self, warm: TransientProblem) -> None:
+        assert warm.thermal is not None
+        frozen = with_headroom(warm, warm.thermal.model.headroom_K - 1.0)
+        rest = np.zeros(40)
+        ray = replace(Multipliers.zero(frozen), temperature_upper=np.eye(40)[-1])
+        assert is_infeasible(frozen, rest, ray)
+
+    def test_random_rays_prove_nothing_of_a_feasible_problem(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
+        random, N = np.random.default_rng(5), problem.grid.stages
+        answer = solve(problem)
+        for _ in range(10):
+            drawn = {
+                field.name: random.exponential(size=N) * (random.random(N) < 0.05)
+                for field in fields(Multipliers)
+                if field.name not in ("hand_over", "current_sign")
+            }
+            assert not is_infeasible(problem, answer.command_A, replace(Multipliers.zero(problem), **drawn))
+
+
+def test_no_multiplier_counts_where_there_is_no_limit() -> None:
+    """Half the optimum with a multiplier on an infinite headroom that cancels its gradient is no optimum."""
+    case = StressCase(
+        "forged",
+        current=Current(limit_A=4.0, pole_Hz=None),
+        horizon=Horizon(stages=2, hand_over=1, lead_s=0.0),
+        coil=Coil(below_K=20.0, nodes=1, tau_w_s=12.0, warming=0.1, tap_share=0.05),
+        demand=Demand(kind="constant", speed_m_s=0.01),
+    )
+    problem = case.problem()
+    thermal = problem.thermal
+    assert thermal is not None
+    problem = with_headroom(replace(problem, thermal=thermal.relaxed(4.0)), np.array([np.inf, 5.0]))
+    command = 0.5 * solve(replace(problem, thermal=None)).command_A
+    motion = problem.stage.motion(command)
+    assert problem.thermal is not None
+    slope = np.sign(problem.thermal.model.heating.mean_current(motion.current_A, command))
+    forged = replace(Multipliers.zero(problem), current_sign=slope)
+    plain = reduced_gradient(problem, command, motion, forged)
+    unit = replace(forged, temperature_upper=np.array([1.0, 0.0]))
+    by_unit = reduced_gradient(problem, command, motion, unit) - plain
+    forged = replace(forged, temperature_upper=np.array([-plain[0] / by_unit[0], 0.0]))
+    forged = replace(forged, hand_over=-reduced_gradient(problem, command, motion, forged)[1:])
+    assert not certify(problem, command, forged).accepted
+
+
+def test_too_many_devices_give_way_to_another_method(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 3.0, stages=30)
+    spread = tuple(make_problem(0.4, grip, stages=30).stage for grip in np.linspace(1.0, 5.0, 9))
+    many = replace(problem, spread=spread)
+    assert "riccati" not in capable(many)
+    answer = solve(many, SolverOptions())
+    assert certify(many, answer.command_A, answer.multipliers).accepted

@@ -1,0 +1,221 @@
+"""Every format gives the same recording, on a uniform time grid, in SI."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from tests.benches.places import IMPACTS
+from tests.benches.recording_files import (
+    DT_S,
+    PACKERS,
+    TAP_M_S2,
+    TIMES_S,
+    VALID,
+    VARIABLES,
+    csv,
+    load,
+    load_any,
+    mat,
+    npz,
+    refusal,
+    text,
+    wav,
+)
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
+from transopt.base.signals import FloatArray
+from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import Recording
+
+# ---- what is read ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [*VALID, ".CSV", ".Wav"])
+def test_every_format_gives_the_same_tap(tmp_path: Path, suffix: str) -> None:
+    content = VALID[suffix.lower()]
+    recording = load_any(tmp_path, content, suffix)
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-9)
+    assert recording.acceleration.start_s == 0.0
+    np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+    assert recording.name == f"tap{suffix}"
+    assert recording.source == str(tmp_path / f"tap{suffix}")
+    assert recording.sha256 == hashlib.sha256(content).hexdigest()
+    stated = (0.21, 3.0) if suffix.lower() in (".csv", ".npz", ".mat") else (None, None)
+    assert (recording.speed_m_s, recording.grip_N) == stated
+
+
+def test_units_become_si(tmp_path: Path) -> None:
+    rows = text(1e3 * TIMES_S, TAP_M_S2 / G, 1e3 * TAP_M_S2, TAP_M_S2 + 1, TAP_M_S2 + 2)
+    header = "# speed_mm_s: 210\ntime_ms,acceleration_g,position_mm,force_N,current_A\n"
+    recording = load(tmp_path, header + rows)
+    assert recording.speed_m_s == pytest.approx(0.21)
+    signals = (recording.acceleration, recording.position, recording.force, recording.current)
+    for signal, offset in zip(signals, (0, 0, 1, 2), strict=True):
+        assert signal is not None
+        assert signal.dt_s == pytest.approx(DT_S, rel=1e-9)
+        np.testing.assert_allclose(signal.values, TAP_M_S2 + offset, rtol=1e-9, atol=1e-9)
+
+
+def test_arguments_override_the_file(tmp_path: Path) -> None:
+    recording = load(tmp_path, VALID[".csv"], speed_m_s=0.4, grip_N=0)
+    assert (recording.speed_m_s, recording.grip_N) == (0.4, 0.0)
+    # Also where the file's own value is of no use.
+    useless = csv(comments="# speed_m_s: fast\n# grip_N: -1\n")
+    recording = load(tmp_path, useless, speed_m_s=0.4, grip_N=2.0)
+    assert (recording.speed_m_s, recording.grip_N) == (0.4, 2.0)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "\ufeff" + csv(),
+        csv().replace("\n", "\r\n"),
+        csv().replace("\n", "\r"),
+        csv().replace(",", " , ").replace("\n", "\n\n"),
+        csv().replace(",", ";"),
+        csv().replace(",", "\t"),
+        csv().replace(",", "   "),
+        csv().replace("time_s,acceleration_m_s2", '"time_s","acceleration_m_s2"'),
+        "# at 10:15: by hand\n# material: wood\n# mean 3 g, by: A. B.\n" + csv() + "# the end\n",
+        csv().rstrip("\n"),
+    ],
+)
+def test_csv_dialects(tmp_path: Path, content: str) -> None:
+    np.testing.assert_allclose(load(tmp_path, content).acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+def test_columns_replace_the_csv_header_and_skip(tmp_path: Path) -> None:
+    pairs = zip(TIMES_S, TAP_M_S2, strict=True)
+    rows = "".join(f"{a:.12g},10:15:{t:.4f},{t:.12g}\n" for t, a in pairs)
+    for content in (rows, "a,clock,t\n" + rows):
+        recording = load(tmp_path, content, columns=["acceleration_m_s2", "-", "time_s"])
+        np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-9)
+
+
+@pytest.mark.parametrize("suffix", PACKERS)
+def test_columns_choose_the_variables(tmp_path: Path, suffix: str) -> None:
+    content = PACKERS[suffix](**VARIABLES, acceleration_g=TAP_M_S2, misc_s=TIMES_S)
+    recording = load(tmp_path, content, suffix, columns=["time_s", "acceleration_m_s2"])
+    np.testing.assert_array_equal(recording.acceleration.values, TAP_M_S2)
+
+
+@pytest.mark.parametrize(("kind", "half"), [("u1", 192), ("i2", 2**14), ("i4", 2**30), ("f4", 0.5), ("f8", 0.5)])
+def test_wav_full_scale(tmp_path: Path, kind: str, half: float) -> None:
+    samples = np.array([128 if kind == "u1" else 0, half] * 5).astype(kind)
+    recording = load(tmp_path, wav(samples, 8000), ".wav", full_scale_m_s2=490.0)
+    np.testing.assert_allclose(recording.acceleration.values, [0.0, 245.0] * 5, rtol=1e-12)
+    assert recording.acceleration.dt_s == pytest.approx(1 / 8000)
+
+
+@pytest.mark.parametrize("do_compression", [False, True])
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8", ">f8"])
+def test_mat_reader_agrees_with_scipy(tmp_path: Path, kind: str, do_compression: bool) -> None:
+    """For every storage type, among variables of every other class."""
+    values = np.array([[1], [0], [2], [100], [3], [4], [5], [6], [7]]).astype(kind)
+    content = mat(
+        do_compression=do_compression,
+        note="text",
+        nested={"a": 1.0, "b": [1.0, 2.0]},
+        cells=np.array(["x", 2.0, [3.0]], dtype=object),
+        complex_values=1j * values,
+        empty=np.zeros((0, 0)),
+        time_ms=np.arange(9.0),
+        acceleration_m_s2=values,
+        grip_N=np.float32(2.5),
+    )
+    recording = load(tmp_path, content, ".mat")
+    expected = loadmat(tmp_path / "tap.mat")["acceleration_m_s2"].ravel()
+    np.testing.assert_array_equal(recording.acceleration.values, expected)
+    assert recording.grip_N == 2.5
+
+
+def test_the_recorded_impacts() -> None:
+    folder = IMPACTS
+    if not folder.is_dir():
+        pytest.skip(f"no recorded impacts at {folder}")
+    files = sorted(folder.glob("acc_base_a*.txt"))
+    assert len(files) == 25
+    for path in files:
+        acceleration = load_recording(path, columns=("time_s", "acceleration_g")).acceleration
+        assert acceleration.values.size == (1438 if path.name == "acc_base_a5.txt" else 1439)
+        assert acceleration.dt_s == pytest.approx(20.0028e-6, rel=1e-3)
+        assert 450 * G < np.max(np.abs(acceleration.values)) < 550 * G  # its README: about 500 g
+
+
+# ---- the time grid ---------------------------------------------------------------------------------------
+
+
+def smooth(times_s: FloatArray) -> FloatArray:
+    return np.sin(2 * np.pi * 100 * times_s)
+
+
+def load_smooth(folder: Path, times_s: FloatArray) -> Recording:
+    values = smooth(times_s)
+    return load(folder, npz(time_s=times_s, acceleration_m_s2=values, position_m=values), ".npz")
+
+
+def test_jitter_below_a_percent_leaves_the_values(tmp_path: Path) -> None:
+    times_s = TIMES_S + 9e-3 * DT_S * np.random.default_rng(1).uniform(-1, 1, TIMES_S.size)
+    times_s[[0, -1]] = TIMES_S[[0, -1]]
+    recording = load_smooth(tmp_path, times_s)
+    np.testing.assert_array_equal(recording.acceleration.values, smooth(times_s))
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=1e-12)
+
+
+def test_jitter_is_resampled_with_a_splines_order(tmp_path: Path) -> None:
+    """The error of a cubic spline falls with the fourth power of the step."""
+    errors = []
+    for dt_s in (4e-4, 2e-4, 1e-4):
+        count = round(0.04 / dt_s)
+        times_s = dt_s * (np.arange(count) + np.random.default_rng(2).uniform(-0.15, 0.15, count))
+        recording = load_smooth(tmp_path, times_s)
+        error = recording.acceleration.values - smooth(recording.acceleration.times_s)
+        errors.append(np.max(np.abs(error[10:-10])))  # the spline's end conditions are of lower order
+    assert np.all(np.log2(np.array(errors[:-1]) / errors[1:]) > 3.4)
+    assert errors[-1] < 1e-5
+
+
+def test_every_quantity_is_resampled_alike(tmp_path: Path) -> None:
+    recording = load_smooth(tmp_path, TIMES_S + 0.2 * DT_S * np.sin(np.arange(TIMES_S.size)))
+    assert recording.position is not None
+    np.testing.assert_array_equal(recording.position.values, recording.acceleration.values)
+    assert recording.position.dt_s == recording.acceleration.dt_s
+
+
+def test_drift_within_a_percent_of_each_step_is_resampled(tmp_path: Path) -> None:
+    """A clock 0.9 % fast, then 0.9 % slow: every step passes, the samples lie four steps off the grid."""
+    steps_s = DT_S * np.where(np.arange(999) < 500, 0.991, 1.009)
+    acceleration = load_smooth(tmp_path, np.append(0.0, np.cumsum(steps_s))).acceleration
+    np.testing.assert_allclose(acceleration.values, smooth(acceleration.times_s), atol=1e-5)
+
+
+def test_dropped_sample(tmp_path: Path) -> None:
+    lost = [101, 102, 103]
+    message = refusal(tmp_path, csv(np.delete(TIMES_S, lost), np.delete(TAP_M_S2, lost)))
+    # Sample 100 stands in row 102: below the header row, and rows count from 1.
+    assert message.startswith("sample dropped after row 102 (0.01 s): step 0.4 ms, median 0.1 ms; must be 0.1 to 1.5")
+
+
+def test_bunched_samples(tmp_path: Path) -> None:
+    times_s = TIMES_S.copy()
+    times_s[51] = times_s[50] + 5e-6
+    message = refusal(tmp_path, csv(times_s))
+    assert message.startswith("samples bunched after row 52 (0.005 s): step 0.005 ms, median 0.1 ms; must be 0.1")
+
+
+def test_time_that_does_not_increase(tmp_path: Path) -> None:
+    times_s = TIMES_S.copy()
+    times_s[20] = times_s[19]
+    message = refusal(tmp_path, csv(times_s, comments="# a remark\n\n"))
+    assert message.startswith("row 24: time 0.0019 s does not increase, before it 0.0019 s; sort")
+    variables = {**VARIABLES, "time_s": times_s}
+    assert refusal(tmp_path, npz(**variables), ".npz").startswith("element [20]: time 0.0019 s")
+    assert refusal(tmp_path, mat(**variables), ".mat").startswith("element (21): time 0.0019 s")
+
+
+@pytest.mark.parametrize("factor", [1e4, 1e-7])
+def test_time_in_the_wrong_unit(tmp_path: Path, factor: float) -> None:
+    message = refusal(tmp_path, csv(factor * TIMES_S))
+    assert f"median time step {factor * DT_S:g} s: must be 1e-09 to 0.05 s; is time in the unit" in message

@@ -1,0 +1,332 @@
+"""From recordings to references: onset, offset, polarity, speed, filters, scaling, alignment."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal, highpass, lowpass, nrmse
+from transopt.plant.discretise import TimeGrid
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, assign, build_reference, build_references
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import find_onset, prepare, read_recordings
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings, strike
+
+GRID = TimeGrid(1e-4, 300, 3e-4, 68e-6)
+SETTINGS = Recordings(files=["unused"])
+
+
+def pulse(
+    onset_s: float = 0.02,
+    *,
+    rate_Hz: float = 10e3,
+    height: float = 50.0,
+    offset: float = 0.0,
+    polarity: int = 1,
+    speed: float | None = 0.2,
+    position: Signal | None = None,
+    duration_s: float = 0.08,
+    name: str = "tap",
+) -> Recording:
+    """A linear rise of 1 ms, then an exponential decay."""
+    t = np.arange(0, duration_s, 1 / rate_Hz)
+    since = t - onset_s
+    shape = np.where(since < 1e-3, np.clip(since, 0, None) / 1e-3, np.exp(-(since - 1e-3) / 2e-3))
+    return Recording(
+        name=name,
+        source="test",
+        sha256="",
+        acceleration=Signal(0.0, 1 / rate_Hz, polarity * height * shape + offset),
+        position=position,
+        speed_m_s=speed,
+    )
+
+
+class TestPrepare:
+    @pytest.mark.parametrize("onset_s", [0.02, 0.02003, 0.020077])
+    @pytest.mark.parametrize("rate_Hz", [10e3, 50e3])
+    def test_onset_is_found_to_a_fraction_of_a_tick(self, onset_s: float, rate_Hz: float) -> None:
+        tap = prepare(pulse(onset_s, rate_Hz=rate_Hz), SETTINGS)
+        assert tap.onset_s == pytest.approx(onset_s, abs=1e-5)
+
+    def test_onset_of_simulated_taps_with_noise(self, scene: Scene) -> None:
+        """The contact of the simulated recordings is known: 30 ms minus the sampling phase."""
+        found = [prepare(recording, scene.recordings) for recording in recordings(scene)]
+        for tap in found:
+            position = tap.recording.position
+            assert position is not None
+            # Encoder counts reach zero within one count of the contact.
+            assert -24.5e-6 <= np.interp(tap.onset_s, position.times_s, position.values) <= 24.5e-6
+            before = position.times_s < tap.onset_s
+            line = np.polynomial.Polynomial.fit(position.times_s[before], position.values[before], 1)
+            assert tap.onset_s == pytest.approx(float(line.roots()[0]), abs=1e-4)
+
+    def test_static_offset_and_polarity(self) -> None:
+        tap = prepare(pulse(offset=-9.81, polarity=-1), SETTINGS)
+        plain = prepare(pulse(), SETTINGS)
+        assert (tap.offset_m_s2, tap.polarity) == (pytest.approx(-9.81, abs=1e-9), -1)
+        np.testing.assert_allclose(tap.acceleration.values, plain.acceleration.values, atol=1e-9)
+
+    def test_polarity_can_be_stated(self) -> None:
+        settings = SETTINGS.model_copy(update={"polarity": "negative"})
+        assert prepare(pulse(polarity=-1), settings).polarity == -1
+
+    def test_no_baseline_is_said(self) -> None:
+        tap = prepare(pulse(onset_s=0.0), SETTINGS)
+        assert tap.offset_m_s2 == 0
+        assert "no baseline" in tap.notes[0]
+
+    def test_stated_onset_and_offset_are_taken(self) -> None:
+        settings = SETTINGS.model_copy(update={"onset_s": 0.005, "offset_m_s2": 1.5})
+        tap = prepare(pulse(), settings)
+        assert (tap.onset_s, tap.offset_m_s2) == (0.005, 1.5)
+
+    def test_speed_from_position_despite_the_hands_acceleration(self) -> None:
+        t = np.arange(0, 0.08, 1e-4)
+        z = -0.1 * (t - 0.02) + 0.5 * 2.0 * (t - 0.02) ** 2  # 2 m/s^2, as EVIDENCE assumes
+        counts = np.round(z / 24.5e-6) * 24.5e-6
+        tap = prepare(pulse(speed=None, position=Signal(0.0, 1e-4, counts)), SETTINGS)
+        assert tap.speed_m_s == pytest.approx(0.1, rel=0.02)
+        assert tap.speed_source == "position"
+
+    def test_no_speed_is_refused(self) -> None:
+        with pytest.raises(InputError, match=r"tap: no incoming speed: state it in the file \(`# speed_m_s"):
+            prepare(pulse(speed=None), SETTINGS)
+
+    def test_receding_position_is_refused(self) -> None:
+        away = Signal(0.0, 1e-4, 0.1 * np.arange(800) * 1e-4)
+        with pytest.raises(InputError, match=r"speed fitted from position_m = -0.1 m/s: must be > 0"):
+            prepare(pulse(speed=None, position=away), SETTINGS)
+
+    def test_clipping_is_counted(self) -> None:
+        recording = pulse()
+        cut = replace(recording.acceleration, values=np.minimum(recording.acceleration.values, 30.0))
+        tap = prepare(replace(recording, acceleration=cut), SETTINGS)
+        assert tap.clipped_samples >= 3
+        assert "end stop" in tap.notes[-1]
+        assert prepare(recording, SETTINGS).clipped_samples == 0
+
+    @pytest.mark.parametrize(
+        ("recording", "doubt"),
+        [
+            (pulse(height=50.0, speed=20.0), "faster than a hand taps"),
+            (pulse(height=0.5), "check the unit of the acceleration"),
+            (pulse(rate_Hz=500.0, duration_s=0.2), "sampled at 500 Hz"),
+        ],
+    )
+    def test_unlikely_taps_are_doubted(self, recording: Recording, doubt: str) -> None:
+        assert doubt in "; ".join(prepare(recording, SETTINGS).notes)
+
+    def test_noise_alone_is_refused_and_a_weak_tap_doubted(self) -> None:
+        noise = np.random.default_rng(0).standard_normal(800)
+        recording = pulse(height=8.0)
+        weak = replace(recording.acceleration, values=recording.acceleration.values + noise)
+        assert "times the noise" in "; ".join(prepare(replace(recording, acceleration=weak), SETTINGS).notes)
+        with pytest.raises(InputError, match=r"tap: highest sample .* no tap stands out"):
+            prepare(replace(recording, acceleration=Signal(0.0, 1e-4, noise)), SETTINGS)
+
+    def test_a_pulse_that_fills_half_the_recording_is_a_tap(self) -> None:
+        t = np.arange(0, 0.06, 1e-4)
+        slow = np.where((t > 0.01) & (t < 0.05), np.sin(np.pi * (t - 0.01) / 0.04), 0.0)
+        slow = 20.0 * slow + 0.05 * np.random.default_rng(0).standard_normal(t.size)
+        tap = prepare(replace(pulse(), acceleration=Signal(0.0, 1e-4, slow)), SETTINGS)
+        assert tap.onset_s == pytest.approx(0.01, abs=1e-3)
+        assert not tap.notes
+
+    def test_a_stated_onset_admits_a_noisy_recording(self) -> None:
+        noise = np.random.default_rng(0).standard_normal(800)
+        settings = SETTINGS.model_copy(update={"onset_s": 0.02})
+        tap = prepare(replace(pulse(), acceleration=Signal(0.0, 1e-4, noise)), settings)
+        assert "times the noise" in "; ".join(tap.notes)
+
+    def test_the_highest_peak_need_not_be_the_first(self) -> None:
+        t = np.arange(0, 0.08, 1e-4)
+
+        def bump(at: float, size: float) -> np.ndarray:
+            return size * np.exp(-(((t - at) / 5e-4) ** 2))
+
+        two = replace(pulse(), acceleration=Signal(0.0, 1e-4, bump(0.021, 30.0) + bump(0.023, 50.0)))
+        one = replace(pulse(), acceleration=Signal(0.0, 1e-4, bump(0.021, 30.0)))
+        assert prepare(two, SETTINGS).onset_s == pytest.approx(prepare(one, SETTINGS).onset_s, abs=1.5e-4)
+
+    def test_a_bump_in_the_approach_does_not_move_the_offset(self) -> None:
+        recording = pulse(offset=9.81)
+        bumped = recording.acceleration.values.copy()
+        bumped[50:70] += 5.0
+        tap = prepare(replace(recording, acceleration=Signal(0.0, 1e-4, bumped)), SETTINGS)
+        assert tap.offset_m_s2 == pytest.approx(9.81, abs=1e-6)
+
+    def test_similarity_scaling_of_time_and_amplitude(self) -> None:
+        settings = SETTINGS.model_copy(update={"time_scale": 4.0, "amplitude_scale": 0.5})
+        tap, plain = prepare(pulse(rate_Hz=50e3), settings), prepare(pulse(rate_Hz=50e3), SETTINGS)
+        assert tap.speed_m_s == pytest.approx(0.2 * 4.0 * 0.5)
+        # The velocity change is what defines the speed: it scales alike.
+        change = [t.acceleration.values.sum() * t.acceleration.dt_s for t in (tap, plain)]
+        assert change[0] / change[1] == pytest.approx(2.0, rel=1e-3)
+        assert "similarity-scaled" in tap.speed_source
+
+    def test_to_grid_speed_makes_the_velocity_change_match(self) -> None:
+        settings = SETTINGS.model_copy(update={"time_scale": 10.0, "amplitude_scale": "to_grid_speed"})
+        tap = prepare(pulse(rate_Hz=50e3, speed=1.0), settings)
+        groups = assign([tap], [0.1, 0.4], settings)
+        assert [factor for ((_, factor),) in groups] == [0.1, 0.4]
+        plain = pulse(rate_Hz=50e3).acceleration
+        change = 0.4 * tap.acceleration.values.sum() * tap.acceleration.dt_s
+        assert change == pytest.approx(0.4 / 1.0 * plain.values.sum() * plain.dt_s, rel=1e-3)
+
+
+class TestAssign:
+    def test_a_tap_goes_to_its_speed_scaled(self) -> None:
+        taps = [prepare(pulse(speed=v), SETTINGS) for v in (0.19, 0.42)]
+        groups = assign(taps, [0.2, 0.4], SETTINGS)
+        assert [factor for ((_, factor),) in groups] == [pytest.approx(0.2 / 0.19), pytest.approx(0.4 / 0.42)]
+
+    def test_too_far_from_every_grid_speed(self) -> None:
+        taps = [prepare(pulse(speed=v, name=f"tap_{v}"), SETTINGS) for v in (0.2, 0.3)]
+        with pytest.raises(InputError, match=r"tap_0.3: speed 0.3 m/s is 33% from .* 0.2 m/s, limit 15%"):
+            assign(taps, [0.2], SETTINGS)
+
+    def test_a_grid_speed_without_a_tap(self) -> None:
+        with pytest.raises(InputError, match=r"grid.speeds_m_s: no recording within 15% of 0.4 m/s"):
+            assign([prepare(pulse(speed=0.2), SETTINGS)], [0.2, 0.4], SETTINGS)
+
+
+class TestReference:
+    def reference(self, *taps: Recording) -> Reference:
+        prepared = [prepare(tap, SETTINGS) for tap in taps]
+        return build_reference(0.2, prepared, np.ones(len(prepared)), GRID, SETTINGS)
+
+    def test_filters_split_the_tap_into_motor_and_user(self) -> None:
+        """z_nom'' = r_raw - r with z_nom = 0, dz_nom/dt = -v at contact, checked by differences."""
+        reference = self.reference(pulse())
+        tau = GRID.switching_times_s
+        z = reference.nominal_position_m
+        curvature = np.gradient(np.gradient(z, tau), tau)[2:-2]
+        user = (reference.raw_m_s2 - reference.motor_m_s2)[2:-2]
+        assert np.abs(curvature - user).max() <= 0.01 * np.abs(user).max()
+        at_contact = np.interp(0.0, tau, z)
+        slope = np.interp(0.0, tau, np.gradient(z, tau))
+        assert at_contact == pytest.approx(0.0, abs=1e-7)
+        assert slope == pytest.approx(-0.2, rel=1e-3)
+
+    def test_reference_is_sampled_at_the_switching_instants(self) -> None:
+        """Half a tick of error would be 4 % NRMSE; the delay shifts the axis, not the tap."""
+        early = self.reference(pulse())
+        later = build_reference(
+            0.2, [prepare(pulse(), SETTINGS)], np.ones(1), replace(GRID, delay_s=GRID.delay_s + 1e-4), SETTINGS
+        )
+        np.testing.assert_allclose(later.motor_m_s2[:-1], early.motor_m_s2[1:], atol=1e-6)
+
+    def test_no_current_is_asked_before_contact(self) -> None:
+        """The high-pass is causal; only the zero-phase low-pass reaches back, by less than the lead."""
+        reference = self.reference(pulse())
+        assert np.abs(reference.raw_m_s2[0]) <= 0.01 * reference.raw_m_s2.max()
+
+    def test_repeats_are_aligned(self) -> None:
+        shifted = [pulse(0.02 + s, name=f"tap{s}") for s in (0.0, 3e-4, -2e-4)]
+        settings = SETTINGS.model_copy(update={"onset_s": 0.02})
+        prepared = [prepare(tap, settings) for tap in shifted]
+        reference = build_reference(0.2, prepared, np.ones(3), GRID, settings)
+        assert reference.repeatability < 0.01
+        assert reference.repeatability_unaligned > 0.05
+
+    def test_alignment_does_not_move_the_contact(self) -> None:
+        settings = SETTINGS.model_copy(update={"onset_s": 0.02})
+        prepared = [prepare(pulse(0.02 + s), settings) for s in (-2e-4, 2e-4)]
+        reference = build_reference(0.2, prepared, np.ones(2), GRID, settings)
+        single = self.reference(pulse(0.02))
+        assert nrmse(reference.raw_m_s2, single.raw_m_s2) < 0.02
+
+    def test_one_tap_has_no_repeatability(self) -> None:
+        assert np.isnan(self.reference(pulse()).repeatability)
+
+    def test_a_recording_shorter_than_the_window(self) -> None:
+        with pytest.raises(InputError, match=r"tap: ends 19.9 ms after contact, the window needs 29.7 ms"):
+            self.reference(pulse(duration_s=0.04))
+
+
+class TestFilters:
+    def test_lowpass_has_zero_phase_and_6_dB_at_the_cutoff(self) -> None:
+        t = np.arange(0, 0.2, 1e-5)
+        tone = Signal(0.0, 1e-5, np.sin(2 * np.pi * 1000 * t))
+        filtered = lowpass(tone, 1000.0).values[5000:15000]
+        assert filtered @ np.cos(2 * np.pi * 1000 * t[5000:15000]) == pytest.approx(0, abs=1)
+        assert np.abs(filtered).max() == pytest.approx(0.5, abs=0.005)
+
+    def test_highpass_is_causal_and_3_dB_at_the_cutoff(self) -> None:
+        t = np.arange(0, 2, 1e-4)
+        step = Signal(0.0, 1e-4, (t >= 1).astype(float))
+        assert not highpass(step, 8.0).values[t < 1].any()
+        tone = Signal(0.0, 1e-4, np.sin(2 * np.pi * 8 * t))
+        assert np.abs(highpass(tone, 8.0).values[10000:]).max() == pytest.approx(np.sqrt(0.5), abs=0.01)
+
+    def test_lowpass_above_the_recordings_band_does_nothing(self) -> None:
+        x = Signal(0.0, 1e-3, np.random.default_rng(0).standard_normal(100))
+        assert lowpass(x, 1000.0) is x
+
+
+class TestSimulatedTaps:
+    def test_peaks_are_those_of_design(self, scene: Scene) -> None:
+        target = scene.recordings.simulated
+        assert target is not None
+        _, acceleration, _ = strike(scene.plant(3.0, struck=True), target, np.array([0.1, 0.2, 0.3, 0.4]), 0.03)
+        peaks = acceleration.max(axis=1) / STANDARD_GRAVITY_M_S2
+        np.testing.assert_allclose(peaks, [2.8, 5.6, 8.7, 12.0], atol=0.05)
+
+    def test_step_is_fine_enough(self, scene: Scene) -> None:
+        target = scene.recordings.simulated
+        assert target is not None
+        plant, speeds = scene.plant(3.0, struck=True), np.array([0.4])
+        coarse = strike(plant, target, speeds, 0.02)[1][0]
+        fine = strike(plant, target, speeds, 0.02, 2.5e-6)[1][0][::4]
+        size = min(coarse.size, fine.size)
+        assert nrmse(coarse[:size], fine[:size]) < 1e-5
+
+    def test_the_object_takes_up_the_momentum(self, scene: Scene) -> None:
+        """Contact pushes the stylus out and never pulls: acceleration at contact starts from zero, upwards."""
+        target = scene.recordings.simulated
+        assert target is not None
+        t, acceleration, encoder = strike(scene.plant(3.0, struck=True), target, np.array([0.3]), 0.003)
+        assert acceleration[0, 0] == 0
+        assert np.all(acceleration[0, 1:50] > 0)
+        assert encoder[0, 1] == pytest.approx(-0.3 * t[1], rel=1e-3)
+
+    def test_same_seed_same_recordings(self, scene: Scene, taps: list[Recording]) -> None:
+        again = recordings(scene)
+        assert all(
+            np.array_equal(a.acceleration.values, b.acceleration.values) for a, b in zip(taps, again, strict=True)
+        )
+        assert len({recording.speed_m_s for recording in taps}) == len(taps)
+
+    def test_repeats_serve_every_grid_speed(self, scene: Scene, taps: list[Recording]) -> None:
+        built = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+        assert [len(reference.taps) for reference in built] == [3, 3, 3, 3]
+        assert all(0 < reference.repeatability < 0.03 for reference in built)
+
+
+def test_files_are_found_by_pattern_and_a_missing_folder_is_named(tmp_path) -> None:
+    rows = "\n".join(f"{k * 1e-4:.4f},{np.sin(k)}" for k in range(50))
+    for name in ("tap_b.csv", "tap_a.csv"):
+        (tmp_path / name).write_text(f"# speed_m_s: 0.2\ntime_s,acceleration_g\n{rows}\n")
+    found = read_recordings(Recordings(files=["tap_*.csv"], folder=str(tmp_path)))
+    assert [recording.name for recording in found] == ["tap_a.csv", "tap_b.csv"]
+    with pytest.raises(InputError, match=r"'\*.txt' matches no file in .*--recordings FOLDER.*\(source: the web\)"):
+        read_recordings(Recordings(files=["*.txt"], folder=str(tmp_path), source="the web"))
+
+
+def test_onset_of_a_signal_that_starts_high() -> None:
+    assert find_onset(Signal(1.0, 1e-3, np.array([5.0, 10.0, 3.0, 1.0]))) == 1.0
+
+
+def test_speeds_by_file_name(tmp_path) -> None:
+    for name, height in (("slow", 1.0), ("fast", 2.0)):
+        samples = height * np.exp(-np.arange(200) / 20.0)
+        np.savez(tmp_path / f"{name}.npz", time_s=np.arange(200) * 1e-4, acceleration_g=samples)
+    speeds = {"slow.npz": 0.1, "fast.npz": 0.2}
+    found = read_recordings(Recordings(files=["*.npz"], folder=str(tmp_path), speed_by_file_m_s=speeds))
+    assert {recording.name: recording.speed_m_s for recording in found} == speeds
+    with pytest.raises(InputError, match=r"speed_by_file_m_s: 'slwo.npz' is not among the files"):
+        read_recordings(Recordings(files=["*.npz"], folder=str(tmp_path), speed_by_file_m_s={"slwo.npz": 0.1}))

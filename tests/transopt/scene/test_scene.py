@@ -1,0 +1,160 @@
+"""Scene files: what is accepted, and that every refusal names file, key, value and limit."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import problems
+from transopt.base.errors import InputError
+from transopt.scene.file import load_scene
+
+TEXT = problems.scene_path("wood_on_foam").read_text()
+
+
+@pytest.mark.parametrize("name", problems.scene_names())
+def test_every_built_in_scene_loads_and_its_plants_are_passive(name: str) -> None:
+    scene = problems.load(name)
+    assert scene.name == name
+    assert scene.description
+    for grip in scene.grid.grips_N:
+        scene.plant(grip)
+    scene.current_limits()
+    scene.coil()
+
+
+def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
+    scene = problems.load("wood_on_foam")
+    assert scene.current_limits().current_A == 4.0
+    assert scene.time_grid().lead_s == 3e-4
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("beta = 3.2", "betta = 3.2", r"limits.betta: unknown key; known here: steady_current_A, beta, current_A"),
+        ("[0.1, 0.2", "[0.1, 0.1", r"grid.speeds_m_s = \[0.1, 0.1, 0.3, 0.4\]: must be strictly increasing"),
+        ("[0.1, 0.2", "[0.2, 0.1", r"grid.speeds_m_s = .*strictly increasing"),
+        ("[0.1, 0.2", "[0.0, 0.2", r"grid.speeds_m_s.0 = 0.0: must be greater than or equal to 0.0001"),
+        ("grips_N = [1.0", "grips_N = [-1.0", r"grid.grips_N.0 = -1.0: must be greater than or equal to 0"),
+        ("grips_N = [1.0", "grips_N = [0.0", r"grip 0\) is its own scene"),
+        ("grips_N = [1.0", "grips_N = [0.2", r"0.2 N is below grip_min_N = 0.5 N"),
+        ("[1.0, 3.0, 5.0]", "[]", r"grid.grips_N = \[\]"),
+        ("pole_Hz = 1050.0", "pole_Hz = -1.0", r"amplifier.pole_Hz = -1.0: must be greater than 0$"),
+        ("pole_Hz = 1050.0", "", r"amplifier.pole_Hz: missing"),
+        (
+            "steady_current_A = 1.25",
+            "steady_current_A = 0.0",
+            r"limits.steady_current_A = 0.0: must be greater than 0",
+        ),
+        ("beta = 3.2", "beta = 3.2\ncurrent_A = 4.0", r"limits: give beta or current_A, not both"),
+        ("rho = 1e-3", "rho = nan", r"weights.rho = nan: must be a finite number"),
+        ('"drive"', '"dirve"', r"model: .*'second_order', 'fourth_order', 'drive'"),
+        ("stylus_mass_kg = 0.026", "stylus_mass_kg = 0.0", r"model.stylus_mass_kg = 0.0: must be greater than 0"),
+        ("motors/maxon", "motors/maxxon", r"motor = 'motors/maxxon_re25_118743.toml': no such file in"),
+        ("[amplifier]", "[tip]\nforce_per_current_N_A = 1.0\nmoving_mass_kg = 0.1\n[amplifier]", "give exactly one"),
+        (
+            "transmissions/phantom",
+            "transmissions/fantom",
+            r"transmission = 'transmissions/fantom_class.toml': no such",
+        ),
+        ("stages = 600", "stages = 5", r"hand_over_samples = 10: must not exceed time.stages = 5"),
+        ("[grid]", "[grid", r"not valid TOML"),
+        ("[grid]", 'model = "m.json"\n[grid]', r"states a model file .* and \[model\] tables: delete \[model\]"),
+        ("highpass_Hz = 8.0", "highpass_Hz = 5000.0", r"highpass_Hz = 5000: must be below lowpass_Hz = 1000"),
+        ("lead_s = 3e-4", "lead_s = 0.2", r"time.lead_s = 0.2: must be less than or equal to 0.02"),
+        ("seed = 1", "seed = -1", r"recordings.simulated.seed = -1"),
+        ("[grid]", "[gird]", r"gird: unknown key; known here: name, description, grid"),
+        (
+            "skin_stiffness",
+            "skin_stifness",
+            r"model.hand.skin_stifness_N_m: unknown key; known here: mass_kg, skin_stiff",
+        ),
+        ('"drive"', '"second_order"', r"model.stylus_mass_kg: unknown key; known here: kind \(and 1 more\)"),
+        ("beta = 3.2", "beta = 32.0", r"transient limit 40 A is above the motor's i_peak_A = 10 A"),
+        ("[recordings]", '[recordings]\nfiles = ["a.csv"]', r"recordings: give either files or a simulated table"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TEXT
+    path = tmp_path / "mine.toml"
+    path.write_text(TEXT.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        problems.load(path)
+    text = str(refused.value)
+    assert "\n" not in text
+    assert text.startswith(str(path))
+    assert re.search(message, text), text
+
+
+def test_parameters_that_are_not_passive_at_a_grip_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        TEXT.replace(
+            "skin_stiffness_N_m = { constant = 3000.0, per_newton = 2000.0 }",
+            "skin_stiffness_N_m = { constant = 3000.0, per_newton = -2000.0 }",
+        )
+    )
+    scene = problems.load(path)
+    with pytest.raises(InputError, match=r"stiffness_N_m of link 2 .* = -3000: must be >= 0"):
+        scene.plant(3.0)
+
+
+def test_paths_count_from_the_scene_file(tmp_path: Path) -> None:
+    motor = (problems.FOLDER / "motors" / "maxon_re25_118743.toml").read_text()
+    (tmp_path / "motor.toml").write_text(motor.replace("R_ohm = 2.18", "R_ohm = 3.0"))
+    path = tmp_path / "mine.toml"
+    simulated = TEXT[TEXT.index("[recordings.simulated]") : TEXT.index("[model]")]
+    path.write_text(
+        TEXT.replace(simulated, 'files = ["a.csv"]\nfolder = "taps"\n').replace(
+            "motors/maxon_re25_118743.toml", "motor.toml"
+        )
+    )
+    scene = problems.load(path)
+    assert scene.motor is not None
+    assert scene.motor.R_ohm == 3.0
+    assert Path(scene.recordings.folder) == (tmp_path / "taps").resolve()
+
+
+def test_a_drive_stated_at_the_tip(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    tip = "[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\nstiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n\n"
+    lines = [line for line in TEXT.splitlines() if not line.startswith(("motor =", "transmission ="))]
+    path.write_text("\n".join(lines).replace("[amplifier]", tip + "[amplifier]"))
+    scene = load_scene(path)
+    assert scene.coil() is None
+    assert scene.drive_at_tip().force_per_current_N_A == 1.25
+    path.write_text(path.read_text().replace("stiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n", ""))
+    with pytest.raises(InputError, match=r"needs tip.stiffness_N_m"):
+        load_scene(path)
+
+
+def test_motor_without_transmission_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("\n".join(line for line in TEXT.splitlines() if not line.startswith("transmission =")))
+    with pytest.raises(InputError, match="motor and transmission belong together"):
+        problems.load(path)
+
+
+def test_an_ideal_amplifier_is_stated_never_assumed(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    without = TEXT[: TEXT.index("[amplifier]")] + TEXT[TEXT.index("[limits]") :]
+    path.write_text(without)
+    with pytest.raises(InputError, match="amplifier: missing"):
+        problems.load(path)
+    path.write_text('amplifier = "ideal"\n' + without)
+    scene = problems.load(path)
+    assert scene.amplifier_model() is None
+    assert scene.time_grid().delay_s == 0.0
+    assert scene.current_limits().command_A is None
+
+
+def test_files_that_are_no_scene(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_scene(tmp_path / "absent.toml")
+    with pytest.raises(InputError, match="cannot be read as text"):
+        load_scene(tmp_path)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="cannot be read as text"):
+        load_scene(binary)

@@ -1,0 +1,208 @@
+"""What the stress suite made necessary: the polish, the linear program, exact thermal steps, named walls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress.draw import drawn
+from problems.stress.families import SMALL_A
+from problems.stress.judge import played
+from tests.conftest import is_stationary
+from transopt.base.errors import InputError
+from transopt.design import optimum as optimum_module
+from transopt.design.explain import unstable_wall
+from transopt.design.optimum import Designed, optimum
+from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
+from transopt.plant.wall import earlier_by
+from transopt.problem.leave_out import encoder_course, silence
+from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.stage import wall_growth
+from transopt.proof.certify import certify
+from transopt.solvers.choose import solve
+from transopt.solvers.feasibility import least_widening
+from transopt.solvers.options import SolverOptions
+from transopt.solvers.polish import polished
+
+SHORT = Horizon(stages=40)
+LIMITED = {
+    "current": Current(limit_A=SMALL_A),
+    "command": Current(limit_A=SMALL_A, command=0.8),
+    "ideal": Current(limit_A=SMALL_A, pole_Hz=None),
+    "supply": Current(limit_A=1.0, supply=1.0),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_a_coarse_answer_is_polished_to_its_last_digits(name: str) -> None:
+    problem = StressCase("polish", current=LIMITED[name], horizon=SHORT).problem()
+    coarse = solve(problem, SolverOptions(max_iterations=5))
+    assert not is_stationary(problem, coarse)
+    answer = polished(problem, coarse)
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    assert proof.is_stationary
+    assert proof.relative_gap <= 1e-9
+    fine = solve(problem, SolverOptions())
+    assert proof.objective == pytest.approx(certify(problem, fine.command_A, fine.multipliers).objective, rel=1e-9)
+
+
+def test_the_polish_returns_what_it_cannot_better() -> None:
+    problem = StressCase("polish", current=LIMITED["current"], horizon=SHORT).problem()
+    fine = solve(problem, SolverOptions())
+    assert is_stationary(problem, polished(problem, fine))
+
+
+def walled(limit_A: float) -> TransientProblem:
+    case = StressCase("wall", current=Current(limit_A=limit_A, slew=0.05), horizon=SHORT, surface=Surface(2000.0))
+    return case.problem()
+
+
+def test_the_least_widening_is_the_least() -> None:
+    problem = walled(0.3)
+    everything = ("current", "command", "slew")
+    found = least_widening(problem, everything)
+    assert found is not None
+    assert found[0] > 1.1
+    limits = problem.limits
+    assert limits.command_A is not None
+    assert limits.slew_A_per_s is not None
+    for factor, feasible in ((1.001 * found[0], True), (0.999 * found[0], False)):
+        wide = replace(
+            limits,
+            current_A=factor * limits.current_A,
+            command_A=factor * limits.command_A,
+            slew_A_per_s=factor * limits.slew_A_per_s,
+        )
+        again = least_widening(replace(problem, limits=wide), everything)
+        assert again is not None
+        assert (again[0] == 1.0) == feasible
+        answer = solve(replace(problem, limits=wide), SolverOptions())
+        assert (certify(replace(problem, limits=wide), answer.command_A, answer.multipliers).excess <= 1) == feasible
+
+
+def test_a_feasible_problem_needs_no_wider_limits() -> None:
+    problem = StressCase("plain", horizon=SHORT).problem()
+    found = least_widening(problem, ("current", "command"))
+    assert found is not None
+    assert found[0] == 1.0
+
+
+@pytest.mark.parametrize("tau_w_s", [1e-5, 1e-2, 12.0, 1e4])
+@pytest.mark.parametrize("nodes", [1, 2])
+def test_thermal_steps_are_exact_however_short_the_time_constant(tau_w_s: float, nodes: int) -> None:
+    coil = CoilModel(2.18, 3.1, 14.0, tau_w_s, 612.0, 100.0, 25.0, 70.0, 60.0, nodes)
+    heat, step_s = 4.0, 1e-3
+    flow, inflow = coil.flow()
+    n = inflow.size
+    power = coil.R_ohm * heat
+    held = np.zeros((n + 1, n + 1))
+    held[:n, :n] = flow
+    held[:n, 0] += inflow * power * COPPER_PER_K
+    held[:n, n] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
+    start = np.append(np.array([70.0, 60.0])[:n] - coil.rest_C, 1.0)
+    expected = (linalg.expm(held * step_s) @ start)[:n] + coil.rest_C
+    winding, housing = coil.simulate(np.full((1, 1), heat), np.array([step_s]))
+    np.testing.assert_allclose(np.array([winding[0, 1], housing[0, 1]])[:n], expected, rtol=1e-11)
+
+
+def test_a_coil_of_one_node_has_a_steady_state_over_taps_that_repeat() -> None:
+    coil = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0, 25.0, 60.0, 60.0, 1)
+    winding, housing = coil.steady_course(np.full((1, 10), 1.0), np.full(10, 1e-3), 0.05, np.zeros(1))
+    assert np.all(np.isfinite(winding))
+    assert np.all(housing == 60.0)
+    assert winding[0, 0] > 60.0
+
+
+def test_taps_that_overlap_are_refused() -> None:
+    with pytest.raises(InputError, match=r"tap_rate_Hz = .* a tap takes"):
+        StressCase("repeated", coil=Coil(below_K=20.0, tap_share=0.999)).problem()
+
+
+class TestWhatCancelsAtTheSwitchingInstants:
+    """A mass whose link decays 80 time constants within one tick: link and current forces leave only rounding."""
+
+    CASE = StressCase(
+        "defective",
+        Device("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3),
+        Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999),
+        Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4),
+    )
+
+    def test_is_held_to_its_rounding_and_no_more(self) -> None:
+        designed = optimum(self.CASE.problem(), SolverOptions())
+        problem, command = designed.problem, designed.solution.command_A
+        run, (predicted, current) = played(problem, command), problem.stage.rollout(command)
+        added = np.abs(problem.stage.plant.D[0, 0] * current).max()
+        assert np.abs(run.acceleration_m_s2).max() < 1e-14 * added
+        # Both forces are alike, and each of the two counts.
+        assert run.rounding_m_s2 == pytest.approx(16 * np.finfo(float).eps * 2 * added, rel=1e-6)
+        assert run.shortfalls(problem, command, predicted) == []
+        off = run.shortfalls(problem, command, predicted + 1.1 * run.rounding_m_s2)
+        assert len(off) == 1
+        assert "differs from the predicted" in off[0]
+
+    def test_is_no_part_of_a_plain_case(self) -> None:
+        problem = StressCase("plain", horizon=SHORT).problem()
+        run = played(problem, optimum(problem, SolverOptions()).solution.command_A)
+        assert run.scale_m_s2 == np.abs(run.acceleration_m_s2).max()
+        assert run.rounding_m_s2 < 1e-4 * 1e-6 * run.scale_m_s2
+
+
+def test_a_wall_that_grows_by_itself_is_named() -> None:
+    shaky = StressCase("wall", Device(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
+    assert wall_growth(shaky) > 1
+    assert "latency_ticks (5)" in unstable_wall(shaky)
+    for surface, lower in (
+        (
+            Surface(1e5, 50.0, latency_ticks=0),
+            "lower feedback.stiffness_N_m (100000 N/m) or feedback.damping_N_s_m (50 N s/m)",
+        ),
+        (
+            Surface(0.0, 50.0, latency_ticks=5),
+            "lower feedback.damping_N_s_m (50 N s/m) or feedback.latency_ticks (5)",
+        ),
+    ):
+        remark = unstable_wall(StressCase("wall", Device(moving_kg=1e-4), surface=surface).problem())
+        assert remark.endswith(lower)
+    calm = StressCase("wall", surface=Surface(200.0)).problem()
+    assert wall_growth(calm) < 1
+    assert unstable_wall(calm) == ""
+
+
+def test_a_wall_that_grows_by_itself_is_not_searched_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+    settled = optimum_module._settled
+
+    def counted(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+        searched.append(problem)
+        return settled(problem, options)
+
+    monkeypatch.setattr(optimum_module, "_settled", counted)
+    assert optimum(drawn(77, 723).problem(), SolverOptions()).solution.status is Status.UNSTABLE_WALL
+    assert len(searched) == 1
+
+
+def test_silence_over_a_wall_is_the_walls_own_command() -> None:
+    """Tick by tick or all at once: with that command no transient is left."""
+    problem, command = silence(StressCase("wall", surface=Surface(200.0)).problem())
+    assert np.abs(command).max() > 0.01
+    law = problem.wall
+    assert law is not None
+    feedback = law.feedback(encoder_course(problem, command), problem.grid.dt_s)
+    assert np.array_equal(feedback > 0, law.pressing)
+    assert np.abs(problem.transient_command(command)).max() <= 1e-12
+
+
+def test_a_zero_reference_over_a_wall_leaves_it_alone() -> None:
+    case = StressCase("wall", demand=Demand("denormal", speed_m_s=0.1), surface=Surface(200.0))
+    designed = optimum(case.problem(), SolverOptions())
+    assert designed.solution.status is Status.OPTIMAL
+    assert designed.certificate.accepted
+    assert np.abs(designed.solution.command_A).max() > 0.01
+
+
+def test_a_delay_longer_than_the_horizon() -> None:
+    np.testing.assert_array_equal(earlier_by(2, np.array([1.0, 2.0, 3.0])), [3.0, 0.0, 0.0])
+    np.testing.assert_array_equal(earlier_by(5, np.array([1.0, 2.0, 3.0])), np.zeros(3))

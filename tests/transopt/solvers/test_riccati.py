@@ -1,0 +1,310 @@
+"""The project's own interior-point method: its stage data, its answers, its refusals, its absence."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import problems
+from tests.conftest import ProblemMaker, WalledMaker
+from transopt.base.errors import InputError
+from transopt.design.build import Build
+from transopt.design.entry import entry_problem, scene_stage
+from transopt.problem.heat import Budget, thermal_limit
+from transopt.problem.leave_out import pressing, reference_course
+from transopt.problem.problem import OBJECTIVE_SCALE, Multipliers, Status, TransientProblem
+from transopt.problem.stage import layout, linear_stage
+from transopt.problem.stage_data import Derivatives, Stages, derivatives, runtime_stages
+from transopt.proof.certify import certify
+from transopt.proof.farkas import is_infeasible
+from transopt.recordings.reference import build_references
+from transopt.recordings.tap import read_recordings
+from transopt.report.markdown import build_markdown
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+from transopt.solvers import choose, riccati
+from transopt.solvers.choose import solve
+from transopt.solvers.native import extension as native
+from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import Shape, state_program
+from transopt.solvers.statement import state
+
+pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+
+OWN = SolverOptions("riccati")
+SCENES = [
+    path.stem for path in sorted(Path(problems.__file__).parent.glob("*.toml")) if path.stem != "measured_impacts"
+]
+
+
+@pytest.fixture(scope="module")
+def hardest() -> Callable[[str], TransientProblem]:
+    """The fastest tap under the firmest grip of a built-in scene, with all its limits."""
+
+    def make(name: str) -> TransientProblem:
+        scene = problems.load(name)
+        taps = recordings(scene) if scene.recordings.simulated else read_recordings(scene.recordings)
+        references = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+        problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
+        return (
+            problem
+            if problem.wall is None
+            else pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        )
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def hot(scene: Scene) -> Callable[..., TransientProblem]:
+    """A problem with a temperature limit beside its others."""
+
+    def make(problem: TransientProblem, **budget: float) -> TransientProblem:
+        coil = scene.coil()
+        assert coil is not None
+        return replace(problem, thermal=thermal_limit(coil, problem.stage.amplifier, problem.grid, Budget(**budget)))
+
+    return make
+
+
+def places(given: Stages, shape: Shape) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """(rows, N + 1) each: the variable of the program that a row limits, or its row there; -1 for none."""
+    N, kinds = shape.stages, given.limits.kinds
+    place = shape.first + np.arange(N * shape.variables).reshape(N, shape.variables)
+    of_kind = state_program(shape).rows
+    variables, constraints = np.full((2, len(kinds), N + 1), -1)
+    for j, kind in enumerate(kinds):
+        if kind == "winding":
+            variables[j, 1:] = place[:, shape.command + 1]
+            if shape.repeated:
+                variables[j, 0] = 0
+        elif kind == "command":
+            free = given.sizes["free_stages"] if given.problem.wall is None else N
+            variables[j, :free] = place[:free, shape.command]
+        elif kind == "current":
+            variables[j, 1:N] = place[:-1, shape.controls + shape.layout.current]
+        elif kind in ("slew", "size"):
+            variables[j, :N] = place[:, ("slew", "size").index(kind)]
+        else:
+            rows = of_kind[kind]
+            first = N - (rows.stop - rows.start)
+            constraints[j, first:N] = np.arange(rows.start, rows.stop)
+    return variables, constraints
+
+
+class TestStageData:
+    @pytest.mark.parametrize("name", SCENES)
+    @pytest.mark.parametrize("read", [riccati.stages, runtime_stages])
+    def test_agrees_with_the_casadi_statement(
+        self, hardest: Callable[[str], TransientProblem], name: str, read: Callable[[TransientProblem], Stages]
+    ) -> None:
+        """Objective and every limit at a random point, to 1e-12 of their size; what the runtime has as well."""
+        problem = hardest(name)
+        given, statement = read(problem), state(problem)
+        limits, a = given.limits, given.arrays
+        shape, program = statement.shape, state_program(statement.shape)
+        N, n, m = shape.stages, shape.layout.states, shape.nodes
+        random = np.random.default_rng(3)
+        u, size, rise = random.normal(size=N) * 0.1, random.uniform(0, 1, N), random.uniform(0, 1, (N + 1, m))
+        x = np.zeros((N + 1, n))
+        for k in range(N):
+            x[k + 1] = a["A"] @ x[k] + a["A"][:, -1] * u[k]
+        point = np.zeros((N, shape.variables))
+        point[:, 0], point[:, shape.controls : shape.controls + n] = u, x[1:]
+        if m:
+            point[:, 1], point[:, shape.controls + n :] = size, rise[1:]
+        point = np.append(rise[0] if shape.repeated else [], point.ravel())
+        values = ca.Function("values", [program.x, program.p], [program.f, program.g])(point, statement.p)
+        f, g = (np.asarray(value).ravel() for value in values)
+
+        error = x[:-1] @ a["C"].T + np.outer(u, a["E"]) - a["reference"][:, None]
+        objective = (a["weight"] @ np.sum(error**2, axis=1) + given.numbers["movement_weight"] * u @ u) / 2
+        assert f[0] == pytest.approx(objective, rel=1e-12)
+
+        dynamics = g[program.rows["dynamics"]]
+        assert np.abs(dynamics).max() <= 1e-12 * max(np.abs(x).max(), 1)
+        row = x @ a["G"].T
+        row[:-1] += np.outer(u, a["d"]) + np.outer(size, a["d_size"])
+        if m:
+            row[:, 0] = rise[:, 0]
+        for index, stated in zip(places(given, shape), (point, g), strict=True):
+            where = index.T >= 0
+            scaled = (row * limits.unit)[where]
+            np.testing.assert_allclose(
+                scaled, stated[index.T[where]], rtol=0, atol=1e-12 * max(np.abs(scaled).max(initial=1), 1)
+            )
+
+    @pytest.mark.parametrize("name", SCENES)
+    def test_the_runtime_has_the_derivatives_of_the_statement(
+        self, hardest: Callable[[str], TransientProblem], name: str
+    ) -> None:
+        """Written out by hand, they are those that CasADi takes, to 1e-12 of the largest of each."""
+        problem = hardest(name)
+        stage = linear_stage(problem)
+        stated, by_hand = riccati.derivatives(problem, stage), derivatives(problem, stage, layout(problem))
+        for field in fields(Derivatives):
+            wanted = getattr(stated, field.name)
+            tolerance = 1e-12 * max(np.abs(wanted).max(), 1.0)
+            np.testing.assert_allclose(getattr(by_hand, field.name), wanted, rtol=0, atol=tolerance)
+
+    @pytest.mark.parametrize("name", SCENES)
+    def test_every_limit_of_the_statement_stands_in_one_row(
+        self, hardest: Callable[[str], TransientProblem], name: str
+    ) -> None:
+        """With its bounds; but for those of a plain hand-over, which is a rule."""
+        problem = hardest(name)
+        given, statement = riccati.stages(problem), state(problem)
+        shape, limits = statement.shape, given.limits
+        variables, constraints = places(given, shape)
+        bounded = np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x)
+        if problem.wall is None:
+            tail = shape.first + np.arange(problem.free_stages, shape.stages) * shape.variables + shape.command
+            bounded[tail] = False
+        if shape.repeated:
+            bounded[1 : shape.first] = False  # a housing above the surroundings follows from the winding's
+        inequalities = statement.lower_g < statement.upper_g
+        for index, stated, lower, upper in (
+            (variables, bounded, statement.lower_x, statement.upper_x),
+            (constraints, inequalities, statement.lower_g, statement.upper_g),
+        ):
+            np.testing.assert_array_equal(np.sort(index[index >= 0]), np.flatnonzero(stated))
+            for own, wanted in ((limits.lower, lower), (limits.upper, upper)):
+                found = (own * limits.unit).T[index >= 0]
+                np.testing.assert_allclose(found, wanted[index[index >= 0]], rtol=1e-12)
+        nowhere = (variables < 0) & (constraints < 0)
+        assert np.all(np.isinf(limits.lower.T[nowhere]))
+        assert np.all(np.isinf(limits.upper.T[nowhere]))
+
+
+class TestAnswers:
+    @pytest.mark.parametrize("name", SCENES)
+    def test_certified_on_every_scene(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        problem = hardest(name)
+        answer = solve(problem, OWN)
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        assert answer.solver == "riccati"
+        assert answer.status is Status.OPTIMAL
+        assert proof.is_stationary
+        assert proof.relative_gap <= 1e-8
+
+    @pytest.mark.parametrize(
+        "name", ["firm_fast", "hot_coil", "rapid_tapping", "low_supply", "walled", "stiff_drive"]
+    )
+    def test_agrees_with_ipopt(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        problem = hardest(name)
+        own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
+        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, other)]
+        assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
+        np.testing.assert_allclose(own.command_A, other.command_A, rtol=0, atol=2e-4)
+
+    @pytest.mark.parametrize("stages", [11, 12, 30])
+    def test_short_horizons(self, make_problem: ProblemMaker, stages: int) -> None:
+        problem = make_problem(0.4, 5.0, stages=stages)
+        answer = solve(problem, OWN)
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    @pytest.mark.parametrize("current_A", [1e-3, 0.1, 1.25])
+    def test_tight_limits(self, make_problem: ProblemMaker, current_A: float) -> None:
+        problem = make_problem(0.4, 5.0, current_A=current_A, slew_A_per_s=2000.0 * current_A)
+        answer = solve(problem, OWN)
+        assert answer.iterations <= 40
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    def test_no_smoothness_and_weights_of_zero(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0)
+        weights = problem.tracking_weights.copy()
+        weights[200:] = 0.0
+        problem = replace(problem, tracking_weights=weights, rho=1e-12)
+        answer = solve(problem, OWN)
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    @pytest.mark.parametrize("budget", [{"headroom_K": 0.05}, {"headroom_K": 0.01}, {"tap_rate_Hz": 12.0}])
+    def test_temperature(
+        self, make_problem: ProblemMaker, hot: Callable[..., TransientProblem], budget: dict
+    ) -> None:
+        problem = hot(make_problem(0.4, 5.0), **budget)
+        own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
+        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, other)]
+        assert all(proof.is_stationary for proof in proofs)
+        assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
+
+    def test_one_command_for_several_devices(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 3.0)
+        problem = replace(problem, spread=tuple(make_problem(0.4, grip).stage for grip in (1.0, 5.0)))
+        answer = solve(problem, OWN)
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+    def test_a_perturbed_answer_is_not_certified(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0)
+        answer = solve(problem, OWN)
+        for change in (1.001, 0.999):
+            assert not certify(problem, change * answer.command_A, answer.multipliers).accepted
+
+    def test_threads_change_no_bit(self, make_problem: ProblemMaker) -> None:
+        entries = [make_problem(speed, grip) for speed in (0.3, 0.4) for grip in (1.0, 3.0, 5.0)]
+        alone = [solve(entry, OWN).command_A for entry in entries]
+        with ThreadPoolExecutor(4) as pool:
+            together = list(pool.map(lambda entry: solve(entry, OWN).command_A, entries * 3))
+        for j, command in enumerate(together):
+            np.testing.assert_array_equal(command, alone[j % len(entries)])
+
+    def test_iteration_limit_is_said(self, make_problem: ProblemMaker) -> None:
+        assert solve(make_problem(0.4, 5.0), replace(OWN, max_iterations=3)).status is Status.ITERATION_LIMIT
+
+
+class TestInfeasible:
+    def test_a_ray_proves_it(self, walled: WalledMaker) -> None:
+        """The hand-over asks for what the wall wants; a slew limit keeps the command far from it."""
+        problem = walled(4000.0, 0.4, 5.0)
+        problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        limits = replace(problem.limits, current_A=0.05)
+        answer = solve(replace(problem, limits=limits, thermal=None), OWN)
+        assert answer.status is Status.INFEASIBLE
+        assert "ray" in answer.message
+
+    def test_nothing_proves_a_feasible_problem_infeasible(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
+        answer = solve(problem, OWN)
+        random, N = np.random.default_rng(5), problem.grid.stages
+        assert not is_infeasible(problem, answer.command_A, answer.multipliers)
+        for scale in (1.0, 1e8):
+            drawn = {
+                field.name: scale * random.exponential(size=N) * (random.random(N) < 0.05)
+                for field in fields(Multipliers)
+                if field.name not in ("hand_over", "current_sign")
+            }
+            made = replace(Multipliers.zero(problem), **drawn)
+            assert not is_infeasible(problem, answer.command_A, made)
+
+
+class TestAbsence:
+    """Without a compiler there is no extension."""
+
+    def test_the_casadi_methods_take_over(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = make_problem(0.4, 5.0)
+        monkeypatch.setattr(riccati, "available", False)
+        assert choose.capable(problem)[0] == "casadi-piqp"
+        with pytest.raises(InputError, match="--solver riccati: its extension is not built"):
+            solve(problem, OWN)
+
+    def test_the_default_and_the_report_say_so(self, build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+        assert SolverOptions().solver == "riccati"
+        assert "not built" not in build_markdown(build)
+        monkeypatch.setattr(native, "available", False)
+        assert SolverOptions().solver == "casadi-piqp"
+        assert "own solver is not built" in build_markdown(build)
+
+    def test_one_of_another_version_is_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Its arrays may mean something else; before there was a number to ask for, none had one."""
+        monkeypatch.setattr(
+            native.ct, "CDLL", lambda path: SimpleNamespace(tr_interface=lambda: native.INTERFACE - 1)
+        )
+        assert native._library() is None
+        monkeypatch.setattr(native.ct, "CDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
+        assert native._library() is None

@@ -1,0 +1,354 @@
+"""The unlimited optimum: the Riccati pass against dense least squares, against solvers, on extreme devices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import ProblemMaker, WalledMaker
+from transopt.base.signals import FloatArray
+from transopt.plant.chain import Link, chain
+from transopt.plant.discretise import Motion, discretise
+from transopt.problem.leave_out import pressing, reference_course
+from transopt.problem.objective.weighting import error_filter
+from transopt.problem.problem import Limits, Status, TransientProblem
+from transopt.problem.stage_data import without_limits
+from transopt.proof.certify import certify
+from transopt.solvers import lq_pass as riccati_lq
+from transopt.solvers import sparse_kkt, unlimited
+from transopt.solvers.choose import solve
+from transopt.solvers.lq_pass import BLOCK, Gains, Pass, Tracking
+from transopt.solvers.native import extension as native
+from transopt.solvers.options import SolverOptions
+
+
+def random_tracking(stages: int, ny: int, rule_stages: int) -> Tracking:
+    random = np.random.default_rng(stages + 10 * ny)
+    n = 4
+    A = random.standard_normal((n, n))
+    return Tracking(
+        A=A / np.abs(np.linalg.eigvals(A)).max(),
+        B=random.standard_normal(n),
+        C=random.standard_normal((ny, n)),
+        D=random.standard_normal(ny),
+        reference=random.standard_normal((stages, ny)),
+        weights=random.uniform(0, 2, (stages, ny)),
+        movement_weights=random.uniform(0.1, 2, stages),
+        rule_gains=0.5 * random.standard_normal((rule_stages, n)),
+        rule_offsets=random.standard_normal(rule_stages),
+    )
+
+
+def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Movement (N,) and error (N, ny), stage by stage as the statement reads."""
+    z = np.zeros(data.B.size)
+    movement, error = np.empty(data.movement_weights.size), np.empty_like(data.reference)
+    for k in range(movement.size):
+        j = k - data.free_stages
+        movement[k] = free[k] if j < 0 else data.rule_gains[j] @ z + data.rule_offsets[j]
+        error[k] = data.C @ z + data.D * movement[k] - data.reference[k]
+        z = data.A @ z + data.B * movement[k]
+    return movement, error
+
+
+def residuals(data: Tracking, free: FloatArray) -> FloatArray:
+    """The objective is the sum of their squares; affine in the free movement."""
+    movement, error = rolled_out(data, free)
+    return np.concatenate([(np.sqrt(data.weights) * error).ravel(), np.sqrt(data.movement_weights) * movement])
+
+
+SIZES = [(stages, ny, rule) for ny in (1, 2, 3) for stages, rule in ((2, 1), (5, 0), (9, 3), (24, 4), (25, 25))]
+
+
+@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
+def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_stages: int) -> None:
+    """Several outputs, feed-through, weights that change, an affine rule at the end."""
+    data = random_tracking(stages, ny, rule_stages)
+    free = data.free_stages
+    at_zero = residuals(data, np.zeros(free))
+    jacobian = np.array([residuals(data, step) - at_zero for step in np.eye(free)]).reshape(free, at_zero.size).T
+    best = np.linalg.lstsq(jacobian, -at_zero)[0]
+
+    run = Pass(data)
+    found = run.improved(run.at_rest(), run.factored())
+    movement, error = rolled_out(data, best)
+    np.testing.assert_allclose(found.movement, movement, atol=1e-11)
+    np.testing.assert_allclose(found.error, error, atol=1e-11)
+    assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
+
+
+@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
+def test_gradient_by_differences(stages: int, ny: int, rule_stages: int) -> None:
+    data = random_tracking(stages, ny, rule_stages)
+    free = np.random.default_rng(5).standard_normal(data.free_stages)
+    run = Pass(data)
+    point = run.at(free)
+    movement, error = rolled_out(data, free)
+    np.testing.assert_allclose(point.movement, movement, atol=1e-11)
+    np.testing.assert_allclose(point.error, error, atol=1e-11)
+    for k, step in enumerate(np.eye(data.free_stages)):
+        # The objective is quadratic: central differences are exact for any step.
+        up, down = (np.sum(residuals(data, free + sign * step) ** 2) for sign in (1, -1))
+        assert run.gradient(point)[k] == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
+
+
+def test_gradient_under_the_rule_is_what_one_more_offset_costs() -> None:
+    data = random_tracking(24, 2, 4)
+    free = np.random.default_rng(6).standard_normal(data.free_stages)
+    run = Pass(data)
+    for j, found in enumerate(run.gradient_under_rule(run.at(free))):
+        step = np.eye(4)[j]
+        up, down = (
+            np.sum(residuals(replace(data, rule_offsets=data.rule_offsets + sign * step), free) ** 2)
+            for sign in (1, -1)
+        )
+        assert found == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
+
+
+def test_units_change_nothing() -> None:
+    """States in other units: the same movement to rounding."""
+    data = random_tracking(24, 1, 4)
+    unit = np.array([1e-6, 1.0, 1e6, 1e3])
+    other = replace(
+        data,
+        A=data.A * unit / unit[:, None],
+        B=data.B / unit,
+        C=data.C * unit,
+        rule_gains=data.rule_gains * unit,
+    )
+    first, second = ((run := Pass(each)).improved(run.at_rest(), run.factored()) for each in (data, other))
+    np.testing.assert_allclose(first.movement, second.movement, atol=1e-12)
+
+
+@pytest.mark.parametrize("ideal", [False, True])
+def test_agrees_with_solvers_whose_limits_are_far_away(make_problem: ProblemMaker, ideal: bool) -> None:
+    problem = make_problem(0.3, 3.0, ideal=ideal, stages=60, current_A=40.0, **({} if ideal else {"command_A": 60.0}))
+    free = unlimited.solve(problem)
+    for solver in ("casadi-piqp", "casadi-ipopt"):
+        np.testing.assert_allclose(free.command_A, solve(problem, SolverOptions(solver)).command_A, atol=1e-6)
+    np.testing.assert_allclose(free.command_A, unlimited.solve_sparse_kkt(problem).command_A, atol=1e-9)
+
+
+def test_every_entry_of_the_default_scene_is_proven_by_the_pass(make_problem: ProblemMaker) -> None:
+    for speed in (0.1, 0.2, 0.3, 0.4):
+        for grip in (1.0, 3.0, 5.0):
+            # Limits wide enough for every optimum, so that the certificate judges nothing else.
+            problem = make_problem(speed, grip, current_A=8.0, command_A=20.0)
+            answer = unlimited.solve(problem)
+            proof = certify(problem, answer.command_A, answer.multipliers)
+            assert answer.status is Status.OPTIMAL
+            assert answer.message == "Riccati pass"
+            assert proof.accepted
+            assert proof.dual_residual < 1e-14
+            assert proof.relative_gap < 1e-8
+
+
+def device(
+    problem: TransientProblem,
+    masses_kg: tuple[float, ...] = (0.014, 0.026, 0.01),
+    transmission_Hz: float = 390.0,
+    damping_N_s_m: float = 0.0,
+    held: bool = True,
+) -> TransientProblem:
+    """Another device in the same problem; its transmission alone rings at the stated frequency."""
+    motor, stylus = masses_kg[:2]
+    stiffness = motor * stylus / (motor + stylus) * (2 * np.pi * transmission_Hz) ** 2
+    links = [Link(stiffness, damping_N_s_m)]
+    if held:
+        links += [Link(13000.0, damping_N_s_m), Link(710.0, damping_N_s_m)]
+    plant = chain(masses_kg[: 3 if held else 2], links, force_per_current_N_A=1.25, stylus=1)
+    return replace(problem, stage=discretise(plant, problem.stage.amplifier, problem.grid.dt_s))
+
+
+def limited(problem: TransientProblem, current_A: float) -> TransientProblem:
+    return replace(problem, limits=Limits(current_A, None if problem.limits.command_A is None else 1.5 * current_A))
+
+
+def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
+    """The middle of the tap alone."""
+    return replace(
+        problem,
+        grid=replace(problem.grid, stages=stages),
+        reference_m_s2=problem.reference_m_s2[5 : 5 + stages],
+        tracking_weights=np.ones(stages),
+        hand_over_samples=min(10, stages - 1),
+    )
+
+
+EXTREMES = {
+    "rho 1e-12": lambda p: replace(p, rho=1e-12),
+    "rho 0": lambda p: replace(p, rho=0.0),
+    "rho 1e6": lambda p: replace(p, rho=1e6),
+    "limit 1e-6 A": lambda p: limited(p, 1e-6),
+    "limit 100 A": lambda p: limited(p, 100.0),
+    "1 g everywhere": lambda p: device(p, (1e-3, 1e-3, 1e-3)),
+    "100 kg everywhere": lambda p: device(p, (100.0, 100.0, 100.0)),
+    "1 mg moves 100 kg": lambda p: device(p, (1e-6, 100.0, 0.01)),
+    "transmission of 20 kHz, undamped": lambda p: device(p, transmission_Hz=2e4),
+    "transmission of 20 kHz, undamped, rho 0": lambda p: replace(device(p, transmission_Hz=2e4), rho=0.0),
+    "transmission at the Nyquist frequency": lambda p: device(p, transmission_Hz=5000.0, damping_N_s_m=1.0),
+    "free stylus": lambda p: device(p, damping_N_s_m=8.0, held=False),
+    "free stylus, rho 0": lambda p: replace(device(p, damping_N_s_m=8.0, held=False), rho=0.0),
+    "nothing weighted from stage 100 to 300": lambda p: replace(
+        p, tracking_weights=np.repeat([1.0, 0.0, 1.0], (100, 200, 300))
+    ),
+    "2 stages": lambda p: shortened(p, 2),
+    "12 stages": lambda p: shortened(p, 12),
+    "13 stages": lambda p: shortened(p, 13),
+    "30 stages": lambda p: shortened(p, 30),
+    "nothing but hand-over": lambda p: replace(p, hand_over_samples=600),
+}
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+@pytest.mark.parametrize("ideal", [False, True])
+def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) -> None:
+    problem = EXTREMES[name](make_problem(0.4, 5.0, ideal=ideal))
+    answer = unlimited.solve(problem)
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    assert answer.status is Status.OPTIMAL
+    assert answer.message.startswith("Riccati pass")
+    assert proof.dual_residual < 1e-12
+    assert proof.relative_gap <= proof.GAP_TOLERANCE
+    assert not answer.command_A[problem.free_stages :].any()
+
+
+def test_a_long_horizon(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0, stages=6000)
+    answer = unlimited.solve(problem)
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    assert proof.dual_residual < 1e-12
+    assert proof.relative_gap <= proof.GAP_TOLERANCE
+
+
+class TestWhenThePassFallsShort:
+    """Gains that are wrong, as rounding could leave them: the gradient notices."""
+
+    @staticmethod
+    def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
+        exact = riccati_lq.Pass.factored
+        monkeypatch.setattr(native, "available", False)
+
+        def spoilt(run: Pass) -> Gains:
+            gains = exact(run)
+            return Gains(gains.feedback, factor * gains.inverse_factor)
+
+        monkeypatch.setattr(riccati_lq.Pass, "factored", spoilt)
+
+    def test_a_small_error_is_refined_away(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = make_problem(0.2, 3.0)
+        wanted = unlimited.solve(problem).command_A
+        self.spoil(monkeypatch, 1 + 1e-5)
+        answer = unlimited.solve(problem)
+        assert answer.message == "Riccati pass, refined"
+        assert certify(problem, answer.command_A, answer.multipliers).dual_residual < 1e-14
+        np.testing.assert_allclose(answer.command_A, wanted, atol=1e-10)
+
+    @pytest.mark.parametrize("factor", [2.0, float("nan")])
+    def test_a_large_one_is_left_to_the_sparse_system(
+        self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch, factor: float
+    ) -> None:
+        problem = make_problem(0.2, 3.0)
+        self.spoil(monkeypatch, factor)
+        answer = unlimited.solve(problem)
+        assert answer.message == "sparse KKT system"
+        assert answer.status is Status.OPTIMAL
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        assert proof.accepted
+        assert proof.dual_residual < 1e-14
+
+    def test_where_any_command_is_optimal_none_is_the_answer(self, make_problem: ProblemMaker) -> None:
+        """Without weights pass and sparse system break down; the damped passes stay at rest, which is proven."""
+        problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
+        answer = unlimited.solve(problem)
+        assert answer.message == "damped Riccati passes"
+        assert not answer.command_A.any()
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+
+def test_sparse_system_is_singular_without_weights(make_problem: ProblemMaker) -> None:
+    problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
+    assert np.isnan(sparse_kkt.movement(problem)).all()
+
+
+def test_blocks_are_filled_up(make_problem: ProblemMaker) -> None:
+    """Every remainder of the free stages by the block's length."""
+    for stages in range(30, 30 + BLOCK):
+        problem = make_problem(0.4, 3.0, stages=stages)
+        answer, other = unlimited.solve(problem), unlimited.solve_sparse_kkt(problem)
+        assert answer.message == "Riccati pass"
+        np.testing.assert_allclose(answer.command_A, other.command_A, atol=1e-10)
+        np.testing.assert_allclose(answer.multipliers.hand_over, other.multipliers.hand_over, atol=1e-12)
+
+
+@pytest.mark.skipif(not native.available, reason="the extension is not built")
+class TestCompiledPass:
+    """The pass of the extension against the one in CasADi's virtual machine, and its cached gains."""
+
+    @staticmethod
+    def difference(problem: TransientProblem) -> float:
+        own, other = unlimited.solve(problem), unlimited.solve_in_casadi(problem)
+        assert own.message == "Riccati pass"
+        np.testing.assert_allclose(
+            own.multipliers.hand_over,
+            other.multipliers.hand_over,
+            rtol=0,
+            atol=1e-8 * max(np.abs(other.multipliers.hand_over).max(), 1e-6),
+        )
+        return float(np.abs(own.command_A - other.command_A).max() / np.abs(other.command_A).max())
+
+    @pytest.mark.parametrize("ideal", [False, True])
+    @pytest.mark.parametrize("stages", [11, 600])
+    def test_agrees_with_the_other(self, make_problem: ProblemMaker, ideal: bool, stages: int) -> None:
+        assert self.difference(make_problem(0.4, 3.0, ideal=ideal, stages=stages)) < 1e-9
+
+    def test_over_a_wall_whose_hand_over_moves(self, walled: WalledMaker) -> None:
+        problem = walled(300, 0.3)
+        problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        assert problem.hand_over_command(Motion.zero(problem.grid.stages)).any()
+        assert self.difference(problem) < 1e-9
+
+    def test_with_several_devices_and_an_error_filter(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.3, 3.0)
+        problem = replace(
+            problem,
+            spread=(make_problem(0.3, 1.0).stage, make_problem(0.3, 5.0).stage),
+            error_filter=error_filter("pacinian", problem.grid.dt_s),
+        )
+        assert self.difference(problem) < 1e-9
+
+    def test_cached_gains_serve_any_reference_of_that_weight(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.2, 3.0)
+        r = problem.reference_m_s2
+        other = replace(problem, reference_m_s2=np.roll(r, 7))
+        run = native.LinearPass(without_limits(problem))
+        assert run.solve(unlimited.GAP).code == native.SOLVED
+        run.reference[:] = np.roll(run.reference, 7)
+        assert run.solve(unlimited.GAP).code == native.SOLVED
+        afresh = native.LinearPass(without_limits(problem))
+        afresh.reference[:] = run.reference
+        afresh.solve(unlimited.GAP)
+        np.testing.assert_array_equal(run.command_A(), afresh.command_A())
+        wanted = unlimited.solve(other).command_A  # whose |r| is another by rounding
+        np.testing.assert_allclose(run.command_A(), wanted, atol=1e-10 * np.abs(wanted).max())
+
+    def test_in_shared_memory_no_pass_takes_anothers_gains(self, make_problem: ProblemMaker) -> None:
+        """Nor what an interior point leaves there."""
+        light, firm = (without_limits(make_problem(0.2, grip)) for grip in (1.0, 5.0))
+        alone = native.LinearPass(light)
+        assert alone.solve(unlimited.GAP).code == native.SOLVED
+        shared = native.Buffers(light.sizes)
+        first, second = (native.LinearPass(stages, shared) for stages in (light, firm))
+        for other in (second, None, second):
+            assert first.solve(unlimited.GAP).code == native.SOLVED
+            np.testing.assert_array_equal(first.command_A(), alone.command_A())
+            if other is None:
+                native.interior_point(firm, shared, tolerance=1e-9, max_iterations=5)
+            else:
+                assert other.solve(unlimited.GAP).code == native.SOLVED
+                assert np.abs(other.command_A() - alone.command_A()).max() > 0.1
+
+    def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
+        problem = make_problem(0.2, 3.0, stages=30)
+        run = native.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))
+        assert all(run.solve(unlimited.GAP).code not in (native.SOLVED, native.ACCURACY) for _ in range(2))

@@ -1,0 +1,80 @@
+"""What the two command lines share: the console, folders that can be written, errors in one line."""
+
+import os
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from rich.console import Console
+
+from transopt.base.errors import InputError
+
+WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
+
+
+def console() -> Console:
+    """Where tables go."""
+    # No markup: names and descriptions are the user's and may hold brackets.
+    return Console(markup=False, width=None if sys.stdout.isatty() else WIDTH)
+
+
+def make_folder(folder: Path) -> None:
+    """Make sure that a folder can be written before any work is done for it.
+
+    Raises
+    ------
+    InputError : it cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+
+
+# Typer carries a Click of its own or uses the installed one; its public exception knows which.
+_ClickException: type[Exception] = typer.BadParameter.__mro__[2]
+
+
+def run(app: Callable[..., object]) -> None:
+    """Run a command line: errors a user can cause end in one line, never in a traceback."""
+    # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
+    # processor and gain nothing, and with --jobs they fight. Read when numpy is loaded, which is inside the commands.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Asked to end, it ends as by Ctrl-C: no worker is left behind, and nothing half written.
+    ours = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
+    try:
+        code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except _ClickException as error:
+        _refuse(error)
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(130)
+    else:
+        sys.exit(code if isinstance(code, int) else 0)
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
+
+
+def _refuse(error: Any) -> NoReturn:
+    """A command, option or value that does not exist; a command without arguments that needs some prints its help."""
+    said: str = error.format_message()
+    if type(error).__name__ == "NoArgsIsHelpError":
+        # Its message is the help, which Rich has printed already.
+        typer.echo(said, err=True, nl=bool(said))
+        sys.exit(2)
+    context = getattr(error, "ctx", None)
+    asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
+    words = " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
+    typer.echo(f"error: {words}{asking}", err=True)
+    sys.exit(2)

@@ -1,0 +1,20 @@
+"""Which machine and which versions a figure was measured with."""
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+
+
+def machine() -> dict[str, object]:
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        models = [line.split(":")[1].strip() for line in info.read_text().splitlines() if "model name" in line]
+        name = models[0] if models else name
+    return {"cpu": name, "cores": os.cpu_count(), "system": platform.platform()}
+
+
+def versions(*names: str) -> dict[str, str]:
+    """Of installed packages, and of Python."""
+    return {**{name: metadata.version(name) for name in names}, "python": platform.python_version()}

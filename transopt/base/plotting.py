@@ -1,0 +1,47 @@
+"""What all figures share: sizes, colours, and writing them whole."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from transopt.base.files import whole_file
+from transopt.base.signals import FloatArray
+
+DPI = 150
+LABEL_PT, SMALL_PT = 9.0, 8.0
+OPTIMUM, SEED, CLIPPED = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's blue, vermilion and green
+DARK = "0.15"
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a PNG whole or not at all.
+
+    Raises
+    ------
+    InputError : the file cannot be written.
+    """
+    figure.set_dpi(DPI)
+    if (layout := figure.get_layout_engine()) is not None:
+        # Laid out once, here: savefig would draw everything to nowhere for it, and then once more.
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+    with whole_file(path) as file:
+        figure.savefig(file, format="png", dpi=DPI)
+
+
+def colours(n: int) -> FloatArray:
+    """(n, 4) colours from dark to light, for quantities that have an order."""
+    return np.asarray(colormaps["viridis"](np.linspace(0.12, 0.8, n)))
+
+
+def plain(value: float, _: object = None) -> str:
+    return f"{value:g}"
+
+
+def style(axes: Axes) -> None:
+    axes.tick_params(labelsize=SMALL_PT)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)

@@ -1,0 +1,36 @@
+"""What reports share: Markdown tables, texts and CSV files written whole."""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+from transopt.base.files import whole_file
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    """Lines of a Markdown table."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows] + [""]
+
+
+def write_text(text: str, path: Path) -> None:
+    """Whole or not at all."""
+    with whole_file(path) as file:
+        file.write(text.encode())
+
+
+def write_csv(rows: Sequence[Any], path: Path) -> None:
+    """One row per dataclass, its fields as columns."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    write_text(text.getvalue(), path)
+
+
+def percent(value: float) -> str:
+    return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.1 else f"{100 * value:.1f}"

@@ -1,0 +1,124 @@
+"""`transopt identify coil`: a heating and cooling record in, thermal resistances and time constants out."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from transopt.identify.coil import CoilFit
+    from transopt.identify.measurement import Measurement
+    from transopt.plant.coil import CoilModel
+    from transopt.scene.model_file import CoilPart
+
+UNITS = {"R_wh_K_W": "K/W", "R_ha_K_W": "K/W", "tau_w_s": "s", "tau_h_s": "s"}
+MEANING = {
+    "R_wh_K_W": "winding over housing",
+    "R_ha_K_W": "housing over ambient",
+    "tau_w_s": "winding",
+    "tau_h_s": "housing",
+}
+
+
+def identify_coil(
+    file: Annotated[Path, typer.Argument(help="Record with current_A and winding_C or voltage_V: CSV, NPZ or MAT.")],
+    out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
+    scene: Annotated[str, typer.Option(help="Scene of the motor: its resistance, its limit.")] = "wood_on_foam",
+    resistance_ohm: Annotated[
+        float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
+    ] = None,
+) -> None:
+    """Thermal resistances and time constants of the coil; exit 1 if they are not fit to design with."""
+    from dataclasses import replace
+
+    from transopt.base.plotting import save_figure
+    from transopt.cli.next_step import next_step
+    from transopt.identify.coil import fit_coil, heat_record
+    from transopt.identify.figures.coil import coil_figure
+    from transopt.identify.measurement import load_measurement
+    from transopt.scene.model_file import save_part
+
+    if out.suffix.lower() != ".json":
+        raise InputError(f"--out {out}: a model file ends in .json")
+    terminal.make_folder(out.parent)
+    nominal = _coil_of(scene)
+    run = load_measurement(file)
+    R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
+    fit = fit_coil(heat_record(run, R_ohm), limit_C=nominal.limit_C)
+    # Of the identified coil in the scene's surroundings, to be compared with the datasheet.
+    continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
+    figure = out.with_name(f"{out.stem}_coil.png")
+    part = coil_part(fit, run, nominal, continuous_A)
+    save_part(out, "coil", part)
+    save_figure(coil_figure(fit), figure)
+    console = terminal.console()
+    console.print(value_table(fit))
+    channels = "the winding" if fit.record.housing is None else "winding and housing"
+    noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
+    console.print(f"from {channels}, {noise}", highlight=False, soft_wrap=True)
+    console.print(f"{out}, {figure.name}", highlight=False, soft_wrap=True)
+    told = fit.shortfalls()
+    console.print(f"coil: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
+    if told:
+        raise typer.Exit(1)
+    console.print(next_step(out), highlight=False, soft_wrap=True)
+
+
+def _coil_of(scene: str) -> "CoilModel":
+    import problems
+
+    coil = problems.load(scene).coil()
+    if coil is None:
+        raise InputError(f"--scene {scene}: states no motor, so no coil; give a scene with [motor]")
+    return coil
+
+
+def verdict(fit: "CoilFit", nominal: "CoilModel", continuous_A: float) -> str:
+    """In plain words: what the coil's model may be used for, or why not."""
+    told = fit.shortfalls()
+    if told:
+        return f"not to be relied upon: {'; '.join(told)}"
+    return (
+        f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
+        f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C"
+    )
+
+
+def coil_part(fit: "CoilFit", run: "Measurement", nominal: "CoilModel", continuous_A: float) -> "CoilPart":
+    """What the model file states."""
+    from transopt.identify.coil import NAMES
+    from transopt.scene.fitted import Source
+    from transopt.scene.model_file import CoilPart
+
+    return CoilPart.model_validate(
+        {
+            **{name: getattr(fit.coil, name) for name in NAMES},
+            "intervals": dict(zip(NAMES, fit.intervals.tolist(), strict=True)),
+            "parameters": list(NAMES),
+            "covariance": fit.covariance.tolist(),
+            "verdict": verdict(fit, nominal, continuous_A),
+            "sources": [Source(file=run.source, sha256=run.sha256).model_dump()],
+        }
+    )
+
+
+def value_table(fit: "CoilFit") -> "Table":
+    """Values with their 95 % intervals."""
+    from rich.table import Table
+
+    from transopt.identify.coil import NAMES
+
+    table = Table(title=f"coil of {fit.record.R_ohm:g} ohm at 25 C")
+    for heading in ("quantity", "of"):
+        table.add_column(heading)
+    for heading in ("value", "95 %"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    for name, (low, high) in zip(NAMES, fit.intervals, strict=True):
+        table.add_row(name, MEANING[name], f"{getattr(fit.coil, name):.4g}", f"{low:.4g} .. {high:.4g}", UNITS[name])
+    return table

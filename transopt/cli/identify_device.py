@@ -1,0 +1,209 @@
+"""`transopt identify device`: from sweeps at several grips to the device part of a model file."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rich.console import Console
+
+    from transopt.identify.device.chain import DriveChain
+    from transopt.identify.device.identify import DeviceResult, Settings
+    from transopt.scene.scene import Scene
+
+DEFAULT_SCENE = "wood_on_foam"
+UNLIMITED_A = 1e6  # an identified amplifier states no range, and a response needs none
+
+
+def identify_device(
+    files: Annotated[list[Path], typer.Argument(help="Sweeps, several per grip, both polarities: CSV, NPZ, MAT.")],
+    out: Annotated[Path, typer.Option(help="Model file; its other parts stay. A PNG is written beside it.")],
+    scene: Annotated[
+        str | None,
+        typer.Option(help=f"Built-in name or .toml: force per ampere, amplifier, start. Default {DEFAULT_SCENE}."),
+    ] = None,
+    force_per_current: Annotated[
+        float | None, typer.Option(help="Force at the tip per ampere in N/A, in place of the scene's.")
+    ] = None,
+    order: Annotated[int | None, typer.Option(help="Order of the state space, even. Default: found.")] = None,
+    kind: Annotated[str, typer.Option(help="drive, state_space, or auto: whichever predicts better.")] = "auto",
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Transients to judge the model by; may be repeated. Default: the last of 3 or more trials."
+        ),
+    ] = None,
+) -> None:
+    """Identify drive and hand from swept sines, all grips together, and say what the model is good for."""
+    from transopt.base.plotting import save_figure
+    from transopt.cli.next_step import next_step
+    from transopt.identify.device.identify import Kind, device_part, identify
+    from transopt.identify.figures.device import device_figure
+    from transopt.identify.measurement import load_measurements
+    from transopt.scene.model_file import save_part
+
+    console = terminal.console()
+    if out.suffix.lower() != ".json":
+        raise InputError(f"--out {out}: a model file ends in .json")
+    terminal.make_folder(out.parent)
+    settings = _settings(out, scene, force_per_current, order, kind)
+    with _progress(console) as step:
+        read = load_measurements((*files, *(validate or [])), read=lambda: step("reading"))
+        runs, transients = read[: len(files)], read[len(files) :]
+        result = identify(runs, transients, settings, tick=step)
+        part = device_part(result)
+        save_part(out, "device", part)
+        picture = out.with_name(f"{out.stem}_device.png")
+        save_figure(device_figure(result), picture)
+        step("figure")
+    _show(console, result)
+    console.print(f"{out}, {picture.name}", highlight=False, soft_wrap=True)
+    if result.chosen.kind is Kind.DRIVE:
+        console.print(
+            f"taken for {settings.nominal.force_per_current_N_A:.4g} N/A, which sweeps cannot tell "
+            "(--force-per-current): masses, springs and dampers are in proportion to it, what a current makes the "
+            "stylus do is not",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if result.short:
+        raise typer.Exit(1)
+    console.print(next_step(out), highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _progress(console: "Console") -> "Iterator[Callable[[str], None]]":
+    """A bar that tells what was done last; `step(name)` counts one."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:14}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        tasks: dict[str, TaskID] = {}
+
+        def step(name: str) -> None:
+            if name not in tasks:
+                for other in tasks.values():
+                    progress.update(other, visible=False)
+                tasks[name] = progress.add_task(name, total=None)
+            progress.advance(tasks[name])
+
+        yield step
+
+
+def _load_scene(name: str) -> "Scene":
+    import problems
+
+    return problems.load(name)
+
+
+def _nominal(scene: "Scene") -> "DriveChain | None":
+    """The scene's drive chain, where its model is one."""
+    import numpy as np
+
+    from transopt.identify.device.chain import HAND, DriveChain
+    from transopt.scene.sections import Drive
+
+    if not isinstance(scene.model, Drive):
+        return None
+    tip, hand = scene.drive_at_tip(), scene.model.hand.hand()
+    shared = [tip.moving_mass_kg, scene.model.stylus_mass_kg, tip.stiffness_N_m, max(tip.damping_N_s_m or 0.0, 1e-3)]
+    rows = [(getattr(hand, name).constant, getattr(hand, name).per_newton) for name in HAND]
+    return DriveChain(tip.force_per_current_N_A, np.array(shared, dtype=float), np.array(rows))
+
+
+def _settings(
+    out: Path, scene_name: str | None, force_per_current_N_A: float | None, order: int | None, kind: str
+) -> "Settings":
+    """What is known before the first record: force per ampere, amplifier, where to start.
+
+    Raises
+    ------
+    InputError : options that exclude each other, a value out of range, a scene or a model file that cannot be read.
+    """
+    from transopt.identify.device.identify import Kind, Settings
+    from transopt.plant.amplifier import Amplifier
+    from transopt.scene.model_file import load_model
+
+    if scene_name is not None and force_per_current_N_A is not None:
+        raise InputError("--scene and --force-per-current both state the force per ampere: give one of them")
+    if force_per_current_N_A is not None and not 0 < force_per_current_N_A < float("inf"):
+        raise InputError(f"--force-per-current {force_per_current_N_A:g} N/A: must be above 0 and finite")
+    if kind not in set(Kind):
+        raise InputError(f"--kind {kind}: unknown; choose {', '.join(Kind)}")
+    if kind == Kind.DRIVE and order is not None:
+        raise InputError("--order is that of a state space: leave it out with --kind drive")
+    known = _load_scene(scene_name or DEFAULT_SCENE)
+    nominal = _nominal(known) or _nominal(_load_scene(DEFAULT_SCENE))
+    assert nominal is not None
+    force = force_per_current_N_A or known.drive_at_tip().force_per_current_N_A
+    amplifier = known.amplifier_model()
+    if out.exists() and (part := load_model(out).amplifier) is not None:
+        amplifier = Amplifier(part.pole_Hz, part.delay_s, amplifier.command_limit_A if amplifier else UNLIMITED_A)
+    return Settings(
+        nominal=nominal.with_force(force),
+        # A device given by its force alone need not resemble any scene.
+        scene_plant=None if force_per_current_N_A is not None else known.plant,
+        amplifier=amplifier,
+        kind=Kind(kind),
+        order=order,
+        played_N=tuple(known.grid.grips_N) if scene_name is not None else (),
+    )
+
+
+def _show(console: "Console", result: "DeviceResult") -> None:
+    """Tables and the verdict."""
+    from rich.table import Column, Table
+
+    from transopt.identify.device.chain import unit_of
+    from transopt.identify.device.identify import Kind, intervals
+    from transopt.identify.device.validation import called
+
+    if result.chosen.kind is Kind.DRIVE and result.chain is not None:
+        names, values, covariance = result.chain.stated()
+        span = intervals(names, values, covariance)
+        # Names are told apart by their ends: fold them on a narrow terminal, never cut them.
+        table = Table(Column("parameter", overflow="fold"), "value", "95 % interval", "unit", title="drive chain")
+        for name, value in zip(names, values, strict=True):
+            low, high = span[name]
+            table.add_row(name, f"{value:.4g}", f"{low:.4g} to {high:.4g}", unit_of(name))
+        console.print(table)
+    elif result.black_box is not None:
+        console.print(f"state space of order {result.black_box.order} at each grip")
+    table = Table("grip", "trials", "held-out NRMSE %", "unknown to the model %", "residual", "hand of its own")
+    recorded, between = result.chosen.recorded, result.chosen.between
+    residual = dict(zip([grip.grip_N for grip in result.grips], result.residuals, strict=True))
+    own = {one.grip_N: one.own_scatter for one in result.own_hands if result.chosen.kind is Kind.DRIVE}
+    trials = {grip.grip_N: len(grip.fitted) for grip in result.grips}
+
+    def number(values: "Mapping[float, float]", grip: float, factor: float = 1.0) -> str:
+        return f"{factor * values[grip]:.2g}" if grip in values and values[grip] == values[grip] else "-"
+
+    for grip in sorted({*recorded, *between}):
+        errors = number(recorded, grip, 100), number(between, grip, 100)
+        table.add_row(called(grip), str(trials.get(grip, 0)), *errors, number(residual, grip), number(own, grip))
+    console.print(table)
+    console.print(
+        "unknown to the model: NRMSE at this grip of a fit without it. residual: mean square over the noise's, 1 for "
+        "a model that is right; hand of its own: the same with a hand fitted to this grip alone",
+        style="dim",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if result.other is not None and recorded:
+        ours, theirs = 100 * result.chosen.error, 100 * result.other.error
+        console.print(f"{result.chosen.kind} chosen: held-out error {ours:.2g} %, {result.other.kind} {theirs:.2g} %")
+    for finding in result.findings:
+        console.print(f"note: {finding}", soft_wrap=True)
+    for text in result.advice:
+        console.print(f"record again: {text}", soft_wrap=True)
+    console.print(f"verdict: {result.verdict}", soft_wrap=True)
+    for text in result.short:
+        console.print(f"short: {text}", soft_wrap=True)

@@ -1,0 +1,1 @@
+"""From a scene to a library: every entry solved, explained, priced, verified; grids refined."""

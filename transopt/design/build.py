@@ -1,0 +1,261 @@
+"""From a scene and its recordings to a library: every entry designed, the file assembled."""
+
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, as_completed
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from transopt.base import workers
+from transopt.base.errors import InputError
+from transopt.base.files import ctrl_c_waits
+from transopt.design.entry import Entry, design_grip
+from transopt.design.refine_grid import Refinement
+from transopt.library.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library, shared_left_out, temperature_is_in
+from transopt.problem.problem import Status
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between, build_references
+from transopt.scene.identified import Identified
+from transopt.scene.model_file import PARTS
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+
+
+@dataclass(frozen=True)
+class Build:
+    """A designed library: entries speed by speed, `library` only if every entry is admitted.
+
+    `scene` has the grid that was solved: with a `refinement`, the refined one.
+    """
+
+    scene: Scene
+    references: list[Reference]
+    entries: list[list[Entry]]
+    library: Library | None
+    solver: str
+    elapsed_s: float
+    refinement: Refinement | None = None
+
+    def all_entries(self) -> Iterator[Entry]:
+        for row in self.entries:
+            yield from row
+
+    @property
+    def refused(self) -> list[Entry]:
+        return [entry for entry in self.all_entries() if entry.status is not Status.OPTIMAL]
+
+
+def build_library(
+    scene: Scene,
+    recordings: Sequence[Recording],
+    *,
+    options: SolverOptions | None = None,
+    jobs: int = 1,
+    pool: Executor | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+    refinement: Refinement | None = None,
+) -> Build:
+    """Design, certify and replay every entry of a scene.
+
+    Parameters
+    ----------
+    recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`).
+    jobs : processes; the grips are shared among them. pool : workers that are there already, in place of those.
+    progress : called with the number of entries that have just been finished.
+    refinement : of this scene (`refine.refine_grid`); its grid is solved in place of the scene's own, with references
+        at added speeds derived from the recorded ones (`reference.between`).
+
+    Raises
+    ------
+    InputError : recordings that cannot serve, or parameters that are not passive at some grip.
+    """
+    if jobs < 1:
+        raise InputError(f"--jobs {jobs}: must be at least 1")
+    start = time.perf_counter()
+    options = SolverOptions() if options is None else options
+    recorded = build_references(recordings, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    if refinement is not None:
+        scene = scene.model_copy(update={"grid": refinement.grid})
+    speeds, grips = scene.grid.speeds_m_s, scene.grid.grips_N
+    references = [between(recorded, speed) for speed in speeds]
+    columns: list[list[Entry]] = [[] for _ in grips]
+    if pool is None and (jobs == 1 or len(grips) == 1):
+        for j, grip in enumerate(grips):
+            columns[j] = design_grip(scene, grip, references, options)
+            progress(len(speeds))
+    else:
+        wanted = [reference.without_taps() for reference in references]
+        with workers.pool(min(jobs, len(grips))) if pool is None else nullcontext(pool) as executor:
+            with ctrl_c_waits():
+                futures = {executor.submit(design_grip, scene, g, wanted, options): j for j, g in enumerate(grips)}
+            for future in as_completed(futures):
+                columns[futures[future]] = future.result()
+                progress(len(speeds))
+    entries = [[column[i] for column in columns] for i in range(len(speeds))]
+    admitted = all(entry.status is Status.OPTIMAL for row in entries for entry in row)
+    return Build(
+        scene=scene,
+        references=references,
+        entries=entries,
+        library=_assemble(scene, references, entries, options, refinement) if admitted else None,
+        solver=options.solver,
+        elapsed_s=time.perf_counter() - start,
+        refinement=refinement,
+    )
+
+
+def _assemble(
+    scene: Scene,
+    references: list[Reference],
+    entries: list[list[Entry]],
+    options: SolverOptions,
+    refinement: Refinement | None,
+) -> Library:
+    def over_grid(value: Callable[[Entry], Any]) -> Any:
+        return np.array([[value(entry) for entry in row] for row in entries])
+
+    def multiplier(name: str) -> Callable[[Entry], Any]:
+        return lambda entry: getattr(entry.solution.multipliers, name)
+
+    plants = [entry.problem.stage.plant for entry in entries[0]]
+    spreads = [[device.plant for device in entry.problem.spread] for entry in entries[0]]
+
+    def stacked(name: str) -> Any:
+        own = np.stack([getattr(plant, name) for plant in plants])
+        others = [[getattr(plant, name) for plant in devices] for devices in spreads]
+        return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
+
+    return Library(
+        speeds_m_s=np.asarray(scene.grid.speeds_m_s),
+        grips_N=np.asarray(scene.grid.grips_N),
+        command_A=over_grid(lambda e: e.solution.command_A),
+        transient_command_A=over_grid(lambda e: e.transient_command_A),
+        current_A=over_grid(lambda e: e.current_A),
+        acceleration_m_s2=over_grid(lambda e: e.predicted_m_s2),
+        reference_m_s2=np.stack([r.motor_m_s2 for r in references]),
+        reference_raw_m_s2=np.stack([r.raw_m_s2 for r in references]),
+        nominal_position_m=np.stack([r.nominal_position_m for r in references]),
+        nominal_velocity_m_s=np.stack([r.nominal_velocity_m_s for r in references]),
+        nominal_position_at_ticks_m=np.stack([r.nominal_position_at_ticks_m for r in references]),
+        nrmse=over_grid(lambda e: e.nrmse),
+        floor=over_grid(lambda e: e.floor),
+        nrmse_seed=over_grid(lambda e: (e.baselines.seed, e.baselines.seed_steady)),
+        nrmse_clipped=over_grid(lambda e: (e.baselines.clipped, e.baselines.clipped_steady)),
+        peak_current_A=over_grid(lambda e: e.played.peak_current_A),
+        peak_temperature_C=over_grid(lambda e: e.played.winding_C),
+        objective=over_grid(lambda e: e.certificate.objective),
+        primal_violation=over_grid(lambda e: e.certificate.primal_violation),
+        dual_residual=over_grid(lambda e: e.certificate.dual_residual),
+        duality_gap=over_grid(lambda e: e.certificate.duality_gap),
+        lower_bound=over_grid(lambda e: e.certificate.lower_bound),
+        solve_time_s=over_grid(lambda e: e.solution.solve_time_s),
+        status=over_grid(lambda e: e.status.value),
+        binding=over_grid(lambda e: e.binding),
+        **{field: over_grid(multiplier(name)) for name, field in MULTIPLIER_FIELDS.items()},
+        correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
+        **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
+        **{f"spread_{name}": stacked(name) for name in PLANT},
+        meta={**_meta(scene, references, entries, options), "grid_refinement": _refined(refinement)},
+    )
+
+
+def _meta(
+    scene: Scene, references: list[Reference], entries: list[list[Entry]], options: SolverOptions
+) -> dict[str, Any]:
+    amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
+    problem = entries[0][0].problem
+    # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
+    warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
+    return {
+        "schema": SCHEMA,
+        "dt_s": scene.time.dt_s,
+        "lead_s": scene.time.lead_s,
+        "grip_min_N": scene.grid.grip_min_N,
+        "amplifier": None if amplifier is None else asdict(amplifier),
+        "limits": {
+            "current_A": problem.limits.current_A,
+            "steady_current_A": scene.limits.steady_current_A,
+            "slew_A_per_s": problem.limits.slew_A_per_s,
+            "supply_V": scene.limits.supply_V,
+            "temperature_C": problem.thermal.limit_C if warm and problem.thermal is not None else None,
+        },
+        "thermal": None if coil is None else {"coil": asdict(coil), "budget": asdict(scene.budget())},
+        "circuit": None if circuit is None else asdict(circuit),
+        "feedback": None if wall is None else asdict(wall),
+        "weights": {
+            "rho": problem.rho,
+            "tracking": problem.tracking_weights.tolist(),
+            "error_filter": scene.weights.error_filter,
+            "spread": None if scene.robust is None else scene.robust.model_dump(),
+        },
+        "hand_over_samples": scene.hand_over_samples,
+        "left_out": shared_left_out([[entry.left_out for entry in row] for row in entries]),
+        "repeatability": [None if np.isnan(r.repeatability) else r.repeatability for r in references],
+        "scene": scene.model_dump(mode="json"),
+        "solver": asdict(options),
+        "sources": [
+            *(source for r in references if r.between_m_s is None for source in _sources(scene, r)),
+            *_model_sources(scene),
+        ],
+        "versions": {
+            **{name: metadata.version(name) for name in ("transopt", "casadi", "numpy", "scipy")},
+            "python": platform.python_version(),
+        },
+    }
+
+
+def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
+    """How good the blend between the nodes is, and which nodes were recorded; null for a grid taken as it stood."""
+    if refinement is None:
+        return None
+    recorded, grid = refinement.recorded, refinement.grid
+    return {
+        "tolerance": refinement.tolerance,
+        "worst_excess_before": max((p.excess_before for p in refinement.off(recorded)), default=0.0),
+        "worst_excess_after": max((p.excess_after for p in refinement.off(grid)), default=0.0),
+        "points": len(refinement.points),
+        "shortfall": refinement.shortfall,
+        "recorded_speeds_m_s": recorded.speeds_m_s,
+        "scene_grips_N": recorded.grips_N,
+    }
+
+
+def _model_sources(scene: Scene) -> list[dict[str, Any]]:
+    """The model file, and what its parts were fitted to; nothing for a model that the scene states itself."""
+    if not isinstance(scene.model, Identified):
+        return []
+    own = {"file": scene.model.file, "origin": "model file", "sha256": scene.model.sha256}
+    parts = {name: getattr(scene.model, name) for name in PARTS}
+    return [
+        own,
+        *(
+            {**source.model_dump(), "origin": f"{name} of {scene.model.file} was identified from it"}
+            for name, part in parts.items()
+            if part is not None
+            for source in part.sources
+        ),
+    ]
+
+
+def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:
+    return [
+        {
+            "file": tap.recording.name,
+            "origin": tap.recording.source,
+            "sha256": tap.recording.sha256,
+            "grid_speed_m_s": reference.speed_m_s,
+            "grip_N": tap.recording.grip_N,
+            "speed_source": tap.speed_source,
+            "time_scale": scene.recordings.time_scale,
+            "scaling": float(factor * tap.amplitude),
+            "onset_s": tap.onset_s,
+            "offset_m_s2": tap.offset_m_s2,
+            "polarity": tap.polarity,
+        }
+        for tap, factor in zip(reference.taps, reference.factors, strict=True)
+    ]

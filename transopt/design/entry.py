@@ -1,0 +1,274 @@
+"""The design of library entries: optimum, floor, baselines, certificate, replay, admission (DESIGN 4)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.base.signals import FloatArray, nrmse
+from transopt.design.optimum import Designed, optimum
+from transopt.design.price import Price, prices
+from transopt.design.verify import admit
+from transopt.plant.circuit import Supply
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import StageModel, acting_states, discretise
+from transopt.plant.wall import HandOver
+from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.leave_out import thermal_of
+from transopt.problem.problem import Certificate, Solution, Status, TransientProblem, verdict
+from transopt.proof.certify import binding_limits
+from transopt.proof.replay import Replay, replay, replayed_errors
+from transopt.recordings.reference import Reference
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import Size
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """NRMSE of the two other methods after replay, at the transient limit and at the steady limit."""
+
+    seed: float
+    clipped: float
+    seed_steady: float
+    clipped_steady: float
+
+
+@dataclass(frozen=True)
+class SpreadErrors:
+    """NRMSE of a robust entry over its devices: of the design for the node alone, and of its own.
+
+    rms : root of the mean square over the devices, which is what a robust design minimises.
+    """
+
+    nominal: float
+    nominal_rms: float
+    nominal_worst: float
+    robust_rms: float
+    robust_worst: float
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One (speed, grip) of a library, with everything that is said about it.
+
+    Attributes
+    ----------
+    predicted_m_s2, current_A : (N,) y'' and i of the command at the switching instants.
+    floor : NRMSE of the unlimited optimum. free_peak_A : its peak current.
+    transient_command_A : (N,) the command without the wall's predicted feedback; the command itself without a wall.
+    status, shortfalls : admission; shortfalls is empty for an OPTIMAL entry.
+    prices : what each limit that binds costs.
+    left_out : part of the problem -> why it is not in it.
+    size : of the program that was solved; None where one linear solve was enough.
+    spread : errors over the spread of devices; None for an entry designed for one device.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    problem: TransientProblem
+    solution: Solution
+    certificate: Certificate
+    played: Replay
+    predicted_m_s2: FloatArray
+    current_A: FloatArray
+    transient_command_A: FloatArray
+    floor: float
+    free_peak_A: float
+    baselines: Baselines
+    repeatability: float
+    status: Status
+    shortfalls: list[str]
+    binding: str
+    prices: list[Price]
+    left_out: dict[str, str]
+    size: Size | None
+    spread: SpreadErrors | None
+
+    @property
+    def nrmse(self) -> float:
+        return self.played.nrmse
+
+    @property
+    def weighted_nrmse(self) -> float:
+        """NRMSE as the scene's error filter hears it; the plain one without a filter."""
+        return self.nrmse if self.problem.reference_is_zero else self.problem.weighted_nrmse(self.predicted_m_s2)
+
+    @property
+    def verdict(self) -> str:
+        if self.status is not Status.OPTIMAL:
+            return "refused"
+        if self.problem.reference_is_zero:
+            return "zero reference"
+        return verdict(self.nrmse, self.floor, self.repeatability)
+
+
+def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
+    """Parts that the scene does not ask for."""
+    plant = problem.stage.plant
+    # A black box has no position, and the state of its other grip that a node does not need is none.
+    idle = int(np.sum(~acting_states(plant))) if plant.Ce.any() else 0
+    parts = {
+        "feedback": (problem.wall is None, "the scene has no wall"),
+        "position": (
+            problem.wall is None,
+            "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
+        ),
+        "supply": (problem.supply is None, "the scene states no supply limit"),
+        "slew": (problem.limits.slew_A_per_s is None, "the scene states no slew limit"),
+        "amplifier": (problem.stage.amplifier is None, "ideal in the scene"),
+        "hand": (scene.grid.grips_N[0] == 0, "free device, grip 0"),
+        "weighting": (problem.error_filter is None, "the scene weighs all frequencies alike"),
+        "temperature": (problem.thermal is None, "the scene has no motor data"),
+    }
+    return {part: reason for part, (missing, reason) in parts.items() if missing}
+
+
+def scene_stage(scene: Scene, grip_N: float) -> StageModel:
+    """The device of one grip as the scene's problem needs it."""
+    return discretise(
+        scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s, position=scene.feedback is not None
+    )
+
+
+def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
+    """Further devices that the commands of one grip shall serve."""
+    return tuple(scene_stage(of, grip) for of, grip in scene.spread(grip_N))
+
+
+def entry_problem(
+    scene: Scene, stage: StageModel, reference: Reference, spread: tuple[StageModel, ...] = ()
+) -> TransientProblem:
+    """What one entry has to meet: the stage model of its grip, the reference of its speed."""
+    grid, coil, wall, circuit = scene.time_grid(), scene.coil(), scene.wall(), scene.circuit()
+    amplifier, supply_V = stage.amplifier, scene.limits.supply_V
+    supply = None
+    if supply_V is not None and circuit is not None and amplifier is not None:
+        supply = Supply(supply_V, circuit, amplifier.rate_rad_s, reference.nominal_velocity_m_s)
+    hand_over = None
+    if wall is not None:
+        nominal = reference.nominal_position_at_ticks_m
+        hand_over = HandOver(wall, nominal, reference.speed_m_s, nominal < 0)
+    return TransientProblem(
+        stage=stage,
+        grid=grid,
+        reference_m_s2=reference.motor_m_s2,
+        tracking_weights=np.ones(grid.stages),
+        rho=scene.weights.rho,
+        limits=scene.current_limits(),
+        hand_over_samples=scene.hand_over_samples,
+        supply=supply,
+        wall=hand_over,
+        thermal=thermal_of(coil, amplifier, grid, scene.budget(), hand_over, reference.motor_m_s2),
+        error_filter=scene.error_filter(),
+        spread=spread,
+    )
+
+
+def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], options: SolverOptions) -> list[Entry]:
+    """All entries of one grip, in the order of the references.
+
+    Solved one by one with one solver object; the optimum and the baselines of all speeds are replayed together.
+    """
+    stage = scene_stage(scene, grip_N)
+    spread = spread_stages(scene, grip_N)
+    designed = [optimum(entry_problem(scene, stage, reference, spread), options) for reference in references]
+    replays = replayed(scene.coil(), designed)
+    rivals = rivals_errors(scene.limits.steady_current_A, designed)
+    return [
+        _entry(scene, grip_N, reference, d, played, baselines, options)
+        for reference, d, played, baselines in zip(references, designed, replays, rivals, strict=True)
+    ]
+
+
+def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Replay]:
+    """Replays of optima, through the wall if there is one; all of one device, time axis and tap rate."""
+    problems = [d.problem for d in designed]
+    budgets = [p.thermal.budget for p in problems if p.thermal is not None]
+    # A solver that broke down returns NaN, which no integrator needs to see.
+    commands = [np.nan_to_num(d.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
+    transients = np.stack([p.transient_command(c) for p, c in zip(problems, commands, strict=True)])
+    supplies = [p.supply for p in problems if p.supply is not None]
+    walls = [p.wall for p in problems if p.wall is not None]
+    return replay(
+        problems[0].stage,
+        problems[0].grid,
+        transients,
+        np.stack([problem.reference_m_s2 for problem in problems]),
+        coil,
+        supplies=supplies or None,
+        walls=walls or None,
+        budgets=budgets or None,
+    )
+
+
+def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list[Baselines]:
+    """The two other methods of each entry, at its transient limit and at the steady one, replayed."""
+    first = designed[0].problem
+    references = np.stack([d.problem.reference_m_s2 for d in designed])
+    free = np.stack([d.unlimited_command_A for d in designed])
+    # Both limits at once: what is clipped at them is the same.
+    limits_A = np.array([first.limits.current_A, steady_current_A])[:, None, None]
+    seed = seed_inversion(first.stage, first.grid, references, limits_A, first.hand_over_samples)
+    clipped = clipped_optimum(first.stage, first.grid, free, limits_A)
+    played = np.stack([seed, clipped], axis=1)  # (limit, method, entry, N), limit after limit as in `Baselines`
+    alike = np.broadcast_to(references, played.shape)
+    N = first.grid.stages
+    errors = replayed_errors(first.stage, first.grid, played.reshape(-1, N), alike.reshape(-1, N))
+    return [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
+
+
+def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: FloatArray) -> SpreadErrors | None:
+    """NRMSE over the devices of a robust entry, of its command and of the command designed for the node alone."""
+    if not problem.spread:
+        return None
+    r = problem.reference_m_s2
+    own, robust = (np.array([nrmse(a, r) for a in problem.accelerations(c)]) for c in (nominal_A, command_A))
+
+    def rms(errors: FloatArray) -> float:
+        return float(np.sqrt(np.mean(errors**2)))
+
+    return SpreadErrors(float(own[0]), rms(own), float(own.max()), rms(robust), float(robust.max()))
+
+
+def _entry(
+    scene: Scene,
+    grip_N: float,
+    reference: Reference,
+    designed: Designed,
+    played: Replay,
+    baselines: Baselines,
+    options: SolverOptions,
+) -> Entry:
+    problem, solution = designed.problem, designed.solution
+    command = solution.command_A
+    predicted, current = problem.stage.rollout(command)
+    status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
+    spread = None
+    if problem.spread and status is Status.OPTIMAL:
+        nominal = optimum(replace(problem, spread=()), options).solution.command_A
+        spread = _spread_errors(problem, nominal, command)
+    return Entry(
+        speed_m_s=reference.speed_m_s,
+        grip_N=grip_N,
+        problem=problem,
+        solution=solution,
+        certificate=designed.certificate,
+        played=played,
+        predicted_m_s2=predicted,
+        current_A=current,
+        transient_command_A=problem.transient_command(command),
+        floor=designed.floor,
+        free_peak_A=designed.free_peak_A,
+        baselines=baselines,
+        repeatability=reference.repeatability,
+        status=status,
+        shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],
+        binding=binding_limits(problem, command, solution.multipliers),
+        prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A, options)
+        if status is Status.OPTIMAL
+        else [],
+        left_out={**left_out_by_scene(scene, problem), **designed.left_out},
+        size=designed.size,
+        spread=spread,
+    )

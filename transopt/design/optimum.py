@@ -1,0 +1,250 @@
+"""The optimum of one entry: the smallest problem that has it, solved (DESIGN 4)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.base.signals import FloatArray, nrmse
+from transopt.design.explain import infeasibility, unavoidable, unstable_wall
+from transopt.problem.leave_out import encoder_course, leave_out, pressing, reference_course, silence
+from transopt.problem.problem import Certificate, Solution, Status, TransientProblem
+from transopt.proof.certify import certify, inside
+from transopt.solvers import program as transcribe
+from transopt.solvers import unlimited
+from transopt.solvers.choose import prove, solve, solve_certified
+from transopt.solvers.options import SolverOptions
+
+NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
+ROUNDED = 0.2  # of a gap: rounding of this size in its own proof, and no method that computes so gets far below it
+MOST_MASKS = 5  # solves until the wall pushes exactly where it was assumed to
+
+
+@dataclass(frozen=True)
+class Designed:
+    """One entry before its replay.
+
+    Attributes
+    ----------
+    problem : with every limit of the scene, and the wall pushing where the answer makes it push.
+    certificate : of the answer for that whole problem.
+    unlimited_command_A : (N,) the optimum without limits. floor : its NRMSE. free_peak_A : its peak current.
+    left_out : part -> why the problem that was solved does not have it.
+    size : of the program that was solved; None where one linear solve was enough.
+    remarks : why an entry has no answer.
+    """
+
+    problem: TransientProblem
+    solution: Solution
+    certificate: Certificate
+    unlimited_command_A: FloatArray
+    floor: float
+    free_peak_A: float
+    left_out: dict[str, str]
+    size: transcribe.Size | None
+    remarks: list[str]
+
+    @property
+    def is_proven(self) -> bool:
+        """Certified, but for the global bound where the temperature binds."""
+        return self.solution.status is Status.OPTIMAL and self.certificate.is_stationary
+
+
+def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """Solve one entry, leaving out what it does not need.
+
+    With a wall the ticks at which it pushes are first taken from the reference's motion, then from the answer's,
+    until both agree; if they do not, once more from the motion under the wall alone.
+    """
+    if problem.reference_is_zero:
+        return _silent(problem, options)
+    if problem.wall is None:
+        return _explained(_solved(problem, options), options)
+    first = None
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
+        alone = encoder_course(*silence(problem))
+    for course in (reference_course(problem.grid, problem.reference_m_s2), alone):
+        designed, settled = _settled(pressing(problem, course), options)
+        if settled or designed.remarks:
+            return designed
+        first = designed if first is None else first
+        if not designed.is_proven and unstable_wall(problem):
+            # The other course meets the same wall: as long a search, and no proof either.
+            break
+    assert first is not None
+    return _explained(first, options)
+
+
+def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
+    """The optimum with the wall pressing where its own answer makes it press, and whether that was found.
+
+    The ticks are taken from the answer again and again; the search ends with an answer that is none, for where an
+    arbitrary command makes the wall press says nothing.
+    """
+    spent = 0.0
+    for _ in range(MOST_MASKS):
+        designed = _solved(problem, options)
+        spent += designed.solution.solve_time_s
+        designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
+        if not designed.is_proven:
+            return designed, False
+        again = pressing(problem, encoder_course(problem, designed.solution.command_A))
+        if _same_mask(problem, again):
+            return designed, True
+        problem = again
+    return designed, False
+
+
+def _explained(designed: Designed, options: SolverOptions) -> Designed:
+    """With the reason, if there is no answer because no command meets all limits."""
+    problem, answer = designed.problem, designed.solution
+    if designed.remarks or designed.is_proven:
+        return designed
+    small = leave_out(problem).problem
+    rounding = _rounding(problem, answer)
+    if rounding:
+        return replace(designed, solution=replace(answer, status=Status.PRECISION), remarks=[rounding])
+    if small.wall is None and inside(small, np.zeros(small.grid.stages)):
+        # Doing nothing is a way out, whatever the solver called it.
+        return designed
+    unstable = unstable_wall(small)
+    if unstable:
+        # Feasible or not, an end that has to follow a wall which grows by itself is no end.
+        return replace(designed, solution=replace(answer, status=Status.UNSTABLE_WALL), remarks=[unstable])
+    remarks = infeasibility(small, options)
+    answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
+    return replace(designed, solution=answer, remarks=remarks)
+
+
+def _rounding(problem: TransientProblem, answer: Solution) -> str:
+    """Whether it is rounding that keeps an answer from its proof, as the same proof in extended precision tells."""
+    double = certify(problem, answer.command_A, answer.multipliers)
+    if problem.thermal is not None or not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
+        return ""
+    wide = replace(
+        problem,
+        stage=problem.stage.extended(),
+        spread=tuple(device.extended() for device in problem.spread),
+        reference_m_s2=problem.reference_m_s2.astype(np.longdouble),
+    )
+    extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
+    rounding = abs(extended.duality_gap - double.duality_gap)
+    if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
+        return ""
+    taken = float(np.abs(answer.command_A).max())
+    return (
+        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision, in extended "
+        f"precision {extended.relative_gap:.1e}, limit {double.GAP_TOLERANCE:.0e}; lower limits.current_A "
+        f"({problem.limits.current_A:.4g} A, the "
+        f"answer takes {taken:.4g} A) or time.stages ({problem.grid.stages})"
+    )
+
+
+def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """A zero reference: no transient at all, over a wall nothing but its feedback, which has to keep the limits."""
+    problem, command = silence(problem)
+    answer = replace(solve(problem, options), command_A=command)
+    proof = prove(problem, command, answer.multipliers, options)
+    hopeless = unavoidable(problem)
+    unstable = unstable_wall(problem)
+    if hopeless:
+        answer = replace(answer, status=Status.INFEASIBLE)
+    elif unstable and not proof.excess <= 1:
+        answer, hopeless = replace(answer, status=Status.UNSTABLE_WALL), [unstable]
+    elif problem.wall is not None and not proof.excess <= 1:
+        wall, limit = problem.wall.wall, problem.limits.current_A
+        answer = replace(answer, status=Status.HAND_OVER)
+        hopeless = [
+            f"hand-over: without any transient the wall alone asks for {np.abs(command).max():.3g} A, limit "
+            f"{limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m "
+            f"({wall.damping_N_s_m:g} N s/m) or the speed"
+        ]
+    left_out = {"limits": "zero reference: zero waveform"}
+    rest = np.zeros(problem.grid.stages)
+    floor = nrmse(rest, problem.reference_m_s2)
+    return Designed(problem, answer, proof, rest, floor, 0.0, left_out, None, hopeless)
+
+
+def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:
+    """Over the hand-over and the tick before it, which the prefilter remembers."""
+    assert problem.wall is not None
+    assert other.wall is not None
+    first = max(problem.free_stages - 1, 0)
+    return bool(np.array_equal(problem.wall.pressing[first:], other.wall.pressing[first:]))
+
+
+def _hand_over_excess(problem: TransientProblem) -> str:
+    """Whether the wall alone asks for too much when the transient has to end, on the reference's course; or empty."""
+    wall, limit = problem.wall, problem.limits.current_A
+    if wall is None:
+        return ""
+    z = wall.encoder(reference_course(problem.grid, problem.reference_m_s2))[problem.free_stages :]
+    deepest = float(-z.min())
+    current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
+    if current <= limit:
+        return ""
+    allowed = limit * wall.wall.force_per_current_N_A / deepest
+    return (
+        f"hand-over: K_p z / k_f = {current:.3g} A at {deepest * 1e3:.3g} mm below the surface, where the reference "
+        f"goes, limit {limit:g} A; {np.floor(allowed) if allowed >= 1 else allowed * 0.999:.6g} N/m would do"
+    )
+
+
+def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """The optimum with the wall's ticks fixed."""
+    reduced = leave_out(problem)
+    small, left_out = reduced.problem, dict(reduced.left_out)
+    free = unlimited.solve(small)
+    acceleration, current = problem.stage.rollout(free.command_A)
+    floor = nrmse(acceleration, problem.reference_m_s2)
+    peak = float(np.abs(current).max())
+
+    def designed(
+        answer: Solution, size: transcribe.Size | None, remarks: list[str], proof: Certificate | None = None
+    ) -> Designed:
+        proof = prove(problem, answer.command_A, answer.multipliers, options) if proof is None else proof
+        return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
+
+    free_inside = inside(problem, free.command_A)
+    proof = certify(problem, free.command_A, free.multipliers) if free_inside else None
+    if proof is not None and not proof.is_stationary:
+        # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
+        other = unlimited.solve_in_casadi(small)
+        its_proof = certify(problem, other.command_A, other.multipliers)
+        if inside(problem, other.command_A) and its_proof.relative_gap < proof.relative_gap:
+            free, proof = other, its_proof
+    if proof is not None and free.status is Status.OPTIMAL and proof.is_stationary:
+        left_out["limits"] = (
+            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
+            f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
+        )
+        return designed(free, None, [], proof)
+    hopeless = unavoidable(small)
+    if hopeless:
+        return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
+    spent = free.solve_time_s
+    answer, proof = solve_certified(replace(small, thermal=None), options)
+    spent += answer.solve_time_s
+    if small.thermal is not None:
+        if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only="coil"):
+            hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
+            left_out["temperature"] = (
+                f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
+            )
+            answer = replace(answer, solve_time_s=spent)
+            return designed(answer, transcribe.size(replace(small, thermal=None)), [])
+        # What no command can do in the cold, none can with the temperature on top.
+        if answer.status is not Status.INFEASIBLE:
+            answer, proof = solve_certified(small, options)
+            spent += answer.solve_time_s
+    proven = answer.status is Status.OPTIMAL and proof.is_stationary
+    if free_inside and not proven:
+        answer = free
+    answer = replace(answer, solve_time_s=spent)
+    too_deep = "" if proven else _hand_over_excess(small)
+    if too_deep:
+        return designed(replace(answer, status=Status.HAND_OVER), transcribe.size(small), [too_deep])
+    return designed(answer, transcribe.size(small), [])
+
+
+def _currents(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return problem.stage.rollout(command_A)[1], command_A

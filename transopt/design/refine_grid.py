@@ -1,0 +1,382 @@
+"""Nodes added to a library's grid until the blend between them is as good as wanted (DESIGN 6, 'Between nodes').
+
+A blend of feasible commands is feasible, but it is not the optimum. Its excess at (v, F) is the NRMSE of the bilinear
+blend of the node commands, played through the device of grip F against the reference at v, minus the NRMSE of the
+optimum solved exactly there. References between recorded speeds come from `reference.between`.
+"""
+
+import itertools
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, nrmse
+from transopt.design.entry import entry_problem, scene_stage, spread_stages
+from transopt.design.optimum import optimum
+from transopt.plant.discretise import StageModel
+from transopt.problem.problem import Certificate, Status
+from transopt.proof.replay import replayed_errors
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between, build_references
+from transopt.scene.scene import Scene
+from transopt.scene.sections import Grid
+from transopt.solvers.options import SolverOptions
+
+DEFAULT_CAP = 400  # entries
+# Where a limit begins to bind, the optimum has a kink, and the worst point of an interval lies there. Interpolation
+# across a kink at share k of an interval errs by k (1 - k) of its change of slope: at least half of that shows at the
+# midpoint, and at least 0.75 of it at the quarter points. So a point may use up 0.75 of the tolerance, and a cell
+# whose midpoints use up half of that is looked at in quarters.
+MARGIN = 0.75
+CLOSER_LOOK = MARGIN / 2
+REPLAYED_TOGETHER = 20  # points; bounds the memory of their fine trajectories
+
+Point = tuple[float, float]  # speed [m/s], grip [N]
+Interval = tuple[float, float]  # two neighbouring nodes, or one node twice
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class OffNode:
+    """What a library is worth at one speed and grip, after replay.
+
+    Attributes
+    ----------
+    optimum : NRMSE of the optimum solved exactly there.
+    before, after : NRMSE of the blend of the recorded grid's commands and of the refined grid's.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    optimum: float
+    before: float
+    after: float
+
+    @property
+    def excess_before(self) -> float:
+        return self.before - self.optimum
+
+    @property
+    def excess_after(self) -> float:
+        return self.after - self.optimum
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A grid on which the blend between the nodes meets a tolerance, with the evidence.
+
+    Attributes
+    ----------
+    tolerance : largest excess wanted, absolute in NRMSE (0.02: two percentage points).
+    recorded, grid : the grid of the scene, and what became of it.
+    points : all that were tried in the cells of the refined grid, nodes among them.
+    shortfall : what is missing and what to do, if the cap came before the tolerance; empty if it is met.
+    """
+
+    tolerance: float
+    recorded: Grid
+    grid: Grid
+    points: list[OffNode]
+    rounds: int
+    shortfall: str
+    elapsed_s: float
+
+    @property
+    def entries(self) -> int:
+        return len(self.grid.speeds_m_s) * len(self.grid.grips_N)
+
+    @property
+    def recorded_entries(self) -> int:
+        return len(self.recorded.speeds_m_s) * len(self.recorded.grips_N)
+
+    def off(self, grid: Grid) -> list[OffNode]:
+        """The points without the nodes of one of the grids, where there is nothing to blend."""
+        return [p for p in self.points if p.speed_m_s not in grid.speeds_m_s or p.grip_N not in grid.grips_N]
+
+
+def _bracket(nodes: Sequence[float], value: float) -> Interval:
+    """The interval of the nodes that holds a value; a node stands for itself."""
+    if value in nodes:
+        return value, value
+    j = int(np.searchsorted(nodes, value))
+    return nodes[j - 1], nodes[j]
+
+
+def _intervals(nodes: Sequence[float]) -> list[Interval]:
+    """Neighbouring nodes; a single one is its own interval."""
+    return list(itertools.pairwise(nodes)) or [(nodes[0], nodes[0])]
+
+
+def _middle(interval: Interval) -> float:
+    # Twelve digits: 0.1 and 0.2 have 0.15 between them, not 0.15000000000000002.
+    return float(f"{sum(interval) / 2:.12g}")
+
+
+def _halved(nodes: Iterable[float]) -> list[float]:
+    """Nodes and the midpoints between them."""
+    ordered = sorted(set(nodes))
+    return sorted({*ordered, *map(_middle, itertools.pairwise(ordered))})
+
+
+def _shares(interval: Interval, value: float) -> list[tuple[float, float]]:
+    """Nodes and their weights in linear interpolation."""
+    low, high = interval
+    if low == high:
+        return [(low, 1.0)]
+    w = (value - low) / (high - low)
+    return [(low, 1 - w), (high, w)]
+
+
+@dataclass(frozen=True)
+class Nodes:
+    speeds: tuple[float, ...]
+    grips: tuple[float, ...]
+
+    @property
+    def entries(self) -> int:
+        return len(self.speeds) * len(self.grips)
+
+    def cell(self, point: Point) -> tuple[Interval, Interval]:
+        return _bracket(self.speeds, point[0]), _bracket(self.grips, point[1])
+
+    def midpoints(self) -> list[Point]:
+        """Nodes and midpoints of each axis against those of the other."""
+        return list(itertools.product(_halved(self.speeds), _halved(self.grips)))
+
+    def quarters(self, excess: dict[Point, float], above: float) -> list[Point]:
+        """Nodes, midpoints and quarter points of every cell that has an excess above a bound at a midpoint."""
+        points: dict[Point, None] = {}
+        for speeds, grips in itertools.product(_intervals(self.speeds), _intervals(self.grips)):
+            halves = itertools.product(_halved(speeds), _halved(grips))
+            if any(not excess[point] <= above for point in halves):
+                points.update(dict.fromkeys(itertools.product(_halved(_halved(speeds)), _halved(_halved(grips)))))
+        return list(points)
+
+    def split(self, axis: int, interval: Interval) -> "Nodes":
+        if axis == 0:
+            return Nodes(tuple(sorted({*self.speeds, _middle(interval)})), self.grips)
+        return Nodes(self.speeds, tuple(sorted({*self.grips, _middle(interval)})))
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    command_A: FloatArray
+    nrmse: float
+    status: Status
+    certificate: Certificate
+
+
+class Errors:
+    """The excess at any point of any grid; optima, stage models, references and results are kept for re-use."""
+
+    def __init__(self, scene: Scene, recorded: list[Reference], options: SolverOptions) -> None:
+        self._scene, self._recorded, self._options = scene, recorded, options
+        self._stages: dict[float, StageModel] = {}
+        self._spreads: dict[float, tuple[StageModel, ...]] = {}
+        self._references: dict[float, Reference] = {}
+        self._optima: dict[Point, _Optimum] = {}
+        self._excess: dict[tuple[Point, tuple[Interval, Interval]], float] = {}
+
+    def stage(self, grip_N: float) -> StageModel:
+        if grip_N not in self._stages:
+            self._stages[grip_N] = scene_stage(self._scene, grip_N)
+        return self._stages[grip_N]
+
+    def spread(self, grip_N: float) -> tuple[StageModel, ...]:
+        if grip_N not in self._spreads:
+            self._spreads[grip_N] = spread_stages(self._scene, grip_N)
+        return self._spreads[grip_N]
+
+    def reference(self, speed_m_s: float) -> Reference:
+        if speed_m_s not in self._references:
+            self._references[speed_m_s] = between(self._recorded, speed_m_s)
+        return self._references[speed_m_s]
+
+    def optimum(self, point: Point) -> _Optimum:
+        """Raises InputError where no solver's answer can be proven: an excess over it would mean nothing."""
+        if point not in self._optima:
+            speed, grip = point
+            problem = entry_problem(self._scene, self.stage(grip), self.reference(speed), self.spread(grip))
+            designed = optimum(problem, self._options)
+            solution, proof = designed.solution, designed.certificate
+            if solution.status is not Status.OPTIMAL or not proof.accepted:
+                raise InputError(
+                    f"--grid-tolerance: no proven optimum at {speed:g} m/s, {grip:g} N (gap "
+                    f"{proof.relative_gap:.0e}, {solution.status.value}): leave it out to see what the grid's own "
+                    "entries lack"
+                )
+            error = nrmse(problem.stage.rollout(solution.command_A)[0], problem.reference_m_s2)
+            self._optima[point] = _Optimum(solution.command_A, error, solution.status, proof)
+        return self._optima[point]
+
+    @property
+    def proofs(self) -> dict[Point, tuple[Status, Certificate]]:
+        """How every optimum so far was found and proven."""
+        return {point: (found.status, found.certificate) for point, found in self._optima.items()}
+
+    def solve(self, nodes: Nodes, points: Iterable[Point], progress: Callable[[int, int], None]) -> None:
+        """All optima that the excess at some points takes, those of the nodes around them included."""
+        corners = itertools.chain.from_iterable(itertools.product(*nodes.cell(point)) for point in points)
+        wanted = dict.fromkeys([*corners, *points])
+        missing = [point for point in wanted if point not in self._optima]
+        for done, point in enumerate(missing):
+            progress(done, len(missing))
+            self.optimum(point)
+
+    def blend(self, nodes: Nodes, point: Point) -> FloatArray:
+        """(N,) bilinear blend of the node commands, as `Library.at` makes it."""
+        by_speed, by_grip = (_shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
+        blended = np.zeros(self._scene.time.stages)
+        for (v, a), (F, b) in itertools.product(by_speed, by_grip):
+            blended += a * b * self.optimum((v, F)).command_A
+        return blended
+
+    def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
+        """By the stage model, which is exact at the switching instants; known where a cell has not changed."""
+        keys = {point: (point, nodes.cell(point)) for point in points}
+        for grip, group in _by_grip(p for p, key in keys.items() if key not in self._excess):
+            blended = np.stack([self.blend(nodes, point) for point in group])
+            played, _ = self.stage(grip).rollout(blended)
+            for point, acceleration in zip(group, played, strict=True):
+                error = nrmse(acceleration, self.reference(point[0]).motor_m_s2)
+                self._excess[keys[point]] = error - self.optimum(point).nrmse
+        return {point: self._excess[key] for point, key in keys.items()}
+
+    def replayed(self, points: Sequence[Point], before: Nodes, after: Nodes) -> list[OffNode]:
+        """The final word, by the independent replay: optimum and both blends at every point."""
+        grid = self._scene.time_grid()
+        found = []
+        for grip, group in _by_grip(points):
+            for part in (group[j : j + REPLAYED_TOGETHER] for j in range(0, len(group), REPLAYED_TOGETHER)):
+                commands = [
+                    c for p in part for c in (self.optimum(p).command_A, self.blend(before, p), self.blend(after, p))
+                ]
+                wanted = np.repeat([self.reference(speed).motor_m_s2 for speed, _ in part], 3, axis=0)
+                # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
+                played = replayed_errors(self.stage(grip), grid, np.stack(commands), wanted).tolist()
+                found += [OffNode(*point, *played[3 * j : 3 * j + 3]) for j, point in enumerate(part)]
+        return found
+
+
+def _by_grip(points: Iterable[Point]) -> list[tuple[float, list[Point]]]:
+    """Points that share a device can be played together."""
+    groups: dict[float, list[Point]] = {}
+    for point in points:
+        groups.setdefault(point[1], []).append(point)
+    return list(groups.items())
+
+
+def _blame(errors: Errors, nodes: Nodes, failing: dict[Point, float]) -> list[tuple[int, Interval]]:
+    """Intervals to split as (axis, interval), the worst first; axis 0 is the speed.
+
+    A point on an edge of a cell blames the axis along that edge. A point inside is heard if neither of its intervals
+    is blamed yet, and blames the axis along which its projection on the edges is worse.
+    """
+    wanted: dict[tuple[int, Interval], float] = {}
+    worst_first = sorted(failing, key=lambda point: -failing[point])
+    inside = []
+    for point in worst_first:
+        speeds, grips = nodes.cell(point)
+        if speeds[0] == speeds[1] or grips[0] == grips[1]:
+            axis = 1 if speeds[0] == speeds[1] else 0
+            wanted.setdefault((axis, (speeds, grips)[axis]), failing[point])
+        else:
+            inside.append(point)
+    for point in inside:
+        speeds, grips = nodes.cell(point)
+        if (0, speeds) in wanted or (1, grips) in wanted:
+            continue
+        along = [
+            max(errors.excess(nodes, edges).values())
+            for edges in ([(point[0], F) for F in grips], [(v, point[1]) for v in speeds])
+        ]
+        axis = int(np.argmax(along))
+        wanted[axis, (speeds, grips)[axis]] = failing[point]
+    return sorted(wanted, key=lambda split: -wanted[split])
+
+
+def check_tolerance(scene: Scene, tolerance: float, cap: int) -> None:
+    """Refuse before any work is done.
+
+    Raises
+    ------
+    InputError : tolerance or cap that cannot be.
+    """
+    if not 0 < tolerance < 1:
+        raise InputError(f"--grid-tolerance {tolerance:g}: must be between 0 and 1 (0.02: two percentage points)")
+    entries = len(scene.grid.speeds_m_s) * len(scene.grid.grips_N)
+    if cap < entries:
+        raise InputError(f"--grid-cap {cap}: the scene's own grid has {entries} entries: raise the cap")
+
+
+def refine_grid(
+    scene: Scene,
+    recordings: Sequence[Recording],
+    tolerance: float,
+    *,
+    cap: int = DEFAULT_CAP,
+    options: SolverOptions | None = None,
+    progress: Progress = lambda description, done, total: None,
+) -> Refinement:
+    """Split intervals of the grid, round by round, until no point between the nodes exceeds the tolerance.
+
+    Test points are the midpoints of every interval of one axis against nodes and midpoints of the other; once they
+    use up at most `MARGIN` of the tolerance, the quarter points of the cells that use up `CLOSER_LOOK` have to as
+    well. At the end every test point is replayed and held against the whole tolerance. An axis with one node stays
+    as it is.
+
+    Parameters
+    ----------
+    tolerance : largest excess, absolute in NRMSE.
+    cap : most entries (speeds times grips) of the refined grid; reaching it is no error but a `shortfall`.
+    progress : called with what is being done, how many of its optima are done, and of how many.
+
+    Raises
+    ------
+    InputError : tolerance or cap that cannot be, recordings that cannot serve, no proven optimum somewhere.
+    """
+    check_tolerance(scene, tolerance, cap)
+    first = Nodes(tuple(scene.grid.speeds_m_s), tuple(scene.grid.grips_N))
+    start = time.perf_counter()
+    recorded = build_references(recordings, first.speeds, scene.time_grid(), scene.recordings)
+    errors = Errors(scene, recorded, SolverOptions() if options is None else options)
+    nodes, rounds = first, 0
+
+    def excess(points: list[Point]) -> dict[Point, float]:
+        text = f"grid round {rounds + 1}, {len(nodes.speeds)} x {len(nodes.grips)} nodes"
+        errors.solve(nodes, points, lambda done, total: progress(text, done, total))
+        return errors.excess(nodes, points)
+
+    while True:
+        found = excess(nodes.midpoints())
+        if all(e <= MARGIN * tolerance for e in found.values()):
+            found |= excess(nodes.quarters(found, CLOSER_LOOK * tolerance))
+        before = nodes
+        for axis, interval in _blame(errors, nodes, {p: e for p, e in found.items() if not e <= MARGIN * tolerance}):
+            finer = nodes.split(axis, interval)
+            nodes = finer if finer.entries <= cap else nodes
+        if nodes == before:
+            break
+        rounds += 1
+    points = errors.replayed(list(found), first, nodes)
+    worst = max(points, key=lambda point: point.excess_after)
+    return Refinement(
+        tolerance=tolerance,
+        recorded=scene.grid,
+        grid=Grid(speeds_m_s=list(nodes.speeds), grips_N=list(nodes.grips), grip_min_N=scene.grid.grip_min_N),
+        points=points,
+        rounds=rounds,
+        shortfall="" if worst.excess_after <= tolerance else _shortfall(worst, nodes, tolerance, cap),
+        elapsed_s=time.perf_counter() - start,
+    )
+
+
+def _shortfall(worst: OffNode, nodes: Nodes, tolerance: float, cap: int) -> str:
+    return (
+        f"grid tolerance {100 * tolerance:g} % not met with {nodes.entries} entries ({len(nodes.speeds)} speeds x "
+        f"{len(nodes.grips)} grips, --grid-cap {cap}): worst remaining excess {100 * worst.excess_after:.2f} % at "
+        f"{worst.speed_m_s:.4g} m/s, {worst.grip_N:.4g} N: raise --grid-cap or --grid-tolerance"
+    )

@@ -1,0 +1,137 @@
+"""A library's entries solved again for corrected references, under the limits that they had (DESIGN 4)."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, nrmse
+from transopt.design.entry import left_out_by_scene, replayed
+from transopt.design.optimum import Designed, optimum
+from transopt.design.verify import admit, unlimited_nrmse
+from transopt.library.library import MULTIPLIER_FIELDS, Library, entry_left_out, shared_left_out, temperature_is_in
+from transopt.problem.problem import Status
+from transopt.proof.certify import binding_limits
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+
+
+def resolve(
+    library: Library,
+    corrections_m_s2: Mapping[tuple[int, int], FloatArray],
+    refinement: dict[str, Any],
+    options: SolverOptions | None = None,
+) -> tuple[Library, dict[tuple[int, int], str]]:
+    """Solve some entries for r + correction; all others stay as they are.
+
+    The problems are those of the file (`Library.problem`): plants, amplifier, limits, weights, hand-over. An answer
+    takes its place only if it is optimal, certified and replayed clean, as when a library is built.
+
+    Parameters
+    ----------
+    corrections_m_s2 : (iv, ig) -> (N,), in place of the entry's present correction.
+    refinement : what `meta` says about it.
+
+    Returns
+    -------
+    The library, and (iv, ig) -> why an entry has kept what it had.
+
+    Raises
+    ------
+    InputError : a library with a wall, whose feedback is no part of what is corrected.
+    """
+    if library.meta["feedback"] is not None:
+        raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
+    options = SolverOptions() if options is None else options
+    scene = Scene.model_validate(library.meta["scene"])
+    arrays = {name: np.array(getattr(library, name)) for name in _CHANGED}
+    nv, ng, _ = library.command_A.shape
+    left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
+    kept: dict[tuple[int, int], str] = {}
+    for ig in sorted({ig for _, ig in corrections_m_s2}):
+        stage, speeds = library.stage(ig), [iv for iv, g in sorted(corrections_m_s2) if g == ig]
+        designed = []
+        for iv in speeds:
+            problem = library.problem(iv, ig, stage)
+            target = library.reference_m_s2[iv] + corrections_m_s2[iv, ig]
+            designed.append(optimum(replace(problem, reference_m_s2=target), options))
+        for iv, answer, played in zip(speeds, designed, replayed(library.coil(), designed), strict=True):
+            command = answer.solution.command_A
+            predicted, current = answer.problem.stage.rollout(command)
+            status, shortfalls = admit(
+                answer.solution.status, answer.certificate, played, answer.problem, command, predicted
+            )
+            if status is not Status.OPTIMAL:
+                kept[iv, ig] = (answer.remarks or shortfalls)[0]
+                continue
+            reference, proof = library.reference_m_s2[iv], answer.certificate
+            _put(
+                arrays,
+                (iv, ig),
+                _multipliers(answer)
+                | {
+                    "command_A": command,
+                    "transient_command_A": answer.problem.transient_command(command),
+                    "current_A": current,
+                    "acceleration_m_s2": predicted,
+                    "nrmse": nrmse(played.acceleration_m_s2, reference),
+                    "floor": unlimited_nrmse(answer.problem, reference),
+                    "peak_current_A": played.peak_current_A,
+                    "peak_temperature_C": played.winding_C,
+                    "objective": proof.objective,
+                    "primal_violation": proof.primal_violation,
+                    "dual_residual": proof.dual_residual,
+                    "duality_gap": proof.duality_gap,
+                    "lower_bound": proof.lower_bound,
+                    "solve_time_s": answer.solution.solve_time_s,
+                    "binding": binding_limits(answer.problem, command, answer.solution.multipliers),
+                    "correction_m_s2": corrections_m_s2[iv, ig],
+                },
+            )
+            left_out[iv][ig] = {**left_out_by_scene(scene, answer.problem), **answer.left_out}
+    thermal = library.problem(0, 0).thermal
+    warm = any(temperature_is_in(entry) for row in left_out for entry in row)
+    meta = {
+        **library.meta,
+        "limits": {**library.meta["limits"], "temperature_C": thermal.limit_C if warm and thermal else None},
+        "left_out": shared_left_out(left_out),
+        "solver": asdict(options),
+        "refinement": refinement,
+    }
+    return replace(library, **arrays, meta=meta), kept
+
+
+_CHANGED = (
+    "command_A",
+    "transient_command_A",
+    "current_A",
+    "acceleration_m_s2",
+    "nrmse",
+    "floor",
+    "peak_current_A",
+    "peak_temperature_C",
+    "objective",
+    "primal_violation",
+    "dual_residual",
+    "duality_gap",
+    "lower_bound",
+    "solve_time_s",
+    "binding",
+    "correction_m_s2",
+    *MULTIPLIER_FIELDS.values(),
+)
+
+
+def _multipliers(answer: Designed) -> dict[str, Any]:
+    return {field: getattr(answer.solution.multipliers, name) for name, field in MULTIPLIER_FIELDS.items()}
+
+
+def _put(arrays: dict[str, Any], place: tuple[int, int], values: dict[str, Any]) -> None:
+    for name in _CHANGED:
+        value = values[name]
+        if isinstance(value, str) and len(value) > arrays[name].dtype.itemsize // 4:
+            # An array of text has the width of its longest.
+            arrays[name] = arrays[name].astype(f"U{len(value)}")
+        arrays[name][place] = value

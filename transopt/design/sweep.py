@@ -1,0 +1,289 @@
+"""Entries of varied scenes: each solved, certified and replayed, what cannot be told apart from what falls short.
+
+A task is a handful of entries of one grip that can share work: stage models and references are kept from task to
+task, and what has the same device is replayed together. Tasks and outcomes are plain values, for any executor.
+"""
+
+import json
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.design.entry import Baselines, entry_problem, replayed, rivals_errors, scene_stage
+from transopt.design.optimum import Designed, optimum
+from transopt.design.price import prices
+from transopt.design.verify import admit
+from transopt.plant.discretise import StageModel
+from transopt.problem.problem import Status, TransientProblem
+from transopt.proof.certify import binding_limits, boxes
+from transopt.proof.replay import Replay
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between, build_references
+from transopt.scene.keys import Changes, with_values
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+
+REFUSED = "REFUSED"  # beside the names of Status: the scene itself cannot be
+DEFECT = "DEFECT"  # a solve that ended in an exception that no input should cause
+KEPT_REFERENCES, KEPT_STAGES = 8, 64
+NAN = float("nan")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Item:
+    """One entry of a task: `index` is the caller's, `point` the place of its changes in the task."""
+
+    index: int
+    point: int
+    speed_m_s: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """Entries of one grip.
+
+    Attributes
+    ----------
+    scene : with nothing changed; its grid has the recorded speeds. points : changes of keys.
+    recordings : for all of its points. source : names them; what is kept of them is kept under this name.
+    rivals : whether the baselines and the prices of the limits are wanted too, which cost more than the optimum.
+    """
+
+    scene: Scene
+    recordings: tuple[Recording, ...]
+    source: str
+    grip_N: float
+    points: tuple[Changes, ...]
+    items: tuple[Item, ...]
+    options: SolverOptions
+    rivals: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One entry; NaN and empty text where there is nothing to say.
+
+    Attributes
+    ----------
+    status : name of a `Status`, REFUSED or DEFECT. reason : why it is not OPTIMAL.
+    relative_gap, relative_bound, violation_A, violation_V, violation_K : certificate.
+    mu_* : the largest multiplier of each limit. binding : which limits bind, from when to when.
+    price : what more of each binding limit would buy; with it the baselines at the transient limit.
+    solve_ms : of the solver; total_ms : with certificate and share of the replay.
+    """
+
+    index: int
+    speed_m_s: float
+    grip_N: float
+    status: str
+    nrmse: float = NAN
+    floor: float = NAN
+    weighted_nrmse: float = NAN
+    free_peak_A: float = NAN
+    peak_current_A: float = NAN
+    peak_command_A: float = NAN
+    peak_temperature_C: float = NAN
+    peak_voltage_V: float = NAN
+    objective: float = NAN
+    relative_gap: float = NAN
+    relative_bound: float = NAN
+    violation_A: float = NAN
+    violation_V: float = NAN
+    violation_K: float = NAN
+    mu_current_1_A: float = NAN
+    mu_command_1_A: float = NAN
+    mu_slew_1_A: float = NAN
+    mu_supply_1_V: float = NAN
+    mu_coil_1_K: float = NAN
+    nrmse_seed: float = NAN
+    nrmse_clipped: float = NAN
+    binding: str = ""
+    price: str = ""
+    solver: str = ""
+    reason: str = ""
+    solve_ms: float = NAN
+    total_ms: float = NAN
+
+
+class _Kept(Generic[T]):
+    """The values made last, by key."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._values: OrderedDict[str, T] = OrderedDict()
+
+    def get(self, key: str, make: Callable[[], T]) -> T:
+        if key not in self._values:
+            self._values[key] = make()
+            if len(self._values) > self._most:
+                self._values.popitem(last=False)
+        self._values.move_to_end(key)
+        return self._values[key]
+
+
+_references: _Kept[list[Reference]] = _Kept(KEPT_REFERENCES)
+_stages: _Kept[StageModel] = _Kept(KEPT_STAGES)
+# CasADi's solver objects are shared by all problems of a shape, and reading how one ended after another thread has
+# called it again would tell of the wrong problem.
+_one_at_a_time = threading.Lock()
+
+
+def _text(scene: Scene, *parts: str) -> str:
+    return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
+
+
+def _reference(task: Task, scene: Scene, speed_m_s: float) -> Reference:
+    recorded = task.scene.grid.speeds_m_s
+    key = f"{task.source} {scene.time_grid()} {_text(scene, 'recordings')} {recorded}"
+    references = _references.get(
+        key, lambda: build_references(task.recordings, recorded, scene.time_grid(), scene.recordings)
+    )
+    return between(references, speed_m_s)
+
+
+def _device(scene: Scene, grip_N: float) -> str:
+    """Everything that the stage model and its time axis depend on."""
+    parts = ("model", "motor", "transmission", "tip", "amplifier", "time", "feedback")
+    return f"{grip_N!r} {_text(scene, *parts)}"
+
+
+def _stage(scene: Scene, grip_N: float) -> StageModel:
+    return _stages.get(_device(scene, grip_N), lambda: scene_stage(scene, grip_N))
+
+
+def _played_with(scene: Scene, grip_N: float, problem: TransientProblem) -> str:
+    """What entries must have in common to be replayed together."""
+    parts = (problem.supply is None, problem.wall is None, problem.thermal is None)
+    return f"{_device(scene, grip_N)} {scene.coil()} {scene.thermal.tap_rate_Hz} {parts}"
+
+
+@dataclass(frozen=True)
+class _Solved:
+    item: Item
+    scene: Scene
+    designed: Designed
+    spent_s: float
+
+
+def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
+    start = time.perf_counter()
+    if item.point not in scenes:
+        scenes[item.point] = with_values(task.scene, task.points[item.point])
+    scene = scenes[item.point]
+    spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
+    reference = _reference(task, scene, item.speed_m_s)
+    problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
+    designed = optimum(problem, task.options)
+    return _Solved(item, scene, designed, time.perf_counter() - start)
+
+
+def _largest(designed: Designed) -> dict[str, float]:
+    """Largest multiplier of each limit that the problem has."""
+    problem, answer = designed.problem, designed.solution
+    found: dict[str, float] = {}
+    for box in boxes(problem, answer.command_A, problem.stage.motion(answer.command_A), answer.multipliers):
+        sides = [box.upper] if box.lower is None else [box.upper, box.lower]
+        name = f"mu_{box.name}_1_{ {'V': 'V', 'C': 'K'}.get(box.unit, 'A') }"
+        found[name] = max(found.get(name, 0.0), *(float(side.max()) for side in sides))
+    return found
+
+
+def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | None, replay_s: float) -> Outcome:
+    start = time.perf_counter()
+    designed, item = solved.designed, solved.item
+    problem, answer, proof = designed.problem, designed.solution, designed.certificate
+    command = answer.command_A
+    predicted, _ = problem.stage.rollout(command)
+    status, shortfalls = admit(answer.status, proof, played, problem, command, predicted)
+    finite = bool(np.all(np.isfinite(command)))
+    price = ""
+    if task.rivals and status is Status.OPTIMAL:
+        found = prices(problem, command, answer.multipliers, designed.unlimited_command_A, task.options)
+        price = "; ".join(one.sentence for one in found)
+    return Outcome(
+        index=item.index,
+        speed_m_s=item.speed_m_s,
+        grip_N=task.grip_N,
+        status=status.name,
+        nrmse=played.nrmse,
+        floor=designed.floor,
+        weighted_nrmse=played.nrmse if problem.reference_is_zero else problem.weighted_nrmse(predicted),
+        free_peak_A=designed.free_peak_A,
+        peak_current_A=played.peak_current_A,
+        peak_command_A=played.peak_command_A,
+        peak_temperature_C=played.winding_C,
+        peak_voltage_V=played.peak_voltage_V,
+        objective=proof.objective,
+        relative_gap=proof.relative_gap,
+        relative_bound=proof.relative_bound,
+        violation_A=proof.primal_violation_A,
+        violation_V=proof.primal_violation_V,
+        violation_K=proof.primal_violation_K,
+        **(_largest(designed) if finite else {}),
+        nrmse_seed=NAN if rivals is None else rivals.seed,
+        nrmse_clipped=NAN if rivals is None else rivals.clipped,
+        binding=binding_limits(problem, command, answer.multipliers) if finite else "",
+        price=price,
+        solver=answer.solver,
+        reason="; ".join(designed.remarks or shortfalls),
+        solve_ms=1e3 * answer.solve_time_s,
+        total_ms=1e3 * (solved.spent_s + replay_s + time.perf_counter() - start),
+    )
+
+
+def _guarded(items: Sequence[Item], task: Task, work: Callable[[], T]) -> tuple[T | None, list[Outcome]]:
+    """What the work gives, or an outcome for each of its items that tells why it gives nothing."""
+
+    def ended(status: str, reason: str) -> list[Outcome]:
+        return [Outcome(i.index, i.speed_m_s, task.grip_N, status, reason=" ".join(reason.split())) for i in items]
+
+    try:
+        return work(), []
+    except InputError as error:
+        return None, ended(REFUSED, str(error))
+    except Exception as error:  # one entry must not take thousands with it: it is told, by name, in its row
+        return None, ended(DEFECT, f"{type(error).__name__}: {error}"[:300])
+
+
+def run_task(task: Task) -> list[Outcome]:
+    """Every entry of a task, in the order of its items; never raises for what an entry does."""
+    with _one_at_a_time:
+        return _run(task)
+
+
+def _run(task: Task) -> list[Outcome]:
+    outcomes: list[Outcome] = []
+    together: dict[str, list[_Solved]] = {}
+    scenes: dict[int, Scene] = {}
+    for item in task.items:
+        solved, refused = _guarded([item], task, partial(_solved, task, item, scenes))
+        outcomes += refused
+        if solved is not None:
+            together.setdefault(_played_with(solved.scene, task.grip_N, solved.designed.problem), []).append(solved)
+    for group in together.values():
+        finished, refused = _guarded([s.item for s in group], task, partial(_finished, task, group))
+        outcomes += refused if finished is None else finished
+    place = {item.index: j for j, item in enumerate(task.items)}
+    return sorted(outcomes, key=lambda outcome: place[outcome.index])
+
+
+def _finished(task: Task, group: Sequence[_Solved]) -> list[Outcome]:
+    start = time.perf_counter()
+    scene, designed = group[0].scene, [solved.designed for solved in group]
+    replays = replayed(scene.coil(), designed)
+    rivals: Sequence[Baselines | None] = [None] * len(designed)
+    if task.rivals:
+        rivals = rivals_errors(scene.limits.steady_current_A, designed)
+    share = (time.perf_counter() - start) / len(group)
+    return [
+        _outcome(task, solved, played, baselines, share)
+        for solved, played, baselines in zip(group, replays, rivals, strict=True)
+    ]

@@ -1,0 +1,219 @@
+"""Admission of entries, when a library is built and whenever it is checked again."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.signals import FloatArray, nrmse
+from transopt.design.explain import unstable_wall
+from transopt.library.library import Library
+from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, effective_square
+from transopt.plant.continuous import AFTER_S
+from transopt.problem.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
+from transopt.proof.certify import binding_limits
+from transopt.proof.replay import SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
+from transopt.solvers import unlimited
+from transopt.solvers.choose import prove
+from transopt.solvers.options import SolverOptions
+
+STORED_TOLERANCE = 1e-6  # relative, to which stored figures agree with recomputed ones
+ROUNDING = 1e-9  # absolute, for figures that are zero
+
+
+def admit(
+    status: Status,
+    certificate: Certificate,
+    played: Replay,
+    problem: TransientProblem,
+    command_A: FloatArray,
+    predicted_m_s2: FloatArray,
+) -> tuple[Status, list[str]]:
+    """Whether an entry may stand in a library: OPTIMAL, certified, replayed clean.
+
+    Returns
+    -------
+    The entry's status and, unless it is OPTIMAL, what speaks against it.
+    """
+    if status is not Status.OPTIMAL:
+        return status, [status.value]
+    if not certificate.accepted:
+        c = certificate
+        if c.is_stationary and c.relative_bound > c.BOUND_TOLERANCE:
+            return Status.NOT_GLOBAL, [
+                f"J lies {c.relative_bound:.1%} above the convex lower bound, limit {c.BOUND_TOLERANCE:.0%}"
+            ]
+        return Status.NOT_CERTIFIED, [
+            f"violation {c.primal_violation_A:.1e} A, {c.primal_violation_V:.1e} V, {c.primal_violation_K:.1e} K, "
+            f"{c.excess:.1e} times what is tolerated, gap {c.relative_gap:.1e} (limit {c.GAP_TOLERANCE:.0e}), above "
+            f"the lower bound by {c.relative_bound:.1e} (limit {c.BOUND_TOLERANCE:.0e})"
+        ]
+    shortfalls = played.shortfalls(problem, command_A, predicted_m_s2)
+    if not shortfalls:
+        return Status.OPTIMAL, []
+    status, causes = _of_the_wall(played, problem)
+    if not causes:
+        status, causes = _between_instants(played, problem, command_A)
+    # A cause that explains some of it is no cause.
+    if len(causes) < len(shortfalls) and status is not Status.UNSTABLE_WALL:
+        return Status.REPLAY_VIOLATION, shortfalls
+    return status, causes
+
+
+def _of_the_wall(played: Replay, problem: TransientProblem) -> tuple[Status, list[str]]:
+    """What a wall does that no transient can help: it grows by itself, or asks for too much when left alone."""
+    if problem.wall is None:
+        return Status.REPLAY_VIOLATION, []
+    wall, limit = problem.wall.wall, problem.limits.current_A
+    unstable = unstable_wall(problem)
+    if unstable:
+        return Status.UNSTABLE_WALL, [unstable]
+    if played.after_peak_A > limit and played.after_peak_A == played.peak_current_A:
+        return Status.HAND_OVER, [
+            f"hand-over: within {AFTER_S * 1e3:g} ms after the waveform the wall alone asks for "
+            f"{played.after_peak_A:.3g} A, limit {limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} "
+            f"N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} N s/m) or the speed"
+        ]
+    return Status.REPLAY_VIOLATION, []
+
+
+def _between_instants(played: Replay, problem: TransientProblem, command_A: FloatArray) -> tuple[Status, list[str]]:
+    """Limits that hold at the switching instants, as stated, and not between them."""
+    motion, found = problem.stage.motion(command_A), []
+    supply, thermal, dt_ms = problem.supply, problem.thermal, problem.grid.dt_s * 1e3
+    if supply is not None and played.peak_voltage_V > supply.limit_V * (1 + SUPPLY_TOLERANCE):
+        stated = max(float(np.abs(side).max()) for side in supply.voltages_V(motion, command_A))
+        if stated <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
+            found.append(
+                f"supply {played.peak_voltage_V - supply.limit_V:.3g} V over its {supply.limit_V:g} V within a servo "
+                f"period, in which the back-EMF swings; lower time.dt_s ({dt_ms:g} ms)"
+            )
+    if thermal is not None and played.winding_C > thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+        hottest = float(thermal.temperatures_C(motion.current_A, command_A).max())
+        coil, limit_C = thermal.coil, thermal.limit_C
+        # No winding warms faster than by the limit current with no heat leaving.
+        resistance = coil.R_ohm * (1 + COPPER_PER_K * (limit_C - RESISTANCE_REFERENCE_C))
+        power_W = resistance * float(effective_square(np.asarray(problem.limits.current_A)))
+        warming_K = power_W * coil.R_wh_K_W / coil.tau_w_s * problem.grid.dt_s
+        if hottest <= limit_C + TEMPERATURE_TOLERANCE_K and played.winding_C - hottest <= warming_K:
+            found.append(
+                f"coil {played.winding_C - limit_C:.3g} K over its {limit_C:g} C within a servo period, in which it "
+                f"may warm by {warming_K:.3g} K; lower time.dt_s ({dt_ms:g} ms)"
+            )
+    return Status.UNRESOLVED, found
+
+
+@dataclass(frozen=True)
+class EntryCheck:
+    """One entry checked again from the file alone."""
+
+    speed_m_s: float
+    grip_N: float
+    certificate: Certificate
+    played: Replay
+    shortfalls: list[str]
+
+
+def unlimited_nrmse(problem: TransientProblem, reference_m_s2: FloatArray) -> float:
+    """NRMSE against r (N,) of the optimum without limits, which in a refined library aims elsewhere."""
+    free = np.zeros(problem.grid.stages) if problem.reference_is_zero else unlimited.solve(problem).command_A
+    return nrmse(problem.stage.rollout(free)[0], reference_m_s2)
+
+
+def _stored(
+    library: Library, iv: int, ig: int, problem: TransientProblem, certificate: Certificate, played: Replay
+) -> list[str]:
+    """Figures in the file that do not follow from the waveform in the file."""
+    claims = {
+        "nrmse": played.nrmse,
+        "peak_current_A": played.peak_current_A,
+        "peak_temperature_C": played.winding_C,
+        "objective": certificate.objective,
+    }
+    found = []
+    for name, value in claims.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
+            found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+    # The largest over A, V and K is stored; only where A is all there is the limit tells how exact it has to be.
+    in_ampere_only = problem.supply is None and problem.thermal is None
+    violation = Certificate.tolerated(problem.limits.current_A) if in_ampere_only else Certificate.VIOLATION_TOLERANCE
+    bounds = {
+        "primal_violation": (certificate.primal_violation, violation),
+        "lower_bound": (
+            certificate.lower_bound,
+            Certificate.GAP_TOLERANCE * max(certificate.objective, OBJECTIVE_SCALE),
+        ),
+        "duality_gap": (
+            certificate.duality_gap,
+            Certificate.GAP_TOLERANCE * max(certificate.objective, OBJECTIVE_SCALE),
+        ),
+        "dual_residual": (
+            certificate.dual_residual,
+            Certificate.GAP_TOLERANCE / min(problem.limits.command_bound_A, 1.0),
+        ),
+        "floor": (unlimited_nrmse(problem, library.reference_m_s2[iv]), STORED_TOLERANCE),
+    }
+    for name, (value, tolerance) in bounds.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not abs(stored - value) <= tolerance:
+            found.append(f"{name} says {stored:.3g}, recomputed {value:.3g}")
+    binds = binding_limits(problem, library.command_A[iv, ig], library.multipliers(iv, ig))
+    if str(library.binding[iv, ig]) != binds:
+        found.append(f"binding says {library.binding[iv, ig]}, recomputed {binds}")
+    if not np.allclose(
+        library.transient_command_A[iv, ig],
+        problem.transient_command(library.command_A[iv, ig]),
+        rtol=0,
+        atol=Certificate.tolerated(problem.limits.current_A),
+    ):
+        found.append("transient_command_A is not command_A less the predicted feedback of the wall")
+    current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
+    if not current_off <= Certificate.tolerated(problem.limits.current_A):
+        found.append(f"current_A differs from the replay by {current_off:.1e} A")
+    return found
+
+
+def verify_library(library: Library) -> list[EntryCheck]:
+    """Certify and replay every entry from the file alone.
+
+    Only the floor takes a (linear) solve and, where the temperature binds, the lower bound a convex one.
+
+    Returns
+    -------
+    One check per entry, speeds outermost; clean where `shortfalls` is empty.
+    """
+    options = SolverOptions()
+    nv, ng, _ = library.command_A.shape
+    checks: dict[tuple[int, int], EntryCheck] = {}
+    for ig in range(ng):
+        stage = library.stage(ig)
+        problems = [library.problem(iv, ig, stage) for iv in range(nv)]
+        supplies = [problem.supply for problem in problems if problem.supply is not None]
+        walls = [problem.wall for problem in problems if problem.wall is not None]
+        replays = replay(
+            stage,
+            library.time_grid(),
+            library.transient_command_A[:, ig] if walls else library.command_A[:, ig],
+            library.reference_m_s2,
+            library.coil(),
+            supplies=supplies or None,
+            walls=walls or None,
+            budgets=[p.thermal.budget for p in problems if p.thermal is not None] or None,
+        )
+        for iv, (problem, played) in enumerate(zip(problems, replays, strict=True)):
+            command = library.command_A[iv, ig]
+            certificate = prove(problem, command, library.multipliers(iv, ig), options)
+            claimed = str(library.status[iv, ig])
+            status = Status.OPTIMAL if claimed == Status.OPTIMAL.value else Status.NOT_CERTIFIED
+            predicted = library.acceleration_m_s2[iv, ig]
+            _, shortfalls = admit(status, certificate, played, problem, command, predicted)
+            if status is not Status.OPTIMAL:
+                shortfalls = [f"status in the file: {claimed}"]
+            checks[iv, ig] = EntryCheck(
+                speed_m_s=float(library.speeds_m_s[iv]),
+                grip_N=float(library.grips_N[ig]),
+                certificate=certificate,
+                played=played,
+                shortfalls=shortfalls + _stored(library, iv, ig, problem, certificate, played),
+            )
+    return [checks[iv, ig] for iv in range(nv) for ig in range(ng)]

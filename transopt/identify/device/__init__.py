@@ -1,0 +1,1 @@
+"""The device from current and acceleration: chain fit, black box, validation."""

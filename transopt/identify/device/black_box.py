@@ -1,0 +1,359 @@
+"""A stable real state space of stated order per grip, for devices that are no drive chain.
+
+Poles come from vector fitting (Gustavsen & Semlyen 1999), then poles and output together from least squares on the
+exact sampled response. The model is a sum of sections of second order with the denominator s^2 + a s + w^2, a and w
+above 0: stable and real whatever the numbers are, and a pair of poles may meet on the real axis and part again.
+
+What physics asks: a held device stays where it is under a constant current, so its acceleration has two zeros at
+s = 0. The output is therefore a position y = C x, with C B = 0, and y'' = C A^2 x + C A B i. A free device
+accelerates, and its output is y'' = C x + D i.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.response import Instrument, Slope, sampled_response
+from transopt.identify.spectrum import ComplexArray
+from transopt.plant.chain import StateSpace
+
+ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls
+HIGHEST_ORDER = 20
+RELOCATIONS = 20
+ENOUGH = 1.2  # mean square of residuals over the noise's, below which no other start is tried
+MORE = (
+    (0.05, 0.2),
+    (0.2, 0.6),
+    (0.005, 0.05),
+)  # of the highest frequency: real poles added to those of two orders less
+REACH = 1e3  # poles stay within this factor of their start
+MOST_STEPS = 60
+TOLERANCE = 1e-6
+RANK = 1e-12
+RESOLVED = 0.5  # of the distance between bins: no resonance may be narrower, since nothing was measured within
+NUDGE = 1e-3  # least damping ratio that a relocated pole starts with
+
+
+@dataclass(frozen=True)
+class BlackBox:
+    """State spaces by grip.
+
+    Attributes
+    ----------
+    grips_N : increasing. plants : one per grip, of one order; the encoder's row is zero, nothing tells of it.
+    scatter : (grips,) mean square of the residuals. criterion : Bayesian information criterion of all grips.
+    """
+
+    grips_N: tuple[float, ...]
+    plants: tuple[StateSpace, ...]
+    scatter: FloatArray
+    criterion: float
+
+    @property
+    def order(self) -> int:
+        return self.plants[0].order
+
+    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
+        """The models whose outputs are blended at a grip, with their weights; held and free ones never mix.
+
+        Raises
+        ------
+        InputError : outside the recorded grips.
+        """
+        held = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)]
+        grips = [self.grips_N[j] for j in held]
+        if not grips or not grips[0] <= grip_N <= grips[-1]:
+            raise InputError(f"grip {grip_N:g} N: outside the recorded grips {grips} N; record it")
+        after = next(j for j, grip in enumerate(grips) if grip >= grip_N)
+        if grips[after] == grip_N:
+            return [(self.plants[held[after]], 1.0)]
+        part = (grip_N - grips[after - 1]) / (grips[after] - grips[after - 1])
+        return [(self.plants[held[after - 1]], 1 - part), (self.plants[held[after]], part)]
+
+    def without(self, grip_N: float) -> "BlackBox":
+        """The same without the model of one grip: what stands in for it is the blend of its neighbours."""
+        kept = [j for j, grip in enumerate(self.grips_N) if grip != grip_N]
+        grips, plants = tuple(self.grips_N[j] for j in kept), tuple(self.plants[j] for j in kept)
+        return BlackBox(grips, plants, self.scatter[kept], self.criterion)
+
+
+class _Sections:
+    """Matrices and derivatives of a sum of second-order sections for unknowns (log w, log a per section; output).
+
+    A section has the states of [[0, w], [-w, -a]], driven by w at the second: of one size whatever w is.
+    """
+
+    def __init__(self, order: int, held: bool) -> None:
+        self.order, self.held = order, held
+        self.poles = order  # as many unknowns
+        self.outputs = order - 1 if held else order + 1
+
+    def matrices(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        A, B = np.zeros((self.order, self.order)), np.zeros((self.order, 1))
+        for j, (w, a) in enumerate(np.exp(unknowns[: self.poles].reshape(-1, 2))):
+            A[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[0.0, w], [-w, -a]]
+            B[2 * j + 1, 0] = w
+        return A, B
+
+    def _outputs(self, A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(outputs, n) and (outputs,) C and D of y'' for each unknown of the output being one, the others zero.
+
+        Held: positions with C B = 0, each of the section's size over w^2.
+        """
+        if not self.held:
+            return np.vstack([np.eye(self.order), np.zeros(self.order)]), np.eye(self.order + 1)[-1]
+        position = self._positions(B)
+        return position @ A @ A, (position @ A @ B)[:, 0]
+
+    @staticmethod
+    def _positions(B: FloatArray) -> FloatArray:
+        """(n - 1, n) rows that B does not move: the first states of the sections, and differences of the second."""
+        n = B.size
+        rows = [np.eye(n)[j] / B[j + 1, 0] ** 2 for j in range(0, n, 2)]
+        for j in range(3, n, 2):
+            row = np.zeros(n)
+            row[1], row[j] = B[j, 0], -B[1, 0]
+            rows.append(row / (B[1, 0] * B[j, 0] * max(B[1, 0], B[j, 0])))
+        return np.array(rows)
+
+    def plant(self, unknowns: FloatArray) -> StateSpace:
+        A, B = self.matrices(unknowns)
+        rows, direct = self._outputs(A, B)
+        output = unknowns[self.poles :]
+        return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]), np.zeros((1, self.order)))
+
+    def pole_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
+        """By log w and log a of the sections: central differences of these small matrices."""
+        found, step = [], 1e-5
+        for j in range(self.poles):
+            move = np.zeros(unknowns.size)
+            move[j] = step
+            up, down = self.plant(unknowns + move), self.plant(unknowns - move)
+            found.append(Slope(*((getattr(up, part) - getattr(down, part)) / (2 * step) for part in "ABCD")))
+        return tuple(found)
+
+    def output_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
+        """By the output's coefficients, which enter linearly."""
+        A, B = self.matrices(unknowns)
+        none_A, none_B = np.zeros_like(A), np.zeros_like(B)
+        rows, direct = self._outputs(A, B)
+        return tuple(
+            Slope(none_A, none_B, row[None, :], np.array([[d]])) for row, d in zip(rows, direct, strict=True)
+        )
+
+
+def _vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order: int, direct: bool) -> ComplexArray:
+    """(order,) stable poles of a rational function near `target` at the points s, conjugate pairs adjacent.
+
+    Iterates: least squares for numerator and denominator with a common set of poles, whose new set are the zeros of
+    the denominator; those to the right are reflected.
+    """
+    size = np.abs(s)
+    imaginary = np.geomspace(size.min(), size.max(), order // 2)
+    poles = np.stack([-0.1 * imaginary + 1j * imaginary, -0.1 * imaginary - 1j * imaginary], axis=1).ravel()
+    for _ in range(RELOCATIONS):
+        basis = np.empty((s.size, order), dtype=complex)
+        A, b = np.zeros((order, order)), np.empty(order)
+        j = 0
+        while j < order:
+            p = poles[j]
+            if p.imag != 0:
+                one, other = 1 / (s - p), 1 / (s - p.conjugate())
+                basis[:, j], basis[:, j + 1] = one + other, 1j * (one - other)
+                A[j : j + 2, j : j + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+                b[j : j + 2] = 2.0, 0.0
+                j += 2
+            else:
+                basis[:, j], A[j, j], b[j] = 1 / (s - p), p.real, 1.0
+                j += 1
+        columns = [basis] + ([np.ones((s.size, 1))] if direct else []) + [-target[:, None] * basis]
+        system = np.hstack(columns) * weight[:, None]
+        right = target * weight
+        stacked, wanted = np.vstack([system.real, system.imag]), np.concatenate([right.real, right.imag])
+        norm = np.linalg.norm(stacked, axis=0)
+        solution = np.linalg.lstsq(stacked / norm, wanted, rcond=None)[0] / norm
+        moved = np.linalg.eigvals(A - np.outer(b, solution[-order:]))
+        moved = -np.abs(moved.real) + 1j * moved.imag
+        upper = moved[moved.imag > 0]
+        real = np.sort(moved[moved.imag == 0].real)
+        poles = np.concatenate([np.stack([upper, upper.conj()], axis=1).ravel(), real.astype(complex)])
+    return poles
+
+
+def _start(poles: ComplexArray) -> FloatArray:
+    """(order,) log w and log a of sections with these poles; real ones are paired by size."""
+    upper = poles[poles.imag > 0]
+    real = np.sort(-poles[poles.imag == 0].real)
+    w = np.concatenate([np.abs(upper), np.sqrt(real[::2] * real[1::2])])
+    a = np.concatenate([-2 * upper.real, real[::2] + real[1::2]])
+    floor = np.finfo(float).tiny
+    w = np.maximum(w, floor)
+    return np.asarray(np.log(np.stack([w, np.maximum(a, 2 * NUDGE * w)], axis=1)).ravel())
+
+
+class _Projected:
+    """Residuals over the poles alone, the output always the best one for them (variable projection).
+
+    The Jacobian is Kaufman's (1975): that at fixed output, less what the output can make up for. Poles and output
+    sought together would crawl along the valley where one makes up for the other.
+    """
+
+    def __init__(self, one: GripResponse, instrument: Instrument, sections: _Sections) -> None:
+        self._one, self._instrument, self._sections = one, instrument, sections
+        self._at = np.zeros(0)
+        self._last = (np.zeros(0), np.zeros((0, 0)), np.zeros(0))
+
+    def _stacked(self, unknowns: FloatArray, slopes: tuple[Slope, ...]) -> tuple[FloatArray, FloatArray]:
+        """Weighted response (2 m,) and its slopes (2 m, p), real parts first."""
+        plant, e = self._sections.plant(unknowns), self._one.estimate
+        value, by_unknown = sampled_response(plant, self._instrument, e.frequencies_Hz, slopes)
+        value, by_unknown = value / self._one.deviation, (by_unknown / self._one.deviation).T
+        return np.concatenate([value.real, value.imag]), np.vstack([by_unknown.real, by_unknown.imag])
+
+    def at(self, poles: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (2 m,), Jacobian (2 m, order), all unknowns (order + outputs,)."""
+        if not np.array_equal(self._at, poles):
+            sections, e = self._sections, self._one.estimate
+            wanted = e.response / self._one.deviation
+            measured = np.concatenate([wanted.real, wanted.imag])
+            unknowns = np.concatenate([poles, np.zeros(sections.outputs)])
+            _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
+            norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+            axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
+            told = size > RANK * size[0]
+            axes, size, along = axes[:, told], size[told], along[told]
+            unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
+            value, slopes = self._stacked(unknowns, sections.pole_slopes(unknowns))
+            self._at = poles.copy()
+            self._last = value - measured, slopes - axes @ (axes.T @ slopes), unknowns
+        return self._last
+
+
+class _Narrowest:
+    """Keeps resonances as wide as what was measured can resolve.
+
+    Between two bins a pole of next to no damping and a zero beside it cost nothing and explain a little noise; a
+    design would play into them.
+    """
+
+    def __init__(self, frequencies_Hz: FloatArray) -> None:
+        self._log_w = np.log(2 * np.pi * frequencies_Hz)
+        self._log_a = np.log(2 * np.pi * RESOLVED * np.gradient(frequencies_Hz))
+
+    def _least(self, log_w: FloatArray) -> FloatArray:
+        return np.asarray(np.interp(log_w, self._log_w, self._log_a))
+
+    def widened(self, poles: FloatArray) -> FloatArray:
+        """(order,) log w and log a of the sections, with log a at least that of the distance between bins."""
+        found = poles.copy()
+        found[1::2] = np.maximum(poles[1::2], self._least(poles[::2]))
+        return found
+
+    def through(self, poles: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """(2 m, order) by the poles from that by the widened ones."""
+        found, step = jacobian.copy(), 1e-6
+        held = poles[1::2] < self._least(poles[::2])
+        along = (self._least(poles[::2] + step) - self._least(poles[::2] - step)) / (2 * step)
+        found[:, ::2] += np.where(held, along, 0.0) * jacobian[:, 1::2]
+        found[:, 1::2] = np.where(held, 0.0, jacobian[:, 1::2])
+        return found
+
+
+def _polished(
+    one: GripResponse, instrument: Instrument, sections: _Sections, poles: ComplexArray
+) -> tuple[StateSpace, float]:
+    """Poles and output from least squares on the exact sampled response: plant, sum of squares."""
+    projected, narrowest = _Projected(one, instrument, sections), _Narrowest(one.estimate.frequencies_Hz)
+    start = narrowest.widened(_start(poles))
+    low, high = start - np.log(REACH), start + np.log(REACH)
+
+    def bounded(unknowns: FloatArray) -> FloatArray:
+        return narrowest.widened(np.clip(unknowns, low, high))
+
+    def value(unknowns: FloatArray) -> FloatArray:
+        return projected.at(bounded(unknowns))[0]
+
+    def slope(unknowns: FloatArray) -> FloatArray:
+        inside = np.clip(unknowns, low, high)
+        jacobian = narrowest.through(inside, projected.at(narrowest.widened(inside))[1])
+        return np.where((unknowns < low) | (unknowns > high), 0.0, jacobian)
+
+    # MINPACK: the factorisations of scipy's own methods take ten times as long when their threads meet busy cores.
+    found = optimize.least_squares(
+        value, start, jac=slope, method="lm", ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_STEPS
+    )
+    return sections.plant(projected.at(bounded(found.x))[2]), 2 * float(found.cost)
+
+
+def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSpace, float]:
+    """One grip: the plant and its sum of squared residuals.
+
+    Vector fitting minimises an equation's error, which noise biases: a pole that shows little may end below the band,
+    where nothing was measured, and stay there. As long as the residuals are above the noise, other starts follow.
+    """
+    held = one.grip_N > 0
+    frequencies, target = one.estimate.frequencies_Hz, one.estimate.response.copy()
+    s = np.asarray(2j * np.pi * frequencies, dtype=np.complex128)
+    high = float(np.abs(s).max())
+    if instrument.accelerometer_Hz is not None:
+        target *= 1 + 1j * frequencies / instrument.accelerometer_Hz
+    weight = 1 / one.deviation
+    if held:
+        target, weight = target / s**2, weight * np.abs(s) ** 2
+
+    def fitted(poles: int) -> ComplexArray:
+        return np.asarray(high * _vector_fit(s / high, target, weight / weight.max(), poles, direct=not held))
+
+    sections = _Sections(order, held)
+    best = _polished(one, instrument, sections, fitted(order))
+    enough = ENOUGH * (2 * frequencies.size - 2 * order)
+    for pair in MORE:
+        if best[1] < enough or order == 2:
+            break
+        poles = np.concatenate([fitted(order - 2), -high * np.array(pair)])
+        best = min(best, _polished(one, instrument, sections, poles), key=lambda found: found[1])
+    return best
+
+
+def fit_black_box(
+    responses: Sequence[GripResponse],
+    instrument: Instrument,
+    order: int | None = None,
+    *,
+    tick: Callable[[], None] = lambda: None,
+) -> BlackBox:
+    """A stable real state space of one order at every grip.
+
+    Parameters
+    ----------
+    order : even; None takes the one of `ORDERS` with the least Bayesian information criterion.
+    tick : called after each grip of each order.
+
+    Raises
+    ------
+    InputError : an odd order, or one out of range.
+    """
+    if order is not None and (order % 2 or not 2 <= order <= HIGHEST_ORDER):
+        raise InputError(f"--order {order}: must be even, 2 to {HIGHEST_ORDER}; masses come with two states each")
+    responses = sorted(responses, key=lambda one: one.grip_N)
+    best: BlackBox | None = None
+    for tried in (order,) if order is not None else ORDERS:
+        plants, scatter, criterion = [], [], 0.0
+        for one in responses:
+            plant, cost = _fit(one, instrument, tried)
+            points, unknowns = 2 * one.estimate.frequencies_Hz.size, 2 * tried
+            plants.append(plant)
+            scatter.append(cost / max(points - unknowns, 1))
+            criterion += cost + unknowns * np.log(points)
+            tick()
+        found = BlackBox(tuple(one.grip_N for one in responses), tuple(plants), np.array(scatter), float(criterion))
+        if best is not None and found.criterion >= best.criterion:
+            break
+        best = found
+    assert best is not None
+    return best

@@ -1,0 +1,172 @@
+"""The drive chain as numbers: nine parameters at a grip, four for the free device, and their slopes (DESIGN 3.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.identify.device.response import Slope
+from transopt.plant.chain import Hand, LinearInGrip, Link, StateSpace, chain, drive
+
+SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
+HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
+UNITS = {"mass_kg": "kg", "stiffness_N_m": "N/m", "damping_N_s_m": "N s/m"}
+
+
+def unit_of(name: str) -> str:
+    """Unit of a parameter by its name; a slope is per newton of grip."""
+    unit = next(unit for ending, unit in UNITS.items() if ending in name)
+    return f"{unit}/N" if name.endswith(".per_newton") else unit
+
+
+@dataclass(frozen=True)
+class DriveChain:
+    """Motor mass - transmission - stylus - skin - hand mass - arm.
+
+    Attributes
+    ----------
+    force_per_current_N_A : known, not identified: with it all masses, stiffnesses and dampings scale alike.
+    shared : (4,) values of `SHARED`. hand : (5, 2) constant and per newton of `HAND`; (0, 2) without any.
+    """
+
+    force_per_current_N_A: float
+    shared: FloatArray
+    hand: FloatArray
+
+    def hand_at(self, grip_N: float) -> FloatArray:
+        """(5,) values of `HAND`."""
+        return np.asarray(self.hand[:, 0] + self.hand[:, 1] * grip_N)
+
+    def parameters(self, grip_N: float) -> FloatArray:
+        """(9,) at a held grip, (4,) of the free device."""
+        return np.concatenate([self.shared, self.hand_at(grip_N)]) if grip_N > 0 else self.shared
+
+    def plant(self, grip_N: float) -> StateSpace:
+        """The model of design at a grip, 0 for the free device.
+
+        Raises
+        ------
+        InputError : not passive there.
+        """
+        mass, stylus, stiffness, damping = self.shared.tolist()
+        return drive(
+            grip_N,
+            hand=Hand(*(LinearInGrip(*row) for row in self.hand.tolist())) if grip_N > 0 else _NOBODY,
+            stylus_mass_kg=stylus,
+            moving_mass_kg=mass,
+            transmission=Link(stiffness, damping),
+            force_per_current_N_A=self.force_per_current_N_A,
+        )
+
+    def with_force(self, force_per_current_N_A: float) -> "DriveChain":
+        """The device of the same response with another force per ampere."""
+        factor = force_per_current_N_A / self.force_per_current_N_A
+        return DriveChain(force_per_current_N_A, self.shared * factor, self.hand * factor)
+
+    def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
+        """The one plant of a grip, with its weight, as a black box that blends has several."""
+        return [(self.plant(grip_N), 1.0)]
+
+
+_NOBODY = Hand(*(LinearInGrip(0.0, 0.0) for _ in HAND))
+
+
+def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace:
+    """The chain of (9,) or, free, (4,) parameters."""
+    mass, stylus, stiffness, damping, *hand = parameters.tolist()
+    masses, links = [mass, stylus], [Link(stiffness, damping)]
+    if hand:
+        masses.append(hand[0])
+        links += [Link(hand[1], hand[2]), Link(hand[3], hand[4])]
+    return chain(masses, links, force_per_current_N_A=force_per_current_N_A, stylus=1)
+
+
+def log_slopes(parameters: FloatArray, force_per_current_N_A: float) -> tuple[StateSpace, tuple[Slope, ...]]:
+    """A chain and its derivatives by the logarithm of each parameter, exact.
+
+    The matrices are affine in every stiffness and damping, so doubling one gives d/dlog; they are affine in every
+    1/mass, so halving a mass gives -d/dlog.
+
+    Parameters
+    ----------
+    parameters : (9,) or (4,).
+    """
+    plant = chain_of(parameters, force_per_current_N_A)
+    slopes = []
+    for j, name in enumerate((*SHARED, *HAND)[: parameters.size]):
+        factor, sign = (0.5, -1.0) if name.endswith("mass_kg") else (2.0, 1.0)
+        moved = parameters.copy()
+        moved[j] *= factor
+        other = chain_of(moved, force_per_current_N_A)
+        slopes.append(Slope(*(sign * (getattr(other, part) - getattr(plant, part)) for part in "ABCD")))
+    return plant, tuple(slopes)
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The unknowns: logarithms of the shared parameters and of the hand's at the lowest and the highest held grip.
+
+    Between these two grips the hand's parameters are linear, so that the chain is passive at every recorded grip
+    whatever the numbers are. With one held grip the hand is taken to be the same at all.
+
+    Attributes
+    ----------
+    held_N : recorded grips above 0, increasing.
+    """
+
+    held_N: tuple[float, ...]
+
+    @property
+    def ends_N(self) -> tuple[float, ...]:
+        return self.held_N if len(self.held_N) < 2 else (self.held_N[0], self.held_N[-1])
+
+    @property
+    def size(self) -> int:
+        return len(SHARED) + len(HAND) * len(self.ends_N)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(size,) of the unknowns."""
+        return (*SHARED, *(f"hand.{name} at {grip:g} N" for grip in self.ends_N for name in HAND))
+
+    def shares(self, grip_N: float) -> FloatArray:
+        """(ends,) weight of each end in the hand at a grip."""
+        if len(self.ends_N) < 2:
+            return np.ones(len(self.ends_N))
+        low, high = self.ends_N
+        part = (grip_N - low) / (high - low)
+        return np.array([1 - part, part])
+
+    def of(self, device: DriveChain) -> FloatArray:
+        """(size,) unknowns of a device that is passive at both ends."""
+        values: FloatArray = np.concatenate([device.shared, *(device.hand_at(grip) for grip in self.ends_N)])
+        return np.asarray(np.log(values))
+
+    def _hand(self) -> FloatArray:
+        """(2, ends) from the values at the ends to constant and per newton."""
+        if len(self.ends_N) < 2:
+            return np.array([[1.0], [0.0]])[:, : len(self.ends_N)]
+        low, high = self.ends_N
+        return np.array([[high, -low], [-1.0, 1.0]]) / (high - low)
+
+    def device(self, unknowns: FloatArray, force_per_current_N_A: float) -> DriveChain:
+        values = np.exp(unknowns)
+        ends = values[len(SHARED) :].reshape(-1, len(HAND))
+        hand = (self._hand() @ ends).T if self.ends_N else np.zeros((0, 2))
+        return DriveChain(force_per_current_N_A, values[: len(SHARED)], hand)
+
+    def stated(self, unknowns: FloatArray) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+        """Names and values (q,) as a model file states them, and d value / d unknown (q, size)."""
+        values, n, h = np.exp(unknowns), len(SHARED), len(HAND)
+        names, rows = list(SHARED), list(np.diag(values)[:n])
+        transform = self._hand()
+        parts = ("constant", "per_newton") if len(self.ends_N) == 2 else ("constant",)[: len(self.ends_N)]
+        for j, name in enumerate(HAND):
+            for part, weights in zip(parts, transform, strict=False):
+                row = np.zeros(self.size)
+                row[n + j :: h] = weights * values[n + j :: h]
+                names.append(f"hand.{name}.{part}")
+                rows.append(row)
+        matrix = np.array(rows)
+        # Every stated value is linear in the values at the ends, so its row, over all unknowns, sums to it.
+        return tuple(names), matrix.sum(axis=1), matrix

@@ -1,0 +1,350 @@
+"""Identification of a device: both kinds of model fitted, the better one chosen by what was kept out of the fit."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.identify.checks import COHERENT, Finding, by_grip
+from transopt.identify.device.black_box import BlackBox, fit_black_box
+from transopt.identify.device.chain import HAND, SHARED, DriveChain
+from transopt.identify.device.chain_fit import (
+    RANDOM_STARTS,
+    RANGE,
+    ChainFit,
+    GripFit,
+    GripResponse,
+    fit_chain,
+    fit_per_grip,
+    refit,
+)
+from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.device.trials import BAND_HZ, Grip, Records, low_coherence, runs_of, sort_trials
+from transopt.identify.device.validation import Model, Transient, called, compare, short_of, together, verdict
+from transopt.identify.measurement import Measurement
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.chain import StateSpace
+from transopt.scene.model_file import DriveDevice, StateSpaceDevice
+
+PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something
+MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where a lack of fit is told
+SMOOTHED_BINS = 9
+NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where that is told
+SIGMAS = 1.959964  # 95 %
+
+
+class Kind(StrEnum):
+    AUTO = "auto"
+    DRIVE = "drive"
+    STATE_SPACE = "state_space"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One kind of model, fitted and judged.
+
+    Attributes
+    ----------
+    model : gives plants. transients : of each recorded grip, those kept out of the fit.
+    between : NRMSE at grips that the model does not know: those with transients only, and inner held ones by the
+        same kind of model fitted without them.
+    """
+
+    kind: Kind
+    model: Model
+    transients: dict[float, list[Transient]]
+    between: dict[float, float]
+
+    @property
+    def recorded(self) -> dict[float, float]:
+        """Grip -> NRMSE of what was kept out; NaN where nothing was."""
+        return {grip: together(runs) for grip, runs in self.transients.items()}
+
+    @property
+    def error(self) -> float:
+        """Root mean square of all held-out errors, recorded grips and those between alike; NaN without any."""
+        errors = np.array([*self.recorded.values(), *self.between.values()])
+        errors = errors[np.isfinite(errors)]
+        return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
+
+
+@dataclass(frozen=True)
+class DeviceResult:
+    """What identification found.
+
+    Attributes
+    ----------
+    chosen, other : candidates; the other is None where only one kind was asked for or possible.
+    chain : the fit behind the drive chain, if there is one. own_hands : its lack of fit by grip.
+    findings : of the records. advice : what to record again, where. short : why the result is not good enough.
+    """
+
+    grips: list[Grip]
+    instrument: Instrument
+    chosen: Candidate
+    other: Candidate | None
+    chain: ChainFit | None
+    own_hands: list[GripFit]
+    black_box: BlackBox | None
+    findings: list[Finding]
+    advice: list[str]
+    short: list[str]
+
+    @property
+    def residuals(self) -> list[float]:
+        """Of the chosen model by grip: mean square over the noise's."""
+        if self.chosen.kind is Kind.STATE_SPACE:
+            assert self.black_box is not None
+            return [float(value) for value in self.black_box.scatter]
+        assert self.chain is not None
+        return [float(value) for value in self.chain.chi_square / self.chain.points]
+
+    @property
+    def verdict(self) -> str:
+        words = [verdict(self.chosen.recorded, self.chosen.between)]
+        if self.chosen.kind is Kind.DRIVE and self.chain is not None:
+            words += _not_the_devices(self.chain)
+        return "; ".join(words)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is known or asked for.
+
+    Attributes
+    ----------
+    nominal : device to start from, with the known force per ampere. scene_plant : to check units by; None for none.
+    amplifier : identified or known; None is ideal. kind, order : of the model; order None finds one.
+    played_N : grips that the scene plays. random_starts : of the chain's fit.
+    """
+
+    nominal: DriveChain
+    scene_plant: Callable[[float], StateSpace] | None
+    amplifier: Amplifier | None
+    kind: Kind = Kind.AUTO
+    order: int | None = None
+    played_N: tuple[float, ...] = ()
+    random_starts: int = RANDOM_STARTS
+
+
+def identify(
+    runs: Sequence[Measurement],
+    transients: Sequence[Measurement],
+    settings: Settings,
+    *,
+    tick: Callable[[str], None] = lambda _: None,
+) -> DeviceResult:
+    """Responses, both fits, validation, advice.
+
+    Parameters
+    ----------
+    runs : sweeps. transients : for validation only. tick : called with what was just done.
+
+    Raises
+    ------
+    InputError : records that cannot be used, an order that cannot be.
+    """
+    records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
+    grips, instrument = records.grips, records.instrument
+    responses = [grip.response for grip in grips]
+    held = any(grip.grip_N > 0 for grip in grips)
+    chain: ChainFit | None = None
+    box: BlackBox | None = None
+    if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
+        chain = fit_chain(
+            responses,
+            instrument,
+            settings.nominal,
+            random_starts=settings.random_starts,
+            tick=lambda: tick("drive chain"),
+        )
+    if settings.kind is Kind.STATE_SPACE or settings.kind is Kind.AUTO:
+        box = fit_black_box(responses, instrument, settings.order, tick=lambda: tick("state space"))
+    candidates = []
+    if chain is not None:
+        candidates.append(_judge_chain(chain, records))
+        tick("validation")
+    if box is not None:
+        candidates.append(_judge(Kind.STATE_SPACE, box, box.without, records))
+        tick("validation")
+    chosen, *others = candidates
+    if others and others[0].error < PREFERENCE * chosen.error:
+        chosen, others = others[0], [chosen]
+    own_hands = [] if chain is None else fit_per_grip(chain, responses, instrument, least_coherence=COHERENT)
+    advice = _advice(grips, instrument, chosen, settings.played_N)
+    if chain is not None and chosen.kind is Kind.DRIVE:
+        advice += _about_chain(chain, own_hands)
+    return DeviceResult(
+        grips=grips,
+        instrument=instrument,
+        chosen=chosen,
+        other=others[0] if others else None,
+        chain=chain,
+        own_hands=own_hands,
+        black_box=box,
+        findings=records.findings,
+        advice=advice,
+        short=short_of(chosen.recorded, chosen.between),
+    )
+
+
+def _judge(kind: Kind, model: Model, without: Callable[[float], Model], records: Records) -> Candidate:
+    """Errors at recorded grips, at inner ones by the model `without` them, and at grips that have transients only."""
+    grips, instrument = records.grips, records.instrument
+    between = {
+        grip.grip_N: together([compare(without(grip.grip_N), grip.grip_N, instrument, run) for run in grip.kept])
+        for grip in [grip for grip in grips if grip.grip_N > 0][1:-1]
+        if grip.kept
+    }
+    for grip_N, group in by_grip(records.between).items():
+        between[grip_N] = together([compare(model, grip_N, instrument, run) for run in group])
+    return Candidate(
+        kind=kind,
+        model=model,
+        transients={
+            grip.grip_N: [compare(model, grip.grip_N, instrument, run) for run in grip.kept] for grip in grips
+        },
+        between=dict(sorted(between.items())),
+    )
+
+
+def _judge_chain(fit: ChainFit, records: Records) -> Candidate:
+    def without(grip_N: float) -> Model:
+        responses = [grip.response for grip in records.grips if grip.grip_N != grip_N]
+        return refit(fit, responses, records.instrument).device
+
+    return _judge(Kind.DRIVE, fit.device, without, records)
+
+
+def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:
+    """Bands [Hz] where the model is off by more than the noise explains and by more than half a decibel."""
+    e = response.estimate
+    modelled = np.zeros(e.frequencies_Hz.size, dtype=complex)
+    for plant, weight in model.shares(response.grip_N):
+        modelled += weight * sampled_response(plant, instrument, e.frequencies_Hz)[0]
+    error, window = modelled - e.response, np.ones(min(SMOOTHED_BINS, e.response.size))
+    count = np.convolve(np.ones(error.size), window, "same")
+    surprise = np.convolve(np.abs(error / response.deviation) ** 2 / 2, window, "same") / count
+    relative = np.abs(np.convolve(error / e.response, window, "same")) / count
+    inside = (e.frequencies_Hz >= BAND_HZ[0]) & (e.frequencies_Hz <= BAND_HZ[1])
+    return runs_of(e.frequencies_Hz, (surprise > MISFIT) & (relative > MISFIT_RELATIVE) & inside)
+
+
+def _band(low_Hz: float, high_Hz: float) -> str:
+    return f"{low_Hz:.3g} Hz" if low_Hz == high_Hz else f"{low_Hz:.3g}-{high_Hz:.3g} Hz"
+
+
+def _advice(grips: Sequence[Grip], instrument: Instrument, chosen: Candidate, played_N: Sequence[float]) -> list[str]:
+    """What to record again, and where."""
+    said = []
+    for grip in grips:
+        for band in low_coherence(grip.response):
+            said.append(
+                f"coherence low at {_band(*band)} at {called(grip.grip_N)}: sweep longer there, or add trials"
+            )
+        for band in lack_of_fit(grip.response, chosen.model, instrument):
+            said.append(
+                f"lack of fit at {_band(*band)} at {called(grip.grip_N)}: more than noise; record this grip again, "
+                "held steadily, or try --kind state_space with a higher --order"
+            )
+    held = [grip.grip_N for grip in grips if grip.grip_N > 0]
+    if held and len(held) == len(grips):
+        said.append(
+            "no free device: record it too (record sweep --grips 0): it tells the drive's masses from the hand's"
+        )
+    if len(held) == 1:
+        said.append(f"one held grip, {held[0]:.3g} N: the hand is taken to be the same at all; record at least three")
+    for wanted in played_N:
+        if wanted > 0 and held and not held[0] * 0.9 <= wanted <= held[-1] * 1.1:
+            said.append(f"the scene plays {wanted:g} N, recorded are {held[0]:.3g} to {held[-1]:.3g} N: record there")
+        if wanted == 0 and len(held) == len(grips):
+            said.append("the scene plays the free device, which was not recorded: record at grip 0")
+    return said
+
+
+def _not_the_devices(fit: ChainFit) -> list[str]:
+    """Why parameters that predict well may be no masses, springs and dampers of the device all the same."""
+    said = []
+    if fit.scatter > MISFIT:
+        said.append(
+            f"residuals of {fit.scatter:.2g} times the noise: the parameters make up for what the chain lacks "
+            "(further masses, samples not read together, accelerometer_Hz), so that their intervals do not hold"
+        )
+    if fit.at_bounds:
+        said.append(f"at a bound, so without meaning by themselves: {', '.join(fit.at_bounds)}")
+    return said
+
+
+def _about_chain(fit: ChainFit, own_hands: Sequence[GripFit]) -> list[str]:
+    """What the fit itself says against its numbers."""
+    said = [f"{name} ended at its bound: these records do not determine it" for name in fit.at_bounds]
+    for name, sigma in fit.unidentified.items():
+        if name not in fit.at_bounds:
+            factor = _factor(sigma)
+            known = f"is known to a factor of {factor:.2g} only" if factor < RANGE else "is open"
+            said.append(f"{name} {known}: these records do not determine it")
+    said += [
+        f"the hand at {own.grip_N:.3g} N is not on the lines of all grips (up to {own.difference_dB:.2g} dB off): "
+        "record this grip again, or more grips beside it"
+        for own in own_hands
+        if own.difference_dB > NOT_LINEAR_DB and own.scatter > MISFIT
+    ]
+    if fit.agreeing == 1 and fit.starts > 1 and fit.scatter > MISFIT:
+        said.append(f"only one of {fit.starts} starts led to this device: give a --scene nearer to yours")
+    return said
+
+
+def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
+    """The chosen model as a model file holds it."""
+    sources = [
+        {"file": run.source, "sha256": run.sha256} for grip in result.grips for run in (*grip.fitted, *grip.kept)
+    ]
+    nrmse = {f"{grip:.6g}": error for grip, error in result.chosen.recorded.items() if np.isfinite(error)}
+    common = {"grips_N": [grip.grip_N for grip in result.grips], "nrmse": nrmse, "sources": sources}
+    common["verdict"] = "; ".join([result.verdict, *result.short])
+    if result.chosen.kind is Kind.STATE_SPACE:
+        assert result.black_box is not None
+        matrices = {
+            part: [getattr(plant, part).tolist() for plant in result.black_box.plants]
+            for part in ("A", "B", "C", "D")
+        }
+        return StateSpaceDevice.model_validate(
+            {"kind": "state_space", "order": result.black_box.order, **matrices, **common}
+        )
+    assert result.chain is not None
+    device = result.chain.device
+    names, values, covariance = result.chain.stated()
+    return DriveDevice.model_validate(
+        {
+            "kind": "drive",
+            "force_per_current_N_A": device.force_per_current_N_A,
+            **dict(zip(SHARED, device.shared.tolist(), strict=True)),
+            "hand": {
+                name: {"constant": constant, "per_newton": slope}
+                for name, (constant, slope) in zip(HAND, device.hand.tolist(), strict=True)
+            },
+            "parameters": list(names),
+            "covariance": covariance.tolist(),
+            "intervals": intervals(names, values, covariance),
+            **common,
+        }
+    )
+
+
+def _factor(sigma: float) -> float:
+    """Half the 95 % interval of a positive number from the deviation of its logarithm; at most the range searched."""
+    return float(np.exp(min(SIGMAS * sigma, np.log(RANGE))))
+
+
+def intervals(names: Sequence[str], values: FloatArray, covariance: FloatArray) -> dict[str, tuple[float, float]]:
+    """95 % by name: of what must be positive on a logarithmic scale, of constants and slopes on a plain one."""
+    found = {}
+    for name, value, sigma in zip(names, values, np.sqrt(np.diag(covariance)), strict=True):
+        if name in SHARED:
+            factor = _factor(sigma / value)
+            found[name] = (float(value / factor), float(value * factor))
+        else:
+            found[name] = (float(value - SIGMAS * sigma), float(value + SIGMAS * sigma))
+    return found

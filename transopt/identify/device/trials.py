@@ -1,0 +1,321 @@
+"""Records of a device sorted for identification: by grip, checked, split into what is fitted and what is kept out."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.identify.checks import (
+    COHERENT,
+    GRAVITY_TOLERANCE,
+    GRIP_STEP_N,
+    Fault,
+    Finding,
+    by_grip,
+    check_cycles,
+    check_gravity,
+    check_grips,
+    check_measurement,
+    check_passive,
+    check_rates,
+    refuse,
+)
+from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.measurement import Measurement
+from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.chain import StateSpace
+from transopt.plant.discretise import split_delay
+
+QUANTITIES = ("command", "current", "acceleration")
+LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validation
+LEAST_BINS = 30  # of a response: every fourth of them still outnumbers the unknowns of a grip
+ALIKE = 0.5  # correlation of measured and expected acceleration from which on sign and size mean something
+MOST_GAIN = 2.0  # by which current and command may differ either way
+MOST_LAG = 20  # ticks searched for a shift between them
+BAND_HZ = (2.0, 800.0)  # where a design needs the model
+FREE_BAND_HZ = (20.0, 800.0)  # below, a free device only drifts, further than its stroke
+
+
+@dataclass(frozen=True)
+class Grip:
+    """All runs at one grip.
+
+    Attributes
+    ----------
+    grip_N : their mean, 0 for the free device. response : from the fitted ones.
+    fitted, kept : what the model is fitted to, and what it is judged by; the latter may be empty.
+    """
+
+    grip_N: float
+    response: GripResponse
+    fitted: tuple[Measurement, ...]
+    kept: tuple[Measurement, ...]
+
+
+@dataclass(frozen=True)
+class Records:
+    """Everything that was recorded, in order.
+
+    Attributes
+    ----------
+    grips : increasing. between : transients at grips without sweeps, between those with. findings : not fatal.
+    """
+
+    grips: list[Grip]
+    instrument: Instrument
+    between: list[Measurement]
+    findings: list[Finding]
+
+
+def felt_current(run: Measurement, amplifier: Amplifier | None) -> Signal:
+    """The measured current, or what the known amplifier makes of the command.
+
+    Raises
+    ------
+    InputError : neither was recorded.
+    """
+    if run.current is not None:
+        return run.current
+    if run.command is None:
+        raise InputError(f"{run.name}: neither current_A nor command_A; record the measured current")
+    command, dt = run.command.values, run.command.dt_s
+    whole, late = split_delay(0.0 if amplifier is None else amplifier.delay_s, dt)
+    late_command = np.concatenate([np.zeros(whole + 1), command])[: command.size]
+    if amplifier is None:
+        return Signal(run.command.start_s, dt, late_command)
+    kept, rest = np.exp(-amplifier.rate_rad_s * dt), np.exp(-amplifier.rate_rad_s * (dt - late))
+    values = signal.lfilter([1 - rest, rest - kept], [1.0, -kept], late_command)
+    return Signal(run.command.start_s, dt, np.asarray(values))
+
+
+def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> Instrument:
+    """What stands between the device and these records.
+
+    Raises
+    ------
+    InputError : files that state different accelerometers, or none that holds an acceleration.
+    """
+    poles = {run.name: run.accelerometer_Hz for run in runs}
+    first = next(iter(poles))
+    for name, pole in poles.items():
+        if pole != poles[first]:
+            raise InputError(
+                f"{name}: accelerometer_Hz {pole}, {first} {poles[first]}: must be one sensor; state the same or none"
+            )
+    return Instrument(runs[0].require("acceleration", "acceleration_m_s2").dt_s, amplifier, poles[first])
+
+
+def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> list[Finding]:
+    """Where both were recorded: a current in another unit, the wrong way round, or not read when the command was.
+
+    A shift of whole ticks between current and acceleration looks like a device of other masses, which a record with
+    the same shift cannot tell from the true one: only the command can.
+    """
+    if run.command is None or run.current is None:
+        return []
+    modelled = felt_current(replace(run, current=None), amplifier).values
+    modelled = modelled - modelled.mean()
+    measured = run.current.values - run.current.values.mean()
+    size, power = 2 * measured.size, float(modelled @ modelled)
+    if power == 0:
+        return []
+    along = np.fft.irfft(np.fft.rfft(measured, size) * np.fft.rfft(modelled, size).conj(), size)
+    lags = np.concatenate([along[-MOST_LAG:], along[: MOST_LAG + 1]])
+    best = int(np.argmax(np.abs(lags)))
+    gain, lag = float(lags[best]) / power, best - MOST_LAG
+    if not abs(gain) * np.sqrt(power) > ALIKE * float(np.linalg.norm(measured)):
+        text = "the measured current does not follow the command; check the current monitor, and record again"
+        return [Finding(Fault.INCOHERENT, run.name, text, True)]
+    if gain < 0:
+        text = "current_A is opposite to command_A; turn the sign of the one that is not positive when pushing out"
+        return [Finding(Fault.POLARITY, run.name, text, True)]
+    if abs(np.log(gain)) > np.log(MOST_GAIN):
+        text = f"current_A is {gain:.3g} times what the amplifier makes of command_A; are both in A?"
+        return [Finding(Fault.CURRENT_SCALE, run.name, text, True)]
+    if lag == 0:
+        return []
+    late = f"{abs(lag)} samples {'later' if lag > 0 else 'earlier'} than the known amplifier makes it"
+    remedy = "read command, current and acceleration at the same tick, or identify this amplifier into --out first"
+    return [Finding(Fault.SHIFTED, run.name, f"current_A comes {late} of command_A; {remedy}", False)]
+
+
+def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -> list[Finding]:
+    """A trial that answers against the others, or in another unit: the mean of all would hide it."""
+    if estimate.trials < 2:
+        return []
+    clear = estimate.coherence >= np.median(estimate.coherence) / 2
+    each = estimate.trial_responses[:, clear]
+    middle = np.median(np.abs(each), axis=0)
+    reference = each[int(np.argmin([np.median(np.abs(np.abs(one) / middle - 1)) for one in each]))]
+    found = []
+    signs = np.array([np.sum((one * reference.conj()).real / np.abs(reference) ** 2) for one in each])
+    minority = 1.0 if np.sum(signs > 0) < np.sum(signs < 0) else -1.0
+    for name, one, sign in zip(names, each, signs, strict=True):
+        if sign * minority > 0:
+            text = f"acceleration answers the current the other way than in the other trials of {where}"
+            remedy = "turn the accelerometer or the current's sign in this file, or record it again"
+            found.append(Finding(Fault.POLARITY, name, f"{text}; {remedy}", True))
+        ratio = float(np.median(np.abs(one) / middle))
+        for factor in (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2):
+            if abs(np.log(ratio / factor)) < np.log1p(GRAVITY_TOLERANCE):
+                text = f"acceleration is {ratio:.3g} times that of the other trials of {where}"
+                found.append(Finding(Fault.UNITS, name, f"{text}; is its column in g or in m/s^2?", True))
+    return found
+
+
+def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate, where: str) -> list[Finding]:
+    """A run kept for validation that answers against the response of its grip, or in another unit.
+
+    Such a run would be taken for an error of the model.
+    """
+    given, answer = np.fft.rfft(trial.input.values), np.fft.rfft(trial.output.values)
+    lines = np.fft.rfftfreq(trial.input.values.size, trial.input.dt_s)
+    f = estimate.frequencies_Hz
+    inside = (lines >= f[0]) & (lines <= f[-1])
+    expected = np.interp(lines[inside], f, estimate.response) * given[inside]
+    found, along = answer[inside], float(np.vdot(expected, answer[inside]).real)
+    size = float(np.linalg.norm(expected) * np.linalg.norm(found))
+    if not abs(along) > ALIKE * size:
+        return []  # no word either way
+    if along < 0:
+        text = f"acceleration answers the current the other way than in the sweeps of {where}"
+        remedy = "turn the accelerometer or the current's sign in this file, or record it again"
+        return [Finding(Fault.POLARITY, run.name, f"{text}; {remedy}", True)]
+    ratio = along / float(np.linalg.norm(expected)) ** 2
+    if min(abs(np.log(ratio / factor)) for factor in (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2)) < np.log1p(
+        GRAVITY_TOLERANCE
+    ):
+        text = f"acceleration is {ratio:.3g} times that of the sweeps of {where}"
+        return [Finding(Fault.UNITS, run.name, f"{text}; is its column in g or in m/s^2?", True)]
+    return []
+
+
+def _too_short(where: str, estimate: TransferEstimate) -> list[Finding]:
+    """A response of too few bins for any fit."""
+    bins = estimate.frequencies_Hz.size
+    if bins >= LEAST_BINS:
+        return []
+    text = f"the sweeps resolve {bins} bands of frequency, at least {LEAST_BINS} are needed; sweep longer and wider"
+    return [Finding(Fault.TOO_FEW_CYCLES, where, text, True)]
+
+
+def sort_trials(
+    runs: Sequence[Measurement],
+    transients: Sequence[Measurement],
+    amplifier: Amplifier | None,
+    nominal: Callable[[float], StateSpace] | None,
+    *,
+    tick: Callable[[], None] = lambda: None,
+) -> Records:
+    """Grips with their responses, what the model is judged by, and what is wrong but not fatal.
+
+    Without `transients` the last trial of a grip that has three or more is kept for validation.
+
+    Parameters
+    ----------
+    runs : sweeps. transients : recorded apart, for validation only.
+    nominal : plant at a grip to compare the unit of acceleration with; None without any. tick : after each grip.
+
+    Raises
+    ------
+    InputError : a fatal finding, with what to record again.
+    """
+    together = [*runs, *transients]
+    found = refuse(finding for run in together for finding in check_measurement(run, QUANTITIES))
+    trials_of = {
+        id(run): Trial(run.name, felt_current(run, amplifier), run.require("acceleration", "acceleration_m_s2"))
+        for run in together
+    }
+    found += refuse(check_rates(list(trials_of.values())) + check_grips(runs))
+    found += refuse(f for f in check_grips(transients) if f.fatal)
+    instrument = instrument_of(together, amplifier)
+    if instrument.accelerometer_Hz is None:
+        text = "taken as ideal, so that its delay goes into the masses; add # accelerometer_Hz: 2500, or what it has"
+        found.append(Finding(Fault.BANDWIDTH, "accelerometer_Hz", text, False))
+    groups, grips = by_grip(runs), []
+    apart = [run for run in transients if _recorded_at(run, list(groups)) is None]
+    found += [finding for run in apart for finding in _outside(run, list(groups))]
+    for grip_N, group in groups.items():
+        where = "the free device" if grip_N == 0 else f"{grip_N:.3g} N"
+        in_order = sorted(group, key=runs.index)
+        hold_out = not transients and len(group) >= LEAST_TO_HOLD_OUT
+        fitted = in_order[:-1] if hold_out else in_order
+        kept = in_order[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
+        trials = [trials_of[id(run)] for run in fitted]
+        estimate = estimate_transfer(trials)
+        # What is too short answers any way: that comes first.
+        again = _too_short(where, estimate)
+        again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
+        for run in (*fitted, *kept):
+            again += _current_against_command(run, amplifier)
+        again += _odd_one_out(where, [run.name for run in fitted], estimate)
+        again += check_passive(where, estimate)
+        if nominal is not None:
+            expected = sampled_response(nominal(grip_N), instrument, estimate.frequencies_Hz)[0]
+            again += check_gravity(where, estimate, np.abs(expected), "the scene's device")
+        for run in kept:
+            again += _against_response(run, trials_of[id(run)], estimate, where)
+        found += refuse(again)
+        grips.append(Grip(grip_N, GripResponse(grip_N, estimate), tuple(fitted), tuple(kept)))
+        tick()
+    between = [run for run in apart if not _outside(run, list(groups))]
+    for run in between:
+        beside = min(
+            (grip for grip in grips if grip.grip_N > 0), key=lambda grip: abs(grip.grip_N - (run.grip_N or 0.0))
+        )
+        where = f"{beside.grip_N:.3g} N"
+        again = _current_against_command(run, amplifier)
+        found += refuse(again + _against_response(run, trials_of[id(run)], beside.response.estimate, where))
+    return Records(grips, instrument, between, found)
+
+
+def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
+    """The recorded grip that a transient is of; None for one that was not recorded."""
+    assert run.grip_N is not None
+    wanted = run.grip_N
+    near = [grip for grip in recorded_N if abs(grip - wanted) < GRIP_STEP_N and (grip > 0) == (wanted > 0)]
+    return min(near, key=lambda grip: abs(grip - wanted)) if near else None
+
+
+def _outside(run: Measurement, recorded_N: Sequence[float]) -> list[Finding]:
+    """A transient at a grip that no model will know."""
+    assert run.grip_N is not None
+    held = [grip for grip in recorded_N if grip > 0]
+    if run.grip_N > 0 and held and held[0] <= run.grip_N <= held[-1]:
+        return []
+    listed = ", ".join(f"{grip:.3g}" for grip in recorded_N)
+    text = f"grip {run.grip_N:.3g} N, sweeps at {listed} N: not judged; record sweeps there"
+    return [Finding(Fault.MISSING_GRIP, run.name, text, False)]
+
+
+def _band_Hz(grip_N: float) -> tuple[float, float]:
+    return BAND_HZ if grip_N > 0 else FREE_BAND_HZ
+
+
+def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
+    """Bands [Hz] within 2 (free: 20) to 800 Hz whose coherence is low, or that were not excited at all."""
+    e, (low, high) = response.estimate, _band_Hz(response.grip_N)
+    inside = (e.frequencies_Hz >= low) & (e.frequencies_Hz <= high)
+    bands = runs_of(e.frequencies_Hz[inside], e.coherence[inside] < COHERENT)
+    if e.frequencies_Hz[0] > 1.5 * low:
+        bands.insert(0, (low, float(e.frequencies_Hz[0])))
+    if e.frequencies_Hz[-1] < high / 1.5:
+        bands.append((float(e.frequencies_Hz[-1]), high))
+    return bands
+
+
+def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """First and last frequency of each run of `bad` bins; single good bins between do not end one."""
+    bands: list[list[int]] = []
+    for j in np.flatnonzero(bad):
+        if bands and j - bands[-1][1] <= 2:
+            bands[-1][1] = int(j)
+        else:
+            bands.append([int(j), int(j)])
+    return [(float(frequencies_Hz[a]), float(frequencies_Hz[b])) for a, b in bands]

@@ -1,0 +1,87 @@
+"""Figure of an identified amplifier, like the seed's Fig. 6."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
+
+from transopt.base.plotting import LABEL_PT, OPTIMUM, SEED, SMALL_PT
+from transopt.base.signals import FloatArray
+from transopt.identify.amplifier import AmplifierFit
+from transopt.identify.spectrum import ComplexArray
+from transopt.plant.amplifier import Amplifier, prefilter_coefficients
+
+POINTS = 400
+MOST_UNKNOWN = 0.2  # of the magnitude: where the band at either end is wider, the figure ends
+
+
+def amplifier_figure(fit: AmplifierFit) -> Figure:
+    """Magnitude and phase from command to measured current, and from wanted current through the prefilter to it.
+
+    Dots: the estimate; shaded: its 95 % band; lines: one pole and a delay, held and sampled.
+    """
+    known = fit.estimate.half_width() < MOST_UNKNOWN * np.abs(fit.estimate.response)
+    estimate = fit.estimate.between(*fit.estimate.frequencies_Hz[known][[0, -1]])
+    f = estimate.frequencies_Hz
+    fine = np.geomspace(f[0], f[-1], POINTS)
+    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
+    magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
+    before = "command to current"
+    _draw(magnitude, phase, f, estimate.response, estimate.half_width(), OPTIMUM, before)
+    _line(
+        magnitude, phase, fine, fit.response(fine), OPTIMUM, f"fit: {fit.pole_Hz:.0f} Hz, {1e6 * fit.delay_s:.1f} us"
+    )
+    ahead, ahead_fine = prefilter_response(fit, f), prefilter_response(fit, fine)
+    after = estimate.response * ahead
+    _draw(magnitude, phase, f, after, estimate.half_width() * np.abs(ahead), SEED, "after the prefilter")
+    _line(magnitude, phase, fine, fit.response(fine) * ahead_fine, SEED, "fit after the prefilter")
+    magnitude.set_xscale("log")
+    magnitude.set_ylabel("magnitude [dB]", fontsize=LABEL_PT)
+    phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
+    phase.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
+    phase.set_xlim(f[0], f[-1])
+    phase.yaxis.set_major_locator(MultipleLocator(90))
+    phase.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    phase.xaxis.set_minor_formatter(NullFormatter())
+    for axes in (magnitude, phase):
+        axes.grid(True, color="0.9", linewidth=0.6)
+        axes.tick_params(labelsize=SMALL_PT)
+        axes.spines[["top", "right"]].set_visible(False)
+    magnitude.legend(fontsize=SMALL_PT, frameon=False, loc="lower left")
+    hold = f"delay beyond the hold; with its half sample {1e6 * fit.delay_with_hold_s:.1f} us"
+    phase.text(0.02, 0.04, hold, transform=phase.transAxes, fontsize=SMALL_PT)
+    return figure
+
+
+def prefilter_response(fit: AmplifierFit, frequencies_Hz: FloatArray) -> ComplexArray:
+    """(m,) of the prefilter of DESIGN 3.2 made for the fitted pole."""
+    pole = Amplifier(fit.pole_Hz, fit.delay_s, 1.0)  # the range of the command has no part in it
+    now, before = prefilter_coefficients(pole, fit.dt_s)
+    return np.asarray(now + before * np.exp(-2j * np.pi * frequencies_Hz * fit.dt_s))
+
+
+def _draw(
+    magnitude: Axes,
+    phase: Axes,
+    f: FloatArray,
+    response: ComplexArray,
+    half_width: FloatArray,
+    colour: str,
+    label: str,
+) -> None:
+    """An estimate with its band."""
+    size = np.abs(response)
+    least = 1e-6 * size.max()
+    low, high = np.maximum(size - half_width, least), size + half_width
+    degrees = np.degrees(np.unwrap(np.angle(response)))
+    spread = np.degrees(np.arcsin(np.minimum(half_width / size, 1.0)))
+    magnitude.fill_between(f, 20 * np.log10(low), 20 * np.log10(high), color=colour, alpha=0.25, linewidth=0)
+    magnitude.plot(f, 20 * np.log10(size), ".", color=colour, markersize=2.5, label=f"{label}, 95 % band")
+    phase.fill_between(f, degrees - spread, degrees + spread, color=colour, alpha=0.25, linewidth=0)
+    phase.plot(f, degrees, ".", color=colour, markersize=2.5)
+
+
+def _line(magnitude: Axes, phase: Axes, f: FloatArray, response: ComplexArray, colour: str, label: str) -> None:
+    """A fit."""
+    magnitude.plot(f, 20 * np.log10(np.abs(response)), color=colour, linewidth=1.1, label=label)
+    phase.plot(f, np.degrees(np.unwrap(np.angle(response))), color=colour, linewidth=1.1)

@@ -1,0 +1,1 @@
+"""The hand from taps: mass, damping and stiffness over grip force."""

@@ -1,0 +1,269 @@
+"""The hand over grip: lines through the taps' mass, damping and stiffness, with intervals (seed Eqs. 3-5, Fig. 5)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.identify.hand.tap import Tap, TapFit, fit_tap
+from transopt.plant.chain import LinearInGrip
+
+QUANTITIES = ("mass_kg", "damping_N_s_m", "stiffness_N_m")
+COEFFICIENTS = tuple(f"{quantity}.{part}" for quantity in QUANTITIES for part in ("constant", "per_newton"))
+LEAST_TRIALS, LEAST_GRIPS = 12, 3
+LEVEL = 0.95
+RESAMPLES = 2000
+_SAME_GRIP, _SAME_GRIP_N = 0.15, 0.1  # grips no farther apart than this count as one
+_PLAUSIBLE_KG = (0.03, 1.0)  # of a hand with a stylus
+# Beyond these the model is not to be relied upon.
+MOST_UNEXPLAINED = 0.10
+MOST_UNCERTAIN = 0.25  # half width of the interval at the middle grip, relative
+LACK_OF_FIT_P = 0.01
+MOST_SHIFTED = 1.25  # times more unexplained than with force and acceleration shifted by a sample
+
+
+@dataclass(frozen=True)
+class GripLine:
+    """One quantity over grip.
+
+    Attributes
+    ----------
+    at_taps : (T,) of the single taps.
+    line : least squares through them. intervals : 95 % of its constant and of its slope, (2, 2).
+    band : 95 % at `grips_N` (p, 3) grip, lower, upper.
+    lack_of_fit_p : how likely taps would stray this far from a line if it were one; NaN without repeats.
+    """
+
+    quantity: str
+    at_taps: FloatArray
+    line: LinearInGrip
+    intervals: FloatArray
+    band: FloatArray
+    lack_of_fit_p: float
+
+
+@dataclass(frozen=True)
+class HandFit:
+    """The hand of one session.
+
+    Attributes
+    ----------
+    grips_N : (T,). fits : one per tap. lines : of `QUANTITIES`.
+    covariance : (6, 6) of `COEFFICIENTS`, of the bootstrap, SI.
+    shifted : median unexplained part with the force a sample earlier, and a sample later, than it was recorded.
+    """
+
+    grips_N: FloatArray
+    fits: tuple[TapFit, ...]
+    lines: tuple[GripLine, GripLine, GripLine]
+    covariance: FloatArray
+    shifted: tuple[float, float]
+
+    @property
+    def unexplained(self) -> float:
+        """Median over the taps of |F - fit| / |F|."""
+        return float(np.median([fit.unexplained for fit in self.fits]))
+
+    def shortfalls(self) -> list[str]:
+        """Why this model is not to be relied upon, each with what to record again; none if it is."""
+        if self.unexplained > MOST_UNEXPLAINED:
+            # Whatever else shows follows from it.
+            return [
+                f"one mass on a spring and a damper leaves {100 * self.unexplained:.0f} % of the surface force "
+                f"unexplained (at most {100 * MOST_UNEXPLAINED:.0f} %): the stylus moves within the grip, see the "
+                "fourth order, or force and acceleration are not sampled at the same time (accelerometer_Hz)"
+            ]
+        found = []
+        if min(self.shifted) * MOST_SHIFTED < self.unexplained:
+            late = "later" if self.shifted[0] < self.shifted[1] else "earlier"
+            found.append(
+                f"the force is read about a sample {late} than the acceleration: shifted by one, mass, spring and "
+                f"damper leave {100 * min(self.shifted):.2g} % unexplained, not {100 * self.unexplained:.2g} %, "
+                "and damping and stiffness are others; state accelerometer_Hz, or read both at the same time"
+            )
+        low, high = float(self.grips_N.min()), float(self.grips_N.max())
+        for line in self.lines:
+            # At both ends, and so in between.
+            for grip_N in (low, high):
+                if not line.line.at(grip_N) > 0:
+                    found.append(
+                        f"{line.quantity} is {line.line.at(grip_N):.3g} at {grip_N:.3g} N: must be > 0 (passive); "
+                        f"record more taps near {grip_N:.2g} N"
+                    )
+            middle, lower, upper = line.band[line.band.shape[0] // 2]
+            if not line.line.at(middle) > 0:
+                continue
+            uncertain = float((upper - lower) / 2 / line.line.at(middle))
+            if uncertain > MOST_UNCERTAIN:
+                found.append(
+                    f"{line.quantity} is known to {100 * uncertain:.0f} % at {middle:.2g} N (at most "
+                    f"{100 * MOST_UNCERTAIN:.0f} %): record about {np.ceil((uncertain / MOST_UNCERTAIN) ** 2):.0f} "
+                    "times as many taps, faster ones"
+                )
+            if line.lack_of_fit_p < LACK_OF_FIT_P:
+                worst = self._farthest(line)
+                found.append(
+                    f"{line.quantity} is no line over grip (p = {line.lack_of_fit_p:.1g}; farthest off near "
+                    f"{worst:.2g} N): record more taps around {worst:.2g} N, or keep to a narrower range of grips"
+                )
+        return found
+
+    def _farthest(self, line: GripLine) -> float:
+        """Mean grip of the group whose mean lies farthest from the line."""
+        groups = grip_groups(self.grips_N)
+        off = [abs(np.mean(line.at_taps[g]) - line.line.at(float(self.grips_N[g].mean()))) for g in groups]
+        return float(self.grips_N[groups[int(np.argmax(off))]].mean())
+
+
+def fit_hand(taps: Sequence[Tap], *, resamples: int = RESAMPLES, seed: int = 0) -> HandFit:
+    """Each tap by itself, then lines over grip; intervals by resampling trials.
+
+    Trials, not residuals, are resampled: hands vary more than sensors err, and not alike at every grip. The intervals
+    are studentised (bootstrap-t), exact to second order; percentiles are 1 % short of their nominal coverage here.
+
+    Parameters
+    ----------
+    resamples : bootstrap samples. seed : of their draw.
+
+    Raises
+    ------
+    InputError : too few taps or grips, or masses that no hand has.
+    """
+    grips = np.array([tap.grip_N for tap in taps])
+    if len(taps) < LEAST_TRIALS:
+        raise InputError(
+            f"{len(taps)} taps: at least {LEAST_TRIALS} are needed for intervals, 81 are good: tap more, "
+            "simulated with record tap --grips 1,3,5 --repeats 3"
+        )
+    groups = grip_groups(grips)
+    if len(groups) < LEAST_GRIPS:
+        felt = ", ".join(f"{grips[group].mean():.2g}" for group in groups)
+        raise InputError(
+            f"only {len(groups)} different grips ({felt} N): at least {LEAST_GRIPS} are needed for a line and its "
+            "lack of fit; record taps at other grips"
+        )
+    fits = tuple(fit_tap(tap) for tap in taps)
+    values = np.array([[getattr(fit, quantity) for fit in fits] for quantity in QUANTITIES])  # (3, T)
+    _check_mass(float(np.median(values[0])))
+
+    found = _lines(grips, values, np.ones(len(taps)))
+    random = np.random.default_rng(seed)
+    weights = random.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), size=resamples).astype(float)
+    # A resample of a single grip has no slope.
+    weights = weights[[np.ptp(grips[row > 0]) > 0 for row in weights]]
+    again = _lines(grips, values, weights)
+    axis = np.linspace(grips.min(), grips.max(), 41)
+    lines = []
+    for j, quantity in enumerate(QUANTITIES):
+        line = LinearInGrip(*found.coefficients[j].tolist())
+        points = np.stack([np.ones(axis.size), axis], axis=1)
+        band = _studentised(points, found.coefficients[j], found.covariances[j], again, j)
+        coefficients = _studentised(np.eye(2), found.coefficients[j], found.covariances[j], again, j)
+        lines.append(
+            GripLine(
+                quantity=quantity,
+                at_taps=values[j],
+                line=line,
+                intervals=coefficients,
+                band=np.column_stack([axis, band]),
+                lack_of_fit_p=_lack_of_fit(grips, values[j], line, groups),
+            )
+        )
+    drawn = np.concatenate([again.coefficients[j] for j in range(3)], axis=1)
+    shifted = tuple(float(np.median([fit_tap(_shifted(tap, by)).unexplained for tap in taps])) for by in (1, -1))
+    return HandFit(grips, fits, (lines[0], lines[1], lines[2]), np.cov(drawn, rowvar=False), (shifted[0], shifted[1]))
+
+
+def _shifted(tap: Tap, by: int) -> Tap:
+    """The tap with its force `by` samples earlier."""
+    if by > 0:
+        return replace(tap, force_N=tap.force_N[by:], acceleration_m_s2=tap.acceleration_m_s2[:-by])
+    return replace(tap, force_N=tap.force_N[:by], acceleration_m_s2=tap.acceleration_m_s2[-by:])
+
+
+def grip_groups(grips_N: FloatArray) -> list[np.ndarray]:
+    """Indices of taps whose grips count as one, from the lightest on."""
+    order = np.argsort(grips_N)
+    groups: list[list[int]] = []
+    for index in order.tolist():
+        if groups and grips_N[index] <= grips_N[groups[-1][0]] * (1 + _SAME_GRIP) + _SAME_GRIP_N:
+            groups[-1].append(index)
+        else:
+            groups.append([index])
+    return [np.array(group) for group in groups]
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Least squares lines of 3 quantities, each with B resamples or without that axis.
+
+    coefficients : 3 times (B, 2) constant and slope. covariances : 3 times (B, 2, 2), consistent whatever the
+    scatter does over grip (White 1980, with the leverages of MacKinnon and White's HC2).
+    """
+
+    coefficients: list[FloatArray]
+    covariances: list[FloatArray]
+
+
+def _lines(grips: FloatArray, values: FloatArray, weights: FloatArray) -> _Lines:
+    """Lines through values (3, T) over grips (T,), taps counted with weights (..., T)."""
+    count = weights.sum(-1)
+    mean = weights @ grips / count
+    away = grips - mean[..., None]
+    spread = (weights * away**2).sum(-1)
+    # What each tap adds to the slope and to the constant.
+    to_slope = away / spread[..., None]
+    to_constant = 1 / count[..., None] - mean[..., None] * to_slope
+    leverage = np.minimum(1 / count[..., None] + away * to_slope, 0.9)
+    coefficients, covariances = [], []
+    for y in values:
+        slope = (weights * to_slope * y).sum(-1)
+        constant = (weights * to_constant * y).sum(-1)
+        left = y - constant[..., None] - slope[..., None] * grips
+        variance = weights * left**2 / (1 - leverage)
+        parts = np.stack([to_constant, to_slope], axis=-2)
+        covariances.append(np.einsum("...it,...t,...jt->...ij", parts, variance, parts))
+        coefficients.append(np.stack([constant, slope], axis=-1))
+    return _Lines(coefficients, covariances)
+
+
+def _studentised(points: FloatArray, found: FloatArray, covariance: FloatArray, again: _Lines, j: int) -> FloatArray:
+    """(p, 2) 95 % intervals of points @ coefficients by bootstrap-t."""
+
+    def error(matrix: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.einsum("pi,...ij,pj->...p", points, matrix, points)))
+
+    centre, own = points @ found, error(covariance)
+    away, drawn = again.coefficients[j] @ points.T - centre, error(again.covariances[j])
+    # A quantity that is zero at every tap, such as the spring of a hand that shows none, has no scatter.
+    t = np.divide(away, drawn, out=np.zeros_like(away), where=drawn > 0)
+    tails = np.quantile(t, [(1 + LEVEL) / 2, (1 - LEVEL) / 2], axis=0)
+    return np.asarray((centre - tails * own).T)
+
+
+def _lack_of_fit(grips: FloatArray, y: FloatArray, line: LinearInGrip, groups: Sequence[np.ndarray]) -> float:
+    """p of the F test of the groups' means about the line against the scatter within the groups.
+
+    Grips within a group differ a little, so each tap counts with its distance from the line.
+    """
+    left = y - line.constant - line.per_newton * grips
+    within = sum(float(((left[g] - left[g].mean()) ** 2).sum()) for g in groups)
+    between = sum(g.size * float(left[g].mean()) ** 2 for g in groups)
+    free, inner = len(groups) - 2, y.size - len(groups)
+    if inner < 1 or free < 1 or within == 0:
+        return float("nan")
+    return float(stats.f.sf(between / free / (within / inner), free, inner))
+
+
+def _check_mass(median_kg: float) -> None:
+    low, high = _PLAUSIBLE_KG
+    if low <= median_kg <= high:
+        return
+    found = f"the taps show a mass of {median_kg:.3g} kg (median): a hand with a stylus has {low:g} to {high:g} kg"
+    remedy = (
+        "is force in kgf, its column named force_N?" if median_kg < low else "was force multiplied by 9.81 twice?"
+    )
+    raise InputError(f"{found}; {remedy} Check the units of force and acceleration")

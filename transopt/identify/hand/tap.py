@@ -1,0 +1,256 @@
+"""One tap on a real surface: where it begins, what spoils it, and the mass on spring and damper that it shows.
+
+Seed Eqs. 1-2, with y the stylus' deviation from the motion that the hand intends (DESIGN 2: straight on):
+F_surface = m y'' + b y' + k y. Before contact y = 0, so y' and y are integrals of the acceleration from contact on,
+and neither the incoming speed nor an encoder is needed. A hand cannot answer a tap within 30 ms: there the fit ends.
+
+What biases such a fit, and what is done about it (figures: `scripts/hand_coverage.py --bias`):
+
+- a force and an acceleration that are not seen at the same time. The accelerometer's pole at 2.5 kHz alone, 64 us,
+  takes 4 % of the damping away and adds 13 % of stiffness; so the force goes through the same pole.
+- noise in the regressors (errors in variables). It pulls m down by its share of the power of a. Both sides go through
+  the same causal 500 Hz low-pass, which no linear relation between them notices, and the share falls to 1e-4.
+- a static offset, which integrates to a drift: taken from the record before contact.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, signal
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.identify.measurement import Measurement
+
+REACTION_S = 30e-3  # the hand's intention goes straight on for this long
+LOWPASS_HZ = 500.0
+_BASELINE_S = 5e-3  # least record before contact
+_GUARD_S = 0.5e-3  # before the force is seen to rise
+_RISE = 0.02  # of its peak, at which a force is no noise
+_NOISE = 6.0  # standard deviations
+_STUCK = 4  # samples at one extreme value: an end stop
+_JITTER = 0.2  # steps off the uniform grid
+_CALIBRATION = 0.2  # relative difference of displacements by encoder and by accelerometer
+MOST_LEFT_OUT = 0.2  # of the trials
+_NEAR_G = 1.3  # factor around 9.81 that still means 9.81
+
+
+@dataclass(frozen=True)
+class Tap:
+    """The part of a trial that is fitted, from shortly before contact to `REACTION_S` after it.
+
+    Attributes
+    ----------
+    grip_N, speed_m_s : as stated; speed None if the file has none.
+    dt_s : sampling period.
+    force_N, acceleration_m_s2 : (n,) without offsets, alike delayed and low-passed.
+    """
+
+    name: str
+    grip_N: float
+    speed_m_s: float | None
+    dt_s: float
+    force_N: FloatArray
+    acceleration_m_s2: FloatArray
+
+    @property
+    def velocity_m_s(self) -> FloatArray:
+        """(n,) of the deviation, from rest."""
+        return _integral(self.acceleration_m_s2, self.dt_s)
+
+    @property
+    def displacement_m(self) -> FloatArray:
+        """(n,) of the deviation, from zero."""
+        return _integral(self.velocity_m_s, self.dt_s)
+
+
+def _integral(x: FloatArray, dt_s: float) -> FloatArray:
+    """(n,) from zero, by the trapezoidal rule."""
+    return np.concatenate([np.zeros(1), dt_s * np.cumsum((x[1:] + x[:-1]) / 2)])
+
+
+@dataclass(frozen=True)
+class TapFit:
+    """Mass, damper and spring of one tap; `unexplained` is |F - fit| / |F|."""
+
+    mass_kg: float
+    damping_N_s_m: float
+    stiffness_N_m: float
+    unexplained: float
+
+
+def fit_tap(tap: Tap) -> TapFit:
+    """Least squares of F = m y'' + b y' + k y over the tap, none of the three negative (passive)."""
+    regressors = np.stack([tap.acceleration_m_s2, tap.velocity_m_s, tap.displacement_m], axis=1)
+    scale = np.linalg.norm(regressors, axis=0)
+    found, left = optimize.nnls(regressors / scale, tap.force_N)
+    m, b, k = (found / scale).tolist()
+    return TapFit(m, b, k, float(left / np.linalg.norm(tap.force_N)))
+
+
+def cut_tap(
+    name: str,
+    force_N: FloatArray,
+    acceleration_m_s2: FloatArray,
+    dt_s: float,
+    *,
+    grip_N: float,
+    speed_m_s: float | None = None,
+    accelerometer_Hz: float | None = None,
+    window_s: float = REACTION_S,
+) -> Tap:
+    """Find the contact, take the offsets away, delay force like acceleration, low-pass both, cut.
+
+    Parameters
+    ----------
+    force_N, acceleration_m_s2 : (n,) as recorded, on one time grid.
+    accelerometer_Hz : pole of the accelerometer, None for one to be taken as ideal.
+    window_s : from contact to the end of what is fitted.
+
+    Raises
+    ------
+    InputError : no contact, no rest before it, or a record that ends too early; without the trial's name.
+    """
+    contact = onset(force_N, dt_s)
+    begin = contact - int(np.ceil(_GUARD_S / dt_s))
+    count = round(window_s / dt_s) + contact - begin
+    if begin < _BASELINE_S / dt_s:
+        before = f"contact {1e3 * contact * dt_s:.3g} ms after the record's begin"
+        raise InputError(f"{before}: at least {1e3 * (_BASELINE_S + _GUARD_S):g} ms are needed; begin earlier")
+    if begin + count > force_N.size:
+        after = f"the record ends {1e3 * (force_N.size - contact) * dt_s:.3g} ms after contact"
+        raise InputError(f"{after}: {1e3 * window_s:g} ms are needed; record longer")
+    force = force_N - force_N[:begin].mean()
+    acceleration = acceleration_m_s2 - acceleration_m_s2[:begin].mean()
+    if accelerometer_Hz is not None:
+        force = _one_pole(force, 2 * np.pi * accelerometer_Hz * dt_s)
+    if 0.45 / dt_s > LOWPASS_HZ:
+        sos = signal.butter(2, LOWPASS_HZ, fs=1 / dt_s, output="sos")
+        force, acceleration = signal.sosfilt(sos, np.stack([force, acceleration]), axis=1)
+    part = slice(begin, begin + count)
+    return Tap(name, grip_N, speed_m_s, dt_s, np.asarray(force[part]), np.asarray(acceleration[part]))
+
+
+def _one_pole(x: FloatArray, rate: float) -> FloatArray:
+    """Exact response of a pole at `rate` per sample to an input that is linear between its samples."""
+    q = np.exp(-rate)
+    after = 1 - (1 - q) / rate
+    return np.asarray(signal.lfilter([after, 1 - q - after], [1.0, -q], x))
+
+
+def onset(force_N: FloatArray, dt_s: float) -> int:
+    """Sample at which the surface force rises out of the noise it begins with.
+
+    Raises
+    ------
+    InputError : it never does.
+    """
+    quiet = force_N[: max(int(_BASELINE_S / dt_s), 4)]
+    away = np.abs(force_N - np.median(quiet))
+    threshold = max(_NOISE * float(quiet.std()), _RISE * float(away.max()))
+    at = int(np.argmax(away > threshold))
+    if not away[at] > threshold:
+        raise InputError(f"no contact after the first {1e3 * _BASELINE_S:g} ms; begin earlier and record a whole tap")
+    return at
+
+
+def tap_of(trial: Measurement, window_s: float = REACTION_S) -> Tap:
+    """The tap of a recorded trial.
+
+    Raises
+    ------
+    InputError : the trial lacks a column or its grip, or cannot be used; trial first, remedy last.
+    """
+    force = trial.require("force", "force_N")
+    acceleration = trial.require("acceleration", "acceleration_m_s2")
+    if trial.grip_N is None:
+        raise InputError(f"{trial.name}: no grip: state it in the file (grip_N); the fits run over grip")
+    if not trial.grip_N > 0:
+        raise InputError(f"{trial.name}: grip_N = 0: nobody holds the stylus; leave the trial out")
+    try:
+        _check_recording(trial)
+        tap = cut_tap(
+            trial.name,
+            force.values,
+            acceleration.values,
+            force.dt_s,
+            grip_N=trial.grip_N,
+            speed_m_s=trial.speed_m_s,
+            accelerometer_Hz=trial.accelerometer_Hz,
+            window_s=window_s,
+        )
+        _check_signs_and_units(trial, tap)
+    except InputError as error:
+        raise InputError(f"{trial.name}: {error}") from None
+    return tap
+
+
+def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[Tap], list[str]]:
+    """The taps of a session, and why which trials are left out.
+
+    Raises
+    ------
+    InputError : more than a fifth of the trials cannot be used; the first of them, and how many more there are.
+    """
+    taps, complaints = [], []
+    for trial in trials:
+        try:
+            taps.append(tap_of(trial, window_s))
+        except InputError as error:
+            complaints.append(str(error))
+    if len(complaints) > MOST_LEFT_OUT * len(trials):
+        more = f" (and {len(complaints) - 1} more of {len(trials)} trials)" if len(complaints) > 1 else ""
+        raise InputError(f"{complaints[0]}{more}")
+    return taps, complaints
+
+
+def _check_recording(trial: Measurement) -> None:
+    if trial.off_grid > _JITTER:
+        found = f"time stamps lie up to {trial.off_grid:.2g} steps off a uniform grid"
+        raise InputError(f"{found}: at most {_JITTER:g}; sample by a timer and record again")
+    for quantity, unit in (("force", "N"), ("acceleration", "m/s^2")):
+        values = trial.require(quantity, "").values
+        for extreme in (values.max(), values.min()):
+            stuck = int(np.count_nonzero(values == extreme))
+            # A quiet sensor may repeat its resting value; an end stop lies far from it.
+            if stuck >= _STUCK and abs(extreme - np.median(values)) > 0.5 * np.ptp(values):
+                at = f"{quantity} stays at {extreme:.4g} {unit} for {stuck} samples"
+                raise InputError(f"{at}: clipped; tap more slowly or use a sensor of larger range, and record again")
+
+
+def _check_signs_and_units(trial: Measurement, tap: Tap) -> None:
+    """Force against acceleration, and acceleration against position where there is one."""
+    ratio = None if trial.position is None else _displacement_ratio(trial, tap)
+    opposite = float(tap.force_N @ tap.acceleration_m_s2) < 0
+    if ratio is not None and ratio < 0:
+        wrong = "acceleration" if opposite else "position, or both force and acceleration,"
+        raise InputError(f"wrong polarity: {wrong} must be positive out of the object; turn its sign")
+    if opposite:
+        which = "force or acceleration" if ratio is None else "force"
+        raise InputError(f"wrong polarity: at impact force and acceleration differ in sign; turn that of {which}")
+    if ratio is None or abs(ratio - 1) <= _CALIBRATION:
+        return
+    for factor, remedy in (
+        (STANDARD_GRAVITY_M_S2, "it is in g: name the column acceleration_g"),
+        (1 / STANDARD_GRAVITY_M_S2, "it was multiplied by 9.81 twice"),
+    ):
+        if 1 / _NEAR_G < ratio / factor < _NEAR_G:
+            raise InputError(f"acceleration is {1 / ratio:.3g} times what the position says: {remedy}")
+    raise InputError(
+        f"acceleration is {1 / ratio:.3g} times what the position says: must agree within {100 * _CALIBRATION:g} %; "
+        "calibrate both and record again"
+    )
+
+
+def _displacement_ratio(trial: Measurement, tap: Tap) -> float:
+    """Deviation by the encoder over deviation by the accelerometer."""
+    position = trial.require("position", "position_m")
+    force = trial.require("force", "force_N")
+    contact = onset(force.values, force.dt_s)
+    begin = contact - int(np.ceil(_GUARD_S / force.dt_s))
+    straight = np.polynomial.Polynomial.fit(np.arange(begin), position.values[:begin], 1)
+    samples = np.arange(begin, begin + tap.force_N.size)
+    deviation = position.values[samples] - straight(samples)
+    y = tap.displacement_m
+    return float(deviation @ y / (y @ y))

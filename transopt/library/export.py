@@ -1,0 +1,126 @@
+"""A library in other formats: MAT, CSV, WAV to listen to, and a C header (DESIGN 6)."""
+
+import io
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+from scipy.io import savemat, wavfile
+
+from transopt.base.errors import InputError
+from transopt.base.files import whole_file
+from transopt.base.signals import FloatArray
+from transopt.library.c_header import c_header
+from transopt.library.library import HASH_FIELD, TEXTS, Library
+from transopt.problem.baselines import seed_inversion
+
+SOUND_RATE_HZ = 48000
+SILENCE_S = 0.3
+SOUND_PEAK = 10 ** (-1 / 20) * 32767  # -1 dBFS in 16 bit
+
+
+def export_library(library: Library, path: Path) -> None:
+    """Write a library in the format that the path's suffix names (.mat, .csv, .wav, .h; case does not matter).
+
+    The file is written whole or not at all; one that is there already is replaced.
+
+    Raises
+    ------
+    InputError : another suffix, a file that cannot be written, axes that the header cannot hold.
+    """
+    formats = {".mat": mat_file, ".csv": csv_file, ".wav": wav_file, ".h": header_file}
+    suffix = path.suffix.lower()
+    if suffix not in formats:
+        known = ", ".join(formats)
+        raise InputError(f"{path}: suffix {suffix!r} names no export format; give the file one of {known}")
+    content = formats[suffix](library)
+    with whole_file(path) as file:
+        file.write(content)
+
+
+def mat_file(library: Library) -> bytes:
+    """MATLAB 5 file: every array of library.npz under its name there, `meta` as JSON text (`jsondecode(meta)`).
+
+    Arrays keep their shapes; one-dimensional ones become rows, and `status` and `binding` cells, because rows
+    of a char array would have to share one length. MATLAB itself drops trailing dimensions of size 1.
+    """
+    arrays = library.arrays()
+    cells = {name: arrays[name].astype(object) for name in TEXTS}
+    file = io.BytesIO()
+    content = {**arrays, **cells}
+    savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects
+    return file.getvalue()
+
+
+def csv_file(library: Library) -> bytes:
+    """Long format: comment lines, column names, then one row per (speed, grip, k), k fastest.
+
+    Numbers have as many digits as it takes to read back the same double.
+    """
+    grid, meta = library.time_grid(), library.meta
+    columns: dict[str, NDArray[np.generic]] = {
+        "speed_m_s": library.speeds_m_s[:, None, None],
+        "grip_N": library.grips_N[:, None],
+        "k": np.arange(grid.stages),
+        "issue_time_s": grid.issue_times_s,
+        "switching_time_s": grid.switching_times_s,
+        "command_A": library.command_A,
+        "transient_command_A": library.transient_command_A,
+        "current_A": library.current_A,
+        "acceleration_m_s2": library.acceleration_m_s2,
+        "reference_m_s2": library.reference_m_s2[:, None],
+    }
+    comments = [
+        # JSON keeps the name on one line, whatever is in it.
+        f"transopt library, scene {json.dumps(meta['scene']['name'])}, {HASH_FIELD} {library.content_sha256}",
+        "SI units; current > 0 pushes out of the surface, acceleration > 0 decelerates the incoming stylus, "
+        "contact at time 0",
+        "command k is issued at issue_time_s = -lead + k dt and held; current, acceleration (what the current "
+        "adds) and reference are those at switching_time_s = issue_time_s + delay",
+        f"dt_s: {grid.dt_s!r}",
+        f"lead_s: {grid.lead_s!r}",
+        f"delay_s: {grid.delay_s!r}",
+    ]
+    flat = [np.broadcast_to(column, library.command_A.shape).ravel().tolist() for column in columns.values()]
+    lines = [
+        *(f"# {comment}" for comment in comments),
+        ",".join(columns),
+        *(",".join(map(repr, row)) for row in zip(*flat, strict=True)),
+    ]
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def wav_file(library: Library) -> bytes:
+    """16 bit mono at 48 kHz, to listen to the accelerations.
+
+    For every entry, speeds outermost: the recorded r, then what the seed's clipped inversion makes of it at the
+    library's current limit, then the optimum; 0.3 s of silence after each. One scale for the whole file, its
+    peak at -1 dBFS, so that loudness compares.
+    """
+    grid, meta = library.time_grid(), library.meta
+    limit_A, taper = meta["limits"]["current_A"], meta["hand_over_samples"]
+    stages = [library.stage(ig) for ig in range(library.grips_N.size)]
+    silence = np.zeros(round(SILENCE_S / grid.dt_s))
+    pieces: list[FloatArray] = []
+    for reference, optima in zip(library.reference_m_s2, library.acceleration_m_s2, strict=True):
+        for stage, optimum in zip(stages, optima, strict=True):
+            inversion, _ = stage.rollout(seed_inversion(stage, grid, reference, limit_A, taper))
+            for sound in (reference, inversion, optimum):
+                pieces += [sound, silence]
+    # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.
+    ratio = Fraction(SOUND_RATE_HZ * grid.dt_s).limit_denominator(1000)
+    sound = signal.resample_poly(np.concatenate(pieces), ratio.numerator, ratio.denominator)
+    peak = float(np.abs(sound).max())
+    if peak > 0:
+        sound = sound * (SOUND_PEAK / peak)
+    file = io.BytesIO()
+    wavfile.write(file, SOUND_RATE_HZ, np.rint(sound).astype(np.int16))
+    return file.getvalue()
+
+
+def header_file(library: Library) -> bytes:
+    """C99/C++ header, see `transopt.library.c_header`."""
+    return c_header(library).encode("ascii")

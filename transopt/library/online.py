@@ -1,0 +1,286 @@
+"""One tap solved anew for what was measured: speed, grip and the coil's temperature.
+
+A library's blend between nodes is feasible but not optimal, and knows one start temperature. Here the problem of its
+nodes is posed for the measured point and solved by the compiled interior point, with the certificate of an entry.
+Nothing loads CasADi: stage data are those of `stagewise`, which a test holds to the CasADi statement.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library, Waveform, interpolation_weights, speed_weights
+from transopt.plant.chain import StateSpace
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import StageModel, discretise
+from transopt.problem.leave_out import encoder_course, leave_out, pressing, reference_course
+from transopt.problem.problem import Certificate, Multipliers, TransientProblem
+from transopt.problem.stage import LinearStage, linear_stage
+from transopt.problem.stage_data import Stages, runtime_stages, without_limits
+from transopt.proof.certify import BINDING_MULTIPLIER, Effect, certify, inside, relaxed_bound
+from transopt.solvers.native.extension import (
+    ACCURACY,
+    MOST_STATES,
+    SOLVED,
+    Buffers,
+    LinearPass,
+    available,
+    interior_point,
+)
+
+TOLERANCE = 1e-9  # of gap and residuals: three digits to the certificate's, as in the designer
+MOST_ITERATIONS = 60  # a tap takes 10 to 30; who needs more gets the blend
+MOST_MASKS = 3  # solves until the wall pushes exactly where it was assumed to
+FAMILIES = 64  # grips whose stage models are kept
+
+
+@dataclass(frozen=True)
+class Tap:
+    """What to play for one measured tap.
+
+    Attributes
+    ----------
+    wave : the command, with what was clamped, as the library's own blend has it.
+    certificate : of the optimum; None where the blend is played, or nothing.
+    remark : why the blend is played instead of an optimum; empty for an optimum.
+    elapsed_s : from the call to the answer, certificate included.
+    """
+
+    wave: Waveform
+    certificate: Certificate | None
+    remark: str
+    elapsed_s: float
+
+    @property
+    def solved(self) -> bool:
+        return self.certificate is not None
+
+
+@dataclass(frozen=True)
+class _Answer:
+    command_A: FloatArray
+    multipliers: Multipliers
+
+
+@dataclass(frozen=True)
+class _Found(_Answer):
+    proof: Certificate
+
+
+class Online:
+    """The optimum for a measured tap, by a solver whose memory is laid out once; for one thread at a time.
+
+    Parameters
+    ----------
+    library : references, limits, grid, start temperatures. A speed between its nodes has the reference that
+        `transopt.recordings.reference.between` states.
+    plant : device of any grip on the library's grid, `Scene.plant` for a library's own scene.
+    spread : further devices that a robust library's command shall serve at a grip; none without it.
+
+    Raises
+    ------
+    InputError : the extension is not built, or the problem has too many states for it.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        plant: Callable[[float], StateSpace],
+        spread: Callable[[float], tuple[StateSpace, ...]] = lambda grip_N: (),
+    ) -> None:
+        if not available:
+            raise InputError(
+                "online: the solver's extension is not built or out of date; install again where there is a compiler"
+            )
+        self._library, self._plant, self._spread = library, plant, spread
+        self._coil = library.coil()
+        self._stages: dict[float, tuple[StageModel, ...]] = {}
+        self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
+        self._buffers: dict[tuple[int, ...], Buffers] = {}
+        fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
+        problem = self._posed(fastest, firmest, self._coil)
+        sizes = runtime_stages(problem).sizes
+        states = sizes["states"] + sizes["nodes"]
+        if states > MOST_STATES:
+            raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
+        # Memory of all that a tap can come to: without limits, with and without the temperature.
+        self._buffers_for(without_limits(problem))
+        for each in (problem, replace(problem, thermal=None)):
+            self._by_interior_point(each)
+
+    def _devices(self, grip_N: float) -> tuple[StageModel, ...]:
+        """The device of a grip and those of its spread, discretised."""
+        found = self._stages.get(grip_N)
+        if found is None:
+            posing, plants = self._posing, (self._plant(grip_N), *self._spread(grip_N))
+            position = posing.wall is not None
+            found = tuple(
+                discretise(plant, posing.amplifier, posing.grid.dt_s, position=position) for plant in plants
+            )
+            if len(self._stages) >= FAMILIES:
+                del self._stages[next(iter(self._stages))]
+            self._stages[grip_N] = found
+        return found
+
+    def _posed(self, speed_m_s: float, grip_N: float, coil: CoilModel | None) -> TransientProblem:
+        library = self._library
+        stage, *spread = self._devices(grip_N)
+        wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s))
+        if self._corrected:
+            # What the device was found to need at the nodes, blended as it is between them.
+            own = interpolation_weights(library.speeds_m_s, speed_m_s)
+            by_grip = interpolation_weights(library.grips_N, grip_N)
+            correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
+            wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + correction)
+        problem = self._posing.problem(wanted, stage, tuple(spread), coil)
+        if problem.wall is None:
+            return problem
+        return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+
+    def solve(
+        self, speed_m_s: float, grip_N: float, winding_C: float | None = None, housing_C: float | None = None
+    ) -> Tap:
+        """The certified optimum for one tap, or the library's blend with the reason why.
+
+        Parameters
+        ----------
+        winding_C, housing_C : temperatures at the start; the library's own without them. Without a housing's the
+            library's is taken, but none that is hotter than the winding.
+
+        Raises
+        ------
+        InputError : speed, grip or temperature is not a finite number.
+        """
+        start = time.perf_counter()
+        place = self._library.located(speed_m_s, grip_N)
+        coil, remark = self._heated(winding_C, housing_C)
+        if place.silent and not remark:
+            remark = "nothing to play: too little grip or speed"
+        found = remark or self._optimum(self._posed(place.speed_m_s, place.grip_N, coil))
+        if isinstance(found, str):
+            return Tap(self._library.blend(place), None, found, time.perf_counter() - start)
+        problem, answer = found
+        transient = problem.transient_command(answer.command_A)
+        wave = Waveform(**vars(place), command_A=answer.command_A, transient_command_A=transient)
+        return Tap(wave, answer.proof, "", time.perf_counter() - start)
+
+    def _heated(self, winding_C: float | None, housing_C: float | None) -> tuple[CoilModel | None, str]:
+        """The coil with its measured start, and why that start allows no tap; or empty."""
+        coil = self._coil
+        if coil is None or winding_C is None:
+            return coil, ""
+        housing = min(coil.start_housing_C, winding_C) if housing_C is None else housing_C
+        if not (np.isfinite(winding_C) and np.isfinite(housing)):
+            raise InputError(f"winding {winding_C} C, housing {housing} C: both must be finite numbers")
+        if winding_C > coil.limit_C:
+            return coil, f"winding {winding_C:.4g} C is above its limit {coil.limit_C:g} C: let the motor cool"
+        return replace(coil, start_winding_C=winding_C, start_housing_C=housing), ""
+
+    def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
+        """The problem, its wall pressing where the answer makes it press, and that answer; or why there is none."""
+        for _ in range(MOST_MASKS):
+            found = self._solved(problem)
+            if found is None or not found.proof.accepted:
+                return "no certified optimum"
+            if problem.wall is None:
+                return problem, found
+            again = pressing(problem, encoder_course(problem, found.command_A))
+            assert again.wall is not None
+            first = max(problem.free_stages - 1, 0)  # the tick before the hand-over, which the prefilter remembers
+            if np.array_equal(again.wall.pressing[first:], problem.wall.pressing[first:]):
+                return problem, found
+            problem = again
+        return "the wall pushes elsewhere after every solve"
+
+    def _solved(self, problem: TransientProblem) -> _Found | None:
+        """The smallest problem that has the answer (DESIGN 4): without limits, without the temperature, whole."""
+        if problem.reference_is_zero:
+            return self._judged(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
+        small = leave_out(problem).problem
+        stage, hot = linear_stage(small), False
+        stages = without_limits(small, stage)
+        linear = LinearPass(stages, self._buffers_for(stages))
+        if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
+            free = linear.command_A()
+            effect = Effect(problem, free)
+            if inside(problem, free, effect=effect):
+                multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
+                found = self._judged(effect, multipliers)
+                if found.proof.accepted:
+                    return found
+            hot = small.thermal is not None and _overheats(effect)
+        return self._limited(problem, small, stage, hot=hot)
+
+    def _limited(
+        self, problem: TransientProblem, small: TransientProblem, stage: LinearStage, *, hot: bool
+    ) -> _Found | None:
+        """The answer within the limits; `hot`, a guess whether the winding's binds, only says what comes first."""
+        cold, found = replace(small, thermal=None), None
+        attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
+        for attempt in attempts:
+            answer = self._by_interior_point(attempt, stage)
+            if answer is None:
+                continue
+            command, multipliers = answer.command_A, answer.multipliers
+            if attempt.thermal is not None and multipliers.temperature_upper.max() <= BINDING_MULTIPLIER:
+                # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
+                multipliers = replace(multipliers, temperature_upper=np.zeros(command.size))
+            effect = Effect(problem, command)
+            if (
+                attempt is cold
+                and small.thermal is not None
+                and not inside(problem, command, only="coil", effect=effect)
+            ):
+                continue
+            found = self._judged(effect, multipliers)
+            if found.proof.accepted:
+                return found
+        return found
+
+    def _buffers_for(self, stages: Stages) -> Buffers:
+        key = tuple(stages.sizes.values())
+        if key not in self._buffers:
+            self._buffers[key] = Buffers(stages.sizes)
+        return self._buffers[key]
+
+    def _by_interior_point(self, problem: TransientProblem, stage: LinearStage | None = None) -> _Answer | None:
+        stages = runtime_stages(problem, stage)
+        buffers = self._buffers_for(stages)
+        answer = interior_point(stages, buffers, tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
+        if answer.code not in (SOLVED, ACCURACY):
+            return None
+        by_row = buffers.upper - buffers.lower
+        return _Answer(stages.command(buffers.command), stages.multipliers(by_row, buffers.gradient))
+
+    def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
+        """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
+        problem, command = effect.problem, effect.command_A
+        proof = certify(problem, command, multipliers, effect=effect)
+        if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
+            proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
+            if not proof.accepted:
+                relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+                bound = self._by_interior_point(relaxed)
+                if bound is not None:
+                    lower = certify(relaxed, bound.command_A, bound.multipliers).lower_bound
+                    proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
+        return _Found(command, multipliers, proof)
+
+
+def _overheats(effect: Effect) -> bool:
+    """Whether a command without limits would be too hot even with its current cut off: a guess at what will bind."""
+    thermal, limit_A = effect.problem.thermal, effect.problem.limits.current_A
+    assert thermal is not None
+    model = thermal.model
+
+    def too_hot(rise_K: FloatArray) -> bool:
+        return bool((rise_K[1:, 0] > model.headroom_K).any())
+
+    if not too_hot(effect.rise_K):
+        return False
+    currents = (np.clip(each, -limit_A, limit_A) for each in (effect.motion.current_A, effect.command_A))
+    return too_hot(model.rise(model.heating.mean_square(*currents)))

@@ -1,0 +1,1 @@
+"""The physics: stylus, hand, drive, amplifier, coil, circuit, wall, and their exact discretisation."""

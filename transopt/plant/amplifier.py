@@ -1,0 +1,54 @@
+"""Current amplifier: one pole and a pure delay (DESIGN 3.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+
+
+@dataclass(frozen=True)
+class Amplifier:
+    """di/dt = w (c(t - delay) - i) with w = 2 pi pole.
+
+    Attributes
+    ----------
+    pole_Hz : > 0.
+    delay_s : beyond the hold of the command, >= 0.
+    command_limit_A : range of the command, +- [A].
+    """
+
+    pole_Hz: float
+    delay_s: float
+    command_limit_A: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.pole_Hz < np.inf:
+            raise InputError(f"amplifier.pole_Hz = {self.pole_Hz:g}: must be > 0 and finite; leave it out if ideal")
+        if not 0 <= self.delay_s < np.inf:
+            raise InputError(f"amplifier.delay_s = {self.delay_s:g}: must be >= 0 and finite")
+        if not 0 < self.command_limit_A < np.inf:
+            raise InputError(f"amplifier.command_limit_A = {self.command_limit_A:g}: must be > 0 and finite")
+
+    @property
+    def rate_rad_s(self) -> float:
+        return 2 * np.pi * self.pole_Hz
+
+
+def prefilter_coefficients(amplifier: Amplifier, dt_s: float) -> tuple[float, float]:
+    """1 / (1 - p) and -p / (1 - p), p = exp(-w dt): weights of the wanted current now and one tick earlier."""
+    p = float(np.exp(-amplifier.rate_rad_s * dt_s))
+    return 1 / (1 - p), -p / (1 - p)
+
+
+def prefilter(current_A: FloatArray, amplifier: Amplifier, dt_s: float) -> FloatArray:
+    """Commands (..., N) that make the current reach `current_A` one servo period later.
+
+    c_k = (i_k - p i_(k-1)) / (1 - p), p = exp(-w dt), i_(-1) = 0: the exact inverse of the pole between two
+    switching instants (seed Sec. 4.1).
+    """
+    now, earlier = prefilter_coefficients(amplifier, dt_s)
+    command = now * current_A
+    command[..., 1:] += earlier * current_A[..., :-1]
+    return np.asarray(command)

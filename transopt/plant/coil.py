@@ -1,0 +1,217 @@
+"""Coil temperature: winding over housing over ambient (DESIGN 3.3, seed Eqs. 6-7)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.recursions import band, substitute
+from transopt.base.signals import FloatArray
+
+COPPER_PER_K = 0.0039  # temperature coefficient of resistance
+RESISTANCE_REFERENCE_C = 25.0  # datasheets state R here
+PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
+PAUSE_STEPS = 100
+
+
+def effective_square(current_A: FloatArray) -> FloatArray:
+    """i_eff^2 = (|i| + 0.02 A)^2 of seed Eq. 7: the PWM ripple heats even around zero current [A^2]."""
+    return np.asarray((np.abs(current_A) + PWM_RIPPLE_A) ** 2)
+
+
+def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: FloatArray) -> FloatArray:
+    """Mean of i_eff^2 over a step in which the current follows a held command through one pole, exactly [A^2].
+
+    i(t) = c + (i_0 - c) exp(-w t): however fast the pole beside the step, and through a change of sign.
+
+    Parameters
+    ----------
+    before_A, command_A : (..., K) i_0 and c. decays : (K,) w times the length of the step, >= 0.
+    """
+    x = np.maximum(decays, np.finfo(float).tiny)
+    away = before_A - command_A
+    mean = command_A - away * np.expm1(-x) / x
+    square = command_A**2 - 2 * command_A * away * np.expm1(-x) / x - away**2 * np.expm1(-2 * x) / (2 * x)
+    turns = before_A * (command_A + away * np.exp(-x)) < 0
+    size = np.abs(mean)
+    # Zero is crossed where exp(-w t) = -c / (i_0 - c); what lies before it has the other sign.
+    command, gap = np.broadcast_to(command_A, turns.shape)[turns], away[turns]
+    share = -command / gap
+    first = (-command * np.log(share) + gap * (1 - share)) / np.broadcast_to(x, turns.shape)[turns]
+    size[turns] = np.abs(first) + np.abs(mean[turns] - first)
+    return np.asarray(square + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
+
+
+@dataclass(frozen=True)
+class CoilModel:
+    """Two thermal nodes with copper whose resistance rises with the winding temperature.
+
+    C_w dT_w/dt = R (1 + alpha (T_w - 25)) i_eff^2 - (T_w - T_h) / R_wh
+    C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_ambient) / R_ha
+    with C_w = tau_w / R_wh and C_h = tau_h / R_ha. With one node the housing keeps its start temperature, which is
+    what it does over a tap; the lumped sum of both resistances would overstate short heating several times.
+    """
+
+    R_ohm: float
+    R_wh_K_W: float
+    R_ha_K_W: float
+    tau_w_s: float
+    tau_h_s: float
+    limit_C: float
+    ambient_C: float = 25.0
+    start_winding_C: float = 25.0
+    start_housing_C: float = 25.0
+    nodes: int = 2
+
+    def __post_init__(self) -> None:
+        for field in ("R_ohm", "R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s"):
+            value = getattr(self, field)
+            if not 0 < value < np.inf:
+                raise InputError(f"motor: {field} = {value:g}: must be > 0 and finite")
+        if self.nodes not in (1, 2):
+            raise InputError(f"thermal: nodes = {self.nodes}: must be 1 (winding) or 2 (winding and housing)")
+        if self.start_winding_C > self.limit_C:
+            raise InputError(
+                f"thermal: start_winding_C = {self.start_winding_C:g} C is above the winding limit "
+                f"{self.limit_C:g} C: let the motor cool or raise the limit"
+            )
+
+    def flow(self) -> tuple[FloatArray, FloatArray]:
+        """Rate matrix (m, m) of the rises above `rest_C` [1/s] and what a watt in the winding adds (m,) [K/s/W]."""
+        C_w, C_h = self.tau_w_s / self.R_wh_K_W, self.tau_h_s / self.R_ha_K_W
+        g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
+        if self.nodes == 1:
+            return np.array([[-g_w / C_w]]), np.array([1 / C_w])
+        return np.array([[-g_w / C_w, g_w / C_w], [g_w / C_h, -(g_w + g_h) / C_h]]), np.array([1 / C_w, 0.0])
+
+    @property
+    def rest_C(self) -> float:
+        """Where all nodes go without current."""
+        return self.ambient_C if self.nodes == 2 else self.start_housing_C
+
+    def continuous_current_A(self) -> float:
+        """Current that holds the winding at its limit for ever: the datasheet's continuous current."""
+        rise = self.limit_C - self.ambient_C
+        resistance = self.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
+        return float(np.sqrt(rise / ((self.R_wh_K_W + self.R_ha_K_W) * resistance)))
+
+    def adiabatic_bound_C(self, current_A: float, duration_s: float) -> float:
+        """Rigorous bound on the winding temperature while |i| <= `current_A` for `duration_s`.
+
+        No heat leaves and the limit current flows throughout: dT/dt = R (1 + alpha (T - 25)) i_eff^2 / C_w
+        from the hottest node. The true winding cannot overtake this: where it is the hottest node heat only
+        leaves it, and where it is not it lies below a node that only cools.
+        """
+        hottest = max(self.start_winding_C, self.start_housing_C, self.ambient_C)
+        heating = self.R_ohm * float(effective_square(np.asarray(current_A))) * self.R_wh_K_W / self.tau_w_s
+        above = hottest - RESISTANCE_REFERENCE_C
+        with np.errstate(over="ignore"):  # a bound of infinity is one
+            growth = np.expm1(COPPER_PER_K * heating * duration_s)
+        return float(hottest + (above + 1 / COPPER_PER_K) * growth)
+
+    def simulate(
+        self, effective_square_A2: FloatArray, steps_s: FloatArray, start_C: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Winding and housing temperature, exact for heating that is constant over each step.
+
+        However short the time constants beside the steps; the matrix exponential of two nodes in closed form.
+
+        Parameters
+        ----------
+        effective_square_A2 : (M, K) mean of i_eff^2 over each of K steps for M waveforms [A^2].
+        steps_s : (K,) step lengths [s].
+        start_C : (M, 2) winding and housing at the start; the model's own start temperatures without it.
+
+        Returns
+        -------
+        (M, K + 1) winding and housing temperatures [C], from the start temperatures on.
+        """
+        M, K = effective_square_A2.shape
+        start = np.array([self.start_winding_C, self.start_housing_C])
+        start = np.broadcast_to(start if start_C is None else start_C, (M, 2))
+        with np.errstate(over="ignore", invalid="ignore"):  # currents of a wall that grows by itself
+            p, s = self._steps(effective_square_A2, steps_s)
+            change, forced = np.stack(p, axis=-1).reshape(M, K, 2, 2), np.stack(s, axis=-1)
+            # Of the rise d above the start: d+ = (1 + p) d + (p T_0 + s), which keeps what is small from drowning.
+            forcing = np.zeros((M, K + 1, 2))
+            forcing[:, 1:] = (change @ start[:, None, :, None])[..., 0] + forced
+            # The last temperature starts no step, but has its place in the band.
+            growth = np.concatenate([np.eye(2) + change, np.zeros((M, 1, 2, 2))], axis=1)
+            rises = np.empty((M, K + 1, 2))
+            for rise, P, f in zip(rises, growth, forcing, strict=True):
+                rise[:] = substitute(band(P), f)
+        # In a banded system an infinity spoils all that comes after it.
+        temperatures = np.where(np.isfinite(rises), start[:, None] + rises, np.inf)
+        return temperatures[..., 0], temperatures[..., 1]
+
+    def _steps(
+        self, effective_square_A2: FloatArray, steps_s: FloatArray
+    ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """What each step adds: T+ - T = p T + s, four and two arrays (M, K).
+
+        dT/dt = m T + c has the increment h phi(h m) (m T + c) with phi(x) = (e^x - 1) / x. A function of a
+        2 x 2 matrix m with eigenvalues a +- d is its mean over both plus its slope between them times (m - a).
+        """
+        C_w = self.tau_w_s / self.R_wh_K_W
+        C_h = self.tau_h_s / self.R_ha_K_W if self.nodes == 2 else np.inf
+        g_w, g_h = 1 / self.R_wh_K_W, 1 / self.R_ha_K_W
+        power = self.R_ohm * effective_square_A2
+        m11, m12 = (COPPER_PER_K * power - g_w) / C_w, g_w / C_w
+        m21, m22 = g_w / C_h, -(g_w + g_h) / C_h
+        c1, c2 = power * (1 - COPPER_PER_K * RESISTANCE_REFERENCE_C) / C_w, g_h * self.ambient_C / C_h
+        mean, half = (m11 + m22) / 2, (m11 - m22) / 2
+        # Real: the network is symmetric but for the capacities.
+        distance = np.maximum(np.sqrt(half**2 + m12 * m21), np.finfo(float).tiny)
+
+        def increment(rate: FloatArray) -> FloatArray:
+            x = rate * steps_s
+            small = np.abs(x) < 1e-8
+            return np.asarray(steps_s * np.where(small, 1 + x / 2, np.expm1(x) / np.where(small, 1.0, x)))
+
+        fast, slow = increment(mean - distance), increment(mean + distance)
+        level, slope = (slow + fast) / 2, (slow - fast) / (2 * distance)
+        f11, f12, f21, f22 = level + slope * half, slope * m12, slope * m21, level - slope * half
+        return (
+            (f11 * m11 + f12 * m21, f11 * m12 + f12 * m22, f21 * m11 + f22 * m21, f21 * m12 + f22 * m22),
+            (f11 * c1 + f12 * c2, f21 * c1 + f22 * c2),
+        )
+
+    def steady_course(
+        self, effective_square_A2: FloatArray, steps_s: FloatArray, pause_s: float, idle_A: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Winding and housing over a tap that has repeated itself for ever, as `simulate` gives them, (M, K + 1).
+
+        The temperatures after one period are affine in those before it; their fixed point is the start. Infinite
+        where every tap leaves the coil hotter than it found it (thermal runaway).
+
+        Parameters
+        ----------
+        pause_s : from the tap's end to the next. idle_A : (M,) currents in the pause, without ripple.
+        """
+        M = effective_square_A2.shape[0]
+        pause_steps = np.full(PAUSE_STEPS, pause_s / PAUSE_STEPS)
+        idle = np.broadcast_to(effective_square(idle_A)[:, None], (M, PAUSE_STEPS))
+        heat = np.concatenate([effective_square_A2, idle], axis=1)
+        steps = np.concatenate([steps_s, pause_steps])
+
+        def after_period(winding_C: float, housing_C: float) -> FloatArray:
+            start: FloatArray = np.full((M, 2), (winding_C, housing_C))
+            return np.stack([course[:, -1] for course in self.simulate(heat, steps, start)], axis=1)
+
+        origin, m = after_period(0.0, 0.0), self.nodes
+        with np.errstate(invalid="ignore"):  # where a coil runs away within one period, inf - inf
+            transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
+            own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
+            # With one node the housing stays where it is, and the winding settles above it.
+            settled = origin[:, :m] + self.start_housing_C * from_housing.sum(axis=2)
+        finite = np.all(np.isfinite(transition), axis=(1, 2))
+        stable = finite.copy()
+        stable[finite] = np.abs(np.linalg.eigvals(own[finite])).max(axis=1) < 1
+        steady = np.full((M, 2), np.inf)
+        steady[stable, m:] = self.start_housing_C
+        steady[stable, :m] = np.linalg.solve(np.eye(m) - own[stable], settled[stable][..., None])[..., 0]
+        K = steps_s.size + 1
+        winding, housing = (np.full((M, K), np.inf) for _ in range(2))
+        courses = self.simulate(heat[stable], steps, steady[stable])
+        winding[stable], housing[stable] = (course[:, :K] for course in courses)
+        return winding, housing

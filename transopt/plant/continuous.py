@@ -1,0 +1,325 @@
+"""Continuous-time simulation of a device under held commands, for the replay and for nothing else (DESIGN 4).
+
+Nothing but the plant's matrices is shared with the design model: the time axis is the true one (commands issued at
+t_k, felt a delay later), and the integrator is an implicit Runge-Kutta method on a finer step, where the design has a
+matrix exponential. For commands that are held a Runge-Kutta step is a linear map, the same in every period.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import StageModel, TimeGrid, split_delay
+from transopt.plant.wall import FeedbackLoop, HandOver
+
+SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
+STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode that is not resolved would die out
+STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
+MOST_HALVINGS = 6
+BLOCK = 16  # periods that one matrix product takes
+AFTER_S = 20e-3  # of free motion after the waveform
+AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
+# Where link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
+# is left of y'' is rounding of C x and D i. Differences up to this share of them say nothing.
+ROUNDING = 16 * float(np.finfo(float).eps)
+
+
+def peak_scale(peak_m_s2: FloatArray, rounding_m_s2: FloatArray | float) -> FloatArray:
+    """The peak, unless `AGREEMENT` of it is less than the rounding of what adds up to it."""
+    return np.maximum(np.maximum(peak_m_s2, rounding_m_s2 / AGREEMENT), np.finfo(float).tiny)
+
+
+def _radau(stages: int) -> tuple[FloatArray, FloatArray]:
+    """Butcher matrix (s, s) and weights (s,) of Radau IIA: order 2 s - 1, L-stable, last node at 1.
+
+    Nodes as in Hairer & Wanner, Solving Ordinary Differential Equations II, Sec. IV.5.
+    """
+    nodes = np.append((scipy.special.roots_jacobi(stages - 1, 1.0, 0.0)[0] + 1) / 2, 1.0)
+    powers = np.arange(stages)
+    integrals = nodes[:, None] ** (powers + 1) / (powers + 1)
+    butcher = integrals @ np.linalg.inv(nodes[:, None] ** powers)
+    return butcher, butcher[-1]
+
+
+_BUTCHER, _WEIGHTS = _radau(5)
+
+
+def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, FloatArray]:
+    """One Radau step of dx/dt = A x + B u with u held: x+ = P x + Q u."""
+    n, s = A.shape[0], _WEIGHTS.size
+    equations = np.eye(s * n) - h_s * np.kron(_BUTCHER, A)
+    slopes = np.linalg.solve(equations, np.tile(np.hstack([A, B]), (s, 1))).reshape(s, n, n + 1)
+    step = h_s * np.einsum("s,snm->nm", _WEIGHTS, slopes)
+    return np.eye(n) + step[:, :n], step[:, n:]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The part of a servo period in which one command is felt: maps from its start to each kept sample.
+
+    `behind` is how many ticks that command was issued before the period's own.
+    """
+
+    behind: int
+    offsets_s: FloatArray  # (m + 1,) from the start of the period, the segment's start first
+    P: FloatArray  # (m + 1, n, n)
+    Q: FloatArray  # (m + 1, n, 1)
+
+
+def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
+    """Kept samples a fraction of a period apart, reached by as many Radau steps as the stiffest mode needs."""
+    n = A.shape[0]
+    samples = SAMPLES_PER_PERIOD // 2
+    spacing = (end_s - start_s) / samples
+    fastest = float(np.abs(np.linalg.eigvals(A)).max())
+    doublings = int(np.ceil(np.log2(max(fastest * spacing / STEP_RADIUS, 1.0)))) + halvings
+    step = np.eye(n + 1)
+    step[:n, :n], step[:n, n:] = _step_map(A, B, spacing / 2**doublings)
+    between = np.linalg.matrix_power(step, 2**doublings)
+    maps = [np.eye(n + 1)]
+    for _ in range(samples):
+        maps.append(between @ maps[-1])
+    stacked = np.stack(maps)
+    return Segment(behind, np.linspace(start_s, end_s, samples + 1), stacked[:, :n, :n], stacked[:, :n, n:])
+
+
+def _segments(A: FloatArray, B: FloatArray, grid: TimeGrid, halvings: int) -> list[Segment]:
+    """A period [t_k, t_(k+1)) feels the command of one tick earlier until the delay's fraction has passed."""
+    dt = grid.dt_s
+    whole, late = split_delay(grid.delay_s, dt)
+    if late <= 1e-9 * dt:
+        # Two halves all the same, so that a period always has as many kept samples.
+        return [_segment(A, B, 0.0, dt / 2, whole, halvings), _segment(A, B, dt / 2, dt, whole, halvings)]
+    return [_segment(A, B, 0.0, late, whole + 1, halvings), _segment(A, B, late, dt, whole, halvings)]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    times_s: FloatArray  # (K,)
+    acceleration_m_s2: FloatArray  # (M, K)
+    current_A: FloatArray  # (M, K)
+    felt_A: FloatArray  # (M, K) command that the amplifier follows
+    velocity_m_s: FloatArray  # (M, K) of the motor mass, what the current adds
+    at_switching: NDArray[np.intp]  # (N,) indices of the fine samples just after each switching instant
+    segment_starts: NDArray[np.intp]  # (S,) indices of the first sample of each segment
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The walls of M taps, closed over the replay's own motion; `count_m` rounds the encoder, 0 does not."""
+
+    walls: Sequence[HandOver]
+    count_m: float
+
+    def nominal(self, k: int) -> FloatArray:
+        """(M,) z_nom at tick k, going on straight after the last."""
+        z = np.stack([wall.nominal_m for wall in self.walls], axis=1)
+        last = z.shape[0] - 1
+        return np.asarray(z[k] if k <= last else z[last] + (k - last) * (z[last] - z[last - 1]))
+
+    def read(self, k: int, deviation_m: FloatArray) -> FloatArray:
+        z = self.nominal(k) + deviation_m
+        return np.asarray(np.round(z / self.count_m) * self.count_m) if self.count_m else z
+
+    def start(self, stage: StageModel, dt_s: float) -> FeedbackLoop:
+        wall = self.walls[0].wall
+        approach = np.array([wall.approach_m_s for wall in self.walls])
+        first = self.read(0, np.zeros(approach.size))
+        return FeedbackLoop(wall, stage.amplifier, dt_s, first, approach)
+
+
+@dataclass(frozen=True)
+class Flow:
+    """Plant and amplifier in balanced units: dx/dt = A x + B c, the current the last state unless c is it.
+
+    Attributes
+    ----------
+    rows : (3, n) y'', current and motor velocity of the states; direct : (3,) of the command felt.
+    encoder : (n,) its position.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    rows: FloatArray
+    direct: FloatArray
+    encoder: FloatArray
+
+    @classmethod
+    def of(cls, stage: StageModel) -> "Flow":
+        plant, amplifier = stage.plant, stage.amplifier
+        n, velocity = plant.order, (plant.Ce @ plant.A)[0]
+        if amplifier is None:
+            A, B, more, direct = plant.A, plant.B, 0, np.array([plant.D[0, 0], 1.0, 0.0])
+        else:
+            w = amplifier.rate_rad_s
+            A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
+            B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, np.zeros(3)
+        # In balanced units (powers of two, exact) no state drowns in the rounding of another.
+        balanced, (units, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+        rows = np.zeros((3, n + more))
+        rows[0, :n], rows[2, :n] = plant.C[0], velocity
+        if more:
+            rows[0, n], rows[1, n] = plant.D[0, 0], 1.0
+        encoder = np.append(plant.Ce[0], np.zeros(more))
+        return cls(np.asarray(balanced, dtype=float), B / units[:, None], rows * units, direct, encoder * units)
+
+
+@dataclass(frozen=True)
+class Course:
+    """States of M taps at the start of every segment, from the first tick until `AFTER_S` after tau_N.
+
+    Attributes
+    ----------
+    states : per segment of a period (M, periods, n). felt_A : per segment (M, periods) the command felt in it.
+    command_A : (M, N) as issued. arriving : index of the segment in which a tick's own command is felt first.
+    """
+
+    segments: list[Segment]
+    states: list[FloatArray]
+    felt_A: list[FloatArray]
+    command_A: FloatArray
+    arriving: int
+
+    @property
+    def at_switching(self) -> slice:
+        """Periods whose arriving segments start at the switching instants."""
+        behind = self.segments[self.arriving].behind
+        return slice(behind, behind + self.command_A.shape[1])
+
+    def accelerations(self, flow: Flow) -> FloatArray:
+        """(M, N) y'' just after the switching instants."""
+        at = self.at_switching
+        states, felt = self.states[self.arriving][:, at], self.felt_A[self.arriving][:, at]
+        return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
+
+    def rounding(self, flow: Flow) -> FloatArray:
+        """(M,) `ROUNDING` of the terms that add up to y'' there, the force of link and current each by itself."""
+        states = np.abs(self.states[self.arriving][:, self.at_switching])
+        felt = np.abs(self.felt_A[self.arriving][:, self.at_switching])
+        terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
+        return np.asarray(ROUNDING * terms.max(axis=1))
+
+
+def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: int) -> FloatArray:
+    """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
+
+    In blocks of `BLOCK` periods, each a linear map of the state before it and of the commands in it: what the
+    commands do and what the state before does are one matrix product each for all blocks at once.
+
+    Parameters
+    ----------
+    by_command : (n, w). issued_A : (M, at least periods + w - 1).
+    """
+    (n, w), M = by_command.shape, issued_A.shape[0]
+    powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
+    powers[0] = np.eye(n)
+    for j in range(BLOCK):
+        np.matmul(powers[j], P.T, out=powers[j + 1])
+    answers = np.zeros((BLOCK + w - 1, BLOCK, n))  # of the states after each period to each command in the block
+    for j in range(BLOCK):
+        pushed = by_command.T @ powers[: BLOCK - j]
+        for delay in range(w):
+            answers[j + delay, j:] += pushed[:, delay]
+    blocks = -(-(periods - 1) // BLOCK)
+    padded = np.zeros((M, blocks * BLOCK + w - 1))
+    kept = min(padded.shape[1], issued_A.shape[1])
+    padded[:, :kept] = issued_A[:, :kept]
+    windows = np.lib.stride_tricks.sliding_window_view(padded, BLOCK + w - 1, axis=1)[:, ::BLOCK]
+    states = np.zeros((M, 1 + blocks * BLOCK, n))
+    after = (windows.reshape(M * blocks, -1) @ answers.reshape(BLOCK + w - 1, -1)).reshape(M, blocks, BLOCK, n)
+    before = np.zeros((M, blocks, n))
+    for j in range(1, blocks):
+        before[:, j] = before[:, j - 1] @ powers[BLOCK] + after[:, j - 1, -1]
+    kept_on = powers[1:].transpose(1, 0, 2).reshape(n, -1)
+    after += (before.reshape(M * blocks, n) @ kept_on).reshape(after.shape)
+    states[:, 1:] = after.reshape(M, -1, n)
+    return states[:, :periods]
+
+
+def _play(
+    stage: StageModel, flow: Flow, grid: TimeGrid, commands_A: FloatArray, halvings: int, loop: Loop | None
+) -> Course:
+    """Play M commands (M, N), period by period."""
+    segments = _segments(flow.A, flow.B, grid, halvings)
+    first, second = segments
+    # With a whole delay the command arrives with the tick, else with the second segment.
+    arriving = 0 if first.behind == second.behind else 1
+    (M, N), n = commands_A.shape, flow.A.shape[0]
+    periods = N + first.behind + int(np.ceil(AFTER_S / grid.dt_s))
+    # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
+    issued = np.zeros((M, first.behind + periods))
+    issued[:, first.behind : first.behind + N] = commands_A
+    # One period as one map: the second segment goes on from the first.
+    late = first.behind - second.behind
+    P, by_command = second.P[-1] @ first.P[-1], np.zeros((n, 1 + late))
+    by_command[:, 0] += (second.P[-1] @ first.Q[-1])[:, 0]
+    by_command[:, late] += second.Q[-1][:, 0]
+    if loop is None:
+        starts = _held(P, by_command, issued, periods)
+    else:
+        starts, x = np.zeros((M, periods, n)), np.zeros((M, n))
+        feedback = loop.start(stage, grid.dt_s)
+        for k in range(periods):
+            starts[:, k] = x
+            issued[:, first.behind + k] += feedback.step(loop.read(k, x @ flow.encoder))
+            x = x @ P.T + issued[:, k : k + 1 + late] @ by_command.T
+    felt = [issued[:, :periods], issued[:, late : late + periods]]
+    middle = starts @ first.P[-1].T + felt[0][..., None] * first.Q[-1][:, 0]
+    return Course(segments, [starts, middle], felt, issued[:, first.behind : first.behind + N], arriving)
+
+
+def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
+    """The kept samples between the starts of the segments."""
+    M, periods, _ = course.states[0].shape
+    samples = course.segments[0].offsets_s.size
+    # Segment after segment within each period, all of it along one axis in the end.
+    values, felt = np.empty((3, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
+    times = np.empty((periods, 2, samples))
+    ticks = grid.dt_s * np.arange(periods) - grid.lead_s
+    for j, (segment, states, command) in enumerate(zip(course.segments, course.states, course.felt_A, strict=True)):
+        for row, direct, found in zip(flow.rows, flow.direct, values, strict=True):
+            by_state, by_command = row @ segment.P, row @ segment.Q[..., 0].T + direct
+            found[:, :, j] = states @ by_state.T
+            found[:, :, j] += command[..., None] * by_command
+        felt[:, :, j] = command[..., None]
+        times[:, j] = ticks[:, None] + segment.offsets_s
+    acceleration, current, velocity = values.reshape(3, M, -1)
+    starts = samples * np.arange(2 * periods)
+    at = course.at_switching
+    return Trajectory(
+        times_s=times.ravel(),
+        acceleration_m_s2=acceleration,
+        current_A=current,
+        felt_A=felt.reshape(M, -1),
+        velocity_m_s=velocity,
+        at_switching=starts[course.arriving :: 2][at],
+        segment_starts=starts,
+    )
+
+
+@dataclass(frozen=True)
+class Accurate:
+    """The course whose step is fine enough, y'' (M, N) at its switching instants, and how far half the step was."""
+
+    flow: Flow
+    course: Course
+    acceleration_m_s2: FloatArray
+    rounding_m_s2: FloatArray
+    step_error: FloatArray
+
+
+def accurate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, loop: Loop | None) -> Accurate:
+    flow = Flow.of(stage)
+    coarse = _play(stage, flow, grid, commands_A, 0, loop).accelerations(flow)
+    for halvings in range(1, MOST_HALVINGS + 1):
+        course = _play(stage, flow, grid, commands_A, halvings, loop)
+        found, rounding = course.accelerations(flow), course.rounding(flow)
+        step_error = np.abs(found - coarse).max(axis=1) / peak_scale(np.abs(found).max(axis=1), rounding)
+        coarse = found
+        if np.all(step_error <= STEP_ERROR):
+            break
+    return Accurate(flow, course, found, rounding, step_error)

@@ -1,0 +1,292 @@
+"""Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from transopt.base import recursions
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.chain import StateSpace
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, contact at t = 0."""
+
+    dt_s: float
+    stages: int
+    lead_s: float
+    delay_s: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.dt_s < np.inf:
+            raise InputError(f"time.dt_s = {self.dt_s:g}: must be > 0 and finite")
+        if self.stages < 1:
+            raise InputError(f"time.stages = {self.stages}: must be at least 1")
+        for name in ("lead_s", "delay_s"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"time.{name} = {getattr(self, name):g}: must be >= 0 and finite")
+
+    @property
+    def issue_times_s(self) -> FloatArray:
+        """(N,) t_k: command c_k is issued here and held."""
+        return np.asarray(-self.lead_s + self.dt_s * np.arange(self.stages), dtype=float)
+
+    @property
+    def switching_times_s(self) -> FloatArray:
+        """(N,) tau_k: the motor feels c_k from here; predictions and reference are sampled here."""
+        return self.issue_times_s + self.delay_s
+
+    @property
+    def end_s(self) -> float:
+        """tau_N, where the last command ends [s]."""
+        return -self.lead_s + self.dt_s * self.stages + self.delay_s
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a command does at the switching instants, or gradients by it; all (..., N).
+
+    Attributes
+    ----------
+    acceleration_m_s2 : y'' of the stylus. current_A : i.
+    velocity_m_s : dy/dt of the motor mass, which the back-EMF follows.
+    encoder_m : y of the motor mass where the encoder is read while c_k is felt, at tick t_(k + 1 + whole delay);
+        zero where the model has no position.
+    """
+
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    velocity_m_s: FloatArray
+    encoder_m: FloatArray
+
+    @classmethod
+    def zero(cls, stages: int) -> "Motion":
+        return cls(*(np.zeros(stages) for _ in range(4)))
+
+
+@dataclass(frozen=True)
+class StageModel:
+    """One grip's device over one servo period, exact for a held command.
+
+    x_(k+1) = A x_k + B c_k,  outputs C x_k + D c_k  at the switching instants.
+    x holds the plant's acting states and, unless the amplifier is ideal, the current (its last entry).
+
+    Attributes
+    ----------
+    plant, amplifier, dt_s : what was discretised; amplifier None is ideal, i = c.
+    A : (n, n). B : (n, 1).
+    C, D : (1, n), (1, 1) of y''. Ci, Di : of the current. Cv : (1, n) of the motor mass's velocity.
+    Cp, Dp : of the encoder position at the tick within the period; None where position is left out.
+    """
+
+    plant: StateSpace
+    amplifier: Amplifier | None
+    dt_s: float
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    Ci: FloatArray
+    Di: FloatArray
+    Cv: FloatArray
+    Cp: FloatArray | None = None
+    Dp: FloatArray | None = None
+
+    @property
+    def whole_delay(self) -> int:
+        """Whole servo periods in the amplifier's delay."""
+        return 0 if self.amplifier is None else split_delay(self.amplifier.delay_s, self.dt_s)[0]
+
+    @cached_property
+    def _forwards(self) -> FloatArray:
+        return recursions.constant_band(self.A)
+
+    @cached_property
+    def _backwards(self) -> FloatArray:
+        return recursions.constant_band(self.A.T)
+
+    @cached_property
+    def _outputs(self) -> tuple[FloatArray, FloatArray]:
+        """(rows, n), (rows,) what makes a motion of a state and of the command felt with it."""
+        nothing = np.zeros((1, 1), dtype=self.A.dtype)
+        rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
+        if self.Cp is not None and self.Dp is not None:
+            rows, direct = [*rows, self.Cp], [*direct, self.Dp]
+        return np.concatenate(rows), np.concatenate(direct)[:, 0]
+
+    def states(self, command_A: FloatArray) -> FloatArray:
+        """(N, n) states at the switching instants for one held command (N,)."""
+        dtype = np.result_type(self.A, command_A)
+        forcing = np.zeros((command_A.size, self.A.shape[0]), dtype=dtype)
+        forcing[1:] = command_A[:-1, None] * self.B[:, 0]
+        if dtype == np.float64:
+            return recursions.run(self.A, self._forwards, forcing)
+        for k in range(1, command_A.size):  # no library has extended precision
+            forcing[k] += self.A @ forcing[k - 1]
+        return forcing
+
+    def motion(self, command_A: FloatArray) -> Motion:
+        """Everything a held command does.
+
+        Parameters
+        ----------
+        command_A : (..., N).
+        """
+        rows, direct = self._outputs
+        c = command_A.reshape(-1, command_A.shape[-1])
+        found = [self.states(each) @ rows.T + each[:, None] * direct for each in c]
+        # (..., N) each, row after row of the outputs.
+        values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command_A.shape)
+        acceleration, current, velocity = values[:3]
+        return Motion(acceleration, current, velocity, np.zeros(command_A.shape) if self.Cp is None else values[3])
+
+    def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
+        motion = self.motion(command_A)
+        return motion.acceleration_m_s2, motion.current_A
+
+    def extended(self) -> "StageModel":
+        """The same matrices in extended precision (64 bits of mantissa where the machine has them, else the same)."""
+
+        def wide(matrix: FloatArray) -> FloatArray:
+            return matrix.astype(np.longdouble)
+
+        return StageModel(
+            self.plant,
+            self.amplifier,
+            self.dt_s,
+            wide(self.A),
+            wide(self.B),
+            wide(self.C),
+            wide(self.D),
+            wide(self.Ci),
+            wide(self.Di),
+            wide(self.Cv),
+            None if self.Cp is None else wide(self.Cp),
+            None if self.Dp is None else wide(self.Dp),
+        )
+
+    def adjoint(self, gradient: Motion) -> FloatArray:
+        """(N,) gradient by the commands of a function whose gradients by the motion are given, (N,) each.
+
+        The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
+        """
+        rows, direct = self._outputs
+        by_output = [gradient.acceleration_m_s2, gradient.current_A, gradient.velocity_m_s]
+        stacked = np.stack([*by_output, gradient.encoder_m][: direct.size], axis=1)
+        forcing = stacked @ rows
+        if forcing.dtype == np.float64:
+            costate = recursions.run(self.A.T, self._backwards, forcing[::-1])[::-1]
+        else:
+            costate = forcing
+            for k in range(costate.shape[0] - 2, -1, -1):
+                costate[k] += self.A.T @ costate[k + 1]
+        by_command = stacked @ direct
+        by_command[:-1] += costate[1:] @ self.B[:, 0]
+        return np.asarray(by_command)
+
+
+def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
+    """A delay as whole servo periods and what is left of it [s], less than a period."""
+    whole = int(np.floor(delay_s / dt_s + 1e-9))
+    return whole, max(delay_s - whole * dt_s, 0.0)
+
+
+def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bool_]:
+    """(n,) states that the acceleration and the motor's velocity depend on, by the structure of the matrices.
+
+    A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
+    """
+    outputs = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else [])]
+    acting: NDArray[np.bool_] = (np.concatenate(outputs) != 0).any(axis=0)
+    by = plant.A != 0
+    while True:
+        more = acting | by[acting].any(axis=0)
+        if (more == acting).all():
+            return acting
+        acting = more
+
+
+def exponential(matrix: FloatArray) -> FloatArray:
+    """expm of a matrix whose states are balanced first, by powers of two: exact whatever units they are in.
+
+    Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
+    drown the small ones.
+    """
+    balanced, (scale, _) = linalg.matrix_balance(matrix, permute=False, separate=True)
+    return np.asarray(linalg.expm(balanced) * scale[:, None] / scale)
+
+
+def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, position: bool = False) -> StageModel:
+    """Exact zero-order hold of plant and amplifier by one matrix exponential.
+
+    The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2), except that the encoder is read
+    at ticks, somewhere between two switching instants. States that nothing depends on are left out.
+
+    Parameters
+    ----------
+    position : also give the encoder position, for a wall.
+    """
+    acting = acting_states(plant, position=position)
+    n = int(acting.sum())
+    A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
+    velocity, encoder = (plant.Ce @ plant.A)[:, acting], plant.Ce[:, acting]
+    zero = np.zeros((1, 1))
+    if amplifier is None:
+        flow = np.block([[A, B], [np.zeros((1, n + 1))]])
+        D, Ci, Di = plant.D, np.zeros((1, n)), np.ones((1, 1))
+    else:
+        w = amplifier.rate_rad_s
+        flow = np.zeros((n + 2, n + 2))
+        flow[:n, : n + 1] = np.hstack([A, B])
+        flow[n, n:] = -w, w
+        C, D = np.hstack([C, plant.D]), zero
+        Ci, Di = np.eye(1, n + 1, n), zero
+        # The motor force moves no position and no velocity at once, so neither row sees the current.
+        velocity, encoder = np.hstack([velocity, zero]), np.hstack([encoder, zero])
+    hold = exponential(flow * dt_s)
+    model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity)
+    if not position:
+        return model
+    late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]
+    until_tick = exponential(flow * (dt_s - late))
+    return replace(model, Cp=encoder @ until_tick[:-1, :-1], Dp=encoder @ until_tick[:-1, -1:])
+
+
+def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: int) -> FloatArray:
+    """(n,) size of each state of x+ = A x + B c under a square wave of the limit current, 40 servo periods long.
+
+    In these units every state of the optimal-control problem is of order one, whatever the masses and
+    stiffnesses; elongations and velocities in SI differ by four orders of magnitude.
+
+    Parameters
+    ----------
+    A : (n, n). B : (n,).
+    """
+    period, n = 20, B.size
+    halves = -(-min(stages, 20 * period) // period)
+    powers = _powers(A, period)
+    held = np.cumsum((powers[:-n] @ (B * current_limit_A)).reshape(period, n), axis=0)
+    # Half period after half period, each seen with the sign of its own current: x+ = held_20 - A^20 x. All states of
+    # one follow from where it starts.
+    starts = np.zeros((halves, n))
+    starts[1:] = np.cumsum((_powers(-powers[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
+    courses = held.ravel() - starts @ powers[n:].T
+    peak = np.abs(courses).max(axis=0).reshape(period, n).max(axis=0)
+    # A state that the current cannot move has no size of its own.
+    return np.where(peak > 0, peak, 1.0)
+
+
+def _powers(A: FloatArray, last: int) -> FloatArray:
+    """((last + 1) n, n) A^0 to A^last one below the other, by doubling."""
+    n = A.shape[0]
+    found = np.concatenate([np.eye(n), A])
+    while (missing := (last + 1) * n - found.shape[0]) > 0:
+        found = np.concatenate([found, found[n : n + missing] @ found[-n:]])
+    return found[: (last + 1) * n]

@@ -1,0 +1,166 @@
+"""The virtual wall: feedback from the encoder at the servo ticks (DESIGN 3.5, seed Eq. 9)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
+
+
+def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
+    """(N,) values moved to the front, zeros behind: the transpose of a delay, which may exceed the horizon."""
+    kept = values[ticks:]
+    return np.append(kept, np.zeros(values.size - kept.size))
+
+
+@dataclass(frozen=True)
+class Wall:
+    """Spring and damper while the encoder is below the surface; pushes, never pulls.
+
+    i_fb = max(0, -(K_p z + K_d dz/dt) / k_f) while z < 0, z read `latency_ticks` ago, dz/dt by the filtered
+    difference v_k = a v_(k-1) + (1 - a) (z_k - z_(k-1)) / dt, a = exp(-2 pi f dt).
+
+    Attributes
+    ----------
+    stiffness_N_m, damping_N_s_m : K_p, K_d >= 0.
+    force_per_current_N_A : k_f > 0.
+    latency_ticks : whole ticks from the reading of the encoder to the command that answers it, >= 0.
+    derivative_filter_Hz : f > 0.
+    """
+
+    stiffness_N_m: float
+    damping_N_s_m: float
+    force_per_current_N_A: float
+    latency_ticks: int
+    derivative_filter_Hz: float
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness_N_m", "damping_N_s_m"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"feedback: {name} = {getattr(self, name):g}: must be >= 0 and finite")
+        if not (self.force_per_current_N_A > 0 and self.derivative_filter_Hz > 0 and self.latency_ticks >= 0):
+            raise InputError(
+                "feedback: force_per_current_N_A and derivative_filter_Hz must be > 0, latency_ticks must be >= 0"
+            )
+
+    def smoothing(self, dt_s: float) -> float:
+        """a of the derivative filter."""
+        return float(np.exp(-2 * np.pi * self.derivative_filter_Hz * dt_s))
+
+    def measured(self, encoder_m: FloatArray, dt_s: float, approach_m_s: float) -> tuple[FloatArray, FloatArray]:
+        """Position and filtered velocity that the law of each tick acts on, from encoder readings (..., N).
+
+        Before the first tick the stylus came in straight, at `approach_m_s`, and the filter had settled on it.
+        """
+        late = self.latency_ticks
+        steps = np.arange(late + 1, 0, -1)
+        earlier = encoder_m[..., :1] + approach_m_s * dt_s * steps
+        z = np.concatenate([earlier, encoder_m], axis=-1)
+        a = self.smoothing(dt_s)
+        settled = np.full((*encoder_m.shape[:-1], 1), -a * approach_m_s)
+        difference = np.diff(z, axis=-1) / dt_s
+        velocity, _ = scipy.signal.lfilter([1 - a], [1.0, -a], difference, axis=-1, zi=settled)
+        N = encoder_m.shape[-1]
+        return z[..., 1 : N + 1], velocity[..., :N]
+
+    def wanted(self, position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
+        """The law without its one-sidedness: -(K_p z + K_d v) / k_f [A]."""
+        force = self.stiffness_N_m * position_m + self.damping_N_s_m * velocity_m_s
+        return np.asarray(-force / self.force_per_current_N_A)
+
+    def current(self, position_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
+        """i_fb for what was measured: pushes below the surface, zero above [A]."""
+        return np.asarray(np.where(position_m < 0, np.maximum(self.wanted(position_m, velocity_m_s), 0.0), 0.0))
+
+    def linear(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
+        """(..., N) change of `wanted` for a deviation of the encoder readings that starts at zero."""
+        position, velocity = self.measured(deviation_m, dt_s, 0.0)
+        return self.wanted(position, velocity)
+
+    def linear_transpose(self, by_wanted: FloatArray, dt_s: float) -> FloatArray:
+        """(N,) gradient by the encoder readings for a gradient by `wanted`; the transpose of `linear`."""
+        g = earlier_by(self.latency_ticks, by_wanted) / -self.force_per_current_N_A
+        a = self.smoothing(dt_s)
+        filtered = scipy.signal.lfilter([1 - a], [1.0, -a], g[::-1])[::-1] / dt_s
+        difference = filtered - np.append(filtered[1:], 0.0)
+        return np.asarray(self.stiffness_N_m * g + self.damping_N_s_m * difference)
+
+
+@dataclass(frozen=True)
+class HandOver:
+    """The wall as one entry sees it: the last commands are what the feedback asks for, no more.
+
+    Attributes
+    ----------
+    nominal_m : (N,) z_nom at the ticks t_k. approach_m_s : incoming speed.
+    pressing : (N,) whether the law pushes at tick k; fixed for one solve, checked against the answer.
+    """
+
+    wall: Wall
+    nominal_m: FloatArray
+    approach_m_s: float
+    pressing: NDArray[np.bool_]
+
+    def encoder(self, deviation_m: FloatArray) -> FloatArray:
+        """(..., N) z at the ticks for the deviations y there."""
+        return self.nominal_m + deviation_m
+
+    def feedback(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
+        """(..., N) i_fb as the law gives it for the deviations y at the ticks."""
+        return self.wall.current(*self.wall.measured(self.encoder(deviation_m), dt_s, self.approach_m_s))
+
+    def masked_feedback(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
+        """(..., N) i_fb with the ticks at which it pushes held fixed: affine in the deviations."""
+        wanted = self.wall.wanted(*self.wall.measured(self.encoder(deviation_m), dt_s, self.approach_m_s))
+        return np.asarray(np.where(self.pressing, wanted, 0.0))
+
+    def feedback_transpose(self, by_feedback: FloatArray, dt_s: float) -> FloatArray:
+        """(N,) gradient by the deviations for a gradient by `masked_feedback`."""
+        return self.wall.linear_transpose(np.where(self.pressing, by_feedback, 0.0), dt_s)
+
+
+def feedback_command(feedback_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
+    """(..., N) command that makes the amplifier deliver the feedback current (DESIGN 3.2)."""
+    return feedback_A if amplifier is None else prefilter(feedback_A, amplifier, dt_s)
+
+
+def feedback_command_transpose(by_command: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
+    """(N,) gradient by the feedback current for a gradient by its command."""
+    if amplifier is None:
+        return by_command
+    now, before = prefilter_coefficients(amplifier, dt_s)
+    return np.asarray(now * by_command + before * np.append(by_command[1:], 0.0))
+
+
+class FeedbackLoop:
+    """The wall's law tick by tick, as a device runs it, for M taps at once.
+
+    Before the first tick the stylus came in straight and the derivative filter had settled on that.
+
+    Parameters
+    ----------
+    first_m : (M,) encoder position at the first tick. approach_m_s : (M,) incoming speeds.
+    """
+
+    def __init__(
+        self, wall: Wall, amplifier: Amplifier | None, dt_s: float, first_m: FloatArray, approach_m_s: FloatArray
+    ) -> None:
+        self._wall, self._dt_s, self._smoothing = wall, dt_s, wall.smoothing(dt_s)
+        self._now, self._before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt_s)
+        step = approach_m_s * dt_s
+        self._position, self._velocity = first_m + step, -approach_m_s
+        self._read = [(first_m + j * step, -approach_m_s) for j in range(wall.latency_ticks, 0, -1)]
+        self._current = np.zeros_like(first_m)
+
+    def step(self, encoder_m: FloatArray) -> FloatArray:
+        """(M,) feedback command of this tick, from the encoder at this tick [A]."""
+        a = self._smoothing
+        self._velocity = a * self._velocity + (1 - a) * (encoder_m - self._position) / self._dt_s
+        self._position = encoder_m
+        self._read.append((self._position, self._velocity))
+        earlier, self._current = self._current, self._wall.current(*self._read.pop(0))
+        return np.asarray(self._now * self._current + self._before * earlier)

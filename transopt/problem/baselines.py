@@ -1,0 +1,76 @@
+"""The two methods that the optimum is compared with in every table."""
+
+import numpy as np
+import scipy
+
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import prefilter
+from transopt.plant.discretise import StageModel, TimeGrid
+
+PADDING = 2  # the record is zero-padded to this many times its length
+REST_S = 2e-3  # before the first tick, where the wanted current is zero
+
+
+def seed_inversion(
+    stage: StageModel,
+    grid: TimeGrid,
+    reference_m_s2: FloatArray,
+    current_limit_A: float | FloatArray,
+    taper_samples: int,
+) -> FloatArray:
+    """The seed's method (Sec. 6): invert the model, taper, clip the wanted current, prefilter.
+
+    Frequency-domain inverse I = R / G over the whole zero-padded record, sampled at the ticks t_k; neither the
+    hold nor the amplifier's delay is compensated, as in the seed. G vanishes at 0 Hz, which leaves the mean
+    current open: it is chosen so that no current flows before contact, which favours this method.
+
+    Parameters
+    ----------
+    reference_m_s2 : (..., N). current_limit_A : one, or several that broadcast against the references.
+
+    Returns
+    -------
+    (..., N) commands [A], of their common shape, faded out over the last `taper_samples`.
+    """
+    N = grid.stages
+    spline = scipy.interpolate.CubicSpline(grid.switching_times_s, reference_m_s2, axis=-1, extrapolate=False)
+    at_ticks = np.nan_to_num(spline(grid.issue_times_s), nan=0.0)
+    length = scipy.fft.next_fast_len(PADDING * N, real=True)
+    frequencies = scipy.fft.rfftfreq(length, grid.dt_s)
+    spectrum = scipy.fft.rfft(at_ticks, length)
+    current = np.zeros_like(spectrum)
+    current[..., 1:] = spectrum[..., 1:] / stage.plant.response(frequencies[1:])
+    periodic = scipy.fft.irfft(current, length)
+    wanted = periodic[..., :N] - periodic[..., -max(round(REST_S / grid.dt_s), 1) :].mean(axis=-1, keepdims=True)
+    wanted[..., -taper_samples:] *= 0.5 * (1 + np.cos(np.pi * np.arange(1, taper_samples + 1) / taper_samples))
+    wanted = np.clip(wanted, -current_limit_A, current_limit_A)
+    return _play(stage, grid, wanted)
+
+
+def clipped_optimum(
+    stage: StageModel, grid: TimeGrid, unlimited_command_A: FloatArray, current_limit_A: float | FloatArray
+) -> FloatArray:
+    """The unlimited optimum (..., N) with its current cut at the limit, hold and delay compensated exactly.
+
+    Parameters
+    ----------
+    current_limit_A : one, or several that broadcast against the commands.
+
+    Returns
+    -------
+    (..., N) commands [A], of their common shape.
+    """
+    _, current = stage.rollout(unlimited_command_A)
+    wanted = np.clip(current, -current_limit_A, current_limit_A)
+    if stage.amplifier is None:
+        return wanted
+    # c_k carries the current from tau_k to tau_(k+1); the last command is zero, as in every waveform.
+    after = _play(stage, grid, wanted[..., 1:])
+    return np.concatenate([after, np.zeros((*after.shape[:-1], 1))], axis=-1)
+
+
+def _play(stage: StageModel, grid: TimeGrid, wanted_A: FloatArray) -> FloatArray:
+    if stage.amplifier is None:
+        return wanted_A
+    bound = stage.amplifier.command_limit_A
+    return np.clip(prefilter(wanted_A, stage.amplifier, grid.dt_s), -bound, bound)

@@ -1,0 +1,365 @@
+"""The winding's temperature over one transient, as the optimal-control problem states it (DESIGN 3.3)."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from transopt.base.errors import InputError
+from transopt.base.recursions import band, constant_band, filtered, run, substitute
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
+from transopt.plant.discretise import TimeGrid
+
+STEADY_MARGIN = 2e-4  # of the rise: for ever adds up what a change of sign within a period heats
+ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
+
+
+@dataclass(frozen=True)
+class Heating:
+    """Mean of i_eff^2 over one servo period as a function of the current i_k and the command c_k.
+
+    The current goes exponentially, hence monotonically, to i_(k+1) = decay i_k + (1 - decay) c_k, so its mean square
+    is a convex quadratic in the two, and the mean of |i| is |mean of i| unless the sign changes on the way:
+    mean i_eff^2 = quadratic + 2 * 0.02 A |mean i| + (0.02 A)^2, convex throughout.
+
+    Attributes
+    ----------
+    decay : exp(-w dt), 0 for an ideal amplifier (i = c_k throughout).
+    square : (3,) weights of i_k^2, i_k i_(k+1), i_(k+1)^2. share : weight of i_k in the mean current.
+    """
+
+    decay: float
+    square: FloatArray
+    share: float
+
+    def after(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """i_(k+1)."""
+        return np.asarray(self.decay * current_A + (1 - self.decay) * command_A)
+
+    def mean_current(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """(...) mean of i over the period [A]."""
+        return np.asarray(self.share * current_A + (1 - self.share) * self.after(current_A, command_A))
+
+    def mean_square(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """(...) mean of i_eff^2 = (|i| + 0.02 A)^2 over the period [A^2]."""
+        a, b = current_A, self.after(current_A, command_A)
+        quadratic = self.square[0] * a * a + self.square[1] * a * b + self.square[2] * b * b
+        size = np.abs(self.mean_current(current_A, command_A))
+        return np.asarray(quadratic + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
+
+    def gradient(
+        self, current_A: FloatArray, command_A: FloatArray, sign: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of `mean_square` by the current and by the command, (...) each [A].
+
+        Parameters
+        ----------
+        sign : (...) slope of |mean i|: its sign, and any number from -1 to 1 where it is zero.
+        """
+        a, b = current_A, self.after(current_A, command_A)
+        by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * PWM_RIPPLE_A * self.share * sign
+        by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * PWM_RIPPLE_A * (1 - self.share) * sign
+        return by_a + self.decay * by_b, (1 - self.decay) * by_b
+
+
+@lru_cache(maxsize=16)
+def heating(amplifier: Amplifier | None, dt_s: float) -> Heating:
+    """Heating of one servo period through this amplifier."""
+    if amplifier is None:
+        return Heating(0.0, np.array([0.0, 0.0, 1.0]), 0.0)
+    x = amplifier.rate_rad_s * dt_s
+    e = float(np.exp(-x))
+    # i(t) = (1 - s) i_k + s i_(k+1) with s = (1 - exp(-w t)) / (1 - e); means of s and s^2 over the period.
+    s1 = (1 + np.expm1(-x) / x) / (1 - e)
+    s2 = (1 + 2 * np.expm1(-x) / x - np.expm1(-2 * x) / (2 * x)) / (1 - e) ** 2
+    return Heating(e, np.array([1 - 2 * s1 + s2, 2 * (s1 - s2), s2]), float(1 - s1))
+
+
+@dataclass(frozen=True)
+class HeatModel:
+    """Rise above the unpowered course: th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k, h_k the mean i_eff^2.
+
+    `th_w,(k+1) <= headroom_k` is the temperature limit at tau_(k+1). Without closure th_0 = 0; with it the course
+    repeats itself: th_0 = F th_N + f, the tap followed by the pause.
+
+    Attributes
+    ----------
+    M : (m, m) winding first, then housing. b : (m,) [K/W].
+    gain : (N,) resistance at the unpowered temperature [ohm]. copper : its increase per kelvin of rise [ohm/K].
+    headroom_K : (N,), infinite where nothing is asked.
+    closure : (F (m, m), f (m,)) or None.
+    unpowered_C : (N,) winding temperature at tau_(k+1) without current.
+    """
+
+    heating: Heating
+    M: FloatArray
+    b: FloatArray
+    gain: FloatArray
+    copper: float
+    headroom_K: FloatArray
+    closure: tuple[FloatArray, FloatArray] | None
+    unpowered_C: FloatArray
+
+    @property
+    def nodes(self) -> int:
+        return int(self.b.size)
+
+    def _maps(self, h: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Each step as th+ = P th + s: (N, m, m), (N, m)."""
+        P = np.empty((h.size, *self.M.shape))
+        P[:] = self.M
+        P[:, :, 0] += self.b * (self.copper * h)[:, None]
+        return P, self.b * (self.gain * h)[:, None]
+
+    def _course(self, lower: FloatArray, P: FloatArray, s: FloatArray, start: FloatArray) -> FloatArray:
+        """(N, m) rises at tau_1 to tau_N of th+ = P th + s, `lower` its band."""
+        forcing = s.copy()
+        forcing[0] += P[0] @ start
+        return substitute(lower, forcing)
+
+    def _start(self, lower: FloatArray, P: FloatArray, s: FloatArray) -> FloatArray:
+        """(m,) rise at the first switching instant."""
+        if self.closure is None:
+            return np.zeros(self.nodes)
+        F, f = self.closure
+        units = [self._course(lower, P, np.zeros_like(s), unit)[-1] for unit in np.eye(self.nodes)]
+        offset = self._course(lower, P, s, np.zeros(self.nodes))[-1]
+        with np.errstate(over="ignore", invalid="ignore"):  # a runaway, which the next test sees
+            period = F @ np.stack(units, axis=1)
+        if not (np.all(np.isfinite(period)) and np.abs(np.linalg.eigvals(period)).max() < 1):
+            # Thermal runaway: every tap leaves it hotter. The fixed point lies below absolute zero and is never seen.
+            return np.full(self.nodes, np.inf)
+        return np.asarray(np.linalg.solve(np.eye(self.nodes) - period, F @ offset + f))
+
+    def rise(self, h: FloatArray) -> FloatArray:
+        """(N + 1, m) rises at tau_0 to tau_N for heatings h (N,) [A^2]; infinite without a steady state."""
+        P, s = self._maps(h)
+        lower = _band(P)
+        start = self._start(lower, P, s)
+        if not np.all(np.isfinite(start)):
+            return np.full((h.size + 1, self.nodes), np.inf)
+        return np.concatenate([start[None], self._course(lower, P, s, start)])
+
+    def adjoint(self, h: FloatArray, by_winding: FloatArray, rise: FloatArray | None = None) -> FloatArray:
+        """(N,) gradient by h of a function whose gradients by th_w,(k+1) are given (N,); `rise` of h if known."""
+        course = self.rise(h) if rise is None else rise
+        P, _ = self._maps(h)
+        lower, m = _band(P), self.nodes
+
+        def backwards(at_end: FloatArray, forcing: FloatArray) -> FloatArray:
+            """(N, m) gradients by th_1 to th_N."""
+            by_rise = np.zeros((h.size, m))
+            by_rise[:, 0] = forcing
+            by_rise[-1] += at_end
+            return substitute(lower, by_rise, transposed=True)
+
+        end = np.zeros(m)
+        if self.closure is not None:
+            F, _ = self.closure
+            # What th_0 weighs comes back to th_N through the pause: nu_N = F' nu_0, a fixed point.
+            free = P[0].T @ backwards(end, by_winding)[0]
+            silent = np.zeros(h.size)
+            transition = np.stack([P[0].T @ backwards(unit, silent)[0] for unit in np.eye(m)], axis=1)
+            end = np.linalg.solve(np.eye(m) - F.T @ transition, F.T @ free)
+        nu = backwards(end, by_winding)
+        return np.asarray((nu @ self.b) * (self.gain + self.copper * course[:-1, 0]))
+
+    def prices(self, by_h: FloatArray) -> FloatArray:
+        """(N,) gradients by th_w,(k+1) whose `adjoint` is `by_h` (N,): its inverse, for copper 0 and one tap alone.
+
+        by_h / gain is those gradients through the winding's answer to one heating, a filter against time.
+        """
+        assert self.copper == 0
+        assert self.closure is None
+        if self.nodes == 1:
+            answer, own = self.b, np.array([1.0, -self.M[0, 0]])
+        else:
+            (ww, wh), (hw, hh) = self.M
+            answer = np.array([self.b[0], wh * self.b[1] - hh * self.b[0]])
+            own = np.array([1.0, -ww - hh, ww * hh - wh * hw])
+        return filtered(own / answer[0], answer / answer[0], (by_h / self.gain)[::-1])[::-1]
+
+
+def _band(P: FloatArray) -> FloatArray:
+    """Of th_(k+1) = P_k th_k over k = 1..N-1: the first step starts from th_0, which is no unknown."""
+    return band(np.roll(P, -1, axis=0))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What the winding may do beside keeping below its limit over the horizon.
+
+    Attributes
+    ----------
+    headroom_K : rise above the start temperature allowed to one tap; None for no such budget.
+    tap_rate_Hz : taps per second for ever, each the same; None for a single tap.
+    idle_A : current in the pause between taps, without ripple; None: none, or with a wall what its feedback asks for
+        at the end of the window (`parts.thermal_of`).
+    """
+
+    headroom_K: float | None = None
+    tap_rate_Hz: float | None = None
+    idle_A: float | None = None
+
+    @property
+    def pause_A(self) -> float:
+        """Current in the pause, once it is known."""
+        return 0.0 if self.idle_A is None else self.idle_A
+
+
+@dataclass(frozen=True)
+class ThermalLimit:
+    """The temperature limit of one entry: the coil, what is asked of it, and the model of both."""
+
+    coil: CoilModel
+    budget: Budget
+    model: HeatModel
+    dt_s: float
+
+    @property
+    def limit_C(self) -> float:
+        return winding_limit_C(self.coil, self.budget)
+
+    @property
+    def period_s(self) -> float | None:
+        """Time from tap to tap; None for a single tap."""
+        return None if self.budget.tap_rate_Hz is None else 1 / self.budget.tap_rate_Hz
+
+    def temperatures_C(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+        """(N,) winding temperature at tau_1 to tau_N."""
+        h = self.model.heating.mean_square(current_A, command_A)
+        return np.asarray(self.model.rise(h)[1:, 0] + self.model.unpowered_C)
+
+    def relaxed(self, peak_A: float) -> "ThermalLimit":
+        """A convex limit that every admissible command meets (DESIGN 4): it bounds J from below.
+
+        Over one horizon the copper is taken at the unpowered temperature, below which it never is. Over repeated
+        taps it is at the limit whenever the limit binds: by the energy balance of the period,
+        mean(T) - T_ambient = R_th mean(P (1 + alpha (T - 25))), a course that stays below the limit has
+        mean(P) R_th (1 + alpha (limit - 25 - ripple)) <= limit - T_ambient, with P = R i_eff^2.
+
+        Parameters
+        ----------
+        peak_A : limit current, which bounds the ripple of the winding's temperature.
+        """
+        model, coil = self.model, self.coil
+        if self.period_s is None:
+            return replace(self, model=replace(model, copper=0.0))
+        N, limit = model.gain.size, self.limit_C
+        share = N * self.dt_s / self.period_s
+
+        def resistance(temperature_C: float) -> float:
+            return coil.R_ohm * (1 + COPPER_PER_K * (temperature_C - RESISTANCE_REFERENCE_C))
+
+        energy = resistance(limit) * (
+            (peak_A + PWM_RIPPLE_A) ** 2 * N * self.dt_s
+            + (self.budget.pause_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
+        )
+        # What one period brings in also leaves in one period, from a winding that is nowhere above its limit.
+        energy = min(energy, self.period_s * (limit - coil.ambient_C) / (coil.R_wh_K_W + coil.R_ha_K_W))
+        ripple = energy * coil.R_wh_K_W / coil.tau_w_s
+        allowed = (limit - coil.ambient_C) / ((coil.R_wh_K_W + coil.R_ha_K_W) * resistance(limit - ripple))
+        pause = (1 - share) * (self.budget.pause_A + PWM_RIPPLE_A) ** 2
+        headroom = np.full(N, np.inf)
+        headroom[-1] = allowed * (1 + ROUNDING) - pause
+        mean = HeatModel(
+            heating=model.heating,
+            M=np.eye(1),
+            b=np.array([share / N]),
+            gain=np.ones(N),
+            copper=0.0,
+            headroom_K=headroom,
+            closure=None,
+            unpowered_C=np.zeros(N),
+        )
+        return replace(self, model=mean)
+
+
+def winding_limit_C(coil: CoilModel, budget: Budget) -> float:
+    """The lower of the winding's limit and of the start temperature plus the headroom."""
+    return coil.limit_C if budget.headroom_K is None else min(coil.limit_C, coil.start_winding_C + budget.headroom_K)
+
+
+def _under_power(coil: CoilModel, held: FloatArray, effective_A: float) -> FloatArray:
+    """(m + 1, m + 1) flow of the nodes above rest, and 1, while a constant effective current heats the copper."""
+    m = held.shape[0] - 1
+    power, inflow = coil.R_ohm * effective_A**2, held[:m, m]
+    found = held.copy()
+    found[:m, 0] += inflow * power * COPPER_PER_K
+    found[:m, m] = inflow * power * (1 + COPPER_PER_K * (coil.rest_C - RESISTANCE_REFERENCE_C))
+    return found
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """What a coil does whatever its start temperatures, on one grid.
+
+    Attributes
+    ----------
+    M, b : of `HeatModel`. held : (m + 1, m + 1) rate of the rises above rest, and of 1, per watt in the winding.
+    winding : (N + 1, m) unpowered rise of the winding above rest at tau_0 to tau_N for each node's rise at tau_0.
+    waiting : (m + 1, m + 1) flow of the nodes above rest, and 1, from the first command to tau_0: the ripple heats.
+    """
+
+    M: FloatArray
+    b: FloatArray
+    held: FloatArray
+    winding: FloatArray
+    waiting: FloatArray
+
+
+@lru_cache(maxsize=16)
+def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
+    flow, inflow = coil.flow()
+    m, N = inflow.size, grid.stages
+    held = np.zeros((m + 1, m + 1))
+    held[:m, :m], held[:m, m] = flow, inflow
+    hold = linalg.expm(held * grid.dt_s)
+    M, b = hold[:m, :m], hold[:m, m]
+    courses, lower = [], constant_band(M)
+    for unit in np.eye(m):
+        start = np.zeros((N + 1, m))
+        start[0] = unit
+        courses.append(run(M, lower, start)[:, 0])
+    waiting = linalg.expm(_under_power(coil, held, PWM_RIPPLE_A) * grid.delay_s)
+    return _Nodes(M, b, held, np.stack(courses, axis=1), waiting)
+
+
+@lru_cache(maxsize=64)  # all entries of a scene without a wall have the same
+def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> ThermalLimit:
+    """The temperature limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
+    # The start is no part of what `_nodes` knows, so that each start of a coil finds the same.
+    nodes = _nodes(replace(coil, start_winding_C=coil.limit_C, start_housing_C=coil.rest_C), grid)
+    m, dt, N = nodes.b.size, grid.dt_s, grid.stages
+    unpowered = np.full(N + 1, coil.rest_C)
+    closure, margin_K = None, 0.0
+    if budget.tap_rate_Hz is None:
+        # The coil starts when the first command is issued, an amplifier's delay before the first is felt; the ripple
+        # heats in the meantime.
+        start = np.array([coil.start_winding_C, coil.start_housing_C])[:m] - coil.rest_C
+        unpowered += nodes.winding @ (nodes.waiting[:m, :m] @ start + nodes.waiting[:m, m])
+    else:
+        pause = _under_power(coil, nodes.held, budget.pause_A + PWM_RIPPLE_A)
+        pause_s, takes_s = 1 / budget.tap_rate_Hz - N * dt, (N + 1) * dt + grid.delay_s
+        if not 1 / budget.tap_rate_Hz > takes_s:
+            raise InputError(
+                f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
+                "amplifier's delay: lower it"
+            )
+        paused = linalg.expm(pause * pause_s)
+        closure = (paused[:m, :m], paused[:m, m])
+        margin_K = STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
+    model = HeatModel(
+        heating=heating(amplifier, dt),
+        M=nodes.M,
+        b=nodes.b,
+        gain=coil.R_ohm * (1 + COPPER_PER_K * (unpowered[:-1] - RESISTANCE_REFERENCE_C)),
+        copper=coil.R_ohm * COPPER_PER_K,
+        headroom_K=winding_limit_C(coil, budget) - margin_K - unpowered[1:],
+        closure=closure,
+        unpowered_C=unpowered[1:],
+    )
+    return ThermalLimit(coil, budget, model, dt)

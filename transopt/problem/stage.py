@@ -1,0 +1,264 @@
+"""The linear part of the problem's stage: every device, the current, error filters, the wall's memory, the command.
+
+x = [plant of each device, current (unless ideal), error filter of each device, encoder position, its filtered
+velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held command is a state, its movement dc
+the input.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import prefilter_coefficients
+from transopt.plant.discretise import Motion, state_scale
+from transopt.problem.problem import TransientProblem
+
+POSITION, VELOCITY = 0, 1  # of the wall's states
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the states of x stand; this alone fixes the sparsity.
+
+    Attributes
+    ----------
+    plants : states of each device, without the current. amplifier : False for an ideal one.
+    error_filter : whether the error is filtered. feedback_delay : stages from the state that holds an encoder reading
+        to the command that answers it; None without a wall.
+    """
+
+    plants: tuple[int, ...]
+    amplifier: bool
+    error_filter: bool
+    feedback_delay: int | None
+
+    @property
+    def devices(self) -> int:
+        return len(self.plants)
+
+    def plant(self, device: int) -> slice:
+        start = sum(self.plants[:device])
+        return slice(start, start + self.plants[device])
+
+    @property
+    def current(self) -> int:
+        """Index of the current; only with an amplifier."""
+        return sum(self.plants)
+
+    def filter(self, device: int) -> slice:
+        start = sum(self.plants) + int(self.amplifier) + 2 * device
+        return slice(start, start + 2)
+
+    @cached_property
+    def wall(self) -> slice:
+        """Encoder position, filtered velocity, and the delayed feedback demands, the latest first."""
+        start = sum(self.plants) + int(self.amplifier) + 2 * self.devices * int(self.error_filter)
+        return slice(start, start + (0 if self.feedback_delay is None else 3 + self.feedback_delay))
+
+    @cached_property
+    def states(self) -> int:
+        """Length of x."""
+        return int(self.wall.stop) + 1
+
+    def dynamics_mask(self) -> NDArray[np.bool_]:
+        """(n, n) entries of A that can differ from zero."""
+        n = self.states
+        mask = np.zeros((n, n), dtype=bool)
+        mask[-1, -1] = True
+        if self.amplifier:
+            mask[self.current, [self.current, -1]] = True
+        for device in range(self.devices):
+            plant = self.plant(device)
+            for rows in (plant, self.filter(device)) if self.error_filter else (plant,):
+                mask[rows, plant] = True
+                mask[rows, -1] = True
+                if self.amplifier:
+                    mask[rows, self.current] = True
+            if self.error_filter:
+                mask[self.filter(device), self.filter(device)] = True
+        if self.feedback_delay is not None:
+            first = self.wall.start
+            for row in (first + POSITION, first + VELOCITY):
+                mask[row, self.plant(0)] = True
+                mask[row, -1] = True
+                if self.amplifier:
+                    mask[row, self.current] = True
+            mask[first + VELOCITY, [first + POSITION, first + VELOCITY]] = True
+            mask[first + 2, [first + POSITION, first + VELOCITY]] = True
+            later = np.arange(first + 3, self.wall.stop)
+            mask[later, later - 1] = True
+        return mask
+
+    def output_mask(self) -> NDArray[np.bool_]:
+        """(devices, n) entries of the tracked outputs."""
+        mask = np.zeros((self.devices, self.states), dtype=bool)
+        for device in range(self.devices):
+            mask[device, self.plant(device)] = True
+            if self.amplifier:
+                mask[device, self.current] = True
+            else:
+                mask[device, -1] = True  # the command issued now acts at once
+            if self.error_filter:
+                mask[device, self.filter(device)] = True
+        return mask
+
+
+def layout(problem: TransientProblem) -> Layout:
+    amplifier = problem.stage.amplifier is not None
+    wall = problem.wall
+    return Layout(
+        plants=tuple(device.A.shape[0] - int(amplifier) for device in problem.devices),
+        amplifier=amplifier,
+        error_filter=problem.error_filter is not None,
+        feedback_delay=None if wall is None else wall.wall.latency_ticks + problem.stage.whole_delay,
+    )
+
+
+@dataclass(frozen=True)
+class LinearStage:
+    """Scaled stage matrices and the units of the states.
+
+    Attributes
+    ----------
+    A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
+        `problem.current_scale_A`.
+    C : (S, n), E : (S,) tracked outputs y'' (filtered) / |r| from x_k and dc_k.
+    supply : (n,) terminal voltage just before the switching instant, without that of the nominal motion [V].
+    feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
+    """
+
+    A: FloatArray
+    units: FloatArray
+    current_A: float
+    C: FloatArray
+    E: FloatArray
+    supply: FloatArray
+    feedback: FloatArray
+
+
+def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
+    """A in SI."""
+    n = where.states
+    A = np.zeros((n, n))
+    A[-1, -1] = 1.0
+    C, _ = _outputs(problem, where)
+    for device, stage in enumerate(problem.devices):
+        plant = where.plant(device)
+        size = where.plants[device]
+        A[plant, plant] = stage.A[:size, :size]
+        A[plant, -1] = stage.B[:size, 0]
+        if where.amplifier:
+            A[plant, where.current] = stage.A[:size, size]
+            A[where.current, where.current], A[where.current, -1] = stage.A[size, size], stage.B[size, 0]
+        if problem.error_filter is not None:
+            Af, Bf, _, _ = problem.error_filter.state_space()
+            rows = where.filter(device)
+            A[rows] = Bf @ C[device : device + 1]
+            A[rows, rows] = Af
+    if problem.wall is not None:
+        wall, dt, first = problem.wall.wall, problem.grid.dt_s, where.wall.start
+        assert problem.stage.Cp is not None
+        assert problem.stage.Dp is not None
+        size = where.plants[0]
+        A[first, where.plant(0)] = problem.stage.Cp[0, :size]
+        if where.amplifier:
+            A[first, where.current] = problem.stage.Cp[0, size]
+        A[first, -1] = problem.stage.Dp[0, 0]
+        a = wall.smoothing(dt)
+        A[first + VELOCITY] = (1 - a) / dt * A[first]
+        A[first + VELOCITY, first + POSITION] = -(1 - a) / dt
+        A[first + VELOCITY, first + VELOCITY] = a
+        A[first + 2, first : first + 2] = _demand(problem)
+        later = np.arange(first + 3, where.wall.stop)
+        A[later, later - 1] = 1.0
+    return A
+
+
+def _demand(problem: TransientProblem) -> FloatArray:
+    """(2,) feedback current per metre and per m/s of the encoder's deviation [A/...]."""
+    assert problem.wall is not None
+    wall = problem.wall.wall
+    return -np.array([wall.stiffness_N_m, wall.damping_N_s_m]) / wall.force_per_current_N_A
+
+
+def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, FloatArray]:
+    """(S, n) accelerations in SI without filter; (S,) their direct dependence on the movement."""
+    C = np.zeros((where.devices, where.states))
+    for device, stage in enumerate(problem.devices):
+        size = where.plants[device]
+        C[device, where.plant(device)] = stage.C[0, :size]
+        if where.amplifier:
+            C[device, where.current] = stage.C[0, size]
+        C[device, -1] = stage.D[0, 0]
+    return C, C[:, -1].copy()
+
+
+def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
+    """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI."""
+    where, current = layout(problem), problem.current_scale_A
+    A = _dynamics(problem, where)
+    C, E = _outputs(problem, where)
+    if problem.error_filter is not None:
+        _, _, Cf, Df = problem.error_filter.state_space()
+        C, E = C * Df[0, 0], E * Df[0, 0]
+        for device in range(where.devices):
+            C[device, where.filter(device)] = Cf[0]
+    units = np.ones(where.states)
+    if physical_scale:
+        units[:-1] = state_scale(A[:-1, :-1], A[:-1, -1], current, problem.grid.stages)
+    if where.amplifier:
+        units[where.current] = current
+    units[-1] = current
+    supply, feedback = np.zeros(where.states), np.zeros((2, where.states))
+    if problem.supply is not None:
+        size = where.plants[0]
+        supply[where.plant(0)] = problem.supply.circuit.emf_V_s_m * problem.stage.Cv[0, :size]
+        supply[where.current], supply[-1] = problem.supply.by_current, problem.supply.by_command
+    if where.feedback_delay is not None:
+        first, delay = where.wall.start, where.feedback_delay
+        for row, late in enumerate((delay, delay + 1)):
+            if late == 0:
+                feedback[row, first : first + 2] = _demand(problem)
+            else:
+                feedback[row, first + 1 + late] = 1.0
+    norm = float(np.linalg.norm(problem.reference_m_s2)) or 1.0
+    return LinearStage(
+        A=A * units / units[:, None],
+        units=units,
+        current_A=current,
+        C=C * units / norm,
+        E=E * current / norm,
+        supply=supply * units,
+        feedback=feedback * units,
+    )
+
+
+def hand_over_rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
+    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
+    h, n = problem.hand_over_samples, stage.units.size
+    if problem.wall is None:
+        return np.zeros((h, n)), np.zeros(h)
+    tail = np.arange(problem.free_stages, problem.grid.stages)
+    amplifier, dt = problem.stage.amplifier, problem.grid.dt_s
+    now, before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt)
+    pressing = problem.wall.pressing.astype(float)
+    earlier = np.where(tail > 0, pressing[tail - 1], 0.0)
+    rows = now * pressing[tail, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
+    without = problem.hand_over_command(Motion.zero(problem.grid.stages))
+    return rows / stage.current_A, without[tail] / stage.current_A
+
+
+def wall_growth(problem: TransientProblem) -> float:
+    """Largest factor per tick by which a motion under the pressing wall alone grows; below 1 it dies out."""
+    assert problem.wall is not None
+    stage = linear_stage(problem, physical_scale=True)
+    everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones(problem.grid.stages, dtype=bool)))
+    rows, _ = hand_over_rows(everywhere, stage)
+    # c_k = rows x_k, so the movement is that less the command held before.
+    held = rows[-1].copy()
+    held[-1] -= 1.0
+    loop = stage.A + np.outer(stage.A[:, -1], held)
+    return float(np.abs(np.linalg.eigvals(loop)).max())

@@ -1,0 +1,189 @@
+"""Independent continuous-time replay of commands (DESIGN 4).
+
+Simulated by `continuous`, which shares nothing but the plant's matrices with the design model; every limit is checked
+at every fine step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.signals import FloatArray, nrmse
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.circuit import Supply
+from transopt.plant.coil import CoilModel, effective_square, following_square_mean
+from transopt.plant.continuous import AGREEMENT, Loop, Trajectory, accurate, fine, peak_scale
+from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.wall import HandOver
+from transopt.problem.heat import Budget
+from transopt.problem.problem import Certificate, TransientProblem
+
+TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
+SUPPLY_TOLERANCE = 1e-3  # of the limit: between switching instants only the back-EMF is left to its own devices
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What one command does in continuous time.
+
+    Attributes
+    ----------
+    acceleration_m_s2, current_A : (N,) y'' and i at the switching instants.
+    nrmse : of that acceleration against the reference.
+    peak_current_A, peak_command_A : over all t.
+    after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
+    after_peak_A : largest |i| there, all of it the wall's feedback.
+    peak_voltage_V : largest terminal voltage over all t; NaN without a supply.
+    winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
+        state; NaN without a coil model.
+    command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
+    rounding_m_s2 : `ROUNDING` of the largest |C||x| + |D||i| at the switching instants, the terms that add up to y''.
+    step_error : difference of y'' to a replay with half the step, relative to `scale_m_s2`.
+    """
+
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    nrmse: float
+    peak_current_A: float
+    peak_command_A: float
+    after_peak_m_s2: float
+    after_peak_A: float
+    peak_voltage_V: float
+    winding_C: float
+    housing_C: float
+    command_A: FloatArray
+    rounding_m_s2: float
+    step_error: float
+
+    @property
+    def scale_m_s2(self) -> float:
+        """What differences of y'' are relative to."""
+        return float(peak_scale(np.abs(self.acceleration_m_s2).max(), self.rounding_m_s2))
+
+    def shortfalls(self, problem: TransientProblem, command_A: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
+        """What speaks against admitting this command (N,), one sentence each; empty if clean."""
+        found = []
+        limits = problem.limits
+        tolerance_A = Certificate.tolerated(limits.current_A)
+        if not self.peak_current_A <= limits.current_A + tolerance_A:
+            found.append(f"replayed current {self.peak_current_A:.6f} A, limit {limits.current_A:g} A")
+        bound = limits.command_bound_A
+        if not self.peak_command_A <= bound + Certificate.tolerated(bound):
+            found.append(f"command {self.peak_command_A:.6f} A, limit {bound:g} A")
+        supply, thermal = problem.supply, problem.thermal
+        if supply is not None and not self.peak_voltage_V <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
+            found.append(f"terminal voltage {self.peak_voltage_V:.4f} V, limit {supply.limit_V:g} V")
+        if thermal is not None and not self.winding_C <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
+            found.append(f"winding {self.winding_C:.3f} C, limit {thermal.limit_C:.8g} C")
+        if not self.step_error <= AGREEMENT:
+            found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
+        feedback_off = float(np.abs(self.command_A - command_A).max())
+        if not feedback_off <= tolerance_A:
+            found.append(
+                f"with the wall's feedback the command differs from the predicted one by {feedback_off:.1e} A"
+            )
+        scale = max(self.scale_m_s2, 1e-9)
+        difference = float(np.abs(self.acceleration_m_s2 - predicted_m_s2).max()) / scale
+        if not difference <= AGREEMENT:
+            found.append(f"replayed acceleration differs from the predicted one by {difference:.1e} of its peak")
+        return found
+
+
+def replayed_errors(
+    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, references_m_s2: FloatArray
+) -> FloatArray:
+    """(M,) NRMSE of M commands (M, N) against their references (M, N), by the same simulation as `replay`."""
+    found = accurate(stage, grid, commands_A, None).acceleration_m_s2
+    return np.array([nrmse(a, r) for a, r in zip(found, references_m_s2, strict=True)])
+
+
+def _peak_voltages(run: Trajectory, supplies: Sequence[Supply], grid: TimeGrid) -> FloatArray:
+    """(M,) largest terminal voltage while the waveform plays."""
+    peaks = []
+    playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
+    for m, supply in enumerate(supplies):
+        nominal = np.interp(run.times_s[playing], grid.switching_times_s, supply.nominal_m_s)
+        current, felt = run.current_A[m, playing], run.felt_A[m, playing]
+        velocity = run.velocity_m_s[m, playing] + nominal
+        voltage = supply.circuit.voltage_V(current, supply.pole_rad_s * (felt - current), velocity)
+        peaks.append(float(np.abs(voltage).max()))
+    return np.array(peaks)
+
+
+def _temperatures(
+    run: Trajectory, amplifier: Amplifier | None, coil: CoilModel, budgets: Sequence[Budget] | None, grid: TimeGrid
+) -> tuple[FloatArray, FloatArray]:
+    """(M,) highest winding and housing temperature; segment after segment."""
+    starts = run.times_s[run.segment_starts]
+    # Up to tau_N; what plays after the waveform is no part of it.
+    playing = starts < grid.end_s - 1e-9 * grid.dt_s
+    first, lengths = run.segment_starts[playing], np.diff(starts, append=run.times_s[-1])[playing]
+    # Exact for whole segments, as the command is held within each.
+    before, felt = run.current_A[:, first], run.felt_A[:, first]
+    if amplifier is None:
+        heat = effective_square(before)
+    else:
+        heat = following_square_mean(before, felt, amplifier.rate_rad_s * lengths)
+    rate_Hz = None if budgets is None else budgets[0].tap_rate_Hz
+    if budgets is None or rate_Hz is None:
+        winding, housing = coil.simulate(heat, lengths)
+    else:
+        pause = 1 / rate_Hz - float(lengths.sum())
+        idle = np.array([budget.pause_A for budget in budgets])
+        winding, housing = coil.steady_course(heat, lengths, pause, idle)
+    return winding.max(axis=1), housing.max(axis=1)
+
+
+def replay(
+    stage: StageModel,
+    grid: TimeGrid,
+    commands_A: FloatArray,
+    references_m_s2: FloatArray,
+    coil: CoilModel | None,
+    *,
+    supplies: Sequence[Supply] | None = None,
+    walls: Sequence[HandOver] | None = None,
+    budgets: Sequence[Budget] | None = None,
+    count_m: float = 0.0,
+) -> list[Replay]:
+    """Play M commands (M, N) through one device, from rest, and compare each with its reference (M, N).
+
+    The integrator's step resolves the fastest mode and is halved until the acceleration at the switching instants
+    changes by less than 1e-10 of its scale; the difference reached is reported as `step_error`.
+
+    Parameters
+    ----------
+    supplies : one per command, for the terminal voltage.
+    walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
+        replay's own encoder position, which `count_m` rounds to whole counts.
+    budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
+    """
+    loop = None if walls is None else Loop(walls, count_m)
+    found = accurate(stage, grid, commands_A, loop)
+    run, acceleration, command = fine(found.course, found.flow, grid), found.acceleration_m_s2, found.course.command_A
+    current = run.current_A[:, run.at_switching]
+    M, after = commands_A.shape[0], run.times_s > grid.end_s
+    unknown = np.full(M, np.nan)
+    winding, housing = (
+        (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
+    )
+    voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
+    return [
+        Replay(
+            acceleration_m_s2=acceleration[m],
+            current_A=current[m],
+            nrmse=nrmse(acceleration[m], references_m_s2[m]),
+            peak_current_A=float(np.abs(run.current_A[m]).max()),
+            peak_command_A=float(np.abs(command[m]).max()),
+            after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
+            after_peak_A=float(np.abs(run.current_A[m, after]).max()),
+            peak_voltage_V=float(voltage[m]),
+            winding_C=float(winding[m]),
+            housing_C=float(housing[m]),
+            command_A=command[m],
+            rounding_m_s2=float(found.rounding_m_s2[m]),
+            step_error=float(found.step_error[m]),
+        )
+        for m in range(M)
+    ]

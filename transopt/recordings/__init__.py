@@ -1,0 +1,1 @@
+"""Recorded contacts: reading files, finding the onset, and turning taps into references."""

@@ -1,0 +1,270 @@
+"""The formats of tables of signals: CSV, text, NPZ, MAT and WAV, each read as it stands in the file.
+
+Each format has one function that returns the file's columns in the file's own units; nothing is checked but the
+columns' names, for which the reader has a `Vocabulary`. `tabular` checks and converts all of them alike.
+"""
+
+import io
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from transopt.base import mat5
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+
+LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
+MIN_SAMPLES = 8
+_SKIPPED = "-"
+_SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
+_SAVE_MAT = "save it in MATLAB with -v7"
+_HEADER_LINE = re.compile(r"#\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
+# An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
+UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
+_NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A number in the file's head: its quantity, factor to SI, unit as written, and whether it may be zero."""
+
+    quantity: str
+    factor: float
+    unit: str
+    zero: bool = False
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """What a reader's files may hold.
+
+    Attributes
+    ----------
+    columns : name in the file -> (quantity, factor to SI); "time" is one of the quantities.
+    header : name in the file -> scalar.
+    required : quantities that every file has.
+    how_to_name : remedy where columns have no names. rename : where a name is unknown.
+    step_s : shortest and longest median time step [s].
+    unit_suffix : how names end that are meant for a quantity, known or misspelt; others are the user's own.
+    """
+
+    columns: Mapping[str, tuple[str, float]]
+    header: Mapping[str, Scalar]
+    required: tuple[str, ...]
+    how_to_name: str
+    rename: str
+    step_s: tuple[float, float]
+    unit_suffix: re.Pattern[str] = UNIT_SUFFIX
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """A file in its own units. `place` says of a sample index where its reader finds it in the file."""
+
+    columns: Mapping[str, FloatArray]
+    header: Mapping[str, object]
+    place: Callable[[int], str]
+
+
+def read_bytes(path: Path) -> bytes:
+    try:
+        if path.exists() and not path.is_file():  # a pipe or device would block or never end
+            raise InputError("is a folder or a device; name the files themselves")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); check the path and its permissions") from error
+    if not data:
+        raise InputError("is empty (0 bytes); record or export it again")
+    return data
+
+
+def read_raw(
+    suffix: str, data: bytes, columns: Sequence[str], full_scale_m_s2: float | None, words: Vocabulary
+) -> RawTable:
+    match suffix.lower():
+        case ".txt" | ".dat" if not columns:
+            raise InputError(f"columns have no names; {words.how_to_name}")
+        case ".csv" | ".txt" | ".dat":
+            return _read_text(data, columns, words)
+        case ".npz":
+            return _read_npz(data, columns, words)
+        case ".mat":
+            return _read_mat(data, columns, words)
+        case ".wav":
+            return _read_wav(data, full_scale_m_s2)
+    known = ".csv, .txt, .dat, .npz, .mat, .wav"
+    raise InputError(f"unknown format {quote(suffix)}; known: {known}; export it as CSV")
+
+
+def _read_text(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
+    """Comment lines, at most one header row, rows of numbers; rows are counted as an editor counts them."""
+    header: dict[str, object] = {}
+    rows: list[tuple[int, str]] = []
+    for number, line in enumerate(io.StringIO(_decode(data), newline=None), 1):
+        content = line.strip()
+        if number == 1 and content.lower().startswith("sep="):
+            continue  # a spreadsheet's own note about its delimiter
+        if content.startswith("#"):
+            _read_header_line(number, content, header, words)
+        elif content:
+            rows.append((number, content))
+    if not rows:
+        raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
+    number, first = rows[0]
+    cells = [cell.strip() for cell in first.rstrip(";,").split(_delimiter(first))]
+    if not any(_NUMBER_START.match(cell) for cell in cells):
+        del rows[0]
+    elif not columns:
+        begin = "begin with a row like time_s, acceleration_m_s2 (without #)"
+        raise InputError(f"row {number}: {quote(first)} has no header row above; {begin} or {words.how_to_name}")
+    names = columns or cells
+    _check_names(names, words)
+    return RawTable(_parse(rows, names), header, lambda k: f"row {rows[k][0]}")
+
+
+def _decode(data: bytes) -> str:
+    bad = data.find(b"\0")  # valid UTF-8, but only binary files have it
+    try:
+        text = data.decode().removeprefix("\ufeff")
+    except UnicodeDecodeError as error:
+        bad = error.start
+    if bad >= 0:
+        row = data.count(b"\n", 0, bad) + 1
+        raise InputError(f"row {row}: byte 0x{data[bad]:02x} is not UTF-8 text; save it as UTF-8 text")
+    return text.replace('"', "")  # spreadsheets quote cells; no name or number needs the quotes
+
+
+def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
+    """Add `# key: value` to `header`; a comment that merely has a colon in it stays a comment."""
+    found = _HEADER_LINE.fullmatch(line)
+    key, value = found.groups() if found else ("", "")
+    value = value.rstrip(";, ")  # spreadsheets pad short rows with delimiters
+    if key in header:
+        raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
+    if key in words.header:
+        header[key] = value
+    elif words.unit_suffix.search(key):
+        known = f"known: {', '.join(words.header)}"
+        raise InputError(f"row {number}: unknown header key {quote(key)}; {known}; correct or reword it")
+
+
+def _delimiter(line: str) -> str | None:
+    # The semicolon comes first: where both occur the comma is a decimal comma. None: white space.
+    return next((mark for mark in (";", ",") if mark in line), None)
+
+
+def _parse(rows: Sequence[tuple[int, str]], names: Sequence[str]) -> dict[str, FloatArray]:
+    """Columns (n,) of the rows' numbers; skipped columns may hold anything."""
+    used = {name: at for at, name in enumerate(names) if name != _SKIPPED}
+    delimiter = _delimiter(rows[0][1]) if rows else None
+    columns: dict[str, list[float]] = {name: [] for name in used}
+    for number, line in rows:
+        # Between semicolons a comma can only be a decimal comma.
+        cells = line.replace(",", ".").split(delimiter) if delimiter == ";" else line.split(delimiter)
+        if len(cells) == len(names) + 1 and not cells[-1].strip():
+            del cells[-1]  # spreadsheets end every row with a delimiter if one row needs it
+        if len(cells) != len(names):
+            listed = quote(", ".join(names))
+            remedy = "correct the row or the columns' names (decimal commas? write points)"
+            raise InputError(f"row {number}: {len(cells)} cells, {len(names)} columns ({listed}); {remedy}")
+        for name, at in used.items():
+            try:
+                columns[name].append(float(cells[at]))
+            except ValueError:
+                remedy = "write decimal points" if "," in cells[at] else "correct it, or put # before a remark"
+                problem = f"{quote(cells[at])} is no number"
+                raise InputError(f"row {number}, column {name}: {problem}; {remedy}") from None
+    return {name: np.array(values, dtype=float) for name, values in columns.items()}
+
+
+def _read_npz(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
+    with guarded("not a readable NPZ file", _SAVE_NPZ):
+        archive = np.load(io.BytesIO(data), allow_pickle=False)
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise InputError(f"a single array, not an NPZ archive; {_SAVE_NPZ}")
+    return _from_variables(archive, columns, words, lambda k: f"element [{k}]")
+
+
+def _read_mat(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
+    with guarded("not a readable MAT file", _SAVE_MAT):
+        variables = mat5.variables(data)
+    return _from_variables(variables, columns, words, lambda k: f"element ({k + 1})")
+
+
+@contextmanager
+def guarded(what: str, remedy: str) -> Iterator[None]:
+    """Run a reader on unchecked bytes: whatever it raises or warns of, nothing but InputError comes out."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", "Reached EOF prematurely")  # a WAV file cut short
+            yield
+    except Exception as error:
+        raise InputError(f"{what} ({quote(str(error) or type(error).__name__)}); {remedy}") from error
+
+
+def _from_variables(
+    named: Mapping[str, object], columns: Sequence[str], words: Vocabulary, place: Callable[[int], str]
+) -> RawTable:
+    """The chosen columns among the named variables; without `columns`, all whose names end in a unit."""
+    wanted = [name for name in columns if name != _SKIPPED] or [
+        name for name in named if name not in words.header and words.unit_suffix.search(name)
+    ]
+    _check_names(wanted, words, list(named))
+    header = {name: _column(named, name) for name in words.header if name in named}
+    return RawTable({name: _column(named, name) for name in wanted}, header, place)
+
+
+def _column(named: Mapping[str, object], name: str) -> FloatArray:
+    with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable only now
+        array = np.asarray(named[name])
+    if array.dtype.kind not in "iuf" or array.size != max(array.shape, default=1):
+        found = f"{quote(str(array.dtype))} of shape {array.shape}"
+        raise InputError(f"variable {name} is {found}: must be one row or column of real numbers; convert it")
+    return np.asarray(array.ravel(), dtype=float)
+
+
+def _read_wav(data: bytes, full_scale_m_s2: float | None) -> RawTable:
+    if full_scale_m_s2 is None or not 0 < full_scale_m_s2 <= LARGEST:
+        need = "WAV needs the acceleration of full scale, > 0 m/s^2; state it in the scene, for example 490.3"
+        raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2}: {need}")
+    with guarded("not a readable WAV file", "export it again as PCM or float WAV"):
+        rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
+    if samples.ndim != 1:
+        raise InputError(f"{samples.shape[1]} channels, must be 1; export the accelerometer's as mono")
+    values = np.asarray(samples, dtype=float)
+    if samples.dtype.kind == "u":  # 8 bits and less are stored with an offset
+        values = (values - 128.0) / 128.0
+    elif samples.dtype.kind == "i":
+        values = values / 2.0 ** (8 * samples.dtype.itemsize - 1)
+    columns = {"time_s": np.arange(values.size) / rate_Hz, "acceleration_m_s2": full_scale_m_s2 * values}
+    return RawTable(columns, {}, lambda k: f"sample {k}")
+
+
+def _check_names(names: Sequence[str], words: Vocabulary, found: Sequence[str] = ()) -> None:
+    """Known names (of the variables `found`), each quantity at most once, the required ones exactly once."""
+    present = quote(", ".join(found or names))
+    used = [name for name in names if name != _SKIPPED]
+    for name in used:
+        if name not in words.columns:
+            known = ", ".join(words.columns)
+            raise InputError(f"unknown column {quote(name)}; known: {known}; {words.rename}")
+        if found and name not in found:
+            raise InputError(f"no variable {name}; found: {present}; correct the name")
+    for quantity in dict.fromkeys(of for of, _ in words.columns.values()):
+        count = sum(words.columns[name][0] == quantity for name in used)
+        if count > 1 or (count == 0 and quantity in words.required):
+            choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
+            raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
+
+
+def quote(text: str) -> str:
+    """The text in quotes, on one line, at most 120 characters of it."""
+    line = " ".join(text.split())
+    return repr(line if len(line) <= 120 else line[:117] + "...")

@@ -1,0 +1,265 @@
+"""From recordings to references: what the motor has to make the stylus do (DESIGN 2 and 5)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, Signal, highpass, nrmse, sampled
+from transopt.plant.discretise import TimeGrid
+from transopt.recordings.recording import Recording
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import Tap, prepare
+
+ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
+SETTLING_S = 20e-3  # the filters start this long before contact
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the device has to do at one grid speed, at the switching instants.
+
+    Attributes
+    ----------
+    raw_m_s2 : (N,) r_raw, the recorded acceleration. motor_m_s2 : (N,) r = H r_raw.
+    nominal_position_m, nominal_velocity_m_s : (N,) z_nom and its derivative.
+    nominal_position_at_ticks_m : (N,) z_nom at the servo ticks t_k, where the encoder is read.
+    repeatability, repeatability_unaligned : mean NRMSE of the repeats against their mean; NaN for one tap.
+    taps : the recordings used. factors : (n,) by which each was scaled to the grid speed.
+    times_s, repeats_m_s2 : (K,), (n, K) the aligned repeats, for figures.
+    between_m_s : the two recorded speeds it was derived from by `between`; None if it was recorded itself.
+    """
+
+    speed_m_s: float
+    raw_m_s2: FloatArray
+    motor_m_s2: FloatArray
+    nominal_position_m: FloatArray
+    nominal_velocity_m_s: FloatArray
+    nominal_position_at_ticks_m: FloatArray
+    repeatability: float
+    repeatability_unaligned: float
+    taps: tuple[Tap, ...]
+    factors: FloatArray
+    times_s: FloatArray
+    repeats_m_s2: FloatArray
+    between_m_s: tuple[float, float] | None = None
+
+    def without_taps(self) -> "Reference":
+        """What a design needs, without what it was made from, which is a hundred times as large."""
+        none = np.zeros(0)
+        return replace(self, taps=(), factors=none, times_s=none, repeats_m_s2=np.zeros((0, 0)))
+
+    @property
+    def scalings(self) -> FloatArray:
+        """(n,) by which each recorded acceleration was multiplied in all."""
+        return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])
+
+    @property
+    def user_share(self) -> float:
+        """|r_raw - r| / |r_raw|: the part of the tap that is the user's own motion."""
+        return nrmse(self.motor_m_s2, self.raw_m_s2)
+
+
+def _fine_times(grid: TimeGrid) -> FloatArray:
+    """Ten points per servo period around contact, with t = 0 among them."""
+    step = min(grid.dt_s / 10, 1e-5)
+    before = int(np.ceil((SETTLING_S + grid.lead_s) / step))
+    after = int(np.ceil(max(grid.end_s, 0.0) / step)) + 1
+    return np.asarray(np.arange(-before, after + 1) * step)
+
+
+def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
+    """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
+    reach = round(ALIGNMENT_S / step_s)
+    length = scipy.fft.next_fast_len(mean.size + reach, real=True)
+    # Cyclic, with room behind for the lags looked at; those before zero stand at the end.
+    matches = scipy.fft.irfft(scipy.fft.rfft(repeats, length) * scipy.fft.rfft(mean, length).conj(), length)
+    lags = []
+    for window in np.roll(matches, reach, axis=1)[:, : 2 * reach + 1]:
+        best = int(np.argmax(window))
+        shift = float(best - reach)
+        if 0 < best < window.size - 1:
+            left, centre, right = window[best - 1 : best + 2]
+            curvature = left - 2 * centre + right
+            shift += 0.5 * (left - right) / curvature if curvature < 0 else 0.0
+        lags.append(shift * step_s)
+    return np.asarray(lags)
+
+
+def _spread(repeats: FloatArray) -> float:
+    if repeats.shape[0] < 2:
+        return float("nan")
+    mean = repeats.mean(axis=0)
+    return float(np.mean([nrmse(repeat, mean) for repeat in repeats]))
+
+
+def _integral(values: FloatArray, step_s: float) -> FloatArray:
+    """(n,) by the trapezoidal rule, from the first sample on."""
+    course = np.zeros(values.size)
+    np.cumsum(0.5 * step_s * (values[1:] + values[:-1]), out=course[1:])
+    return course
+
+
+def build_reference(
+    speed_m_s: float, taps: Sequence[Tap], factors: FloatArray, grid: TimeGrid, settings: Recordings
+) -> Reference:
+    """Scale, align and average the taps of one grid speed, and split off the user's share.
+
+    r_raw is the mean; r = H r_raw with H a causal second-order high-pass; z_nom integrates r_raw - r twice from
+    z = 0, dz/dt = -speed at contact.
+
+    Raises
+    ------
+    InputError : a tap that ends before the horizon does.
+    """
+    needed = float(grid.switching_times_s[-1])
+    for tap in taps:
+        if tap.acceleration.end_s < needed:
+            raise InputError(
+                f"{tap.recording.name}: ends {tap.acceleration.end_s * 1e3:.1f} ms after contact, the window needs "
+                f"{needed * 1e3:.1f} ms: record longer or lower time.stages"
+            )
+    times = _fine_times(grid)
+    splines = [tap.acceleration.spline for tap in taps]
+
+    def scaled(shifts_s: FloatArray) -> FloatArray:
+        return np.stack([f * sampled(x, times + by) for f, x, by in zip(factors, splines, shifts_s, strict=True)])
+
+    repeats = scaled(np.zeros(len(taps)))
+    unaligned = _spread(repeats)
+    if len(taps) > 1:
+        lags = _lags(repeats, repeats.mean(axis=0), times[1] - times[0])
+        # The mean onset stays where it is: alignment must not move the contact.
+        repeats = scaled(lags - lags.mean())
+    raw = Signal(float(times[0]), float(times[1] - times[0]), repeats.mean(axis=0))
+    motor = highpass(raw, settings.highpass_Hz)
+    user = raw.values - motor.values
+    contact = int(np.argmin(np.abs(times)))
+    velocity = _integral(user, raw.dt_s)
+    velocity += -speed_m_s - velocity[contact]
+    position = _integral(velocity, raw.dt_s)
+    position -= position[contact]
+    # All within the fine times.
+    courses = scipy.interpolate.CubicSpline(
+        raw.times_s, np.stack([raw.values, motor.values, position, velocity], axis=1)
+    )
+    raw_m_s2, motor_m_s2, nominal_m, nominal_m_s = sampled(courses, grid.switching_times_s).T.copy()
+    return Reference(
+        speed_m_s=speed_m_s,
+        raw_m_s2=raw_m_s2,
+        motor_m_s2=motor_m_s2,
+        nominal_position_m=nominal_m,
+        nominal_velocity_m_s=nominal_m_s,
+        nominal_position_at_ticks_m=sampled(courses, grid.issue_times_s)[:, 2].copy(),
+        repeatability=_spread(repeats),
+        repeatability_unaligned=unaligned,
+        taps=tuple(taps),
+        factors=np.asarray(factors),
+        times_s=times,
+        repeats_m_s2=repeats,
+    )
+
+
+def assign(taps: Sequence[Tap], speeds_m_s: Sequence[float], settings: Recordings) -> list[list[tuple[Tap, float]]]:
+    """For each grid speed its taps, each with the factor that scales it to that speed.
+
+    A tap belongs to the nearest grid speed, if it lies within `speed_tolerance` of it; taps that serve every
+    grid speed belong to all.
+
+    Raises
+    ------
+    InputError : a tap too far from every grid speed; a grid speed without a tap.
+    """
+    nodes = np.asarray(speeds_m_s, dtype=float)
+    groups: list[list[tuple[Tap, float]]] = [[] for _ in nodes]
+    for tap in taps:
+        if np.isnan(tap.speed_m_s):
+            for group, node in zip(groups, nodes, strict=True):
+                group.append((tap, float(node)))
+            continue
+        distance = np.abs(nodes / tap.speed_m_s - 1)
+        nearest = int(np.argmin(distance))
+        if distance[nearest] > settings.speed_tolerance:
+            raise InputError(
+                f"{tap.recording.name}: speed {tap.speed_m_s:.4g} m/s is {distance[nearest]:.0%} from the nearest "
+                f"grid speed {nodes[nearest]:g} m/s, limit {settings.speed_tolerance:.0%}: "
+                "add a grid speed or leave the file out"
+            )
+        groups[nearest].append((tap, float(nodes[nearest] / tap.speed_m_s)))
+    for group, node in zip(groups, nodes, strict=True):
+        if not group:
+            raise InputError(
+                f"grid.speeds_m_s: no recording within {settings.speed_tolerance:.0%} of {node:g} m/s: "
+                "record taps at that speed or take it off the grid"
+            )
+    return groups
+
+
+def build_references(
+    recordings: Sequence[Recording], speeds_m_s: Sequence[float], grid: TimeGrid, settings: Recordings
+) -> list[Reference]:
+    """One reference per grid speed from all recordings of a scene.
+
+    Raises
+    ------
+    InputError : see `prepare`, `assign` and `build_reference`.
+    """
+    taps = [prepare(recording, settings) for recording in recordings]
+    return [
+        build_reference(node, [tap for tap, _ in group], np.array([f for _, f in group]), grid, settings)
+        for node, group in zip(speeds_m_s, assign(taps, speeds_m_s, settings), strict=True)
+    ]
+
+
+def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
+    """The reference at any speed within the recorded ones; at a recorded speed the recorded one itself.
+
+    Between neighbours v1 < v < v2 the shape r / v is interpolated linearly in speed, with w = (v - v1) / (v2 - v1):
+
+        r = v ((1 - w) r_1 / v1 + w r_2 / v2)
+
+    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). r_raw and
+    z_nom with its velocity follow the same rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
+    The taps of both neighbours are listed, scaled to v; the repeatability is the larger of the two, NaN if one is.
+
+    Parameters
+    ----------
+    references : of the recorded speeds, increasing.
+
+    Raises
+    ------
+    InputError : a speed outside the recorded ones.
+    """
+    speeds = [reference.speed_m_s for reference in references]
+    if not speeds[0] <= speed_m_s <= speeds[-1]:
+        raise InputError(
+            f"speed {speed_m_s:g} m/s: references are known from {speeds[0]:g} to {speeds[-1]:g} m/s only: "
+            "record taps at that speed"
+        )
+    if speed_m_s in speeds:
+        return references[speeds.index(speed_m_s)]
+    j = int(np.searchsorted(speeds, speed_m_s))
+    slow, fast = references[j - 1], references[j]
+    w = (speed_m_s - slow.speed_m_s) / (fast.speed_m_s - slow.speed_m_s)
+    to_slow, to_fast = speed_m_s / slow.speed_m_s, speed_m_s / fast.speed_m_s
+
+    def shape(of_slow: FloatArray, of_fast: FloatArray) -> FloatArray:
+        return np.asarray((1 - w) * to_slow * of_slow + w * to_fast * of_fast)
+
+    return Reference(
+        speed_m_s=speed_m_s,
+        raw_m_s2=shape(slow.raw_m_s2, fast.raw_m_s2),
+        motor_m_s2=shape(slow.motor_m_s2, fast.motor_m_s2),
+        nominal_position_m=shape(slow.nominal_position_m, fast.nominal_position_m),
+        nominal_velocity_m_s=shape(slow.nominal_velocity_m_s, fast.nominal_velocity_m_s),
+        nominal_position_at_ticks_m=shape(slow.nominal_position_at_ticks_m, fast.nominal_position_at_ticks_m),
+        repeatability=float(np.maximum(slow.repeatability, fast.repeatability)),
+        repeatability_unaligned=float(np.maximum(slow.repeatability_unaligned, fast.repeatability_unaligned)),
+        taps=slow.taps + fast.taps,
+        factors=np.append(to_slow * slow.factors, to_fast * fast.factors),
+        times_s=slow.times_s,
+        repeats_m_s2=np.append(to_slow * slow.repeats_m_s2, to_fast * fast.repeats_m_s2, axis=0),
+        between_m_s=(slow.speed_m_s, fast.speed_m_s),
+    )

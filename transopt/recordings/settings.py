@@ -1,0 +1,58 @@
+"""The scene's table `[recordings]`: where taps come from and how they become references."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from transopt.base.section import Finite, NonNegative, Positive, Section, Speed
+
+
+class SimulatedTaps(Section):
+    """A real object that the undriven device strikes (DESIGN 5): the built-in recordings.
+
+    Contact force on the stylus: k delta^n (1 + c d delta/dt) >= 0, delta the indentation.
+    """
+
+    grip_N: Positive
+    object_mass_kg: Positive
+    object_stiffness_N_m: NonNegative
+    object_damping_N_s_m: NonNegative
+    contact_stiffness_N_m: Positive
+    contact_exponent: Positive
+    contact_damping_s_m: NonNegative
+    repeats: Annotated[int, Field(ge=1)] = 3
+    speed_spread: Annotated[float, Field(ge=0, lt=0.15)] = 0.05
+    noise_g_rtHz: NonNegative = 320e-6
+    range_g: Positive = 18.0
+    rate_Hz: Annotated[float, Field(ge=1e3, le=1e6)] = 10e3
+    seed: Annotated[int, Field(ge=0)] = 1
+
+
+class Recordings(Section):
+    """Where the taps come from and how they become references."""
+
+    files: list[str] = Field(default_factory=list)
+    folder: str = "."
+    columns: list[str] = Field(default_factory=list)
+    full_scale_m_s2: Positive | None = None
+    speed_m_s: Speed | None = None
+    speed_by_file_m_s: dict[str, Speed] = Field(default_factory=dict)
+    grip_N: NonNegative | None = None
+    source: str = ""
+    polarity: Literal["auto", "positive", "negative"] = "auto"
+    offset_m_s2: Finite | Literal["baseline"] = "baseline"
+    onset_s: Finite | Literal["auto"] = "auto"
+    lowpass_Hz: Annotated[float, Field(ge=50, le=1e6)] = 1000.0
+    highpass_Hz: Annotated[float, Field(ge=0.1, le=1e5)] = 8.0
+    speed_tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.15
+    time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
+    amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
+    simulated: SimulatedTaps | None = None
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if bool(self.files) == (self.simulated is not None):
+            raise ValueError("give either files or a simulated table, not both and not neither")
+        if self.highpass_Hz >= self.lowpass_Hz:
+            raise ValueError(f"highpass_Hz = {self.highpass_Hz:g}: must be below lowpass_Hz = {self.lowpass_Hz:g}")
+        return self

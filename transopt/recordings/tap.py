@@ -1,0 +1,246 @@
+"""Recordings made ready: offset, polarity, onset, speed, similarity scaling, low-pass (DESIGN 5)."""
+
+import glob
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, lowpass
+from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import Recording
+from transopt.recordings.settings import Recordings
+
+BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
+BASELINE_SAMPLES = 8  # fewer are no baseline
+SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
+LEAST_PEAK_TO_NOISE = 6.0  # below, nothing stands out
+CLEAR_PEAK_TO_NOISE = 20.0  # below, noise alone may pass the 30 % of the peak by which the onset is found
+
+
+def _paths(settings: Recordings) -> list[Path]:
+    """Files of the scene; an entry that is no file itself is a pattern, expanded in sorted order."""
+    paths: list[Path] = []
+    for entry in settings.files:
+        literal = Path(settings.folder) / entry
+        if literal.is_file() or not any(character in entry for character in "*?["):
+            paths.append(literal)
+            continue
+        # The folder is no pattern, whatever characters its name has; an absolute entry stands for itself.
+        found = sorted(glob.glob(str(Path(glob.escape(settings.folder)) / entry)))  # noqa: PTH207
+        if not found:
+            source = f" (source: {settings.source})" if settings.source else ""
+            raise InputError(
+                f"recordings.files: {entry!r} matches no file in {settings.folder}: "
+                f"put the recordings there, or name their folder with --recordings FOLDER{source}"
+            )
+        paths += [Path(name) for name in found]
+    return paths
+
+
+def read_recordings(settings: Recordings) -> list[Recording]:
+    """Load the files that a scene names.
+
+    `speed_by_file_m_s` overrides what a file states; `speed_m_s` and `grip_N` serve files that state none.
+
+    Raises
+    ------
+    InputError : a pattern that matches nothing, a file name in `speed_by_file_m_s` that is not among the files, or
+        whatever a file itself is refused for.
+    """
+    paths = _paths(settings)
+    stray = set(settings.speed_by_file_m_s) - {path.name for path in paths}
+    if stray:
+        raise InputError(
+            f"recordings.speed_by_file_m_s: {sorted(stray)[0]!r} is not among the files; correct the name"
+        )
+    found = []
+    for path in paths:
+        recording = load_recording(path, columns=settings.columns, full_scale_m_s2=settings.full_scale_m_s2)
+        stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
+        grip = settings.grip_N if recording.grip_N is None else recording.grip_N
+        found.append(replace(recording, speed_m_s=settings.speed_by_file_m_s.get(path.name, stated), grip_N=grip))
+    return found
+
+
+@dataclass(frozen=True)
+class Tap:
+    """A recording made ready: SI, contact at t = 0, positive where the tap decelerates the stylus.
+
+    Attributes
+    ----------
+    acceleration : low-passed, similarity-scaled, not yet scaled to a grid speed [m/s^2].
+    speed_m_s : incoming speed after similarity scaling; NaN where the recording serves every grid speed.
+    speed_source : how the speed is known.
+    offset_m_s2, polarity, onset_s : found in the recording, in its own time and sign.
+    peak_m_s2 : of the low-passed acceleration.
+    amplitude : similarity factor that `acceleration` has been multiplied by.
+    clipped_samples : samples that sit at the sensor's end stop.
+    notes : what a user should know about this recording, one sentence each.
+    """
+
+    recording: Recording
+    acceleration: Signal
+    speed_m_s: float
+    speed_source: str
+    offset_m_s2: float
+    polarity: int
+    onset_s: float
+    peak_m_s2: float
+    amplitude: float
+    clipped_samples: int
+    notes: tuple[str, ...]
+
+
+def _crossing(times_s: FloatArray, values: FloatArray, before: int, level: float) -> float:
+    """Last time before sample `before` at which the values rise through `level`; the first sample if none."""
+    below = np.flatnonzero(values[:before] < level)
+    if below.size == 0:
+        return float(times_s[0])
+    j = int(below[-1])
+    fraction = (level - values[j]) / (values[j + 1] - values[j])
+    return float(times_s[j] + fraction * (times_s[j + 1] - times_s[j]))
+
+
+def find_onset(x: Signal) -> float:
+    """Contact time of a tap without offset and with positive polarity [s].
+
+    The line through the first rise's 10 % and 30 % points (of the highest peak) is followed back to zero. A
+    threshold alone would be late by a part of the rise, and a servo tick of error costs 8 % NRMSE; and the highest
+    peak need not be the first.
+    """
+    height = float(x.values.max())
+    risen = int(np.argmax(x.values >= 0.3 * height))
+    low = _crossing(x.times_s, x.values, risen, 0.1 * height)
+    high = _crossing(x.times_s, x.values, risen, 0.3 * height)
+    return max(low - 0.5 * (high - low), x.start_s)
+
+
+def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
+    """Static offset of the sensor, from the samples before the tap; a bump while the hand moves does not count."""
+    if settings.offset_m_s2 != "baseline":
+        return float(settings.offset_m_s2), []
+    centred = x.values - np.median(x.values)
+    upright = replace(x, values=centred * np.sign(centred[np.argmax(np.abs(centred))]))
+    quiet = x.values[x.times_s < find_onset(upright) - BASELINE_GUARD_S]
+    if quiet.size < BASELINE_SAMPLES:
+        return 0.0, ["no baseline before the onset: offset taken as 0; state recordings.offset_m_s2 if there is one"]
+    return float(scipy.stats.trim_mean(quiet, 0.2)), []
+
+
+def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
+    high, low = float(values.max()), float(-values.min())
+    if settings.polarity != "auto":
+        return (1 if settings.polarity == "positive" else -1), []
+    notes = []
+    if min(high, low) > 0.8 * max(high, low):
+        notes.append("both signs peak alike: state recordings.polarity")
+    return (1 if high >= low else -1), notes
+
+
+def _clipped(values: FloatArray, offset: float) -> int:
+    """Samples in runs of three or more that sit exactly at the largest or smallest value.
+
+    Only an extreme at least half as far from the offset as the other is an end stop; a silent baseline is none.
+    """
+    count = 0
+    reach = float(np.abs(values - offset).max())
+    for extreme in (values.max(), values.min()):
+        if abs(extreme - offset) < 0.5 * reach:
+            continue
+        at_stop = np.concatenate([[False], values == extreme, [False]])
+        edges = np.flatnonzero(np.diff(at_stop.astype(int)))
+        runs = edges[1::2] - edges[::2]
+        count += int(runs[runs >= 3].sum())
+    return count
+
+
+def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
+    """Incoming speed [m/s] and its source."""
+    if recording.speed_m_s is not None:
+        return recording.speed_m_s, "stated"
+    if recording.position is None:
+        raise InputError(
+            f"{recording.name}: no incoming speed: state it in the file (`# speed_m_s: ...`), record a position_m "
+            "column, or name it in recordings.speed_by_file_m_s (`transopt taps`: --speed)"
+        )
+    t, z = recording.position.times_s, recording.position.values
+    before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
+    if np.count_nonzero(before) < BASELINE_SAMPLES:
+        raise InputError(
+            f"{recording.name}: position_m has {np.count_nonzero(before)} samples in the {SPEED_FIT_S * 1e3:g} ms "
+            f"before contact, {BASELINE_SAMPLES} needed to fit the speed: state `# speed_m_s: ...`"
+        )
+    fit = np.polynomial.Polynomial.fit(t[before], z[before], 2)
+    speed = -float(fit.deriv()(onset_s))
+    if not speed > 0:
+        raise InputError(
+            f"{recording.name}: speed fitted from position_m = {speed:g} m/s: must be > 0 (z is positive out of "
+            "the object): check the sign of position_m or state `# speed_m_s: ...`"
+        )
+    return speed, "position"
+
+
+def _noise(x: Signal) -> float:
+    """Size (rms) of the white noise in a recording, from its steps: a tap is smooth, whatever part of it it fills."""
+    return float(scipy.stats.median_abs_deviation(np.diff(x.values), scale="normal") / np.sqrt(2))
+
+
+def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) -> list[str]:
+    """What makes a recording an unlikely tap; none of it refuses the file."""
+    notes = []
+    if peak_m_s2 < CLEAR_PEAK_TO_NOISE * noise_m_s2:
+        notes.append(f"peak is only {peak_m_s2 / noise_m_s2:.1f} times the noise: the onset may be wrong")
+    if speed_m_s > 3:
+        notes.append(f"{speed_m_s:g} m/s is faster than a hand taps: check the unit of the speed")
+    if not np.isnan(speed_m_s) and not 0.2 <= peak_m_s2 / STANDARD_GRAVITY_M_S2 <= 200:
+        notes.append("peak is far from a tap's 0.5 to 100 g: check the unit of the acceleration")
+    if raw.rate_Hz < 2000:
+        notes.append(f"sampled at {raw.rate_Hz:.0f} Hz: what a tap has above {raw.rate_Hz / 2:.0f} Hz is missing")
+    return notes
+
+
+def prepare(recording: Recording, settings: Recordings) -> Tap:
+    """Offset, polarity, onset, speed, similarity scaling and low-pass of one recording.
+
+    Raises
+    ------
+    InputError : no way to know the speed, or no tap in the recording.
+    """
+    raw = recording.acceleration
+    offset, notes = _offset(raw, settings)
+    polarity, more = _polarity(raw.values - offset, settings)
+    upright = replace(raw, values=polarity * (raw.values - offset))
+    if not upright.values.max() > 0:
+        raise InputError(
+            f"{recording.name}: no sample above the offset of {offset:g} m/s^2: "
+            "check recordings.polarity and recordings.offset_m_s2"
+        )
+    onset = find_onset(upright) if settings.onset_s == "auto" else float(settings.onset_s)
+    noise = _noise(raw)
+    if settings.onset_s == "auto" and upright.values.max() < LEAST_PEAK_TO_NOISE * noise:
+        raise InputError(
+            f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
+            f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
+        )
+    speed, source = _speed(recording, onset)
+    clipped = _clipped(raw.values, offset)
+    if clipped:
+        more.append(f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range")
+
+    stretch = settings.time_scale
+    if settings.amplitude_scale == "to_grid_speed":
+        # Linear contact: time stretches by s, acceleration scales by v' / (v s); v' follows at each grid speed.
+        factor, speed, source = 1 / (speed * stretch), float("nan"), f"{source}, scaled to every grid speed"
+    else:
+        factor = settings.amplitude_scale
+        if (stretch, factor) != (1.0, 1.0):
+            source += ", similarity-scaled"
+        speed *= stretch * factor
+    scaled = Signal((raw.start_s - onset) * stretch, raw.dt_s * stretch, factor * upright.values)
+    filtered = lowpass(scaled, settings.lowpass_Hz)
+    peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
+    more += _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
+    return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, factor, clipped, (*notes, *more))

@@ -1,0 +1,153 @@
+"""What a report says about an identified model: values, intervals, verdicts, and how far to trust a design."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from transopt.design.build import Build
+from transopt.design.entry import Entry
+from transopt.problem.problem import Status
+from transopt.report.tables import percent
+from transopt.scene.fitted import Fitted
+from transopt.scene.identified import Identified
+from transopt.scene.model_file import PARTS, DriveDevice
+from transopt.scene.scene import Scene
+
+GAIN_TOLERANCE = 0.02  # of the amplifier; the design takes a commanded ampere for an ampere
+
+
+def _use(scene: Scene, model: Identified, name: str) -> str:
+    """What the design takes from a part, in words."""
+    match name:
+        case "amplifier":
+            assert model.amplifier is not None
+            gain = model.amplifier.gain
+            if abs(gain - 1) <= GAIN_TOLERANCE:
+                return "pole and delay"
+            return f"pole and delay; its gain of {gain:.3g} is NOT in the design: calibrate the amplifier"
+        case "device" if isinstance(model.device, DriveDevice):
+            return "masses, springs, dampers and force per ampere, in place of those of motor and transmission"
+        case "device":
+            return "the response from current to acceleration; blended between recorded grips"
+        case "hand":
+            return "not used: the device has its own" if model.device is not None else "mass, spring and damper"
+        case _:
+            return (
+                "thermal resistances and time constants, in place of the motor's"
+                if scene.motor
+                else ("not used: the scene states no motor")
+            )
+
+
+def _value_rows(name: str, part: Fitted) -> list[str]:
+    rows = []
+    for j, (parameter, value) in enumerate(zip(part.parameters, part.values(), strict=True)):
+        interval = part.intervals.get(parameter)
+        shown = "-" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
+        rows.append(f"| {name} | {parameter} | {value:.4g} | {shown} | {np.sqrt(part.covariance[j][j]):.2g} |")
+    return rows
+
+
+def _spread_words(scene: Scene) -> list[str]:
+    robust = scene.robust
+    if robust is None:
+        return []
+    words = []
+    if robust.grip_spread is not None:
+        words.append(f"grips of +-{robust.grip_spread:.0%} around the node")
+    if robust.model_uncertainty:
+        words.append(
+            f"{robust.samples} devices drawn from the covariance of the fit (seeded, in pairs of opposite errors, "
+            "passive at every grip; the same at all nodes)"
+        )
+    return ["", f"Robust: each command serves the identified device and, besides, {' and '.join(words)}."]
+
+
+def below_the_model(build: Build) -> list[Entry]:
+    """Entries whose error by design is smaller than what their model was found to be off by."""
+    model = build.scene.model
+    if not isinstance(model, Identified):
+        return []
+    admitted = [entry for entry in build.all_entries() if entry.status is Status.OPTIMAL]
+    return [entry for entry in admitted if entry.nrmse < model.error_at(entry.grip_N)]
+
+
+def model_warning(build: Build) -> str:
+    """One line where the design promises more than the model can know; empty if nowhere."""
+    entries, model = below_the_model(build), build.scene.model
+    if not entries or not isinstance(model, Identified):
+        return ""
+    worst = max(entries, key=lambda entry: model.error_at(entry.grip_N) - entry.nrmse)
+    return (
+        f"below the model's own error: {len(entries)} of {sum(1 for _ in build.all_entries())} entries; at "
+        f"{worst.speed_m_s:g} m/s, {worst.grip_N:g} N the design says {percent(worst.nrmse)} %, the model missed "
+        f"transients it had not seen by {percent(model.error_at(worst.grip_N))} %: expect that on the device"
+    )
+
+
+def _outside(scene: Scene, model: Identified) -> list[str]:
+    recorded = [grip for grip in model.moving.grips_N if grip > 0]
+    beyond = [f"{grip:g}" for grip in scene.grid.grips_N if grip > 0 and not recorded[0] <= grip <= recorded[-1]]
+    if not beyond:
+        return []
+    return [
+        "",
+        f"Outside the recorded grips, {recorded[0]:g} to {recorded[-1]:g} N, but within the tenth that is allowed: "
+        f"{', '.join(beyond)} N. The model is {'extended' if isinstance(model.moving, Fitted) else 'held'} there.",
+    ]
+
+
+def identified_lines(build: Build) -> list[str]:
+    """The section of report.md; empty for a model that the scene states itself."""
+    scene, model = build.scene, build.scene.model
+    if not isinstance(model, Identified):
+        return []
+    lines = ["", "## Identified", "", f"From {model.file} (sha256 {model.sha256[:12]}):", ""]
+    rows: list[str] = []
+    for name in PARTS:
+        part = getattr(model, name)
+        if part is None:
+            continue
+        lines.append(f"- {name}: {_use(scene, model, name)}. {part.verdict}")
+        if isinstance(part, Fitted) and not (name == "hand" and model.device is not None):
+            rows += _value_rows(name, part)
+    stated = [name for name in ("amplifier", "coil") if getattr(model, name) is None]
+    lines += [
+        f"- {name}: as the scene states it" for name in stated if name == "amplifier" or scene.motor is not None
+    ]
+    if rows:
+        lines += ["", "| part | parameter | value (SI) | 95 % | deviation |", "|---|---|---|---|---|", *rows]
+    lines += _outside(scene, model)
+    if model.device is not None and model.device.nrmse:
+        errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
+        lines += ["", f"Held-out NRMSE of the model on trials outside its fit: {errors}."]
+    warning = model_warning(build)
+    return [*lines, *(["", f"**{warning[0].upper()}{warning[1:]}.**"] if warning else []), *_spread_words(scene)]
+
+
+def identified_rows(build: Build) -> dict[str, Any] | None:
+    """The same for report.json."""
+    model = build.scene.model
+    if not isinstance(model, Identified):
+        return None
+    return {
+        "file": model.file,
+        "sha256": model.sha256,
+        "parts": {
+            name: {
+                "used": _use(build.scene, model, name),
+                "verdict": part.verdict,
+                **(_values(part) if isinstance(part, Fitted) else {}),
+            }
+            for name in PARTS
+            if (part := getattr(model, name)) is not None
+        },
+        "model_nrmse": None if model.device is None else model.device.nrmse,
+        "below_the_model": [[entry.speed_m_s, entry.grip_N] for entry in below_the_model(build)],
+    }
+
+
+def _values(part: Fitted) -> dict[str, Any]:
+    values: Sequence[float] = part.values().tolist()
+    return {"values": dict(zip(part.parameters, values, strict=True)), "intervals": part.intervals}

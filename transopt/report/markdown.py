@@ -1,0 +1,296 @@
+"""The files that a build leaves: report.md and report.json."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from transopt.base.files import without_nan
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.design.build import Build
+from transopt.design.entry import Entry
+from transopt.design.refine_grid import Refinement
+from transopt.recordings.reference import Reference
+from transopt.report.identified import identified_lines, identified_rows
+from transopt.report.tables import LEGEND, aftermath, columns_of, entry_cells, percent, refinement_summary, summary
+from transopt.solvers.options import FALLBACK, default_solver
+
+CERTIFICATE_LEGEND = (
+    "gap: to the optimum by the multipliers, rigorous unless the coil binds; over bound: J above the convex lower "
+    "bound, rigorous always (with a wall, for the ticks at which it pushes). violation: the largest, in A, V or K. "
+    "winding: the hottest of the replay{}. after: peak "
+    "acceleration in the 20 ms after the waveform, which no term of the problem holds down. states, rows, nonzeros: "
+    "per stage, and of the constraints, of the program that was solved; dashes where one linear solve was enough."
+)
+
+
+def _between_lines(refinement: Refinement) -> list[str]:
+    lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
+    if refinement.entries == 1:
+        return lines
+    lines += [
+        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, grid, excess, blended in (
+        ("of the scene", refinement.recorded, "excess_before", "before"),
+        ("refined", refinement.grid, "excess_after", "after"),
+    ):
+        points = refinement.off(grid)
+        worst = max(points, key=lambda p: float(getattr(p, excess)))
+        speeds, grips = len(grid.speeds_m_s), len(grid.grips_N)
+        lines.append(
+            f"| {name} | {speeds} | {grips} | {speeds * grips} | {100 * getattr(worst, excess):.2f} | "
+            f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g} | {percent(getattr(worst, blended))} / "
+            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} |"
+        )
+    return [
+        *lines,
+        "",
+        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
+        f"there; at {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where "
+        "it errs most. `grid_error.png` shows it, where figures are drawn.",
+    ]
+
+
+def _recorded_lines(references: Sequence[Reference]) -> list[str]:
+    derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
+    references = [r for r in references if r.between_m_s is None]
+    lines = [
+        "| speed m/s | taps | scaled by | repeats %, aligned / not | user's share % | peak g | speed from |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for r in references:
+        factors = f"{r.scalings.min():.3g}" + (f" to {r.scalings.max():.3g}" if r.scalings.size > 1 else "")
+        sources = ", ".join(sorted({tap.speed_source for tap in r.taps}))
+        lines.append(
+            f"| {r.speed_m_s:g} | {len(r.taps)} | {factors} | {percent(r.repeatability)} / "
+            f"{percent(r.repeatability_unaligned)} | {percent(r.user_share)} | "
+            f"{r.raw_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
+        )
+    notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
+    shown = sorted(notes)
+    more = [f"- and {len(shown) - 10} more"] if shown[10:] else []
+    if derived:
+        rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"
+        more.append(f"- not recorded but derived from the two neighbours: {', '.join(derived)} m/s, by {rule}")
+    return [*lines, "", *(f"- {note}" for note in shown[:10]), *more]
+
+
+def _origin(build: Build) -> str:
+    simulated = build.scene.recordings.simulated
+    if simulated is not None:
+        return (
+            f"The recordings are **simulated**: the undriven device at {simulated.grip_N:g} N strikes the object of "
+            f"the scene, {simulated.repeats} repeats per speed, accelerometer noise "
+            f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
+        )
+    settings = build.scene.recordings
+    scaling = ""
+    if settings.time_scale != 1 or settings.amplitude_scale != 1:
+        scaling = f" Similarity-scaled: time x {settings.time_scale:g}, amplitude {settings.amplitude_scale}."
+    return f"The recordings are files{': ' + settings.source if settings.source else ''}.{scaling}"
+
+
+def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
+    """Each reason once; what differs from entry to entry behind its colon stands in report.json."""
+    holders: dict[tuple[str, str], int] = {}
+    for entry in entries:
+        for part, reason in entry.left_out.items():
+            shared = reason.split(":")[0]
+            holders[part, shared] = holders.get((part, shared), 0) + 1
+    return [
+        f"- {part}: {reason}" + ("" if count == len(entries) else f" ({count} of {len(entries)} entries)")
+        for (part, reason), count in holders.items()
+    ]
+
+
+def _size_cells(entry: Entry) -> str:
+    if entry.size is None:
+        return "- | - | -"
+    return f"{entry.size.states} | {entry.size.rows} | {entry.size.nonzeros}"
+
+
+def _price_lines(entries: Sequence[Entry]) -> list[str]:
+    priced = [(entry, price) for entry in entries for price in entry.prices]
+    if not priced:
+        return []
+    lines = [
+        "",
+        "## What binds, and what more would buy",
+        "",
+        "| speed m/s | grip N | limit and its price |",
+        "|---|---|---|",
+    ]
+    lines += [f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.sentence} |" for entry, price in priced]
+    return [
+        *lines,
+        "",
+        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, to the floor at "
+        "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the "
+        "way, the others kept.",
+    ]
+
+
+def _weighted_lines(entries: Sequence[Entry]) -> list[str]:
+    if all(entry.problem.error_filter is None for entry in entries):
+        return []
+    lines = ["", "## Weighted error", "", "| speed m/s | grip N | NRMSE % | weighted % |", "|---|---|---|---|"]
+    lines += [
+        f"| {e.speed_m_s:g} | {e.grip_N:g} | {percent(e.nrmse)} | {percent(e.weighted_nrmse)} |" for e in entries
+    ]
+    return [*lines, "", "weighted: |F e| / |F r|, F the Pacinian band-pass (275 Hz, Q 0.5, floor -20 dB)."]
+
+
+def _spread_lines(entries: Sequence[Entry]) -> list[str]:
+    spreads = [(entry, entry.spread) for entry in entries if entry.spread is not None]
+    if not spreads:
+        return []
+    lines = [
+        "",
+        "## Robust against the spread",
+        "",
+        "| speed m/s | grip N | made for the node: there / rms / worst % | for the spread: there / rms / worst % |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {e.speed_m_s:g} | {e.grip_N:g} | {percent(s.nominal)} / {percent(s.nominal_rms)} / "
+        f"{percent(s.nominal_worst)} | {percent(e.nrmse)} / {percent(s.robust_rms)} / {percent(s.robust_worst)} |"
+        for e, s in spreads
+    ]
+    gains = [100 * (1 - s.robust_rms / s.nominal_rms) for _, s in spreads]
+    least, most = (round(gain, 1) + 0.0 for gain in (min(gains), max(gains)))  # no -0.0
+    return [
+        *lines,
+        "",
+        f"rms: root of the mean squared NRMSE over the spread, which is what the design minimises; it falls by "
+        f"{least:.1f} to {most:.1f} % of itself. What remains is the difference between the "
+        "devices: one command gives each its own acceleration, and only their mean can be moved onto the reference.",
+    ]
+
+
+def build_markdown(build: Build) -> str:
+    """report.md."""
+    entries = list(build.all_entries())
+    columns = columns_of(build)
+    lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
+    lines += [aftermath(build), ""] if aftermath(build) else []
+    if default_solver() == FALLBACK:
+        lines += [
+            f"The project's own solver is not built here, or out of date (no C compiler?): {FALLBACK} takes over.",
+            "",
+        ]
+    lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
+    lines += [
+        "",
+        LEGEND,
+        "",
+        "## Certificates",
+        "",
+        "| speed m/s | grip N | J | gap / max(J, 1e-3) | over bound | violation | to r_raw % | winding C | after g | "
+        "states | rows | nonzeros | solver |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
+    for e in entries:
+        c = e.certificate
+        lines.append(
+            f"| {e.speed_m_s:g} | {e.grip_N:g} | {c.objective:.6e} | {c.relative_gap:.1e} | {c.relative_bound:.1e} | "
+            f"{c.primal_violation:.1e} | {percent(e.nrmse * shares[e.speed_m_s])} | {e.played.winding_C:.3f} | "
+            f"{e.played.after_peak_m_s2 / STANDARD_GRAVITY_M_S2:.2f} | {_size_cells(e)} | {e.solution.solver} |"
+        )
+    lines += [
+        "",
+        CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
+        *_price_lines(entries),
+        *_weighted_lines(entries),
+        *_spread_lines(entries),
+    ]
+    lines += identified_lines(build)
+    if build.refinement is not None:
+        lines += ["", *_between_lines(build.refinement)]
+    lines += ["", "## Left out", "", *_left_out_lines(entries)]
+    lines += ["", "## Recordings", "", *_recorded_lines(build.references), ""]
+    return "\n".join(lines)
+
+
+def _raw_over_motor(reference: Reference) -> float:
+    motor = float(np.linalg.norm(reference.motor_m_s2))
+    return float(np.linalg.norm(reference.raw_m_s2)) / motor if motor > 0 else float("inf")
+
+
+def build_json(build: Build) -> str:
+    """report.json: the report's numbers, with units in their names; NaN becomes null."""
+    shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
+    rows = [
+        {
+            "speed_m_s": e.speed_m_s,
+            "grip_N": e.grip_N,
+            "status": e.status.value,
+            "shortfalls": e.shortfalls,
+            "verdict": e.verdict,
+            "nrmse": e.nrmse,
+            "nrmse_to_raw": e.nrmse * shares[e.speed_m_s],
+            "floor": e.floor,
+            "baselines": asdict(e.baselines),
+            "repeatability": e.repeatability,
+            "peak_current_A": e.played.peak_current_A,
+            "free_peak_current_A": e.free_peak_A,
+            "after_peak_m_s2": e.played.after_peak_m_s2,
+            "winding_C": e.played.winding_C,
+            "housing_C": e.played.housing_C,
+            "peak_voltage_V": e.played.peak_voltage_V,
+            "binding": e.binding,
+            "prices": [asdict(price) for price in e.prices],
+            "size": None if e.size is None else asdict(e.size),
+            "weighted_nrmse": e.weighted_nrmse,
+            "spread": None if e.spread is None else asdict(e.spread),
+            "certificate": {
+                **asdict(e.certificate),
+                "relative_gap": e.certificate.relative_gap,
+                "relative_bound": e.certificate.relative_bound,
+            },
+            "replay_step_error": e.played.step_error,
+            "solver": e.solution.solver,
+            "solver_message": e.solution.message,
+            "solve_time_s": e.solution.solve_time_s,
+            "left_out": e.left_out,
+        }
+        for e in build.all_entries()
+    ]
+    content = {
+        "scene": build.scene.name,
+        "simulated_recordings": build.scene.recordings.simulated is not None,
+        "identified": identified_rows(build),
+        "solver": build.solver,
+        "elapsed_s": build.elapsed_s,
+        "entries": rows,
+        "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
+        "references": [
+            {
+                "speed_m_s": r.speed_m_s,
+                "between_m_s": r.between_m_s,
+                "taps": [tap.recording.name for tap in r.taps],
+                "scaling": r.scalings.tolist(),
+                "repeatability": r.repeatability,
+                "repeatability_unaligned": r.repeatability_unaligned,
+                "user_share": r.user_share,
+            }
+            for r in build.references
+        ],
+    }
+    return json.dumps(without_nan(content), indent=1)
+
+
+def _refinement_rows(refinement: Refinement) -> dict[str, Any]:
+    return {
+        "tolerance": refinement.tolerance,
+        "shortfall": refinement.shortfall,
+        "rounds": refinement.rounds,
+        "elapsed_s": refinement.elapsed_s,
+        "scene_grid": refinement.recorded.model_dump(),
+        "points": [asdict(point) for point in refinement.points],
+    }

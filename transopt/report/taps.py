@@ -1,0 +1,78 @@
+"""Looking at recordings before anything is solved: `transopt taps`."""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import Tap
+
+CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
+
+
+def taps_table(taps: Sequence[Tap]) -> Table:
+    """Per file: rate, onset, offset, polarity, speed and its source, peak, clipping, notes."""
+    table = Table(title=f"{len(taps)} recordings")
+    names = (
+        "file",
+        "rate kHz",
+        "onset ms",
+        "offset g",
+        "polarity",
+        "speed m/s",
+        "speed from",
+        "peak g",
+        "clipped",
+        "notes",
+    )
+    for name in names:
+        table.add_column(
+            name, overflow="fold", justify="left" if name in ("file", "speed from", "notes") else "right"
+        )
+    for tap in taps:
+        table.add_row(
+            tap.recording.name,
+            f"{tap.recording.acceleration.rate_Hz / 1e3:.4g}",
+            f"{tap.onset_s * 1e3:.3f}",
+            f"{tap.offset_m_s2 / STANDARD_GRAVITY_M_S2:.3f}",
+            "+" if tap.polarity > 0 else "-",
+            "any" if np.isnan(tap.speed_m_s) else f"{tap.speed_m_s:.4g}",
+            tap.speed_source,
+            f"{tap.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}",
+            str(tap.clipped_samples) if tap.clipped_samples else "no",
+            "; ".join(tap.notes) or "-",
+        )
+    return table
+
+
+def _grid_speeds(speeds_m_s: Sequence[float]) -> list[float]:
+    """The mean of each cluster of sorted speeds, a cluster being no wider than a tenth."""
+    clusters: list[list[float]] = []
+    for speed in sorted(speeds_m_s):
+        if clusters and speed <= clusters[-1][0] * (1 + CLUSTER_WIDTH):
+            clusters[-1].append(speed)
+        else:
+            clusters.append([speed])
+    return [float(f"{np.mean(cluster):.3g}") for cluster in clusters]
+
+
+def scene_lines(taps: Sequence[Tap], paths: Sequence[Path], settings: Recordings) -> str:
+    """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
+    speeds = _grid_speeds([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
+    stated = settings.model_dump(exclude_defaults=True, exclude={"folder", "files", "simulated"})
+    folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
+    files = [path.resolve().relative_to(folder).as_posix() for path in paths]
+    lines = [
+        "# in [grid]",
+        f"speeds_m_s = {speeds}",
+        "",
+        "# in [recordings], in place of folder, files and simulated",
+    ]
+    # Strings, numbers and lists are spelt alike in JSON and TOML.
+    lines += [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
+    return "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in stated.items()])

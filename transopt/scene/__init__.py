@@ -1,0 +1,1 @@
+"""Scene files: sections, keys, bounds, and the identified models that a scene may name."""

@@ -1,0 +1,135 @@
+"""Reading scene files, with errors in the words of the file."""
+
+import hashlib
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from transopt.base.errors import InputError
+from transopt.base.section import Section
+from transopt.scene.model_file import PARTS, parse_model, read_model
+from transopt.scene.scene import Scene
+
+_MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
+_MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; `transopt scene list` names the built-in scenes") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({error}); a scene is a TOML file") from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
+            clash = (
+                "states a model file (model = ...) and [model] tables: delete [model] and [model.hand], or the line"
+            )
+            raise InputError(f"{path}: {clash}") from None
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
+    """The location as the file spells it: pydantic also lists the names of union members on the way."""
+    keys: list[str | int] = []
+    for part in complaint["loc"]:
+        inside = part in content if isinstance(content, dict) else isinstance(part, int)
+        if inside:
+            content = content[part]
+            keys.append(part)
+    if complaint["type"] == "missing":
+        keys.append(complaint["loc"][-1])
+    return tuple(keys)
+
+
+def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
+    """The keys that the table around the last of `keys` takes."""
+    tables: list[Any] = [Scene]
+    for part in keys[:-1]:
+        content = content[part]
+        annotations = [t.model_fields[part].annotation for t in tables if part in t.model_fields]
+        members = [member for a in annotations for member in (a, *get_args(a))]
+        tables = [member for member in members if isinstance(member, type) and issubclass(member, Section)]
+        of_kind = [
+            t
+            for t in tables
+            if "kind" in t.model_fields and content.get("kind") in get_args(t.model_fields["kind"].annotation)
+        ]
+        tables = of_kind or tables
+    return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields))
+
+
+def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
+    """The first complaint about a scene's content in one line, and how many more keys there are complaints about."""
+    # A misspelt key comes before the one that is missing for it.
+    first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
+    keys = _keys_only(first, content)
+    where = ".".join(str(part) for part in keys)
+    if first["type"] == "extra_forbidden":
+        text = f"{where}: unknown key; known here: {_known_keys(keys, content)}"
+        if len(keys) > 1 and keys[-1] in Scene.model_fields:
+            text = (
+                f"{where}: {keys[-1]} is no key of this table but of the scene: put its line above the first [table]"
+            )
+    elif first["type"] == "missing":
+        text = f"{where}: missing; add it to the scene"
+    else:
+        message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {first['input']!r}"
+        text = f"{where}{shown}: {message}" if where else message
+    others = {_keys_only(complaint, content) for complaint in error.errors()}
+    # Complaints about a table around this key are the other members of a union, not faults of their own.
+    elsewhere = [other for other in others if other != keys[: len(other)]]
+    more = f" (and {len(elsewhere)} more)" if elsewhere else ""
+    return f"{source}: {text}{more}"
+
+
+def _identified(scene: Path, named: str) -> dict[str, Any]:
+    """The table that stands for a model file: all that it holds, so that nobody needs the file again."""
+    try:
+        raw = read_model(scene.parent / named)
+    except InputError as error:
+        raise InputError(f"{scene}: model = {named!r}: {error}") from None
+    found = parse_model(scene.parent / named, raw).model_dump(include=set(PARTS), exclude_none=True)
+    return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
+
+
+def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
+    """Read and check a scene file.
+
+    Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
+    not tables, are also looked for in the `search` folders. A model that is a file name is a model file.
+
+    Raises
+    ------
+    InputError : one line: file, key, value, what is wrong.
+    """
+    content = read_toml(path)
+    content.setdefault("name", path.stem)
+    for part in ("motor", "transmission"):
+        named = content.get(part)
+        if not isinstance(named, str):
+            continue
+        places = [folder / named for folder in (path.parent, *search)]
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
+            folders = ", ".join(str(place.parent) for place in places)
+            raise InputError(f"{path}: {part} = {named!r}: no such file in {folders}")
+        content[part] = read_toml(found)
+    if isinstance(content.get("model"), str):
+        content["model"] = _identified(path, content["model"])
+    recordings = content.get("recordings")
+    if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
+        recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(path, error, content)) from None

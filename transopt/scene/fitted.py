@@ -1,0 +1,137 @@
+"""Parts of a model file that were fitted: values with covariance, intervals and the files they come from."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from transopt.base.errors import InputError
+from transopt.base.section import Finite, Section
+from transopt.base.signals import FloatArray
+
+SYMMETRY = 1e-6  # relative to the standard deviations, beyond the rounding of a covariance that was inverted
+
+Interval = tuple[Finite, Finite]
+
+
+class Source(Section):
+    """A file that a part was fitted to."""
+
+    file: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
+class Part(Section):
+    """What every part states besides its values."""
+
+    verdict: str
+    sources: list[Source]
+
+
+class Fitted(Part):
+    """A part with numbers that were fitted.
+
+    Attributes
+    ----------
+    intervals : name -> (lower, upper), 95 %. parameters : dotted names of the values that were fitted.
+    covariance : (p, p) of `parameters`, in their order, raw SI units.
+    """
+
+    intervals: dict[str, Interval]
+    parameters: list[str]
+    covariance: list[list[Finite]]
+
+    @field_validator("intervals")
+    @classmethod
+    def _ordered(cls, intervals: dict[str, Interval]) -> dict[str, Interval]:
+        for name, (lower, upper) in intervals.items():
+            if lower > upper:
+                raise ValueError(f"{name}: its lower bound {lower:g} is above its upper bound {upper:g}")
+        return intervals
+
+    @model_validator(mode="after")
+    def _covariance_of_the_parameters(self) -> Self:
+        known = numbers(self.model_dump())
+        for name in self.parameters:
+            if name not in known:
+                raise ValueError(f"parameters: {name} is no number of this part; known: {', '.join(known)}")
+        if len(set(self.parameters)) < len(self.parameters):
+            raise ValueError("parameters: a name stands in it twice")
+        p = len(self.parameters)
+        if len(self.covariance) != p or any(len(row) != p for row in self.covariance):
+            raise ValueError(f"covariance: must be {p} by {p}, one row per name in parameters")
+        if p == 0:
+            return self
+        covariance = np.array(self.covariance)
+        variance = np.diagonal(covariance)
+        if np.any(variance < 0):
+            raise ValueError(f"covariance: negative variance of {self.parameters[int(np.argmin(variance))]}")
+        deviation = np.where(variance > 0, np.sqrt(variance), 1.0)
+        scaled = covariance / np.outer(deviation, deviation)
+        if np.abs(scaled - scaled.T).max() > SYMMETRY:
+            raise ValueError("covariance: not symmetric")
+        if np.linalg.eigvalsh((scaled + scaled.T) / 2)[0] < -SYMMETRY:
+            raise ValueError("covariance: has a negative eigenvalue, so it is none")
+        return self
+
+    def values(self) -> FloatArray:
+        """(p,) values of `parameters`."""
+        known = numbers(self.model_dump())
+        return np.array([known[name] for name in self.parameters])
+
+    def with_values(self, values: Sequence[float] | FloatArray) -> Self:
+        """The part with other values (p,) of `parameters`.
+
+        Raises
+        ------
+        InputError : values that no such part can have, for example a device that is not passive.
+        """
+        content = self.model_dump()
+        for name, value in zip(self.parameters, values, strict=True):
+            *tables, last = name.split(".")
+            table = content
+            for key in tables:
+                table = table[key]
+            table[last] = float(value)
+        try:
+            return type(self).model_validate(content)
+        except ValidationError as error:
+            raise InputError(complaint(error)) from None
+
+    def factor(self) -> FloatArray:
+        """(p, p) L with L L' = covariance: L times p standard normal numbers is a draw of the error of the values."""
+        covariance = np.array(self.covariance).reshape(len(self.parameters), -1)
+        variance = np.diagonal(covariance)
+        deviation = np.where(variance > 0, np.sqrt(variance), 1.0)
+        # Scaled first: stiffnesses of 1e5 and masses of 1e-2 share one matrix.
+        size, along = np.linalg.eigh((covariance + covariance.T) / 2 / np.outer(deviation, deviation))
+        return np.asarray(deviation[:, None] * along * np.sqrt(np.maximum(size, 0.0)))
+
+
+def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
+    """The numbers of a part by dotted name; what describes the fit is none of them."""
+    found: dict[str, float] = {}
+    for name, value in content.items():
+        if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "fourth_order"):
+            found |= numbers(value, f"{prefix}{name}.")
+        elif isinstance(value, float):
+            found[f"{prefix}{name}"] = value
+    return found
+
+
+def complaint(error: ValidationError) -> str:
+    """The first complaint: field, value, what is wrong."""
+    errors = error.errors()
+    first = min(errors, key=lambda found: found["type"] != "extra_forbidden")
+    # Pydantic lists the kind of a device as a step on the way.
+    where = ".".join(str(part) for part in first["loc"] if part not in ("drive", "state_space"))
+    message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    if first["type"] == "extra_forbidden":
+        message = "unknown field"
+    elif first["type"] == "missing":
+        message = "missing"
+    elif isinstance(first["input"], str | int | float):
+        where += f" = {first['input']!r}"
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    return f"{where}: {message}{more}" if where else f"{message}{more}"

@@ -1,0 +1,123 @@
+"""A scene's model where it comes from a model file, and the devices that its uncertainty allows."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from transopt.base.errors import InputError
+from transopt.plant import chain
+from transopt.scene.fitted import Fitted
+from transopt.scene.model_file import DriveDevice, HandPart, Parts, StateSpaceDevice, check_grip
+from transopt.scene.sections import Tip
+
+SEED = 7  # of the draws: one library, one spread
+TRIES = 200  # for one draw or pair of draws
+
+
+class Identified(Parts):
+    """The content of a model file (`model = "MODEL.json"`), so that a library needs the file no more."""
+
+    kind: Literal["identified"]
+    file: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+    @model_validator(mode="after")
+    def _moves_something(self) -> Self:
+        if self.device is None and self.hand is None:
+            raise ValueError(
+                f"{self.file}: has neither a device nor a hand part, so nothing that moves: run `transopt identify "
+                "device` into it"
+            )
+        return self
+
+    @property
+    def moving(self) -> DriveDevice | StateSpaceDevice | HandPart:
+        """What a current moves: the device, or where only a hand was identified, that as a whole."""
+        part = self.hand if self.device is None else self.device
+        assert part is not None
+        return part
+
+    def tip(self) -> Tip | None:
+        """The drive at the tip; None where the file does not tell it."""
+        device = self.device
+        if not isinstance(device, DriveDevice):
+            return None
+        return Tip(
+            force_per_current_N_A=device.force_per_current_N_A,
+            moving_mass_kg=device.moving_mass_kg,
+            stiffness_N_m=device.transmission_stiffness_N_m,
+            damping_N_s_m=device.transmission_damping_N_s_m,
+        )
+
+    def check_grip(self, grip_N: float) -> None:
+        """
+        Raises
+        ------
+        InputError : a grip that was not recorded.
+        """
+        check_grip(self.moving.grips_N, grip_N)
+
+    def error_at(self, grip_N: float) -> float:
+        """Held-out NRMSE of the model at a grip; NaN where the file states none."""
+        return float("nan") if self.device is None else self.device.error_at(grip_N)
+
+    def plant(self, grip_N: float, force_per_current_N_A: float | None, *, struck: bool = False) -> chain.StateSpace:
+        """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.
+
+        The force per current is the scene's where the model file has a hand only.
+
+        Raises
+        ------
+        InputError : a grip that was not recorded, parameters that are not passive there, a black box that is struck.
+        """
+        match self.moving:
+            case DriveDevice() as device:
+                return device.plant(grip_N, struck=struck)
+            case StateSpaceDevice() as device:
+                if struck:
+                    raise InputError(
+                        f"{self.file}: a state space from the motor's current has no stylus to strike with"
+                    )
+                return device.plant(grip_N)
+            case HandPart() as hand:
+                assert force_per_current_N_A is not None
+                return hand.plant(grip_N, force_per_current_N_A=1.0 if struck else force_per_current_N_A)
+
+    def drawn(self, samples: int, grips_N: Sequence[float]) -> list[Self]:
+        """Models with parameters drawn from the covariance of the fit, passive at all recorded and given grips.
+
+        Seeded; in pairs of opposite errors, so that the mean over the spread is the identified model (an odd last one
+        stands alone). One draw is one device: it has the same parameters at every grip.
+
+        Raises
+        ------
+        InputError : a model without covariance, or so uncertain that hardly any draw is passive.
+        """
+        part = self.moving
+        if not isinstance(part, Fitted) or not part.parameters:
+            raise InputError(f"{self.file}: the model has no covariance to draw from")
+        random, values, factor = np.random.default_rng(SEED), part.values(), part.factor()
+        found: list[Self] = []
+        for _ in range(TRIES * samples):
+            error = factor @ random.standard_normal(values.size)
+            signs = (1.0, -1.0) if samples - len(found) > 1 else (1.0,)
+            try:
+                found += [self._with(part.with_values(values + sign * error), grips_N) for sign in signs]
+            except InputError:
+                continue
+            if len(found) == samples:
+                return found
+        raise InputError(
+            f"{self.file}: of {TRIES * samples} devices drawn from the covariance of its fit fewer than {samples} "
+            "are passive: record more and identify again"
+        )
+
+    def _with(self, part: DriveDevice | HandPart, grips_N: Sequence[float]) -> Self:
+        for grip_N in grips_N:
+            if isinstance(part, DriveDevice):
+                part.plant(grip_N)
+            else:
+                part.plant(grip_N, force_per_current_N_A=1.0)
+        return self.model_copy(update={"device" if isinstance(part, DriveDevice) else "hand": part})

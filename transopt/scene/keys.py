@@ -1,0 +1,256 @@
+"""Keys of a scene by dotted path: unit, bounds, default, value; and scenes with some of them changed.
+
+Everything is read from the models of `scene_sections`: a new key of a scene is known here without further ado.
+"""
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args, get_origin
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from transopt.base.errors import InputError
+from transopt.base.section import Section
+from transopt.scene.file import explain
+from transopt.scene.scene import Scene
+from transopt.scene.sections import LinearParameter
+
+Value = float | int | str | None
+Changes = Mapping[str, Any]  # dotted path -> value; a whole table for "motor" and "transmission"
+
+# The ending of a name is its unit; longer endings come first.
+UNITS = {
+    "A_per_s": "A/s",
+    "m_s2": "m/s^2",
+    "N_s_m": "N s/m",
+    "Nm_A": "N m/A",
+    "kg_m2": "kg m^2",
+    "g_rtHz": "g/sqrt(Hz)",
+    "m_s": "m/s",
+    "N_m": "N/m",
+    "N_A": "N/A",
+    "K_W": "K/W",
+    "1_m": "1/m",
+    "s_m": "s/m",
+    **{name: name for name in ("Hz", "ohm", "kg", "A", "V", "C", "K", "N", "s", "m", "g", "H", "ticks", "samples")},
+}
+# Two statements of one thing: the later takes the place of the other.
+IN_PLACE_OF = {"limits.current_A": "limits.beta", "limits.beta": "limits.current_A"}
+WHOLE_TABLES = ("motor", "transmission")
+COUPLED = "a motor is one row of a datasheet, its values belong together: swap whole files with motor=A,B"
+
+
+@dataclass(frozen=True)
+class Key:
+    """One number or choice of a scene.
+
+    Attributes
+    ----------
+    path : dotted. unit : from the ending of the name, empty without one.
+    default : of the model, None for none; `required` if it has no default. value : in this scene, None if not stated.
+    bounds : in words. choices : the words it takes. number : whether it takes numbers. integer : only whole ones.
+    optional : whether it may be left out.
+    description : of the table it stands in.
+    """
+
+    path: str
+    unit: str
+    default: Value
+    required: bool
+    value: Value
+    bounds: str
+    choices: tuple[str, ...]
+    number: bool
+    integer: bool
+    optional: bool
+    description: str
+
+
+def unit_of(path: str) -> str:
+    """Unit of a key, from the ending of its name."""
+    name = path.rsplit(".", 1)[-1]
+    if name in ("constant", "per_newton"):
+        return unit_of(path.rsplit(".", 1)[0]) + ("/N" if name == "per_newton" else "")
+    return next((unit for ending, unit in UNITS.items() if name == ending or name.endswith(f"_{ending}")), "")
+
+
+def _flat(annotation: Any) -> Iterator[Any]:
+    """The members of a union and what stands inside Annotated, metadata included."""
+    yield annotation
+    if get_origin(annotation) is not Literal:
+        for part in get_args(annotation):
+            yield from _flat(part)
+    yield from getattr(annotation, "metadata", ())
+
+
+def _bounds(parts: list[Any]) -> str:
+    """Bounds in words; those of FieldInfo objects inside Annotated included."""
+    words = []
+    for part in parts:
+        match part:
+            case Gt(gt=bound):
+                words.append(f"> {bound:g}")
+            case Ge(ge=bound):
+                words.append(f">= {bound:g}")
+            case Lt(lt=bound):
+                words.append(f"< {bound:g}")
+            case Le(le=bound):
+                words.append(f"<= {bound:g}")
+    return ", ".join(dict.fromkeys(words))
+
+
+def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[Key]:
+    about = " ".join((table.__doc__ or "").split("\n\n")[0].split())
+    for name, field in table.model_fields.items():
+        path, stated = f"{prefix}{name}", getattr(value, name, None)
+        parts = [*_flat(field.annotation), *field.metadata]
+        parts += [bound for part in parts if isinstance(part, FieldInfo) for bound in part.metadata]
+        inner = [part for part in parts if isinstance(part, type) and issubclass(part, Section)]
+        if path == "motor":
+            yield Key(
+                path, "", None, False, getattr(stated, "name", None), "", ("FILE",), False, False, False, COUPLED
+            )
+            continue
+        if path == "transmission":
+            yield Key(path, "", None, False, None, "", ("FILE",), False, False, False, "a file in place of the table")
+        if isinstance(stated, Section):
+            yield from _walk(type(stated), stated, f"{path}.")
+        elif inner and not (inner == [LinearParameter] and isinstance(stated, int | float)):
+            yield from _walk(inner[0], None, f"{path}.")
+        elif (leaf := _leaf(path, field, parts, stated, about)) is not None:
+            yield leaf
+
+
+def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, about: str) -> Key | None:
+    """A key that holds a number or one of several words; None for names, lists and what is fixed."""
+    choices = tuple(word for p in parts if get_origin(p) is Literal for word in get_args(p) if isinstance(word, str))
+    numbers = [n for p in parts if get_origin(p) is Literal for n in get_args(p) if isinstance(n, int)]
+    grid = path in ("grid.speeds_m_s", "grid.grips_N")
+    numeric = float in parts or int in parts or bool(numbers)
+    if not numeric and len(choices) < 2:
+        return None
+    if any(get_origin(part) in (list, dict) for part in parts) and not grid:
+        return None
+    default = None if field.default is PydanticUndefined else field.default
+    return Key(
+        path=path,
+        unit=unit_of(path),
+        default=default if isinstance(default, float | int | str) else None,
+        required=field.is_required(),
+        value=", ".join(f"{v:g}" for v in stated) if grid and stated else stated,
+        bounds=f"one of {', '.join(map(str, numbers))}" if numbers else _bounds(parts),
+        choices=choices,
+        number=numeric,
+        integer=float not in parts and (int in parts or bool(numbers)),
+        optional=type(None) in parts,
+        description=about,
+    )
+
+
+def keys(scene: Scene) -> list[Key]:
+    """Every key of a scene that a study can vary, in the order of the models.
+
+    Names, files and lists are none, but for the nodes of the grid; a motor is one key (see `COUPLED`).
+    """
+    return list(_walk(Scene, scene, ""))
+
+
+def find_key(scene: Scene, path: str) -> Key:
+    """The key of a dotted path.
+
+    Raises
+    ------
+    InputError : no such key, or one of a motor's own values.
+    """
+    if path.startswith("motor."):
+        raise InputError(f"{path}: {COUPLED}")
+    known = {key.path: key for key in keys(scene)}
+    if path not in known:
+        close = difflib.get_close_matches(path, known, 3, 0.5) or difflib.get_close_matches(
+            path.rsplit(".", 1)[-1], known, 3, 0.4
+        )
+        hint = f"; perhaps {', '.join(close)}" if close else ""
+        raise InputError(f"{path}: no key of the scene {scene.name} that can be varied{hint}; --list-keys shows all")
+    return known[path]
+
+
+def parse_value(key: Key, text: str) -> Value:
+    """A value as typed on a command line: a number, one of the key's words, or `none` where it may be left out.
+
+    Raises
+    ------
+    InputError : none of these.
+    """
+    text = text.strip()
+    if text in key.choices:
+        return text
+    if text == "none" and key.optional:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not key.number or not math.isfinite(number):
+        allowed = [*(["a finite number"] if key.number else []), *key.choices, *(["none"] if key.optional else [])]
+        raise InputError(f"{key.path} = {text}: must be {' or '.join(allowed)}")
+    return int(number) if key.integer and number == int(number) else number
+
+
+def _content(scene: Scene, changes: Changes) -> dict[str, Any]:
+    """The scene as its file would state it, with the changes."""
+    content = scene.model_dump()
+    # Whole tables first: a key of a table is meant for the table that takes the old one's place.
+    for path, value in sorted(changes.items(), key=lambda change: change[0] not in WHOLE_TABLES):
+        *tables, name = path.split(".")
+        table = content
+        for part in tables:
+            if not isinstance(table.get(part), dict):
+                table[part] = {}
+            table = table[part]
+        table[name] = value
+        other = IN_PLACE_OF.get(path)
+        if other is not None and value is not None and other not in changes:
+            section, rival = other.split(".")
+            content[section][rival] = None
+    return content
+
+
+def with_values(scene: Scene, changes: Changes) -> Scene:
+    """The scene with some keys changed, checked as a whole.
+
+    `limits.current_A` takes the place of `limits.beta` and the other way round; other keys stay as they are.
+
+    Raises
+    ------
+    InputError : one line: key, value, limit.
+    """
+    content = _content(scene, changes)
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(scene.name, error, content)) from None
+
+
+def check_value(scene: Scene, path: str, value: Any) -> None:
+    """Refuse a value that its key cannot take, whatever the rest of the scene says.
+
+    Raises
+    ------
+    InputError : one line: key, value, limit.
+    """
+    content = _content(scene, {path: value})
+    try:
+        Scene.model_validate(content)
+    except ValidationError as error:
+        own = path.split(".")
+        for complaint in error.errors():
+            named = [part for part in complaint["loc"] if part in own or isinstance(part, int)]
+            about = [part for part in named if not isinstance(part, int)]
+            if about[: len(own)] == own and complaint["type"] != "missing":
+                message = complaint["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+                raise InputError(f"{path} = {value}: {message}") from None

@@ -1,0 +1,334 @@
+"""What a scene holds: everything that defines one library (DESIGN 3, 5, 8)."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from transopt.base.errors import InputError
+from transopt.base.section import Section
+from transopt.plant import chain as models
+from transopt.plant.amplifier import Amplifier
+from transopt.plant.circuit import Circuit
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import TimeGrid
+from transopt.plant.wall import Wall
+from transopt.problem.heat import Budget
+from transopt.problem.objective.weighting import ErrorFilter, error_filter
+from transopt.problem.problem import Limits
+from transopt.recordings.settings import Recordings
+from transopt.scene.identified import Identified
+from transopt.scene.model_file import StateSpaceDevice
+from transopt.scene.sections import (
+    AmplifierSection,
+    Drive,
+    Feedback,
+    FourthOrder,
+    Grid,
+    LimitsSection,
+    Motor,
+    Robust,
+    SecondOrder,
+    Thermal,
+    Time,
+    Tip,
+    Transmission,
+    Weights,
+)
+
+FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
+
+
+class Scene(Section):
+    """One scene file; `name` defaults to the file's stem."""
+
+    name: str
+    description: str
+    grid: Grid
+    time: Time = Time()
+    recordings: Recordings
+    model: Annotated[SecondOrder | FourthOrder | Drive | Identified, Field(discriminator="kind")]
+    motor: Motor | None = None
+    transmission: Transmission | None = None
+    tip: Tip | None = None
+    amplifier: AmplifierSection | Literal["ideal"]
+    limits: LimitsSection
+    thermal: Thermal = Thermal()
+    feedback: Feedback | None = None
+    weights: Weights = Weights()
+    robust: Robust | None = None
+    hand_over_samples: Annotated[int, Field(ge=1)] = 10
+
+    @model_validator(mode="after")
+    def _one_drive(self) -> Self:
+        if (self.motor is None) != (self.transmission is None):
+            raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
+        if isinstance(self.model, Identified):
+            self._check_identified(self.model)
+        if not self._drive_in_file and (self.motor is None) == (self.tip is None):
+            raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
+        if (
+            isinstance(self.model, Drive)
+            and self.tip is not None
+            and None
+            in (
+                self.tip.stiffness_N_m,
+                self.tip.damping_N_s_m,
+            )
+        ):
+            raise ValueError("model.kind = drive needs tip.stiffness_N_m and tip.damping_N_s_m")
+        if self.motor is not None and self.limits.transient_current_A > self.motor.i_peak_A:
+            raise ValueError(
+                f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
+                f"{self.motor.i_peak_A:g} A: lower beta or current_A"
+            )
+        self._check_amplifier()
+        self._check_parts()
+        if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
+            raise ValueError(
+                f"recordings.highpass_Hz = {self.recordings.highpass_Hz:g}: must not exceed a tenth of the servo "
+                f"rate, {0.1 / self.time.dt_s:g} Hz"
+            )
+        if self.hand_over_samples > self.time.stages:
+            raise ValueError(
+                f"hand_over_samples = {self.hand_over_samples}: must not exceed time.stages = {self.time.stages}"
+            )
+        return self
+
+    def _check_parts(self) -> None:
+        """Parts of the problem that need each other or exclude each other."""
+        if self.limits.supply_V is not None and (self.motor is None or self.amplifier == "ideal"):
+            raise ValueError(
+                "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
+                "ideal one changes the current at once, which no voltage can"
+            )
+        budgets = (self.thermal.headroom_K, self.thermal.tap_rate_Hz)
+        if budgets != (None, None) and self.motor is None:
+            raise ValueError("thermal.headroom_K and thermal.tap_rate_Hz need [motor]: a tip states no coil")
+        if self.motor is not None and self.thermal.start_winding_C > self.motor.winding_max_C:
+            raise ValueError(
+                f"thermal.start_winding_C = {self.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
+                f"{self.motor.winding_max_C:g} C: let it cool"
+            )
+        window = self.time_grid().stages * self.time.dt_s
+        if self.thermal.tap_rate_Hz is not None and self.thermal.tap_rate_Hz * (window + self.time.dt_s) >= 1:
+            raise ValueError(
+                f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {window * 1e3:g} ms, so at most "
+                f"{1 / (window + self.time.dt_s):.3g} taps/s: lower it or shorten time.stages"
+            )
+        if self.robust is not None and (self.feedback is not None or self.limits.supply_V is not None):
+            raise ValueError(
+                "robust: feedback and supply depend on one device's motion, not on a spread of them: leave one out"
+            )
+        if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
+            raise ValueError("robust.grip_spread: the free device has no grip to spread")
+        if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, Identified):
+            raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
+
+    @property
+    def _drive_in_file(self) -> bool:
+        """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
+        return isinstance(self.model, Identified) and self.model.device is not None
+
+    def _check_identified(self, model: Identified) -> None:
+        """What the scene states beside a model file must not contradict it."""
+        for grip in self.grid.grips_N:
+            for served in (grip, *self.spread_grips_N(grip)):
+                try:
+                    model.check_grip(served)
+                except InputError as error:
+                    raise ValueError(f"grid.grips_N: {served:g} N: {error}") from None
+        tip = model.tip()
+        if self._drive_in_file and self.tip is not None:
+            raise ValueError(f"tip: the device in {model.file} has it all: take the tip table out")
+        if tip is not None and self.motor is not None and self.transmission is not None:
+            stated, known = self.motor.kt_Nm_A * self.transmission.ratio_1_m, tip.force_per_current_N_A
+            if not abs(stated / known - 1) <= FORCE_TOLERANCE:
+                raise ValueError(
+                    f"motor: kt_Nm_A * transmission.ratio_1_m = {stated:.4g} N/A, but {model.file} was identified "
+                    f"with force_per_current_N_A = {known:.4g} N/A: they must agree within {FORCE_TOLERANCE:.0%}; "
+                    "correct one of them, or identify again with this motor"
+                )
+        if isinstance(model.device, StateSpaceDevice):
+            for part, stated_in_scene in (
+                ("feedback", self.feedback is not None),
+                ("limits.supply_V", self.limits.supply_V is not None),
+            ):
+                if stated_in_scene:
+                    raise ValueError(
+                        f"{part}: needs the motor's motion, and the device in {model.file} is a state space, which "
+                        "knows none: identify a drive chain, or leave it out"
+                    )
+            if self.recordings.simulated is not None:
+                raise ValueError(
+                    f"recordings.simulated: the device in {model.file} is a state space, which has no stylus to "
+                    "strike with: give recorded files"
+                )
+        if self.robust is not None and self.robust.model_uncertainty:
+            try:
+                model.drawn(self.robust.samples, self.grid.grips_N)
+            except InputError as error:
+                raise ValueError(f"robust.model_uncertainty: {error}") from None
+
+    def _check_amplifier(self) -> None:
+        """Pole and delay are stated once: in the scene, or in its model file."""
+        identified = self.model.amplifier if isinstance(self.model, Identified) else None
+        if identified is None:
+            for name in ("pole_Hz", "delay_s"):
+                if isinstance(self.amplifier, AmplifierSection) and getattr(self.amplifier, name) is None:
+                    raise ValueError(f"amplifier.{name}: missing; add it to the scene")
+            return
+        assert isinstance(self.model, Identified)
+        if self.amplifier == "ideal":
+            raise ValueError(f"amplifier = 'ideal': {self.model.file} has an amplifier part: state [amplifier]")
+        assert isinstance(self.amplifier, AmplifierSection)
+        for name in ("pole_Hz", "delay_s"):
+            value = getattr(self.amplifier, name)
+            if value is not None:
+                raise ValueError(
+                    f"amplifier.{name} = {value:g}: {self.model.file} has it too ({getattr(identified, name):g}): "
+                    "take it out of the scene"
+                )
+
+    def drive_at_tip(self) -> Tip:
+        """What the stylus feels of the drive: force per ampere, rotor and link as one mass, transmission.
+
+        k_f = k_t ratio, m = J ratio^2 + m_link, with the ratio in shaft radian per metre of tip travel; or as it was
+        identified.
+        """
+        identified = self.model.tip() if isinstance(self.model, Identified) else None
+        if identified is not None:
+            return identified
+        if self.motor is None or self.transmission is None:
+            assert self.tip is not None
+            return self.tip
+        ratio = self.transmission.ratio_1_m
+        return Tip(
+            force_per_current_N_A=self.motor.kt_Nm_A * ratio,
+            moving_mass_kg=self.motor.rotor_kg_m2 * ratio**2 + self.transmission.link_mass_kg,
+            stiffness_N_m=self.transmission.stiffness_N_m,
+            damping_N_s_m=self.transmission.damping_N_s_m,
+        )
+
+    def plant(self, grip_N: float, *, struck: bool = False) -> models.StateSpace:
+        """Model from motor current to stylus acceleration at one grip.
+
+        With `struck` the input is a force on the stylus [N] instead: the same device tapping a real object.
+
+        Raises
+        ------
+        InputError : parameters that are not passive at this grip.
+        """
+        try:
+            return self._chain(grip_N, struck)
+        except InputError as error:
+            raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
+
+    def _chain(self, grip_N: float, struck: bool) -> models.StateSpace:
+        if isinstance(self.model, Identified):
+            force = None if self._drive_in_file else self.drive_at_tip().force_per_current_N_A
+            return self.model.plant(grip_N, force, struck=struck)
+        tip = self.drive_at_tip()
+        gain = 1.0 if struck else tip.force_per_current_N_A
+        match self.model:
+            case SecondOrder():
+                return models.second_order(grip_N, force_per_current_N_A=gain)
+            case FourthOrder(stylus_mass_kg=stylus, hand=hand):
+                return models.fourth_order(
+                    grip_N,
+                    hand=hand.hand(),
+                    stylus_mass_kg=stylus,
+                    moving_mass_kg=tip.moving_mass_kg,
+                    force_per_current_N_A=gain,
+                )
+            case Drive(stylus_mass_kg=stylus, hand=hand):
+                assert tip.stiffness_N_m is not None
+                assert tip.damping_N_s_m is not None
+                return models.drive(
+                    grip_N,
+                    hand=hand.hand(),
+                    stylus_mass_kg=stylus,
+                    moving_mass_kg=tip.moving_mass_kg,
+                    transmission=models.Link(tip.stiffness_N_m, tip.damping_N_s_m),
+                    force_per_current_N_A=gain,
+                    driven=1 if struck else 0,
+                )
+
+    def amplifier_model(self) -> Amplifier | None:
+        """None for an ideal amplifier."""
+        if self.amplifier == "ideal":
+            return None
+        assert isinstance(self.amplifier, AmplifierSection)
+        identified = self.model.amplifier if isinstance(self.model, Identified) else None
+        stated = self.amplifier if identified is None else identified
+        assert stated.pole_Hz is not None
+        assert stated.delay_s is not None
+        return Amplifier(stated.pole_Hz, stated.delay_s, self.amplifier.command_limit_A)
+
+    def time_grid(self) -> TimeGrid:
+        amplifier = self.amplifier_model()
+        delay = 0.0 if amplifier is None else amplifier.delay_s
+        return TimeGrid(self.time.dt_s, self.time.stages, self.time.lead_s, delay)
+
+    def current_limits(self) -> Limits:
+        amplifier = self.amplifier_model()
+        return Limits(
+            current_A=self.limits.transient_current_A,
+            command_A=None if amplifier is None else amplifier.command_limit_A,
+            slew_A_per_s=self.limits.slew_A_per_s,
+        )
+
+    def budget(self) -> Budget:
+        thermal = self.thermal
+        return Budget(thermal.headroom_K, thermal.tap_rate_Hz, thermal.idle_A)
+
+    def wall(self) -> Wall | None:
+        """None without feedback."""
+        if self.feedback is None:
+            return None
+        return Wall(force_per_current_N_A=self.drive_at_tip().force_per_current_N_A, **self.feedback.model_dump())
+
+    def circuit(self) -> Circuit | None:
+        """None where the drive is stated at the tip. In SI the back-EMF per m/s is the force per ampere."""
+        if self.motor is None:
+            return None
+        return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
+
+    def error_filter(self) -> ErrorFilter | None:
+        return error_filter(self.weights.error_filter, self.time.dt_s)
+
+    def spread_grips_N(self, grip_N: float) -> list[float]:
+        """Grips around a node that its command shall serve besides, the node itself not among them."""
+        if self.robust is None or self.robust.grip_spread is None:
+            return []
+        width = self.robust.grip_spread
+        factors = [1 - width + 2 * width * j / (self.robust.samples - 1) for j in range(self.robust.samples)]
+        return [grip_N * factor for factor in factors if abs(factor - 1) > 1e-9]
+
+    def spread(self, grip_N: float) -> list[tuple[Self, float]]:
+        """Further devices that the command of a node shall serve, each as its scene and its grip.
+
+        The scene itself at other grips, and what the uncertainty of its model makes of it at the node's own.
+        """
+        devices: list[tuple[Self, float]] = [(self, grip) for grip in self.spread_grips_N(grip_N)]
+        if self.robust is not None and self.robust.model_uncertainty:
+            assert isinstance(self.model, Identified)
+            drawn = self.model.drawn(self.robust.samples, self.grid.grips_N)
+            devices += [(self.model_copy(update={"model": model}), grip_N) for model in drawn]
+        return devices
+
+    def coil(self) -> CoilModel | None:
+        """None where the drive is stated at the tip: no motor, no temperature."""
+        if self.motor is None:
+            return None
+        motor = self.motor
+        identified = self.model.coil if isinstance(self.model, Identified) else None
+        heat = motor if identified is None else identified
+        return CoilModel(
+            R_ohm=motor.R_ohm,
+            R_wh_K_W=heat.R_wh_K_W,
+            R_ha_K_W=heat.R_ha_K_W,
+            tau_w_s=heat.tau_w_s,
+            tau_h_s=heat.tau_h_s,
+            limit_C=motor.winding_max_C,
+            **self.thermal.model_dump(exclude={"headroom_K", "tap_rate_Hz", "idle_A"}),
+        )

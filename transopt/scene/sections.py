@@ -1,0 +1,223 @@
+"""Tables of a scene file: keys, types, bounds (DESIGN 3, 5, 8)."""
+
+import itertools
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature
+from transopt.plant import chain
+
+
+def _increasing(values: list[float]) -> list[float]:
+    if any(b <= a for a, b in itertools.pairwise(values)):
+        raise ValueError("must be strictly increasing, without duplicates")
+    return values
+
+
+class Grid(Section):
+    """Nodes of the library."""
+
+    speeds_m_s: Annotated[list[Speed], Field(min_length=1)]
+    grips_N: Annotated[list[NonNegative], Field(min_length=1)]
+    grip_min_N: Positive = 0.5
+
+    _speeds_ordered = field_validator("speeds_m_s")(_increasing)
+    _grips_ordered = field_validator("grips_N")(_increasing)
+
+    @model_validator(mode="after")
+    def _held_or_free(self) -> Self:
+        if self.grips_N[0] == 0 and len(self.grips_N) > 1:
+            raise ValueError("grips_N: the free device (grip 0) is its own scene, never blended with held ones")
+        if 0 < self.grips_N[0] < self.grip_min_N:
+            raise ValueError(
+                f"grips_N: {self.grips_N[0]:g} N is below grip_min_N = {self.grip_min_N:g} N, "
+                "where no transient is played"
+            )
+        return self
+
+
+class Time(Section):
+    """Servo period, horizon, and how long before contact the waveform starts."""
+
+    dt_s: Positive = 1e-4
+    stages: Annotated[int, Field(ge=2)] = 600
+    lead_s: Annotated[float, Field(ge=0, le=0.02)] = 3e-4
+
+
+class LinearParameter(Section):
+    """A parameter of the hand, linear in grip force."""
+
+    constant: Finite
+    per_newton: Finite = 0.0
+
+    def linear(self) -> chain.LinearInGrip:
+        return chain.LinearInGrip(self.constant, self.per_newton)
+
+
+Parameter = LinearParameter | Finite
+
+
+def _linear(value: LinearParameter | float) -> chain.LinearInGrip:
+    if isinstance(value, LinearParameter):
+        return value.linear()
+    return chain.LinearInGrip(value, 0.0)
+
+
+class HandSection(Section):
+    """Skin and arm as functions of grip: a number, or {constant, per_newton}."""
+
+    mass_kg: Parameter
+    skin_stiffness_N_m: Parameter
+    skin_damping_N_s_m: Parameter
+    arm_stiffness_N_m: Parameter
+    arm_damping_N_s_m: Parameter
+
+    def hand(self) -> chain.Hand:
+        return chain.Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})
+
+
+class SecondOrder(Section):
+    """The whole hand as one mass (seed Fig. 4a)."""
+
+    kind: Literal["second_order"]
+
+
+class FourthOrder(Section):
+    """Stylus and hand (seed Fig. 4b)."""
+
+    kind: Literal["fourth_order"]
+    stylus_mass_kg: Positive
+    hand: HandSection
+
+
+class Drive(Section):
+    """Motor, transmission, stylus and hand."""
+
+    kind: Literal["drive"]
+    stylus_mass_kg: Positive
+    hand: HandSection
+
+
+class Motor(Section):
+    """One row of a datasheet; its values belong together."""
+
+    name: str
+    datasheet: str
+    R_ohm: Positive
+    L_H: NonNegative
+    kt_Nm_A: Positive
+    rotor_kg_m2: NonNegative
+    i_continuous_A: Positive
+    i_peak_A: Positive
+    R_wh_K_W: Positive
+    R_ha_K_W: Positive
+    tau_w_s: Positive
+    tau_h_s: Positive
+    winding_max_C: Finite
+
+
+class Transmission(Section):
+    """From motor shaft to stylus tip: `ratio_1_m` is shaft radian per metre of tip travel."""
+
+    ratio_1_m: Positive
+    link_mass_kg: NonNegative
+    stiffness_N_m: Positive
+    damping_N_s_m: NonNegative
+
+
+class Tip(Section):
+    """The drive stated at the tip, for voice coils: no motor data, so no coil temperature."""
+
+    force_per_current_N_A: Positive
+    moving_mass_kg: Positive
+    stiffness_N_m: Positive | None = None
+    damping_N_s_m: NonNegative | None = None
+
+
+class AmplifierSection(Section):
+    """Current amplifier: pole, delay beyond the hold, range of the command.
+
+    Pole and delay stand here unless the scene's model file has them.
+    """
+
+    pole_Hz: Positive | None = None
+    delay_s: NonNegative | None = None
+    command_limit_A: Positive = 6.0
+
+
+class LimitsSection(Section):
+    """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place."""
+
+    steady_current_A: Positive
+    beta: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    current_A: Positive | None = None
+    slew_A_per_s: Positive | None = None
+    supply_V: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_statement(self) -> Self:
+        if self.beta is not None and self.current_A is not None:
+            raise ValueError("give beta or current_A, not both")
+        return self
+
+    @property
+    def transient_current_A(self) -> float:
+        if self.current_A is not None:
+            return self.current_A
+        return (3.2 if self.beta is None else self.beta) * self.steady_current_A
+
+
+class Thermal(Section):
+    """Temperatures at the start, and what the winding may do: keep its limit, a headroom per tap, taps for ever."""
+
+    ambient_C: Temperature = 25.0
+    start_winding_C: Temperature = 25.0
+    start_housing_C: Temperature = 25.0
+    nodes: Literal[1, 2] = 2
+    headroom_K: Positive | None = None
+    tap_rate_Hz: Positive | None = None
+    idle_A: NonNegative | None = None
+
+    @model_validator(mode="after")
+    def _one_budget(self) -> Self:
+        if self.tap_rate_Hz is not None and (self.headroom_K is not None or self.nodes == 1):
+            raise ValueError(
+                "tap_rate_Hz is about the steady state of winding and housing: it needs nodes = 2 and no headroom_K"
+            )
+        if self.idle_A is not None and self.tap_rate_Hz is None:
+            raise ValueError("idle_A flows in the pauses between taps: state tap_rate_Hz too, or leave it out")
+        return self
+
+
+class Feedback(Section):
+    """Virtual wall under the transient (seed Eq. 9): spring and damper below the surface, from the encoder."""
+
+    stiffness_N_m: Positive
+    damping_N_s_m: NonNegative = 0.0
+    latency_ticks: Annotated[int, Field(ge=0, le=100)] = 1
+    derivative_filter_Hz: Positive = 500.0
+
+
+class Weights(Section):
+    """Weight of the command's movement, and by which band the error is weighed."""
+
+    rho: NonNegative = 1e-3
+    error_filter: Literal["none", "pacinian"] = "none"
+
+
+class Robust(Section):
+    """One command for a spread of devices around each node: the mean of the squared errors is minimised.
+
+    The spread is of grips, of devices that the uncertainty of the identified model allows, or of both side by side.
+    """
+
+    grip_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
+    model_uncertainty: bool = False
+    samples: Annotated[int, Field(ge=2, le=15)] = 5
+
+    @model_validator(mode="after")
+    def _of_something(self) -> Self:
+        if self.grip_spread is None and not self.model_uncertainty:
+            raise ValueError("give grip_spread, or model_uncertainty = true, or both")
+        return self

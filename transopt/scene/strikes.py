@@ -1,0 +1,168 @@
+"""Recordings of a scene whose taps are simulated: its device, not driven, strikes an object that the scene states."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.plant.chain import StateSpace
+from transopt.recordings.recording import Recording
+from transopt.recordings.settings import SimulatedTaps
+from transopt.scene.scene import Scene
+
+STEP_S = 1e-5
+APPROACH_S = 30e-3  # recorded before contact
+ENCODER_COUNT_M = 24.5e-6
+
+
+def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
+    k1 = rate(state)
+    k2 = rate(state + h_s / 2 * k1)
+    k3 = rate(state + h_s / 2 * k2)
+    k4 = rate(state + h_s * k3)
+    return state + h_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def contact_force(target: SimulatedTaps, depth_m: FloatArray, closing_m_s: FloatArray) -> FloatArray:
+    """k delta^n (1 + c d delta/dt) >= 0 on the stylus [N], for indentations and their rates of any one shape."""
+    elastic = target.contact_stiffness_N_m * np.maximum(depth_m, 0.0) ** target.contact_exponent
+    return np.asarray(np.maximum(elastic * (1 + target.contact_damping_s_m * closing_m_s), 0.0))
+
+
+def _driven(
+    flow: FloatArray,
+    push: FloatArray,
+    outputs: FloatArray,
+    force: Callable[[FloatArray, FloatArray], FloatArray],
+    start: FloatArray,
+    steps: int,
+    step_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """RK4 of dx/dt = flow x + push F(outputs x), for V courses at once: states (K, n, V) and forces (K, V).
+
+    The steps of `rk4_step` written out: state, slopes and outputs of all four stages are linear in the state at the
+    start of the step and in the forces of the stages before, so that only the forces are computed one by one.
+    """
+    size = push.size
+    # Each a map from the state (size) and the four forces.
+    now, nothing = np.eye(size, size + 4), np.zeros((size, size + 4))
+    stages, slopes = [], [nothing]
+    for j, share in enumerate((0.0, 0.5, 0.5, 1.0)):
+        stages.append(now + share * step_s * slopes[-1])
+        slope = flow @ stages[-1]
+        slope[:, size + j] += push
+        slopes.append(slope)
+    k1, k2, k3, k4 = slopes[1:]
+    after = now + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    seen = np.concatenate([outputs @ stage for stage in stages])  # (4 x 2, size + 4), stage after stage
+    by_state = np.concatenate([after[:, :size], seen[:, :size]])
+    by_force = np.ascontiguousarray(after[:, size:])
+    earlier = [seen[2 * j : 2 * j + 2, size : size + j].copy() for j in range(4)]
+    states, forces = np.empty((steps + 1, *start.shape)), np.empty((steps + 1, start.shape[1]))
+    stage_forces = np.empty((4, start.shape[1]))
+    states[0] = start
+    for k in range(steps + 1):
+        free = by_state @ states[k]
+        for j in range(4):
+            reached = free[size + 2 * j : size + 2 * j + 2]
+            if j:
+                reached += earlier[j] @ stage_forces[:j]
+            stage_forces[j] = force(*reached)
+        forces[k] = stage_forces[0]
+        if k < steps:
+            states[k + 1] = free[:size] + by_force @ stage_forces
+    return states, forces
+
+
+def strike(
+    plant: StateSpace, target: SimulatedTaps, speeds_m_s: FloatArray, duration_s: float, step_s: float = STEP_S
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stylus acceleration and encoder position of V taps, from contact on.
+
+    The hand goes on meaning to move at the incoming speed, so the device's deviation from that motion obeys
+    the zero-state model with the contact force F = k delta^n (1 + c d delta/dt) >= 0 on the stylus. The object
+    is a mass on a spring and a damper.
+
+    Parameters
+    ----------
+    plant : from force on the stylus [N] to stylus acceleration; its chain states are elongations, then
+        velocities, so the stylus is the second mass from the front.
+    speeds_m_s : (V,).
+
+    Returns
+    -------
+    times_s (K,), acceleration_m_s2 (V, K), encoder_position_m (V, K).
+    """
+    n, masses = plant.order, plant.order // 2
+    stylus = int(np.flatnonzero(plant.B[masses:, 0])[0])
+    position_of_stylus = np.zeros(n)
+    position_of_stylus[stylus:masses] = 1.0
+
+    # Everything but the contact force is linear: d state/dt = flow @ state + push F, with v t and v as last states.
+    flow, push = np.zeros((n + 4, n + 4)), np.zeros(n + 4)
+    flow[:n, :n], push[:n] = plant.A, plant.B[:, 0]
+    flow[n, n + 1], push[n + 1] = 1.0, -1 / target.object_mass_kg
+    flow[n + 1, n : n + 2] = -np.array([target.object_stiffness_N_m, target.object_damping_N_s_m])
+    flow[n + 1, n : n + 2] /= target.object_mass_kg
+    flow[n + 2, n + 3] = 1.0
+    # Indentation and its rate, of the states: z of the stylus is its deviation less v t.
+    contact = np.zeros((2, n + 4))
+    contact[0, :n], contact[0, n], contact[0, n + 2] = -position_of_stylus, 1.0, 1.0
+    contact[1, masses + stylus], contact[1, n + 1], contact[1, n + 3] = -1.0, 1.0, 1.0
+    start = np.zeros((n + 4, speeds_m_s.size))
+    start[-1] = speeds_m_s
+    steps = int(np.ceil(duration_s / step_s))
+    states, forces = _driven(flow, push, contact, partial(contact_force, target), start, steps, step_s)
+    times = step_s * np.arange(steps + 1)
+    acceleration = np.einsum("n,knv->kv", plant.C[0], states[:, :n]) + plant.D[0, 0] * forces
+    encoder = np.einsum("n,knv->kv", plant.Ce[0], states[:, :n]) - states[:, n + 2]
+    return np.asarray(times), acceleration.T, encoder.T
+
+
+def recordings(scene: Scene) -> list[Recording]:
+    """Recordings of every grid speed with repeats at varied speed, as a hand and an ADXL321 would give them.
+
+    Static 1 g, white noise, end stops, encoder counts; a fixed seed makes them the same every time. The
+    recordings outlast the scene's horizon by 10 ms.
+
+    Raises
+    ------
+    InputError : the scene has no simulated table.
+    """
+    target = scene.recordings.simulated
+    if target is None:
+        raise InputError(f"{scene.name}: recordings.simulated: missing; this scene reads files")
+    random = np.random.default_rng(target.seed)
+    nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
+    speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
+    duration = scene.time_grid().end_s + 10e-3
+    t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+
+    dt = 1 / target.rate_Hz
+    before = int(np.ceil(APPROACH_S / dt))
+    # Sampling is not synchronous with the contact.
+    phases = random.uniform(0, dt, speeds.size)
+    made = []
+    for j, speed in enumerate(speeds):
+        times = np.arange(-before, int(duration / dt) - 1) * dt + phases[j]
+        clean = np.interp(times, t, acceleration[j], left=0.0)
+        clean[times < 0] = 0.0
+        noise = target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * random.standard_normal(times.size)
+        measured_g = np.clip(clean / STANDARD_GRAVITY_M_S2 + 1.0 + noise, -target.range_g, target.range_g)
+        z = np.where(times < 0, -speed * times, np.interp(times, t, encoder[j]))
+        counts = np.round(z / ENCODER_COUNT_M) * ENCODER_COUNT_M
+        repeat = j % target.repeats + 1
+        made.append(
+            Recording(
+                name=f"{scene.name}_{nodes[j]:g}_m_s_{repeat}",
+                source=f"simulated: the undriven device at {target.grip_N:g} N strikes the object of the scene",
+                sha256="",
+                acceleration=Signal(0.0, dt, measured_g * STANDARD_GRAVITY_M_S2),
+                position=Signal(0.0, dt, counts),
+                speed_m_s=float(speed),
+                grip_N=target.grip_N,
+            )
+        )
+    return made

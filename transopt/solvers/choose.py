@@ -1,0 +1,149 @@
+"""Solvers behind one function: `solve(problem, options) -> Solution`. One file per solver."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import Certificate, Multipliers, Solution, Status, TransientProblem
+from transopt.proof.certify import certify
+from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati
+from transopt.solvers.feasibility import least_widening
+from transopt.solvers.options import SolverOptions, default_solver
+from transopt.solvers.polish import polished
+
+__all__ = [
+    "SOLVERS",
+    "SolverOptions",
+    "check_name",
+    "default_solver",
+    "global_bound",
+    "prove",
+    "solve",
+    "solve_certified",
+]
+
+LIMITS = ("current", "command", "slew", "supply")
+MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
+SOLVERS = {
+    "riccati": riccati.solve,
+    "casadi-piqp": casadi_piqp.solve,
+    "casadi-fatrop": casadi_fatrop.solve,
+    "casadi-ipopt": casadi_ipopt.solve,
+}
+
+
+def check_name(solver: str) -> None:
+    """Refuse an unknown solver before any work is done.
+
+    Raises
+    ------
+    InputError : unknown solver name.
+    """
+    if solver not in SOLVERS:
+        raise InputError(f"--solver {solver}: unknown; choose one of {', '.join(SOLVERS)}")
+    if solver == "riccati" and not riccati.available:
+        raise InputError(
+            "--solver riccati: its extension is not built or out of date; install again where there is a compiler"
+        )
+
+
+def capable(problem: TransientProblem) -> list[str]:
+    """Names of the solvers that can take this problem, the first choice first.
+
+    That is the project's own method where it is built. Of the others IPOPT takes the NLP: FATROP is twice as fast,
+    but loses its last digits on tight budgets and then runs on.
+    """
+    own = ["riccati"] if riccati.can_solve(problem) else []
+    quadratic = ["casadi-piqp"] if problem.thermal is None else []
+    stagewise = ["casadi-fatrop"] if casadi_fatrop.can_solve(problem) else []
+    return [*own, *quadratic, "casadi-ipopt", *stagewise]
+
+
+def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
+    """Solve one entry's problem; the answer's worth is judged by `certify` and `replay`, not here.
+
+    A zero reference has the zero waveform as its answer and is not handed to a solver. A solver that cannot take
+    the problem (PIQP with the temperature in it) gives way to the first choice among those that can.
+
+    Raises
+    ------
+    InputError : unknown solver name.
+    """
+    options = SolverOptions() if options is None else options
+    check_name(options.solver)
+    if problem.reference_is_zero:
+        command = np.zeros(problem.grid.stages)
+        return Solution(
+            Status.OPTIMAL, command, Multipliers.zero(problem), "none", "zero reference: zero waveform", 0, 0.0
+        )
+    able = capable(problem)
+    return SOLVERS[options.solver if options.solver in able else able[0]](problem, options)
+
+
+def prove(
+    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, options: SolverOptions
+) -> Certificate:
+    """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
+    certificate = certify(problem, command_A, multipliers)
+    if np.isfinite(certificate.lower_bound) or not certificate.finite or problem.thermal is None:
+        return certificate
+    return replace(certificate, lower_bound=global_bound(problem, options))
+
+
+def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
+    """Rigorous lower bound on J where the warming copper makes the problem nonconvex (DESIGN 4).
+
+    The convex relaxation is solved and its own certificate subtracted; minus infinity if that fails.
+    """
+    assert problem.thermal is not None
+    relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+    return max(
+        (proof.lower_bound for _, proof in _answers(relaxed, options)),
+        default=-np.inf,
+    )
+
+
+def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tuple[Solution, Certificate]]:
+    """Answers and certificates until one is proven, which is the last: the wanted solver first, then the others.
+
+    On stiff and extreme problems the methods fail on different cases; the certificate tells.
+    """
+    able = capable(problem)
+    first = options.solver if options.solver in able else able[0]
+    asked = False
+    for name in [first, *(other for other in able if other != first)]:
+        answer = solve(problem, replace(options, solver=name))
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        if proof.is_stationary:
+            # What is proven is proven, though the method ran on for digits that it does not have.
+            yield replace(answer, status=Status.OPTIMAL), proof
+            return
+        yield answer, proof
+        if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
+            return  # its claim comes with a proof
+        if problem.thermal is None and answer.status is not Status.INFEASIBLE:
+            with np.errstate(all="ignore"):  # an active set that cannot be, which shows in the certificate
+                better = polished(problem, answer)
+            proof = certify(problem, better.command_A, better.multipliers)
+            if better.status is Status.OPTIMAL and proof.is_stationary:
+                yield better, proof
+                return
+        if not asked and problem.grid.stages <= MOST_ASKED_STAGES:
+            asked = True
+            if not feasible(problem):
+                return  # the linear program tells: no other method needs to search
+
+
+def feasible(problem: TransientProblem) -> bool:
+    """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
+    found = least_widening(problem, LIMITS)
+    return found is None or found[0] == 1.0
+
+
+def solve_certified(problem: TransientProblem, options: SolverOptions) -> tuple[Solution, Certificate]:
+    """The first answer that is certified or, if none is, the wanted solver's; and its certificate."""
+    answers = list(_answers(problem, options))
+    return answers[-1] if answers[-1][1].is_stationary else answers[0]

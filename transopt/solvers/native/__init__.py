@@ -1,0 +1,1 @@
+"""The project's own interior point in C, and the door to it."""

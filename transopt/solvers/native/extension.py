@@ -1,0 +1,187 @@
+"""The compiled interior point (`solvers/riccati.c`) through ctypes, which releases the GIL; no CasADi.
+
+The extension is optional. Where it could not be built, `available` is False.
+"""
+
+import ctypes as ct
+from importlib.machinery import PathFinder
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import OBJECTIVE_SCALE
+from transopt.problem.stage_data import Stages
+
+EXTENSION = "_riccati"
+MOST_STATES = 48  # of riccati.c
+INTERFACE = 2  # as `tr_interface` of riccati.c: both change with what arguments and results mean
+DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
+
+
+# `tr_problem` of riccati.c.
+PROBLEM_FIELDS: list[tuple[str, Any]] = [
+    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "rows", "nodes")],
+    *[(name, ct.c_int) for name in ("current", "repeated")],
+    *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
+    *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
+    *[(name, DOUBLES) for name in ("M", "b", "gain", "square", "F", "f")],
+    *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound")],
+]
+
+
+class _Problem(ct.Structure):
+    _fields_ = PROBLEM_FIELDS
+
+
+class _Options(ct.Structure):
+    _fields_ = (("max_iterations", ct.c_int), ("tolerance", ct.c_double))
+
+
+class _Result(ct.Structure):
+    _fields_ = (
+        *[(name, DOUBLES) for name in ("command", "size", "lower", "upper", "gradient", "start")],
+        ("iterations", ct.c_int),
+        *[(name, ct.c_double) for name in ("objective", "gap", "residual")],
+    )
+
+
+def _library() -> ct.CDLL | None:
+    found = PathFinder.find_spec(EXTENSION, [str(Path(__file__).parent)])
+    if found is None or found.origin is None:
+        return None
+    library = ct.CDLL(found.origin)
+    if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
+        return None  # left behind by another version: as good as none
+    problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
+    library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (problem,)
+    library.tr_solve.argtypes = (problem, ct.POINTER(_Options), DOUBLES, result)
+    library.tr_linear.argtypes = (problem, ct.c_double, ct.c_int, DOUBLES, result)
+    return library
+
+
+_LIBRARY = _library()
+available = _LIBRARY is not None
+SOLVED, ACCURACY = 0, 1  # codes of an answer; the others are failures
+
+
+def _pointer(array: FloatArray) -> int:
+    return array.ctypes.data
+
+
+class Buffers:
+    """Result arrays and workspace of one size, to be used again and again, by one thread at a time.
+
+    Attributes
+    ----------
+    command, gradient : (N,) of the last answer, in the statement's units. size : (N,), of a problem with temperature.
+    lower, upper : (N + 1, rows) its multipliers.
+    gains_of : the linear pass whose gains stand in the workspace, by its token; None for none.
+    """
+
+    def __init__(self, sizes: dict[str, int]) -> None:
+        assert _LIBRARY is not None
+        N, shape = sizes["stages"], (sizes["stages"] + 1, sizes["rows"])
+        self.command, self.size, self.gradient = np.zeros(N), np.zeros(N), np.zeros(N)
+        # A pointer to nothing is none that C may copy no bytes to.
+        self._lower, self._upper, self._start = (np.zeros(max(count, 1)) for count in (*[shape[0] * shape[1]] * 2, 4))
+        self.lower, self.upper = (flat[: shape[0] * shape[1]].reshape(shape) for flat in (self._lower, self._upper))
+        self.gains_of: object = None
+        self.workspace = np.empty(_LIBRARY.tr_workspace(ct.byref(_Problem(**sizes))))
+        self.result = _Result(
+            *(_pointer(a) for a in (self.command, self.size, self._lower, self._upper, self.gradient, self._start))
+        )
+
+
+class Answer(NamedTuple):
+    """What the method says of its last iterate, which stands in the buffers.
+
+    Attributes
+    ----------
+    code : 0 solved, 1 solved to what rounding leaves, otherwise a failure. gap, objective : in units of 1e-3.
+    """
+
+    code: int
+    iterations: int
+    objective: float
+    gap: float
+    residual: float
+
+    @property
+    def relative_gap(self) -> float:
+        """Of max(J, 1e-3); inf for what is no number."""
+        relative = self.gap / max(self.objective, 1.0)
+        return relative if np.isfinite(relative) else np.inf
+
+
+def _stated(stages: Stages) -> _Problem:
+    arrays = {name: _pointer(array) for name, array in stages.arrays.items()}
+    return _Problem(**stages.sizes, **stages.numbers, **arrays)
+
+
+def _answer(code: int, result: _Result) -> Answer:
+    return Answer(code, result.iterations, result.objective, result.gap, result.residual)
+
+
+def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_iterations: int) -> Answer:
+    """Solve; the answer stands in the buffers, made for the same sizes.
+
+    Parameters
+    ----------
+    tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
+    """
+    assert _LIBRARY is not None
+    stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance), None
+    code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), _pointer(buffers.workspace), ct.byref(buffers.result))
+    return _answer(code, buffers.result)
+
+
+class LinearPass:
+    """The optimum without limits for one device and one weight, its gains factored once and used for any reference.
+
+    Parameters
+    ----------
+    stages : `stagewise.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
+        references share gains only if they share rho |r|^2, as those of one (grip, speed) do.
+    buffers : of the same sizes, where there are any. Who else solves in them costs this pass its gains.
+
+    Attributes
+    ----------
+    reference : (N,) of the stages' problem in units of its norm; writing into it is how it is changed.
+    """
+
+    def __init__(self, stages: Stages, buffers: Buffers | None = None) -> None:
+        assert _LIBRARY is not None
+        self.stages = stages
+        self.buffers = Buffers(stages.sizes) if buffers is None else buffers
+        self.reference = stages.arrays["reference"].copy()
+        self._stated = _stated(stages)
+        self._stated.reference = _pointer(self.reference)
+        self._arguments = (_pointer(self.buffers.workspace), ct.byref(self.buffers.result))
+        self._problem, self._token = ct.byref(self._stated), object()
+        self._pass = _LIBRARY.tr_linear
+        problem = stages.problem
+        self._tail = slice(problem.free_stages, None)
+        self._zeros = self._tail if problem.wall is None else slice(0, 0)
+
+    def solve(self, tolerance: float) -> Answer:
+        """Answer to `tolerance` on the gap, relative to max(J, 1e-3); command and gradient stand in the buffers."""
+        buffers = self.buffers
+        code = self._pass(self._problem, tolerance, buffers.gains_of is self._token, *self._arguments)
+        buffers.gains_of = self._token if code in (SOLVED, ACCURACY) else None
+        return _answer(code, buffers.result)
+
+    def forget(self) -> None:
+        """Factor again at the next solve."""
+        self.buffers.gains_of = None
+
+    def command_A(self) -> FloatArray:
+        """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
+        command: FloatArray = self.buffers.command * self.stages.current_A
+        command[self._zeros] = 0.0
+        return command
+
+    def hand_over(self) -> FloatArray:
+        """(hand_over_samples,) its multipliers of the hand-over [1/A]."""
+        return np.asarray(-self.buffers.gradient[self._tail] * OBJECTIVE_SCALE / self.stages.current_A)

@@ -1,0 +1,1 @@
+"""Constraint studies: one design question, many scenes, one table."""

@@ -1,0 +1,239 @@
+"""Figures of a constraint study: one key, curves; two keys, heat maps; more, or a sample, small multiples."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
+from transopt.base.signals import FloatArray
+from transopt.scene.keys import unit_of
+from transopt.study.axes import Axis, Plan
+from transopt.study.inverse import Answer
+from transopt.study.rows import Row, number
+
+MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
+MOST_WRITTEN = 80  # cells of a heat map with their figures written in
+LEAST_PERCENT = 0.1
+DASHES = ("-", "--", ":", "-.")
+
+
+def axis_label(key: str) -> str:
+    """A key with its unit."""
+    unit = unit_of(key)
+    return f"{key} [{unit}]" if unit else key
+
+
+def percent_axis(axes: Axes, *, x: bool = False) -> None:
+    """A logarithmic axis of percentages with plain numbers."""
+    (axes.set_xscale if x else axes.set_yscale)("log")
+    axis = axes.xaxis if x else axes.yaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(plain))
+    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())
+
+
+def _logarithmic(axis: Axis) -> bool:
+    values = [value for value in axis.values if isinstance(value, int | float)]
+    return axis.log or (axis.numeric and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 50)
+
+
+def _prepared(axes: Axes, axis: Axis) -> FloatArray:
+    """(n,) where the values of a key stand on the x axis; its ticks and label are set."""
+    axes.set_xlabel(axis_label(axis.key), fontsize=LABEL_PT)
+    if not axis.numeric:
+        axes.set_xticks(range(len(axis.labels)), axis.labels, rotation=30, ha="right")
+        return np.arange(len(axis.labels), dtype=float)
+    if _logarithmic(axis):
+        percent_axis(axes, x=True)
+    values = np.array(axis.values, dtype=float)
+    if unit_of(axis.key) == "s" and values.max() < 0.1:
+        axes.set_xlabel(f"{axis.key} [ms]", fontsize=LABEL_PT)
+        values = 1e3 * values
+    return values
+
+
+def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
+    """(*shape, speeds, grips) one column of a study of all combinations; NaN where a row has no such figure."""
+    table = np.full(plan.entries, np.nan)
+    for row in rows:
+        table[int(row["index"])] = number(row, column) if row["status"] == "OPTIMAL" else np.nan
+    return table.reshape(*plan.shape, len(plan.speeds_m_s), len(plan.grips_N))
+
+
+def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
+    """NRMSE and floor over one key: a panel per grip, a line per speed."""
+    axis, grips, speeds = plan.axes[0], plan.grips_N, plan.speeds_m_s
+    error, floor = (100 * entry_grid(plan, rows, column) for column in ("nrmse", "floor"))
+    shade = colours(len(speeds))
+    across = min(len(grips), 4)
+    down = math.ceil(len(grips) / across)
+    figure = Figure(figsize=(1.0 + 2.3 * across, 0.9 + 2.5 * down), layout="constrained")
+    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+    for axes in panels.flat[len(grips) :]:
+        axes.set_visible(False)
+    for ig, (axes, grip) in enumerate(zip(panels.flat, grips, strict=False)):
+        style(axes)
+        x = _prepared(axes, axis)
+        for iv in range(len(speeds)):
+            axes.plot(x, floor[:, iv, ig], color=shade[iv], linewidth=0.8, linestyle=":")
+            axes.plot(x, error[:, iv, ig], color=shade[iv], linewidth=1.3, marker="o", markersize=3)
+        axes.set_title(f"grip {grip:g} N", fontsize=LABEL_PT)
+        percent_axis(axes)
+    for row in panels:
+        row[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
+    handles = [
+        Line2D([], [], color=c, marker="o", markersize=3, label=f"{v:g} m/s")
+        for c, v in zip(shade, speeds, strict=True)
+    ]
+    handles.append(Line2D([], [], color="0.4", linewidth=0.8, linestyle=":", label="floor"))
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=min(len(handles), 6), fontsize=SMALL_PT, frameon=False
+    )
+    return figure
+
+
+def heat_map(
+    axes: Axes, down: Axis, across: Axis, percent: FloatArray, norm: LogNorm, *, written: bool = True
+) -> Any:
+    """One map of percentages (down, across); grey where there is none."""
+    axes.set_facecolor("0.85")
+    mesh = axes.pcolormesh(percent, norm=norm, cmap="viridis_r", edgecolors="white", linewidth=0.4)
+    for axis, set_ticks in ((across, axes.set_xticks), (down, axes.set_yticks)):
+        step = max(1, math.ceil(len(axis.labels) / 8))
+        shown = range(0, len(axis.labels), step)
+        texts = [f"{float(f'{axis.values[j]:.3g}'):g}" if axis.numeric else axis.labels[j] for j in shown]
+        turned = {"rotation": 30, "ha": "right"} if axis is across and not axis.numeric else {}
+        set_ticks([j + 0.5 for j in shown], texts, fontsize=SMALL_PT, **turned)
+    if written and percent.size <= MOST_WRITTEN:
+        dark = np.sqrt(float(norm.vmin or 1) * float(norm.vmax or 1))
+        for (j, k), value in np.ndenumerate(percent):
+            if np.isfinite(value):
+                text = f"{value:.0f}" if value >= 9.95 else f"{value:.1f}"
+                axes.text(
+                    k + 0.5, j + 0.5, text, ha="center", va="center", fontsize=6.5, color="w" if value > dark else "k"
+                )
+            else:
+                axes.text(k + 0.5, j + 0.5, "x", ha="center", va="center", fontsize=6.5, color="0.5")
+    return mesh
+
+
+def percent_norm(percent: FloatArray) -> LogNorm:
+    """Colours over the percentages that there are."""
+    there = percent[np.isfinite(percent)]
+    if not there.size:
+        return LogNorm(LEAST_PERCENT, 100.0)
+    low, high = max(float(there.min()), LEAST_PERCENT), float(there.max())
+    return LogNorm(low, max(high, 1.05 * low))
+
+
+def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
+    """NRMSE over two keys: a heat map per entry, or of the worst entry where there are many."""
+    down, across = plan.axes
+    error = 100 * entry_grid(plan, rows, "nrmse")
+    speeds, grips = plan.speeds_m_s, plan.grips_N
+    if plan.entries_per_point > MOST_PANELS:
+        # An entry that is refused makes a point refused.
+        error = error.max(axis=(2, 3), keepdims=True)
+        titles = [["worst entry"]]
+    else:
+        titles = [[f"{speed:g} m/s, {grip:g} N" for grip in grips] for speed in speeds]
+    nv, ng = error.shape[2:]
+    figure = Figure(
+        figsize=(1.8 + max(2.6, 0.3 * len(across.values)) * ng, 0.9 + max(2.0, 0.2 * len(down.values)) * nv),
+        layout="constrained",
+    )
+    panels = figure.subplots(nv, ng, sharex=True, sharey=True, squeeze=False)
+    norm = percent_norm(error)
+    for iv in range(nv):
+        for ig in range(ng):
+            mesh = heat_map(panels[iv, ig], down, across, error[:, :, iv, ig], norm)
+            panels[iv, ig].set_title(titles[iv][ig], fontsize=LABEL_PT)
+    figure.supxlabel(axis_label(across.key), fontsize=LABEL_PT)
+    figure.supylabel(axis_label(down.key), fontsize=LABEL_PT)
+    bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
+    bar.set_label("NRMSE [%], grey: not certified", fontsize=LABEL_PT)
+    percent_axis(bar.ax)
+    bar.ax.tick_params(labelsize=SMALL_PT)
+    return figure
+
+
+def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
+    """NRMSE of every entry over each key, the others as they come; a colour per speed."""
+    shade = dict(zip(plan.speeds_m_s, colours(len(plan.speeds_m_s)), strict=True))
+    there = [row for row in rows if row["status"] == "OPTIMAL"]
+    across = min(len(plan.axes), 3)
+    down = math.ceil(len(plan.axes) / across)
+    figure = Figure(figsize=(1.0 + 2.7 * across, 0.8 + 2.5 * down), layout="constrained")
+    panels = figure.subplots(down, across, sharey=True, squeeze=False)
+    size = 4.0 if len(there) < 300 else 2.0
+    for axes in panels.flat[len(plan.axes) :]:
+        axes.set_visible(False)
+    for axes, axis in zip(panels.flat, plan.axes, strict=False):
+        style(axes)
+        places = dict(zip(axis.labels, _prepared(axes, axis), strict=True))
+        for speed in plan.speeds_m_s:
+            own = [row for row in there if float(row["speed_m_s"]) == speed]
+            x = [places[row[axis.key]] if row[axis.key] in places else float(row[axis.key]) for row in own]
+            y = [100 * number(row, "nrmse") for row in own]
+            axes.plot(
+                x, y, linestyle="", marker="o", markersize=size, color=shade[speed], alpha=0.6, markeredgewidth=0
+            )
+        percent_axis(axes)
+    for row in panels:
+        row[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
+    handles = [
+        Line2D([], [], linestyle="", marker="o", markersize=4, color=c, label=f"{v:g} m/s") for v, c in shade.items()
+    ]
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=min(len(handles), 6), fontsize=SMALL_PT, frameon=False
+    )
+    return figure
+
+
+def study_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
+    """The figure that suits the number of keys."""
+    if plan.sample is None and len(plan.axes) == 1:
+        return curves(plan, rows)
+    if plan.sample is None and len(plan.axes) == 2:
+        return maps(plan, rows)
+    return small_multiples(plan, rows)
+
+
+def question_figure(found: Answer, label_of_key: str) -> Figure:
+    """The first requirement's measure of every entry over the values tried, with bound and answer."""
+    requirement = found.question.requirements[0]
+    figure = Figure(figsize=(5.6, 3.8), layout="constrained")
+    axes = figure.subplots()
+    style(axes)
+    entries = list(dict.fromkeys((row["speed_m_s"], row["grip_N"]) for row in found.tried[0].rows))
+    scale = 100.0 if "nrmse" in requirement.measure or requirement.measure == "floor" else 1.0
+    x = [tried.value for tried in found.tried]
+    shade, dashes = ({text: j for j, text in enumerate(dict.fromkeys(each))} for each in zip(*entries, strict=True))
+    by_speed = colours(len(shade))
+    for entry in entries:
+        own = [next(row for row in tried.rows if (row["speed_m_s"], row["grip_N"]) == entry) for tried in found.tried]
+        y = [scale * number(row, requirement.measure) if row["status"] == "OPTIMAL" else np.nan for row in own]
+        name = f"{float(entry[0]):g} m/s, {float(entry[1]):g} N"
+        colour, dash = by_speed[shade[entry[0]]], DASHES[dashes[entry[1]] % len(DASHES)]
+        axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.0, marker="o", markersize=2.5, label=name)
+    axes.axhline(scale * requirement.bound, color=DARK, linewidth=0.9, linestyle=":")
+    if found.met is not None:
+        axes.axvline(found.met.value, color=SEED, linewidth=1.0, linestyle="--")
+    if found.question.log:
+        percent_axis(axes, x=True)
+    if scale > 1:
+        percent_axis(axes)
+    axes.set_xlabel(label_of_key, fontsize=LABEL_PT)
+    axes.set_ylabel(f"{requirement.measure}{' [%]' if scale > 1 else ''}", fontsize=LABEL_PT)
+    axes.set_title(f"{requirement.text} (dotted), answer (dashed)", fontsize=LABEL_PT)
+    if len(entries) <= MOST_PANELS:
+        axes.legend(fontsize=6.5, frameon=False, ncols=2)
+    return figure

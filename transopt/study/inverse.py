@@ -1,0 +1,249 @@
+"""The inverse question: the least or greatest value of one key at which every entry meets a requirement.
+
+The error need not be monotone in a key. So the range is scanned first; the outermost crossing towards the wanted end
+is then bisected over certified outcomes, and the answer says whether the scan saw others.
+"""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.scene.keys import Key, check_value, find_key, unit_of
+from transopt.scene.scene import Scene
+from transopt.study.axes import Axis, Plan, label
+from transopt.study.rows import Row, number
+
+SCAN = 9
+TOLERANCE = 1e-3  # of the range, without one of the user's
+MEASURES = (
+    "nrmse",
+    "weighted_nrmse",
+    "floor",
+    "peak_current_A",
+    "peak_command_A",
+    "peak_temperature_C",
+    "peak_voltage_V",
+    "free_peak_A",
+)
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """measure <= bound, or >=."""
+
+    measure: str
+    at_most: bool
+    bound: float
+
+    @property
+    def text(self) -> str:
+        return f"{self.measure} {'<=' if self.at_most else '>='} {self.bound:g}"
+
+    def excess(self, row: Row) -> float:
+        """How far a row misses it, negative where it is met; infinite where there is no certified answer."""
+        value = number(row, self.measure) if row["status"] == "OPTIMAL" else math.nan
+        missed = value - self.bound if self.at_most else self.bound - value
+        return math.inf if math.isnan(missed) else missed
+
+
+def parse_requirement(text: str) -> Requirement:
+    """`nrmse<=0.10` and the like.
+
+    Raises
+    ------
+    InputError : no such measure, or not so written.
+    """
+    found = re.fullmatch(r"\s*(\w+)\s*(<=|>=)\s*(\S+)\s*", text)
+    try:
+        bound = float(found[3]) if found else math.nan
+    except ValueError:
+        bound = math.nan
+    if found is None or not math.isfinite(bound):
+        raise InputError(f"--require {text}: must be MEASURE<=NUMBER or MEASURE>=NUMBER, as nrmse<=0.10")
+    if found[1] not in MEASURES:
+        raise InputError(f"--require {text}: {found[1]}: no such measure; one of {', '.join(MEASURES)}")
+    return Requirement(found[1], found[2] == "<=", bound)
+
+
+@dataclass(frozen=True)
+class Question:
+    """Which value of a key is the least (or greatest) that meets all requirements.
+
+    Attributes
+    ----------
+    tolerance : width of the interval at the end, in the key's unit.
+    """
+
+    key: Key
+    low: float
+    high: float
+    tolerance: float
+    greatest: bool
+    requirements: tuple[Requirement, ...]
+
+    @property
+    def log(self) -> bool:
+        return self.low > 0 and self.high / self.low >= 30
+
+    def rounded(self, value: float) -> float:
+        return round(value) if self.key.integer else float(f"{value:.12g}")
+
+    def scan(self) -> list[float]:
+        space = np.geomspace if self.log else np.linspace
+        return list(dict.fromkeys(self.rounded(float(value)) for value in space(self.low, self.high, SCAN)))
+
+    def middle(self, one: float, other: float) -> float:
+        """Between two values; one of them where nothing lies between."""
+        value = math.sqrt(one * other) if self.log else (one + other) / 2
+        # A tenth of the tolerance is as fine as an answer is worth.
+        return self.rounded(round(value, 1 - math.floor(math.log10(self.tolerance))))
+
+    def excess(self, row: Row) -> float:
+        return max(requirement.excess(row) for requirement in self.requirements)
+
+
+def parse_question(scene: Scene, text: str, requirements: Sequence[str], *, greatest: bool) -> Question:
+    """KEY=LOW:HIGH[:TOLERANCE].
+
+    Raises
+    ------
+    InputError : no number of the scene, or no such range.
+    """
+    path, equals, span = (part.strip() for part in text.partition("="))
+    try:
+        numbers = [float(part) for part in span.split(":")]
+    except ValueError:
+        numbers = []
+    if not equals or len(numbers) not in (2, 3) or not all(math.isfinite(value) for value in numbers):
+        raise InputError(f"--solve-for {text}: give KEY=LOW:HIGH or KEY=LOW:HIGH:TOLERANCE")
+    key = find_key(scene, path)
+    if path.startswith("grid.") or not key.number:
+        raise InputError(f"--solve-for {path}: not a number that can be solved for")
+    low, high = numbers[:2]
+    if not low < high:
+        raise InputError(f"--solve-for {text}: LOW must be below HIGH")
+    tolerance = numbers[2] if len(numbers) == 3 else TOLERANCE * (high - low)
+    if not 0 < tolerance <= high - low:
+        raise InputError(f"--solve-for {text}: TOLERANCE must be above 0 and at most HIGH - LOW = {high - low:g}")
+    if key.integer:
+        low, high, tolerance = round(low), round(high), max(1.0, tolerance)
+    for value in (low, high):
+        check_value(scene, path, value)
+    return Question(key, low, high, tolerance, greatest, tuple(parse_requirement(each) for each in requirements))
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One value of the key: its rows, and by how much the worst of them misses the requirements."""
+
+    value: float
+    rows: tuple[Row, ...]
+    excess: float
+
+    @property
+    def met(self) -> bool:
+        return self.excess <= 0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was found.
+
+    Attributes
+    ----------
+    question : with its bounds. tried : every value, in order.
+    met : the answer, None if nothing in the scan meets the requirements.
+    missed : the nearest value beyond it that does not; None if the end of the range itself meets them.
+    crossings : how often the scan passed from met to missed or back.
+    """
+
+    question: Question
+    tried: tuple[Tried, ...]
+    met: Tried | None
+    missed: Tried | None
+    crossings: int
+
+    def worst(self, tried: Tried) -> Row:
+        """The entry that decides: the one that misses most, or has least left."""
+        return max(tried.rows, key=self.question.excess)
+
+    @property
+    def sentences(self) -> list[str]:
+        q, unit = self.question, unit_of(self.question.key.path)
+        wanted = " and ".join(requirement.text for requirement in q.requirements)
+        span = f"{q.low:g} to {q.high:g} {unit}".strip()
+        if self.met is None:
+            best = min(self.tried, key=lambda tried: tried.excess)
+            return [
+                f"No {q.key.path} of {len(self.tried)} tried from {span} meets {wanted} at every entry; nearest "
+                f"is {label(best.value)} {unit}: {self._entry(best)}."
+            ]
+        extreme = "greatest" if q.greatest else "least"
+        lines = [
+            f"The {extreme} {q.key.path} from {span} with {wanted} at every entry: {label(self.met.value)} {unit}."
+        ]
+        lines.append(f"There {self._entry(self.met)} has least left.")
+        if self.missed is None:
+            lines.append("That is the end of the range itself: beyond it nothing was tried.")
+        else:
+            lines.append(f"At {label(self.missed.value)} {unit} it is missed: {self._entry(self.missed)}.")
+        if self.crossings > 1:
+            lines.append(
+                f"The scan of {len(q.scan())} values crossed the requirement {self.crossings} times: the error is "
+                "not monotone, and values inside the range beyond this one miss it again."
+            )
+        else:
+            lines.append(
+                f"The scan of {len(q.scan())} values saw {self.crossings} crossing{'s' * (self.crossings != 1)}."
+            )
+        return lines
+
+    def _entry(self, tried: Tried) -> str:
+        row = self.worst(tried)
+        name = f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
+        if row["status"] != "OPTIMAL":
+            return f"{name} ({row['status']}: {row['reason']})"
+        measures = dict.fromkeys(requirement.measure for requirement in self.question.requirements)
+        return f"{name} ({', '.join(f'{measure} = {number(row, measure):.5g}' for measure in measures)})"
+
+
+def answer(question: Question, solve: Callable[[list[float]], list[list[Row]]]) -> Answer:
+    """Scan, then bisect.
+
+    Parameters
+    ----------
+    solve : rows of every entry at each of some values.
+    """
+    tried: dict[float, Tried] = {}
+
+    def at(values: list[float]) -> list[Tried]:
+        new = [value for value in values if value not in tried]
+        for value, rows in zip(new, solve(new) if new else [], strict=True):
+            tried[value] = Tried(value, tuple(rows), max(question.excess(row) for row in rows))
+        return [tried[value] for value in values]
+
+    scanned = at(question.scan())
+    crossings = sum(a.met != b.met for a, b in pairwise(scanned))
+    towards = scanned[::-1] if question.greatest else scanned
+    first = next((j for j, one in enumerate(towards) if one.met), None)
+    met = missed = None
+    if first is not None:
+        met = towards[first]
+        missed = towards[first - 1] if first else None
+    while met is not None and missed is not None and abs(met.value - missed.value) > question.tolerance:
+        value = question.middle(met.value, missed.value)
+        if value in (met.value, missed.value):
+            break
+        [middle] = at([value])
+        met, missed = (middle, missed) if middle.met else (met, middle)
+    return Answer(question, tuple(tried[value] for value in sorted(tried)), met, missed, crossings)
+
+
+def plan_at(plan: Plan, question: Question, values: Sequence[float]) -> Plan:
+    """The plan with the key at some values."""
+    return replace(plan, axes=(Axis(question.key.path, tuple(values), tuple(map(label, values))),))

@@ -1,0 +1,239 @@
+"""Which motor, and at which transmission ratio, on a stated rail and at a stated temperature."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, colours, style
+from transopt.base.signals import FloatArray
+from transopt.base.writing import percent, table
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.study.axes import Axis, Plan, parse_axis
+from transopt.study.figures import entry_grid, heat_map, percent_axis, percent_norm
+from transopt.study.report import LEGEND, binding_names, rows_table
+from transopt.study.rows import Row, number
+from transopt.study.run import Pool
+from transopt.study.session import run_plan
+
+MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30_310009,maxon_re40_148877"
+RATIOS = "transmission.ratio_1_m=15:1000:15:log"
+SPEEDS_M_S, GRIPS_N = (0.2, 0.4), (1.0, 5.0)
+RAIL_V, AMBIENT_C, TAPS_PER_S = 24.0, 40.0, 4.0
+GOAL = 0.01  # NRMSE of every entry
+
+
+def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
+    """The scene with a motor used up to its own limits, on the stated rail and at the stated temperature.
+
+    The current is limited by the motor's peak and by the amplifier's range, the coil by tapping for ever.
+    """
+    amplifier = scene.amplifier_model()
+    most = motor["i_peak_A"] if amplifier is None else min(motor["i_peak_A"], amplifier.command_limit_A)
+    return with_values(
+        scene,
+        {
+            "motor": motor,
+            "limits.steady_current_A": motor["i_continuous_A"],
+            "limits.current_A": most,
+            "limits.supply_V": RAIL_V,
+            "thermal.tap_rate_Hz": TAPS_PER_S,
+            **{f"thermal.{name}_C": AMBIENT_C for name in ("ambient", "start_winding", "start_housing")},
+        },
+    )
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A motor at its best ratio: the least one that meets the goal at every entry, or else the one with least error.
+
+    The error speaks for ever higher ratios, but the hand moves the rotor's reflected mass in every free motion.
+    """
+
+    stem: str
+    ratio_1_m: float
+    worst: float
+    force_N_A: float
+    mass_kg: float
+    row: Row  # the worst entry
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Plan and rows of every motor, by the stem of its file."""
+
+    studies: dict[str, tuple[Plan, list[Row]]]
+
+    def errors(self) -> FloatArray:
+        """(motors, ratios, speeds, grips) NRMSE; NaN where there is no certified answer."""
+        return np.stack([entry_grid(plan, rows, "nrmse") for plan, rows in self.studies.values()])
+
+    @property
+    def ratios(self) -> Axis:
+        return next(iter(self.studies.values()))[0].axes[0]
+
+    def ranked(self) -> list[Choice]:
+        """The best of every motor that has one: those that meet the goal by mass at the tip, the others by error."""
+        found = []
+        for (stem, (plan, rows)), error in zip(self.studies.items(), self.errors(), strict=True):
+            worst = error.max(axis=(1, 2))  # NaN if one entry is refused
+            if np.all(np.isnan(worst)):
+                continue
+            meets = np.flatnonzero(worst <= GOAL)
+            j = int(meets[0]) if meets.size else int(np.nanargmin(worst))
+            iv, ig = np.unravel_index(int(np.argmax(error[j])), error[j].shape)
+            ratio = float(self.ratios.values[j])
+            tip = with_values(plan.scene, {"transmission.ratio_1_m": ratio}).drive_at_tip()
+            row = rows[plan.index(j, int(iv), int(ig))]
+            found.append(Choice(stem, ratio, float(worst[j]), tip.force_per_current_N_A, tip.moving_mass_kg, row))
+        return sorted(found, key=lambda c: (c.worst > GOAL, c.mass_kg if c.worst <= GOAL else c.worst))
+
+    def figure(self) -> Figure:
+        """A heat map of motors over ratios for every entry."""
+        error = 100 * self.errors()
+        norm = percent_norm(error)
+        figure = Figure(figsize=(9.6, 4.9), layout="constrained")
+        panels = figure.subplots(len(SPEEDS_M_S), len(GRIPS_N), sharex=True, sharey=True)
+        stems = Axis("motor", tuple(self.studies), tuple(stem.replace("_", " ") for stem in self.studies))
+        for iv, speed in enumerate(SPEEDS_M_S):
+            for ig, grip in enumerate(GRIPS_N):
+                mesh = heat_map(panels[iv, ig], stems, self.ratios, error[:, :, iv, ig], norm, written=False)
+                panels[iv, ig].set_title(f"{speed:g} m/s, {grip:g} N", fontsize=LABEL_PT)
+        figure.supxlabel("transmission ratio [1/m]", fontsize=LABEL_PT)
+        bar = figure.colorbar(mesh, ax=panels, shrink=0.9)
+        bar.set_label("NRMSE [%]; grey: not certified", fontsize=LABEL_PT)
+        percent_axis(bar.ax)
+        bar.ax.tick_params(labelsize=SMALL_PT)
+        return figure
+
+    def pages(self) -> dict[str, Figure]:
+        """For every motor error, current, voltage and temperature over the ratio."""
+        return {stem: _page(plan, rows) for stem, (plan, rows) in self.studies.items()}
+
+    def sentence(self) -> str:
+        """The finding."""
+        best = self.ranked()
+        if not best:
+            return "no motor has a certified answer for every entry at any ratio"
+        first, last = best[0], best[-1]
+        met = sum(c.worst <= GOAL for c in best)
+        return (
+            f"On {RAIL_V:g} V, at {AMBIENT_C:g} C and {TAPS_PER_S:g} taps/s for ever, {met} of {len(self.studies)} "
+            f"motors bring all entries to {100 * GOAL:g} %; the first, {first.stem.replace('_', ' ')} at "
+            f"{first.ratio_1_m:.0f} 1/m, has {1e3 * first.mass_kg:.0f} g at the tip and {percent(first.worst)} % at "
+            f"its worst entry, the last, {last.stem.replace('_', ' ')}, {percent(last.worst)} % at best."
+        )
+
+    def report(self, figure: str, head: Sequence[str]) -> list[str]:
+        """Ranked table and one page per motor."""
+        cells = []
+        for place, c in enumerate(self.ranked(), start=1):
+            plan, _ = self.studies[c.stem]
+            assert plan.scene.motor is not None
+            cells.append(
+                [
+                    place,
+                    plan.scene.motor.name,
+                    f"{c.ratio_1_m:.0f}",
+                    percent(c.worst),
+                    f"{float(c.row['speed_m_s']):g} m/s, {float(c.row['grip_N']):g} N",
+                    f"{c.force_N_A:.2f}",
+                    f"{1e3 * c.mass_kg:.1f}",
+                    f"{number(c.row, 'peak_current_A'):.2f} of {plan.scene.limits.transient_current_A:g}",
+                    f"{number(c.row, 'peak_voltage_V'):.1f}",
+                    f"{number(c.row, 'peak_temperature_C'):.1f} of {plan.scene.motor.winding_max_C:g}",
+                    binding_names(c.row),
+                ]
+            )
+        columns = [
+            "",
+            "motor",
+            "best ratio 1/m",
+            "worst NRMSE %",
+            "at",
+            "N/A",
+            "mass at tip g",
+            "peak A",
+            "peak V",
+            "coil C",
+        ]
+        lines = ["# Motor selection", "", *head, self.sentence(), "", f"![motors]({figure})", ""]
+        lines += [
+            f"Every motor to its own peak current or the amplifier's range, on {RAIL_V:g} V, at {AMBIENT_C:g} C, "
+            f"{TAPS_PER_S:g} taps/s for ever with the coil below its limit. The taps are those recorded with the "
+            "scene's own device; stiffness, damping and mass of the link are those of its transmission. Ranked by "
+            f"the mass at the tip of the least ratio with at most {100 * GOAL:g} % at every entry, then by error: "
+            "higher ratios err less but make the stylus heavy in the hand.",
+            "",
+            *table([*columns, "what binds"], cells),
+        ]
+        for stem, (plan, rows) in self.studies.items():
+            assert plan.scene.motor is not None
+            lines += [f"## {plan.scene.motor.name}", "", plan.scene.motor.datasheet, "", f"![{stem}]({stem}.png)", ""]
+            lines += rows_table(rows, [plan.axes[0].key])
+        return [*lines, LEGEND, ""]
+
+
+def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
+    figure = Figure(figsize=(9.0, 5.2), layout="constrained")
+    panels = figure.subplots(2, 2, sharex=True)
+    ratios = np.array(plan.axes[0].values, dtype=float)
+    motor = plan.scene.motor
+    assert motor is not None
+    measures = (
+        ("nrmse", 100.0, "NRMSE [%]", None),
+        ("peak_current_A", 1.0, "peak current [A]", plan.scene.limits.transient_current_A),
+        ("peak_voltage_V", 1.0, "peak voltage [V]", plan.scene.limits.supply_V),
+        ("peak_temperature_C", 1.0, "winding [C]", motor.winding_max_C),
+    )
+    shade = colours(len(plan.grips_N))
+    for axes, (column, scale, label, limit) in zip(panels.flat, measures, strict=True):
+        style(axes)
+        values = scale * entry_grid(plan, rows, column)
+        for iv, (speed, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-"), strict=True)):
+            for ig, grip in enumerate(plan.grips_N):
+                name = f"{speed:g} m/s, {grip:g} N"
+                axes.plot(
+                    ratios,
+                    values[:, iv, ig],
+                    color=shade[ig],
+                    linestyle=dash,
+                    marker="o",
+                    markersize=3,
+                    linewidth=1.1,
+                    label=name,
+                )
+        if limit is not None:
+            axes.axhline(limit, color=DARK, linewidth=0.8, linestyle=":")
+        axes.set_ylabel(label, fontsize=LABEL_PT)
+        percent_axis(axes, x=True)
+    percent_axis(panels[0, 0])
+    for axes in panels[1]:
+        axes.set_xlabel("transmission ratio [1/m]", fontsize=LABEL_PT)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=4, fontsize=SMALL_PT, frameon=False, title=motor.name
+    )
+    return figure
+
+
+def motor_selection(
+    scene: Scene, folder: Path, pool: Pool, *, motors: str = MOTORS, ratios: str = RATIOS
+) -> Selection:
+    """Solve every motor at every ratio, each motor in a folder of its own.
+
+    Raises
+    ------
+    InputError : as of `run_plan`; a scene whose drive is stated at the tip.
+    """
+    found = {}
+    axis = parse_axis(scene, "--study", f"motor={motors}")
+    for stem, motor in zip(axis.labels, axis.values, strict=True):
+        own = motor_scene(scene, motor)
+        plan = Plan(own, (parse_axis(own, "--study", ratios),), SPEEDS_M_S, GRIPS_N)
+        found[stem] = (plan, run_plan(plan, folder / stem, pool, name=stem))
+    return Selection(found)

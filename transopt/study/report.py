@@ -1,0 +1,180 @@
+"""report.md of a constraint study."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from transopt.base.machine import machine
+from transopt.base.writing import percent, table, write_text
+from transopt.scene.keys import unit_of
+from transopt.study.axes import Plan, label
+from transopt.study.inverse import Answer
+from transopt.study.rows import Row, number, versions
+
+MOST_ROWS = 120  # of the table; rows.csv has them all
+LEGEND = (
+    "NRMSE: |a - r| / |r| after replay. floor: that of the same point without its limits. gap: of the certificate, "
+    "relative to max(J, 1e-3). largest multiplier: per A, V or K of the limit that binds hardest. ms: of the solver."
+)
+MULTIPLIERS = {
+    "current": "mu_current_1_A",
+    "command": "mu_command_1_A",
+    "slew": "mu_slew_1_A",
+    "supply": "mu_supply_1_V",
+    "coil": "mu_coil_1_K",
+}
+
+
+def provenance(command: str, elapsed_s: float) -> list[str]:
+    """Command, time, machine, versions."""
+    computer = machine()
+    names = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return [
+        f"`{command}`: {elapsed_s:.0f} s on {computer['cpu']}, {computer['cores']} cores, {computer['system']}; "
+        f"{names}.",
+        "",
+    ]
+
+
+def binding_names(row: Row) -> str:
+    """The limits that bind, without their times."""
+    names = [part.split(" at ")[0] for part in row["binding"].split("; ")] if row["binding"] else []
+    return ", ".join(names) or "-"
+
+
+def largest_multiplier(row: Row) -> str:
+    found = {name: number(row, column) for name, column in MULTIPLIERS.items() if row[column]}
+    if not found or max(found.values()) < 1e-9:
+        return "-"
+    name = max(found, key=lambda each: found[each])
+    return f"{name} {found[name]:.2g}"
+
+
+def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
+    """A row of the table."""
+    values = [row[key] for key in keys]
+    entry = [f"{float(row['speed_m_s']):g}", f"{float(row['grip_N']):g}"]
+    if row["status"] == "REFUSED":
+        return [*values, *entry, "refused", "-", "-", "-", "-", "-", "-", row["reason"]]
+    return [
+        *values,
+        *entry,
+        percent(number(row, "nrmse")),
+        percent(number(row, "floor")),
+        f"{number(row, 'peak_current_A'):.3f}",
+        f"{number(row, 'peak_temperature_C'):.2f}",
+        largest_multiplier(row),
+        f"{number(row, 'relative_gap'):.0e}",
+        f"{number(row, 'solve_ms'):.0f}",
+        binding_names(row) if row["status"] == "OPTIMAL" else f"{row['status']}: {row['reason']}",
+    ]
+
+
+def rows_table(rows: Sequence[Row], keys: Sequence[str]) -> list[str]:
+    columns = [f"{key} {unit_of(key)}".strip() for key in keys]
+    head = [
+        *columns,
+        "speed m/s",
+        "grip N",
+        "NRMSE %",
+        "floor %",
+        "peak A",
+        "winding C",
+        "largest multiplier",
+        "gap",
+        "ms",
+        "what binds",
+    ]
+    return table(head, [entry_cells(row, keys) for row in rows])
+
+
+def summary(rows: Sequence[Row]) -> str:
+    """Counts of outcomes and what the certificates say at worst, in one line."""
+    counts = Counter(row["status"] for row in rows)
+    there = [row for row in rows if row["status"] == "OPTIMAL"]
+    others = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()) if name != "OPTIMAL")
+    text = f"{len(there)} of {len(rows)} entries certified and replayed clean" + (f"; {others}" if others else "")
+    if there:
+        gap = max(number(row, "relative_gap") for row in there)
+        violation = max(number(row, f"violation_{unit}") for row in there for unit in "AVK")
+        times = [number(row, "solve_ms") for row in there]
+        text += f"; worst gap {gap:.0e}, violation {violation:.0e}; solver {np.median(times):.0f} ms in the median"
+    return text
+
+
+def refusal_lines(rows: Sequence[Row]) -> list[str]:
+    """Every reason once, with how often it stands there."""
+    reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if row["status"] != "OPTIMAL")
+    if not reasons:
+        return []
+    lines = ["## Not certified", "", *(f"- {count} x {reason}" for reason, count in reasons.most_common(20))]
+    more = len(reasons) - 20
+    return [*lines, *([f"- and {more} more reasons"] if more > 0 else []), ""]
+
+
+def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
+    """Per entry least, median and largest NRMSE over all points, and where."""
+    lines = []
+    for speed in plan.speeds_m_s:
+        for grip in plan.grips_N:
+            own = [
+                row
+                for row in rows
+                if float(row["speed_m_s"]) == speed and float(row["grip_N"]) == grip and row["status"] == "OPTIMAL"
+            ]
+            if not own:
+                lines.append([f"{speed:g}", f"{grip:g}", "0", "-", "-", "-", "-"])
+                continue
+            errors = [number(row, "nrmse") for row in own]
+            best = own[int(np.argmin(errors))]
+            at = ", ".join(f"{axis.key} = {best[axis.key]}" for axis in plan.axes)
+            cells = [percent(value) for value in (min(errors), float(np.median(errors)), max(errors))]
+            lines.append([f"{speed:g}", f"{grip:g}", str(len(own)), *cells, at])
+    head = ["speed m/s", "grip N", "certified", "least NRMSE %", "median %", "largest %", "least at"]
+    return table(head, lines)
+
+
+def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[str]) -> str:
+    """report.md of a study. `head`: command, machine and versions."""
+    keys = [axis.key for axis in plan.axes]
+    how = "all combinations" if plan.sample is None else f"Latin hypercube of {plan.sample}, seed {plan.seed}"
+    lines = [f"# {plan.scene.name}: {', '.join(keys) or 'as it is'}", "", *head]
+    lines += [f"{plan.points} points ({how}), {plan.entries_per_point} entries each. {summary(rows)}.", ""]
+    for axis in plan.axes:
+        ends = axis.labels if len(axis.labels) <= 12 else (*axis.labels[:3], "...", *axis.labels[-3:])
+        lines.append(f"- `{axis.key}` {unit_of(axis.key)}: {', '.join(ends)}")
+    lines += ["", f"![NRMSE]({figure})", "", "## Entries over all points", "", *spread_lines(plan, rows)]
+    lines += refusal_lines(rows)
+    lines += ["## Rows", ""]
+    if len(rows) > MOST_ROWS:
+        lines += [f"The first {MOST_ROWS} of {len(rows)}; all are in rows.csv.", ""]
+    lines += [*rows_table(rows[:MOST_ROWS], keys), LEGEND, ""]
+    prices = [f"- row {row['index']}: {row['price']}" for row in rows[:MOST_ROWS] if row["price"]]
+    return "\n".join([*lines, *(["## Prices", "", *prices, ""] if prices else [])])
+
+
+def write_report(text: str, folder: Path) -> None:
+    write_text(text, folder / "report.md")
+
+
+def answer_markdown(scene: str, found: Answer, head: Sequence[str]) -> str:
+    """report.md of the inverse question."""
+    question = found.question
+    key, unit = question.key.path, unit_of(question.key.path)
+    lines = [f"# {scene}: {'greatest' if question.greatest else 'least'} {key}", "", *head, *found.sentences, ""]
+    cells = []
+    for tried in found.tried:
+        row = found.worst(tried)
+        entry = f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
+        said = "met" if tried.met else "missed"
+        figures = [f"{number(row, requirement.measure):.6g}" for requirement in question.requirements]
+        cells.append([label(tried.value), said, entry, *figures, row["status"], f"{number(row, 'relative_gap'):.0e}"])
+    measures = [requirement.measure for requirement in question.requirements]
+    lines += ["![answer](answer.png)", "", "## Every value tried, with the entry that decides", ""]
+    lines += table([f"{key} {unit}".strip(), "", "entry", *measures, "status", "gap"], cells)
+    for name, side in (("where it is met", found.met), ("where it is missed", found.missed)):
+        if side is not None:
+            lines += [f"## Evidence {name}: {key} = {label(side.value)}", "", *rows_table(side.rows, [key])]
+    return "\n".join([*lines, LEGEND, ""])
