@@ -12,7 +12,6 @@ from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.recordings.recording import Recording
-from transopt.scene.file import load_scene
 from transopt.scene.strikes import recordings
 
 
@@ -35,7 +34,7 @@ def write_csv(recording: Recording, path: Path) -> None:
 
 def write_examples(folder: Path) -> None:
     """The three files of problems/recordings."""
-    scene = load_scene(problems.scene_path("wood_on_foam"))
+    scene = problems.load("wood_on_foam")
     assert scene.recordings.simulated is not None
     firsts = recordings(scene)[:: scene.recordings.simulated.repeats]
     for speed, recording in list(zip(scene.grid.speeds_m_s, firsts, strict=True))[1:]:
