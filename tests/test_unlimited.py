@@ -7,11 +7,12 @@ import pytest
 
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt import native
-from transopt.certify import certify
+from transopt.certify import certify, gradient_rounding
 from transopt.discretise import Motion, discretise
 from transopt.models import Link, chain
+from transopt.optimum import ROUNDED
 from transopt.parts import pressing, reference_course
-from transopt.problem import Limits, Status, TransientProblem
+from transopt.problem import OBJECTIVE_SCALE, Limits, Status, TransientProblem
 from transopt.signals import FloatArray
 from transopt.solvers import SolverOptions, riccati_lq, solve, sparse_kkt, unlimited
 from transopt.solvers.riccati_lq import BLOCK, Gains, Pass, Tracking
@@ -205,8 +206,11 @@ def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) ->
     proof = certify(problem, answer.command_A, answer.multipliers)
     assert answer.status is Status.OPTIMAL
     assert answer.message.startswith("Riccati pass")
-    assert proof.dual_residual < 1e-12
-    assert proof.relative_gap <= proof.GAP_TOLERANCE
+    # Masses of 1 g leave little more than rounding, and more or less of it on every processor.
+    by_command = gradient_rounding(problem, answer.command_A, answer.multipliers) / ROUNDED
+    rounding = float(by_command @ (problem.limits.command_bound_A + np.abs(answer.command_A)))
+    assert proof.dual_residual < 1e-12 + by_command.max()
+    assert proof.duality_gap <= proof.GAP_TOLERANCE * max(proof.objective, OBJECTIVE_SCALE) + rounding
     assert not answer.command_A[problem.free_stages :].any()
 
 
