@@ -124,7 +124,7 @@ class TestQP:
 class TestMethods:
     def test_the_projects_solvers_tighten(self, scripts: Any, rows_of: Any) -> None:
         rows = rows_of(*scripts.precision.methods.project_methods())
-        for method in ("casadi-piqp", "casadi-fatrop", "casadi-ipopt"):
+        for method in ("casadi-piqp", "casadi-ipopt"):
             own = {row.tolerance: row for row in rows if row.method == method}
             assert own[1e-12].level == "high accuracy"
             assert own[1e-10].level == "default"
@@ -173,7 +173,7 @@ class TestMethods:
         answer = prepared.read(prepared.run())
         assert scripts.precision.cases.judge(hot.problem, answer.command_A, hot.optimum.objective).error < 1e-6
         solvers = {m.name for m in scripts.precision.methods.project_methods() if m.settings(hot)}
-        assert solvers - {"riccati"} == {"casadi-fatrop", "casadi-ipopt"}
+        assert solvers - {"riccati"} == {"casadi-ipopt"}
 
     def test_baselines_are_worse_and_said_so(self, scripts: Any, rows_of: Any) -> None:
         rows = rows_of(*scripts.precision.methods.baselines())
