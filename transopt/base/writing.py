@@ -34,3 +34,9 @@ def write_csv(rows: Sequence[Any], path: Path) -> None:
 
 def percent(value: float) -> str:
     return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.1 else f"{100 * value:.1f}"
+
+
+def rounded_up(value: float) -> float:
+    """To four digits, so that what is printed is enough; temperatures keep their millikelvins."""
+    grain = 10.0 ** (math.floor(math.log10(abs(value))) - 3) if value else 1.0
+    return math.ceil(value / min(grain, 1e-3)) * min(grain, 1e-3)

@@ -9,13 +9,13 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.design.optimum import Designed, optimum
 from transopt.design.price import Price, prices
 from transopt.design.verify import admit
-from transopt.plant.circuit import Supply
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, acting_states, discretise
-from transopt.plant.wall import HandOver
+from transopt.plant.discretise import StageModel, acting_states
 from transopt.problem.baselines import clipped_optimum, seed_inversion
-from transopt.problem.leave_out import thermal_of
-from transopt.problem.problem import Certificate, Solution, Status, TransientProblem, verdict
+from transopt.problem.answer import Certificate, Solution, Status, verdict
+from transopt.problem.limits import KINDS
+from transopt.problem.posing import Wanted
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits
 from transopt.proof.replay import Replay, replay, replayed_errors
 from transopt.recordings.reference import Reference
@@ -114,21 +114,18 @@ def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]
             problem.wall is None,
             "nothing in the scene depends on it" + (f": {idle} state fewer" if idle else ""),
         ),
-        "supply": (problem.supply is None, "the scene states no supply limit"),
-        "slew": (problem.limits.slew_A_per_s is None, "the scene states no slew limit"),
         "amplifier": (problem.stage.amplifier is None, "ideal in the scene"),
         "hand": (scene.grid.grips_N[0] == 0, "free device, grip 0"),
         "weighting": (problem.error_filter is None, "the scene weighs all frequencies alike"),
-        "temperature": (problem.thermal is None, "the scene has no motor data"),
     }
+    limits = {kind.name: (kind.name not in problem.limits, kind.said_without) for kind in KINDS if kind.said_without}
+    parts = {**parts, **limits}
     return {part: reason for part, (missing, reason) in parts.items() if missing}
 
 
 def scene_stage(scene: Scene, grip_N: float) -> StageModel:
     """The device of one grip as the scene's problem needs it."""
-    return discretise(
-        scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s, position=scene.feedback is not None
-    )
+    return scene.posing().stage(scene.plant(grip_N))
 
 
 def spread_stages(scene: Scene, grip_N: float) -> tuple[StageModel, ...]:
@@ -140,28 +137,17 @@ def entry_problem(
     scene: Scene, stage: StageModel, reference: Reference, spread: tuple[StageModel, ...] = ()
 ) -> TransientProblem:
     """What one entry has to meet: the stage model of its grip, the reference of its speed."""
-    grid, coil, wall, circuit = scene.time_grid(), scene.coil(), scene.wall(), scene.circuit()
-    amplifier, supply_V = stage.amplifier, scene.limits.supply_V
-    supply = None
-    if supply_V is not None and circuit is not None and amplifier is not None:
-        supply = Supply(supply_V, circuit, amplifier.rate_rad_s, reference.nominal_velocity_m_s)
-    hand_over = None
-    if wall is not None:
-        nominal = reference.nominal_position_at_ticks_m
-        hand_over = HandOver(wall, nominal, reference.speed_m_s, nominal < 0)
-    return TransientProblem(
-        stage=stage,
-        grid=grid,
-        reference_m_s2=reference.motor_m_s2,
-        tracking_weights=np.ones(grid.stages),
-        rho=scene.weights.rho,
-        limits=scene.current_limits(),
-        hand_over_samples=scene.hand_over_samples,
-        supply=supply,
-        wall=hand_over,
-        thermal=thermal_of(coil, amplifier, grid, scene.budget(), hand_over, reference.motor_m_s2),
-        error_filter=scene.error_filter(),
-        spread=spread,
+    return scene.posing().problem(wanted_of(reference), stage, spread)
+
+
+def wanted_of(reference: Reference) -> Wanted:
+    """What a reference asks of the device, and the nominal motion under it."""
+    return Wanted(
+        reference.speed_m_s,
+        reference.motor_m_s2,
+        reference.nominal_velocity_m_s,
+        reference.nominal_position_m,
+        reference.nominal_position_at_ticks_m,
     )
 
 
@@ -188,7 +174,6 @@ def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Repla
     # A solver that broke down returns NaN, which no integrator needs to see.
     commands = [np.nan_to_num(d.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
     transients = np.stack([p.transient_command(c) for p, c in zip(problems, commands, strict=True)])
-    supplies = [p.supply for p in problems if p.supply is not None]
     walls = [p.wall for p in problems if p.wall is not None]
     return replay(
         problems[0].stage,
@@ -196,7 +181,7 @@ def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Repla
         transients,
         np.stack([problem.reference_m_s2 for problem in problems]),
         coil,
-        supplies=supplies or None,
+        limits=[problem.limits for problem in problems],
         walls=walls or None,
         budgets=budgets or None,
     )

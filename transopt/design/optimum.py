@@ -6,10 +6,13 @@ import numpy as np
 
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.explain import infeasibility, unavoidable, unstable_wall
-from transopt.problem.leave_out import encoder_course, leave_out, pressing, reference_course, silence
-from transopt.problem.problem import Certificate, Solution, Status, TransientProblem
+from transopt.plant.wall import reference_course
+from transopt.problem.leave_out import encoder_course, leave_out, pressing, silence
+from transopt.problem.answer import Certificate, Solution, Status
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, gradient_rounding, inside
-from transopt.solvers import program as transcribe
+from transopt.solvers import program
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove, solve, solve_certified
 from transopt.solvers.options import SolverOptions
@@ -40,7 +43,7 @@ class Designed:
     floor: float
     free_peak_A: float
     left_out: dict[str, str]
-    size: transcribe.Size | None
+    size: program.Size | None
     remarks: list[str]
 
     @property
@@ -133,7 +136,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     )
     extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
     by_command = gradient_rounding(problem, answer.command_A, answer.multipliers)
-    rounding = float(by_command @ (problem.limits.command_bound_A + np.abs(answer.command_A)))
+    rounding = float(by_command @ (problem.command_bound_A + np.abs(answer.command_A)))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""
     taken = float(np.abs(answer.command_A).max())
@@ -205,7 +208,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     peak = float(np.abs(current).max())
 
     def designed(
-        answer: Solution, size: transcribe.Size | None, remarks: list[str], proof: Certificate | None = None
+        answer: Solution, size: program.Size | None, remarks: list[str], proof: Certificate | None = None
     ) -> Designed:
         proof = prove(problem, answer.command_A, answer.multipliers, options) if proof is None else proof
         return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
@@ -221,23 +224,23 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if proof is not None and free.status is Status.OPTIMAL and proof.is_stationary:
         left_out["limits"] = (
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
-            f"command {np.abs(free.command_A).max():.3g} A of {problem.limits.command_bound_A:g} A"
+            f"command {np.abs(free.command_A).max():.3g} A of {problem.command_bound_A:g} A"
         )
         return designed(free, None, [], proof)
     hopeless = unavoidable(small)
     if hopeless:
         return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
-    spent = free.solve_time_s
-    answer, proof = solve_certified(replace(small, thermal=None), options)
+    spent, cold = free.solve_time_s, small.without(TemperatureLimit.name)
+    answer, proof = solve_certified(cold, options)
     spent += answer.solve_time_s
     if small.thermal is not None:
-        if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only="coil"):
+        if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only=TemperatureLimit.name):
             hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
             left_out["temperature"] = (
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
             answer = replace(answer, solve_time_s=spent)
-            return designed(answer, transcribe.size(replace(small, thermal=None)), [])
+            return designed(answer, program.size(cold), [])
         # What no command can do in the cold, none can with the temperature on top.
         if answer.status is not Status.INFEASIBLE:
             answer, proof = solve_certified(small, options)
@@ -248,8 +251,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     answer = replace(answer, solve_time_s=spent)
     too_deep = "" if proven else _hand_over_excess(small)
     if too_deep:
-        return designed(replace(answer, status=Status.HAND_OVER), transcribe.size(small), [too_deep])
-    return designed(answer, transcribe.size(small), [])
+        return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep])
+    return designed(answer, program.size(small), [])
 
 
 def _currents(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:

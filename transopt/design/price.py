@@ -1,14 +1,15 @@
 """What binds, in the user's words: the price of each limit and the least limit that would not bind (DESIGN 4)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from transopt.base.signals import FloatArray, nrmse
-from transopt.design.explain import rounded_up, widened
-from transopt.plant.discretise import Motion
+from transopt.base.writing import rounded_up
 from transopt.problem.leave_out import leave_out
-from transopt.problem.problem import Multipliers, Status, TransientProblem
+from transopt.problem.answer import Multipliers, Status
+from transopt.problem.limits.limit import Limit
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import boxes, inside
 from transopt.solvers.choose import solve_certified
 from transopt.solvers.options import SolverOptions
@@ -26,7 +27,8 @@ class Price:
 
     Attributes
     ----------
-    limit, unit : name and unit. bound : where it stands; for the coil the temperature.
+    limit, unit, step_unit : what it is called, its unit, and that of differences.
+    bound : where it stands; for the coil the temperature.
     slope : dNRMSE per unit of the limit, negative; from the multipliers.
     step : by how much it is raised in the sentence. nrmse, then : now and, to first order, after that step.
     enough : least bound at which it would not bind, the other limits as they are.
@@ -34,6 +36,7 @@ class Price:
 
     limit: str
     unit: str
+    step_unit: str
     bound: float
     slope: float
     step: float
@@ -47,14 +50,10 @@ class Price:
         if np.isfinite(self.enough):
             enough = f"would not bind from {rounded_up(self.enough):.8g} {self.unit} on"
         return (
-            f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {_step_unit(self.unit)} more: "
+            f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {self.step_unit} more: "
             f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
             f"{enough}"
         )
-
-
-def _step_unit(unit: str) -> str:
-    return "K" if unit == "C" else unit
 
 
 def _round_step(size: float) -> float:
@@ -63,10 +62,10 @@ def _round_step(size: float) -> float:
     return float(max(m for m in (1, 2, 5) if m * power <= size * (1 + 1e-12)) * power)
 
 
-def _peak(problem: TransientProblem, name: str, command_A: FloatArray) -> float:
+def _peak(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> float:
     """Largest value that a command reaches of what one limit bounds."""
     found = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
-    return max(float(np.abs(box.value[np.isfinite(box.bound)]).max()) for box in found if box.name == name)
+    return max(box.peak for box in found if box.limit.name == limit.name)
 
 
 @dataclass(frozen=True)
@@ -77,19 +76,13 @@ class _Without:
     nrmse: float
 
 
-def _bound(problem: TransientProblem, name: str) -> float:
-    rest = Motion.zero(problem.grid.stages)
-    found = boxes(problem, rest.current_A, rest, Multipliers.zero(problem))
-    return next(float(box.bound.min()) for box in found if box.name == name)
-
-
-def _without(problem: TransientProblem, name: str, unlimited_A: FloatArray, options: SolverOptions) -> _Without:
+def _without(problem: TransientProblem, limit: Limit, unlimited_A: FloatArray, options: SolverOptions) -> _Without:
     """The optimum with one limit out of the way and the others as they are."""
-    if name == "coil":
-        wide = [replace(problem, thermal=None)]
+    if limit is problem.thermal:
+        wide = [problem.without(limit.name)]
     else:
-        needed = max(_peak(problem, name, unlimited_A) / _bound(problem, name), 1.0)
-        wide = [widened(problem)[name](ample * needed) for ample in AMPLE]
+        needed = max(_peak(problem, limit, unlimited_A) / limit.stated, 1.0)
+        wide = [problem.replaced(limit.wider(ample * needed)) for ample in AMPLE]
     for wider in wide:
         if inside(wider, unlimited_A):
             # No other limit binds: the optimum without any is the one without this one.
@@ -97,8 +90,9 @@ def _without(problem: TransientProblem, name: str, unlimited_A: FloatArray, opti
         else:
             answer, _ = solve_certified(leave_out(wider).problem, options)
             command, status = answer.command_A, answer.status
-        peak = _peak(problem, name, command)
-        if status is Status.OPTIMAL and (name == "coil" or peak < CLEAR * _bound(wider, name)):
+        peak = _peak(problem, limit, command)
+        clear = limit is problem.thermal or peak < CLEAR * wider.limits[limit.name].stated
+        if status is Status.OPTIMAL and clear:
             acceleration, _ = problem.stage.rollout(command)
             return _Without(peak, nrmse(acceleration, problem.reference_m_s2))
     return _Without(float("inf"), 0.0)
@@ -127,26 +121,23 @@ def prices(
     error, floor = nrmse(motion.acceleration_m_s2, r), nrmse(free.acceleration_m_s2, r)
     movement = np.diff(command_A, prepend=0.0)
     gains: dict[str, float] = {}
-    units, bounds, room = {}, {}, {}
     for box in boxes(problem, command_A, motion, multipliers):
-        gain = float(box.upper.sum()) + (0.0 if box.lower is None else float(box.lower.sum()))
-        gains[box.name] = gains.get(box.name, 0.0) + gain
-        units[box.name], bounds[box.name] = box.unit, box.stated
-        room[box.name] = bounds[box.name]
-        if box.name == "coil":
-            headroom = box.bound - (problem.thermal.model.unpowered_C if problem.thermal is not None else 0.0)
-            room[box.name] = float(headroom[np.isfinite(headroom)].max())
-    if gains["current"] > WORTH_SAYING:
-        gains["current"] += 2 * problem.movement_weight * float(movement @ movement) / problem.limits.current_A
+        gain = float(box.by_upper.sum()) + float(box.by_lower.sum())
+        gains[box.limit.name] = gains.get(box.limit.name, 0.0) + gain
     found = []
-    for name, gain in gains.items():
+    for limit in problem.limits:
+        gain = gains[limit.name]
         if gain <= WORTH_SAYING:
             continue
-        without = _without(problem, name, unlimited_A, options)
+        # The current limit also stands in the movement term, as its unit.
+        gain += 2 * problem.movement_weight * float(movement @ movement) / limit.stated * limit.scales_movement
+        without = _without(problem, limit, unlimited_A, options)
         # No step beyond what is enough: from there on nothing is bought.
-        lacking = max(without.enough - bounds[name], LEAST_STEP * bounds[name])
-        step = _round_step(min(STEP_SHARE * room[name], lacking))
+        lacking = max(without.enough - limit.stated, LEAST_STEP * limit.stated)
+        step = _round_step(min(STEP_SHARE * limit.room, lacking))
         slope = -gain / (2 * error)
         then = max(error + slope * step, without.nrmse, floor)
-        found.append(Price(name, units[name], bounds[name], slope, step, error, then, without.enough))
+        found.append(
+            Price(limit.label, limit.unit, limit.step_unit, limit.stated, slope, step, error, then, without.enough)
+        )
     return sorted(found, key=lambda price: price.then)

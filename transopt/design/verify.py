@@ -7,11 +7,12 @@ import numpy as np
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.explain import unstable_wall
 from transopt.library.library import Library
-from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, effective_square
 from transopt.plant.continuous import AFTER_S
-from transopt.problem.problem import OBJECTIVE_SCALE, Certificate, Status, TransientProblem
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Status
+from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits
-from transopt.proof.replay import SUPPLY_TOLERANCE, TEMPERATURE_TOLERANCE_K, Replay, replay
+from transopt.proof.replay import Replay, replay
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
@@ -43,7 +44,7 @@ def admit(
                 f"J lies {c.relative_bound:.1%} above the convex lower bound, limit {c.BOUND_TOLERANCE:.0%}"
             ]
         return Status.NOT_CERTIFIED, [
-            f"violation {c.primal_violation_A:.1e} A, {c.primal_violation_V:.1e} V, {c.primal_violation_K:.1e} K, "
+            f"violation {', '.join(f'{by:.1e} {unit}' for unit, by in c.stated_violations.items())}, "
             f"{c.excess:.1e} times what is tolerated, gap {c.relative_gap:.1e} (limit {c.GAP_TOLERANCE:.0e}), above "
             f"the lower bound by {c.relative_bound:.1e} (limit {c.BOUND_TOLERANCE:.0e})"
         ]
@@ -78,27 +79,11 @@ def _of_the_wall(played: Replay, problem: TransientProblem) -> tuple[Status, lis
 
 def _between_instants(played: Replay, problem: TransientProblem, command_A: FloatArray) -> tuple[Status, list[str]]:
     """Limits that hold at the switching instants, as stated, and not between them."""
-    motion, found = problem.stage.motion(command_A), []
-    supply, thermal, dt_ms = problem.supply, problem.thermal, problem.grid.dt_s * 1e3
-    if supply is not None and played.peak_voltage_V > supply.limit_V * (1 + SUPPLY_TOLERANCE):
-        stated = max(float(np.abs(side).max()) for side in supply.voltages_V(motion, command_A))
-        if stated <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
-            found.append(
-                f"supply {played.peak_voltage_V - supply.limit_V:.3g} V over its {supply.limit_V:g} V within a servo "
-                f"period, in which the back-EMF swings; lower time.dt_s ({dt_ms:g} ms)"
-            )
-    if thermal is not None and played.winding_C > thermal.limit_C + TEMPERATURE_TOLERANCE_K:
-        hottest = float(thermal.temperatures_C(motion.current_A, command_A).max())
-        coil, limit_C = thermal.coil, thermal.limit_C
-        # No winding warms faster than by the limit current with no heat leaving.
-        resistance = coil.R_ohm * (1 + COPPER_PER_K * (limit_C - RESISTANCE_REFERENCE_C))
-        power_W = resistance * float(effective_square(np.asarray(problem.limits.current_A)))
-        warming_K = power_W * coil.R_wh_K_W / coil.tau_w_s * problem.grid.dt_s
-        if hottest <= limit_C + TEMPERATURE_TOLERANCE_K and played.winding_C - hottest <= warming_K:
-            found.append(
-                f"coil {played.winding_C - limit_C:.3g} K over its {limit_C:g} C within a servo period, in which it "
-                f"may warm by {warming_K:.3g} K; lower time.dt_s ({dt_ms:g} ms)"
-            )
+    found = []
+    for limit in problem.limits:
+        peak = played.peak(limit)
+        if peak > limit.stated + limit.replay_tolerance and (said := limit.unresolved(problem, command_A, peak)):
+            found.append(said)
     return Status.UNRESOLVED, found
 
 
@@ -135,8 +120,8 @@ def _stored(
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
     # The largest over A, V and K is stored; only where A is all there is the limit tells how exact it has to be.
-    in_ampere_only = problem.supply is None and problem.thermal is None
-    violation = Certificate.tolerated(problem.limits.current_A) if in_ampere_only else Certificate.VIOLATION_TOLERANCE
+    in_ampere_only = all(limit.unit.startswith("A") for limit in problem.limits)
+    violation = tolerated(problem.limits.current_A) if in_ampere_only else VIOLATION_TOLERANCE
     bounds = {
         "primal_violation": (certificate.primal_violation, violation),
         "lower_bound": (
@@ -149,7 +134,7 @@ def _stored(
         ),
         "dual_residual": (
             certificate.dual_residual,
-            Certificate.GAP_TOLERANCE / min(problem.limits.command_bound_A, 1.0),
+            Certificate.GAP_TOLERANCE / min(problem.command_bound_A, 1.0),
         ),
         "floor": (unlimited_nrmse(problem, library.reference_m_s2[iv]), STORED_TOLERANCE),
     }
@@ -164,11 +149,11 @@ def _stored(
         library.transient_command_A[iv, ig],
         problem.transient_command(library.command_A[iv, ig]),
         rtol=0,
-        atol=Certificate.tolerated(problem.limits.current_A),
+        atol=tolerated(problem.limits.current_A),
     ):
         found.append("transient_command_A is not command_A less the predicted feedback of the wall")
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
-    if not current_off <= Certificate.tolerated(problem.limits.current_A):
+    if not current_off <= tolerated(problem.limits.current_A):
         found.append(f"current_A differs from the replay by {current_off:.1e} A")
     return found
 
@@ -188,7 +173,6 @@ def verify_library(library: Library) -> list[EntryCheck]:
     for ig in range(ng):
         stage = library.stage(ig)
         problems = [library.problem(iv, ig, stage) for iv in range(nv)]
-        supplies = [problem.supply for problem in problems if problem.supply is not None]
         walls = [problem.wall for problem in problems if problem.wall is not None]
         replays = replay(
             stage,
@@ -196,7 +180,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
             library.transient_command_A[:, ig] if walls else library.command_A[:, ig],
             library.reference_m_s2,
             library.coil(),
-            supplies=supplies or None,
+            limits=[problem.limits for problem in problems],
             walls=walls or None,
             budgets=[p.thermal.budget for p in problems if p.thermal is not None] or None,
         )

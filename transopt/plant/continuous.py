@@ -13,7 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import StageModel, TimeGrid, split_delay
+from transopt.plant.discretise import StageModel, TimeGrid, plant_outputs, split_delay
 from transopt.plant.wall import FeedbackLoop, HandOver
 
 SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
@@ -104,6 +104,7 @@ class Trajectory:
     current_A: FloatArray  # (M, K)
     felt_A: FloatArray  # (M, K) command that the amplifier follows
     velocity_m_s: FloatArray  # (M, K) of the motor mass, what the current adds
+    outputs: dict[str, FloatArray]  # (M, K) each, further outputs of the stage by name
     at_switching: NDArray[np.intp]  # (N,) indices of the fine samples just after each switching instant
     segment_starts: NDArray[np.intp]  # (S,) indices of the first sample of each segment
 
@@ -138,7 +139,9 @@ class Flow:
 
     Attributes
     ----------
-    rows : (3, n) y'', current and motor velocity of the states; direct : (3,) of the command felt.
+    rows : (3 + further outputs, n) y'', current, motor velocity and further outputs of the states.
+    direct : (3 + further outputs,) of the command felt.
+    names : of the further outputs.
     encoder : (n,) its position.
     """
 
@@ -146,6 +149,7 @@ class Flow:
     B: FloatArray
     rows: FloatArray
     direct: FloatArray
+    names: tuple[str, ...]
     encoder: FloatArray
 
     @classmethod
@@ -153,19 +157,29 @@ class Flow:
         plant, amplifier = stage.plant, stage.amplifier
         n, velocity = plant.order, (plant.Ce @ plant.A)[0]
         if amplifier is None:
-            A, B, more, direct = plant.A, plant.B, 0, np.array([plant.D[0, 0], 1.0, 0.0])
+            A, B, more, direct = plant.A, plant.B, 0, [plant.D[0, 0], 1.0, 0.0]
         else:
             w = amplifier.rate_rad_s
             A = np.block([[plant.A, plant.B], [np.zeros((1, n)), -w * np.eye(1)]])
-            B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, np.zeros(3)
+            B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, [0.0, 0.0, 0.0]
         # In balanced units (powers of two, exact) no state drowns in the rounding of another.
         balanced, (units, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
-        rows = np.zeros((3, n + more))
+        further = plant_outputs(plant, tuple(stage.outputs))
+        rows = np.zeros((3 + len(further), n + more))
+        for j, row in enumerate(further.values()):
+            rows[3 + j, :n] = row[0]
         rows[0, :n], rows[2, :n] = plant.C[0], velocity
         if more:
             rows[0, n], rows[1, n] = plant.D[0, 0], 1.0
         encoder = np.append(plant.Ce[0], np.zeros(more))
-        return cls(np.asarray(balanced, dtype=float), B / units[:, None], rows * units, direct, encoder * units)
+        return cls(
+            np.asarray(balanced, dtype=float),
+            B / units[:, None],
+            rows * units,
+            np.array(direct + [0.0] * len(further)),
+            tuple(further),
+            encoder * units,
+        )
 
 
 @dataclass(frozen=True)
@@ -277,7 +291,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     M, periods, _ = course.states[0].shape
     samples = course.segments[0].offsets_s.size
     # Segment after segment within each period, all of it along one axis in the end.
-    values, felt = np.empty((3, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
+    values, felt = np.empty((flow.direct.size, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
     times = np.empty((periods, 2, samples))
     ticks = grid.dt_s * np.arange(periods) - grid.lead_s
     for j, (segment, states, command) in enumerate(zip(course.segments, course.states, course.felt_A, strict=True)):
@@ -287,7 +301,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
             found[:, :, j] += command[..., None] * by_command
         felt[:, :, j] = command[..., None]
         times[:, j] = ticks[:, None] + segment.offsets_s
-    acceleration, current, velocity = values.reshape(3, M, -1)
+    acceleration, current, velocity, *further = values.reshape(flow.direct.size, M, -1)
     starts = samples * np.arange(2 * periods)
     at = course.at_switching
     return Trajectory(
@@ -296,6 +310,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
         current_A=current,
         felt_A=felt.reshape(M, -1),
         velocity_m_s=velocity,
+        outputs=dict(zip(flow.names, further, strict=True)),
         at_switching=starts[course.arriving :: 2][at],
         segment_starts=starts,
     )

@@ -1,7 +1,9 @@
 """Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +60,14 @@ class Motion:
     velocity_m_s : dy/dt of the motor mass, which the back-EMF follows.
     encoder_m : y of the motor mass where the encoder is read while c_k is felt, at tick t_(k + 1 + whole delay);
         zero where the model has no position.
+    outputs : further outputs of the stage at the switching instants, by name.
     """
 
     acceleration_m_s2: FloatArray
     current_A: FloatArray
     velocity_m_s: FloatArray
     encoder_m: FloatArray
+    outputs: Mapping[str, FloatArray] = MappingProxyType({})
 
     @classmethod
     def zero(cls, stages: int) -> "Motion":
@@ -83,6 +87,7 @@ class StageModel:
     A : (n, n). B : (n, 1).
     C, D : (1, n), (1, 1) of y''. Ci, Di : of the current. Cv : (1, n) of the motor mass's velocity.
     Cp, Dp : of the encoder position at the tick within the period; None where position is left out.
+    outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later.
     """
 
     plant: StateSpace
@@ -97,6 +102,7 @@ class StageModel:
     Cv: FloatArray
     Cp: FloatArray | None = None
     Dp: FloatArray | None = None
+    outputs: Mapping[str, FloatArray] = MappingProxyType({})
 
     @property
     def whole_delay(self) -> int:
@@ -118,6 +124,8 @@ class StageModel:
         rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
         if self.Cp is not None and self.Dp is not None:
             rows, direct = [*rows, self.Cp], [*direct, self.Dp]
+        rows += [row[None] for row in self.outputs.values()]
+        direct += [nothing] * len(self.outputs)
         return np.concatenate(rows), np.concatenate(direct)[:, 0]
 
     def states(self, command_A: FloatArray) -> FloatArray:
@@ -144,7 +152,11 @@ class StageModel:
         # (..., N) each, row after row of the outputs.
         values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command_A.shape)
         acceleration, current, velocity = values[:3]
-        return Motion(acceleration, current, velocity, np.zeros(command_A.shape) if self.Cp is None else values[3])
+        encoder = np.zeros(command_A.shape) if self.Cp is None else values[3]
+        further = values[values.shape[0] - len(self.outputs) :]
+        return Motion(
+            acceleration, current, velocity, encoder, dict(zip(self.outputs, further, strict=True))
+        )
 
     def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
@@ -170,6 +182,7 @@ class StageModel:
             wide(self.Cv),
             None if self.Cp is None else wide(self.Cp),
             None if self.Dp is None else wide(self.Dp),
+            {name: wide(row) for name, row in self.outputs.items()},
         )
 
     def adjoint(self, gradient: Motion) -> FloatArray:
@@ -179,7 +192,11 @@ class StageModel:
         """
         rows, direct = self._outputs
         by_output = [gradient.acceleration_m_s2, gradient.current_A, gradient.velocity_m_s]
-        stacked = np.stack([*by_output, gradient.encoder_m][: direct.size], axis=1)
+        if self.Cp is not None:
+            by_output.append(gradient.encoder_m)
+        nothing = np.zeros_like(gradient.current_A)
+        by_output += [gradient.outputs.get(name, nothing) for name in self.outputs]
+        stacked = np.stack(by_output, axis=1)
         forcing = stacked @ rows
         if forcing.dtype == np.float64:
             costate = recursions.run(self.A.T, self._backwards, forcing[::-1])[::-1]
@@ -198,13 +215,32 @@ def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
     return whole, max(delay_s - whole * dt_s, 0.0)
 
 
-def acting_states(plant: StateSpace, *, position: bool = False) -> NDArray[np.bool_]:
+def plant_outputs(plant: StateSpace, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Name -> (1, n) row of the plant's outputs that may be asked for beside acceleration and velocity.
+
+    "position" is y of the motor mass, the one that the encoder sees; "state 1" to "state n" are the plant's own states.
+
+    Raises
+    ------
+    InputError : an output that the plant does not have.
+    """
+    known = {"position": plant.Ce} if plant.Ce.any() else {}
+    known |= {f"state {j + 1}": np.eye(1, plant.order, j) for j in range(plant.order)}
+    missing = [name for name in names if name not in known]
+    if missing:
+        raise InputError(f"model: it has no output {missing[0]}; it has {', '.join(known)}")
+    return {name: known[name] for name in names}
+
+
+def acting_states(
+    plant: StateSpace, *, position: bool = False, outputs: Sequence[FloatArray] = ()
+) -> NDArray[np.bool_]:
     """(n,) states that the acceleration and the motor's velocity depend on, by the structure of the matrices.
 
     A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
     """
-    outputs = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else [])]
-    acting: NDArray[np.bool_] = (np.concatenate(outputs) != 0).any(axis=0)
+    rows = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else []), *outputs]
+    acting: NDArray[np.bool_] = (np.concatenate(rows) != 0).any(axis=0)
     by = plant.A != 0
     while True:
         more = acting | by[acting].any(axis=0)
@@ -223,7 +259,14 @@ def exponential(matrix: FloatArray) -> FloatArray:
     return np.asarray(linalg.expm(balanced) * scale[:, None] / scale)
 
 
-def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, position: bool = False) -> StageModel:
+def discretise(
+    plant: StateSpace,
+    amplifier: Amplifier | None,
+    dt_s: float,
+    *,
+    position: bool = False,
+    outputs: Sequence[str] = (),
+) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
     The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2), except that the encoder is read
@@ -232,8 +275,14 @@ def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, p
     Parameters
     ----------
     position : also give the encoder position, for a wall.
+    outputs : further outputs of the plant to be named, see `plant_outputs`.
+
+    Raises
+    ------
+    InputError : an output that the plant does not have.
     """
-    acting = acting_states(plant, position=position)
+    further = plant_outputs(plant, outputs)
+    acting = acting_states(plant, position=position, outputs=list(further.values()))
     n = int(acting.sum())
     A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
     velocity, encoder = (plant.Ce @ plant.A)[:, acting], plant.Ce[:, acting]
@@ -251,7 +300,8 @@ def discretise(plant: StateSpace, amplifier: Amplifier | None, dt_s: float, *, p
         # The motor force moves no position and no velocity at once, so neither row sees the current.
         velocity, encoder = np.hstack([velocity, zero]), np.hstack([encoder, zero])
     hold = exponential(flow * dt_s)
-    model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity)
+    rows = {name: np.append(row[0, acting], np.zeros(int(amplifier is not None))) for name, row in further.items()}
+    model = StageModel(plant, amplifier, dt_s, hold[:-1, :-1], hold[:-1, -1:], C, D, Ci, Di, velocity, outputs=rows)
     if not position:
         return model
     late = 0.0 if amplifier is None else split_delay(amplifier.delay_s, dt_s)[1]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
+from transopt.plant.discretise import TimeGrid
 
 
 def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
@@ -134,6 +135,13 @@ def feedback_command_transpose(by_command: FloatArray, amplifier: Amplifier | No
         return by_command
     now, before = prefilter_coefficients(amplifier, dt_s)
     return np.asarray(now * by_command + before * np.append(by_command[1:], 0.0))
+
+
+def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
+    """(N,) deviation of the stylus from its nominal motion at the ticks, if it followed the reference (N,)."""
+    velocity = scipy.integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
+    course = scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    return np.asarray(np.interp(grid.issue_times_s, grid.switching_times_s, course))
 
 
 class FeedbackLoop:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -14,7 +15,22 @@ from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE
 from transopt.plant.discretise import TimeGrid
 
 STEADY_MARGIN = 2e-4  # of the rise: for ever adds up what a change of sign within a period heats
-ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
+
+
+def mean_current(share: Any, decay: Any, current: Any, command: Any) -> Any:
+    """Mean of i over a period in which it goes from `current` towards `command`; of arrays or expressions."""
+    return share * current + (1 - share) * (decay * current + (1 - decay) * command)
+
+
+def mean_square(square: Any, decay: Any, ripple: Any, current: Any, command: Any, size: Any) -> Any:
+    """Mean of (|i| + ripple)^2 over that period (seed Eq. 7), `size` its mean of |i|; of arrays or expressions."""
+    a, b = current, decay * current + (1 - decay) * command
+    return square[0] * a * a + square[1] * a * b + square[2] * b * b + 2 * ripple * size + ripple**2
+
+
+def next_rise(M: Any, b: Any, gain: Any, copper: Any, rise: Any, winding: Any, heating: Any) -> Any:
+    """th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k; of arrays or expressions, nodes in rows."""
+    return M @ rise + b @ ((gain + copper * winding) * heating)
 
 
 @dataclass(frozen=True)
@@ -41,14 +57,12 @@ class Heating:
 
     def mean_current(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
         """(...) mean of i over the period [A]."""
-        return np.asarray(self.share * current_A + (1 - self.share) * self.after(current_A, command_A))
+        return np.asarray(mean_current(self.share, self.decay, current_A, command_A))
 
     def mean_square(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
         """(...) mean of i_eff^2 = (|i| + 0.02 A)^2 over the period [A^2]."""
-        a, b = current_A, self.after(current_A, command_A)
-        quadratic = self.square[0] * a * a + self.square[1] * a * b + self.square[2] * b * b
         size = np.abs(self.mean_current(current_A, command_A))
-        return np.asarray(quadratic + 2 * PWM_RIPPLE_A * size + PWM_RIPPLE_A**2)
+        return np.asarray(mean_square(self.square, self.decay, PWM_RIPPLE_A, current_A, command_A, size))
 
     def gradient(
         self, current_A: FloatArray, command_A: FloatArray, sign: FloatArray
@@ -210,74 +224,6 @@ class Budget:
         return 0.0 if self.idle_A is None else self.idle_A
 
 
-@dataclass(frozen=True)
-class ThermalLimit:
-    """The temperature limit of one entry: the coil, what is asked of it, and the model of both."""
-
-    coil: CoilModel
-    budget: Budget
-    model: HeatModel
-    dt_s: float
-
-    @property
-    def limit_C(self) -> float:
-        return winding_limit_C(self.coil, self.budget)
-
-    @property
-    def period_s(self) -> float | None:
-        """Time from tap to tap; None for a single tap."""
-        return None if self.budget.tap_rate_Hz is None else 1 / self.budget.tap_rate_Hz
-
-    def temperatures_C(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
-        """(N,) winding temperature at tau_1 to tau_N."""
-        h = self.model.heating.mean_square(current_A, command_A)
-        return np.asarray(self.model.rise(h)[1:, 0] + self.model.unpowered_C)
-
-    def relaxed(self, peak_A: float) -> "ThermalLimit":
-        """A convex limit that every admissible command meets (DESIGN 4): it bounds J from below.
-
-        Over one horizon the copper is taken at the unpowered temperature, below which it never is. Over repeated
-        taps it is at the limit whenever the limit binds: by the energy balance of the period,
-        mean(T) - T_ambient = R_th mean(P (1 + alpha (T - 25))), a course that stays below the limit has
-        mean(P) R_th (1 + alpha (limit - 25 - ripple)) <= limit - T_ambient, with P = R i_eff^2.
-
-        Parameters
-        ----------
-        peak_A : limit current, which bounds the ripple of the winding's temperature.
-        """
-        model, coil = self.model, self.coil
-        if self.period_s is None:
-            return replace(self, model=replace(model, copper=0.0))
-        N, limit = model.gain.size, self.limit_C
-        share = N * self.dt_s / self.period_s
-
-        def resistance(temperature_C: float) -> float:
-            return coil.R_ohm * (1 + COPPER_PER_K * (temperature_C - RESISTANCE_REFERENCE_C))
-
-        energy = resistance(limit) * (
-            (peak_A + PWM_RIPPLE_A) ** 2 * N * self.dt_s
-            + (self.budget.pause_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
-        )
-        # What one period brings in also leaves in one period, from a winding that is nowhere above its limit.
-        energy = min(energy, self.period_s * (limit - coil.ambient_C) / (coil.R_wh_K_W + coil.R_ha_K_W))
-        ripple = energy * coil.R_wh_K_W / coil.tau_w_s
-        allowed = (limit - coil.ambient_C) / ((coil.R_wh_K_W + coil.R_ha_K_W) * resistance(limit - ripple))
-        pause = (1 - share) * (self.budget.pause_A + PWM_RIPPLE_A) ** 2
-        headroom = np.full(N, np.inf)
-        headroom[-1] = allowed * (1 + ROUNDING) - pause
-        mean = HeatModel(
-            heating=model.heating,
-            M=np.eye(1),
-            b=np.array([share / N]),
-            gain=np.ones(N),
-            copper=0.0,
-            headroom_K=headroom,
-            closure=None,
-            unpowered_C=np.zeros(N),
-        )
-        return replace(self, model=mean)
-
-
 def winding_limit_C(coil: CoilModel, budget: Budget) -> float:
     """The lower of the winding's limit and of the start temperature plus the headroom."""
     return coil.limit_C if budget.headroom_K is None else min(coil.limit_C, coil.start_winding_C + budget.headroom_K)
@@ -329,8 +275,8 @@ def _nodes(coil: CoilModel, grid: TimeGrid) -> _Nodes:
 
 
 @lru_cache(maxsize=64)  # all entries of a scene without a wall have the same
-def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> ThermalLimit:
-    """The temperature limit of one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
+def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, budget: Budget) -> HeatModel:
+    """The winding over one horizon, from the coil's start temperatures or, with a tap rate, for ever."""
     # The start is no part of what `_nodes` knows, so that each start of a coil finds the same.
     nodes = _nodes(replace(coil, start_winding_C=coil.limit_C, start_housing_C=coil.rest_C), grid)
     m, dt, N = nodes.b.size, grid.dt_s, grid.stages
@@ -352,7 +298,7 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
         margin_K = STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
-    model = HeatModel(
+    return HeatModel(
         heating=heating(amplifier, dt),
         M=nodes.M,
         b=nodes.b,
@@ -362,4 +308,3 @@ def thermal_limit(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, 
         closure=closure,
         unpowered_C=unpowered[1:],
     )
-    return ThermalLimit(coil, budget, model, dt)

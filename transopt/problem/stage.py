@@ -5,6 +5,7 @@ velocity, delayed feedback, command], x_(k+1) = A x_k + A[:, -1] dc_k: the held 
 the input.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import prefilter_coefficients
-from transopt.plant.discretise import Motion, state_scale
+from transopt.plant.discretise import Motion, StageModel, state_scale
+from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Row
 from transopt.problem.problem import TransientProblem
 
 POSITION, VELOCITY = 0, 1  # of the wall's states
@@ -126,7 +128,7 @@ class LinearStage:
     A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
         `problem.current_scale_A`.
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / |r| from x_k and dc_k.
-    supply : (n,) terminal voltage just before the switching instant, without that of the nominal motion [V].
+    outputs : named output -> (n,), scalar: its value in SI by x_k and by dc_k.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
     """
 
@@ -135,8 +137,16 @@ class LinearStage:
     current_A: float
     C: FloatArray
     E: FloatArray
-    supply: FloatArray
+    outputs: Mapping[str, tuple[FloatArray, float]]
     feedback: FloatArray
+
+    def row(self, row: Row) -> tuple[FloatArray, float]:
+        """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
+        G, d = np.zeros(self.units.size), 0.0
+        for name, coefficient in row.outputs.items():
+            by_state, by_movement = self.outputs[name]
+            G, d = G + coefficient * by_state, d + coefficient * by_movement
+        return G, d
 
 
 def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
@@ -212,11 +222,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
     if where.amplifier:
         units[where.current] = current
     units[-1] = current
-    supply, feedback = np.zeros(where.states), np.zeros((2, where.states))
-    if problem.supply is not None:
-        size = where.plants[0]
-        supply[where.plant(0)] = problem.supply.circuit.emf_V_s_m * problem.stage.Cv[0, :size]
-        supply[where.current], supply[-1] = problem.supply.by_current, problem.supply.by_command
+    feedback = np.zeros((2, where.states))
     if where.feedback_delay is not None:
         first, delay = where.wall.start, where.feedback_delay
         for row, late in enumerate((delay, delay + 1)):
@@ -231,9 +237,32 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         current_A=current,
         C=C * units / norm,
         E=E * current / norm,
-        supply=supply * units,
+        outputs=_named(problem.stage, where, units),
         feedback=feedback * units,
     )
+
+
+def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:
+    """The named outputs of the entry's own device by the scaled states and by the movement in units of `current_A`."""
+    size, current = where.plants[0], float(units[-1])
+    command = np.zeros(where.states)
+    command[-1] = current
+
+    def of_device(row: FloatArray) -> FloatArray:
+        found = np.zeros(where.states)
+        found[where.plant(0)] = row[:size] * units[where.plant(0)]
+        if where.amplifier:
+            found[where.current] = row[size] * current
+        return found
+
+    flows = (of_device(stage.Ci[0]), 0.0) if where.amplifier else (command, current)
+    return {
+        CURRENT: flows,
+        COMMAND: (command, current),
+        HELD: (command, 0.0),
+        VELOCITY: (of_device(stage.Cv[0]), 0.0),
+        **{name: (of_device(row), 0.0) for name, row in stage.outputs.items()},
+    }
 
 
 def hand_over_rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:

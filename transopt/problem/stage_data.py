@@ -1,19 +1,24 @@
-"""One problem's numbers stage by stage, as the project's own method takes them (`solvers/riccati.c`).
+"""One problem's numbers stage by stage, as the project's own method takes them (`solvers/native/riccati.c`).
 
-What a stage is comes as `Derivatives`: the designer reads them from the CasADi statement (`transcribe.stage_data`);
-the runtime, which must not load CasADi, takes the same written out by hand. A test holds the two together to 1e-12.
+They come from the linear stage and from the rows of the limits, as those of the CasADi program do (`solvers.program`),
+and need no CasADi: the runtime solves a tap with them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import PWM_RIPPLE_A
-from transopt.problem.problem import OBJECTIVE_SCALE, STAGEWISE, Multipliers, TransientProblem
-from transopt.problem.stage import Layout, LinearStage, hand_over_rows, layout, linear_stage
+from transopt.problem.heat import mean_current
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
+from transopt.problem.limits.limit import COMMAND, CURRENT, HELD
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import LinearStage, hand_over_rows, layout, linear_stage
 
 SIZE_BOUND = 2.0  # of the limit current
+WINDING = "winding"  # row of the recursion's first state
 
 
 def kelvin(problem: TransientProblem) -> float:
@@ -56,44 +61,54 @@ def heat_values(problem: TransientProblem, current_A: float) -> dict[str, FloatA
 
 def held(problem: TransientProblem, command_A: FloatArray) -> FloatArray:
     """(N,) commands moved by rounding only: into the box, zero at a plain hand-over."""
-    c = np.clip(command_A, -problem.limits.command_bound_A, problem.limits.command_bound_A)
+    c = np.clip(command_A, -problem.command_bound_A, problem.command_bound_A)
     if problem.wall is None:
         c[problem.free_stages :] = 0.0
     return np.asarray(c)
 
 
 @dataclass(frozen=True)
-class Derivatives:
-    """What one stage is, in scaled units.
+class StatedRow:
+    """A limit's row as the methods take it: divided by `unit`, what its limit states.
 
     Attributes
     ----------
-    A : (n, n) of the states one period later by x. C, E : (S, n), (S,) of the tracked outputs by x and by dc.
-    V, v : (3, n), (3,) of the voltage before and after the switching instant, in units of its limit, and of the mean
-        current, by x and by dc; zero where there is none.
+    G, d : (n,), scalar of the value by x_k and by dc_k.
+    lower, upper : (N,) less the offset, infinite where the row asks for nothing that is not decided already.
+    single : the variable that the row alone bounds, "current", "command" or "movement"; empty for a sum of several.
     """
 
-    A: FloatArray
-    C: FloatArray
-    E: FloatArray
-    V: FloatArray
-    v: FloatArray
+    name: str
+    unit: float
+    G: FloatArray
+    d: float
+    lower: FloatArray
+    upper: FloatArray
+    single: str
 
 
-def derivatives(problem: TransientProblem, stage: LinearStage, where: Layout) -> Derivatives:
-    """The same as `transcribe.stage_data` gives."""
-    n = where.states
-    V, v = np.zeros((3, n)), np.zeros(3)
-    if problem.supply is not None:
-        V[:2] = stage.supply / problem.supply.limit_V
-        v[1] = problem.supply.by_command * stage.current_A / problem.supply.limit_V
-    if problem.thermal is not None:
-        heating = problem.thermal.model.heating
-        later = (1 - heating.share) * (1 - heating.decay)
-        V[2, -1] = v[2] = later
-        if where.amplifier:
-            V[2, where.current] = heating.share + (1 - heating.share) * heating.decay
-    return Derivatives(stage.A, stage.C, np.zeros_like(stage.E) if where.amplifier else stage.E, V, v)
+SINGLE = {(CURRENT,): CURRENT, (COMMAND,): COMMAND, (COMMAND, HELD): "movement"}
+
+
+def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow]:
+    """Every row of every limit, in units of what its limit states."""
+    N, found = problem.grid.stages, list[StatedRow]()
+    for limit, row in problem.rows():
+        G, d = stage.row(row)
+        lower, upper = np.full(N, -np.inf), np.full(N, np.inf)
+        # At tau_0 the device rests and nothing is held. A plain hand-over's commands are zero.
+        first = 1 if row.waits else 0
+        last = problem.free_stages if problem.wall is None and tuple(row.outputs) == (COMMAND,) else N
+        at = slice(first, last)
+        lower[at] = (np.broadcast_to(row.lower, N)[at] - np.broadcast_to(row.offset, N)[at]) / limit.stated
+        upper[at] = (np.broadcast_to(row.upper, N)[at] - np.broadcast_to(row.offset, N)[at]) / limit.stated
+        single = SINGLE.get(tuple(row.outputs), "")
+        if single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]:
+            single = ""
+        # One variable has one box, and so one multiplier on either side.
+        single = "" if any(other.single == single for other in found) else single
+        found.append(StatedRow(row.name, limit.stated, G / limit.stated, d / limit.stated, lower, upper, single))
+    return found
 
 
 @dataclass(frozen=True)
@@ -116,9 +131,9 @@ class Rows:
     unit: FloatArray
 
 
-def _rows(problem: TransientProblem, stage: LinearStage, where: Layout, data: Derivatives) -> Rows:
-    N, n, limits = problem.grid.stages, where.states, problem.limits
-    states, none, every = np.eye(n), np.zeros(n), slice(N)
+def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
+    N, thermal = problem.grid.stages, problem.thermal
+    none, every = np.zeros(stage.units.size), slice(N)
     kinds: list[str] = []
     found: list[tuple[FloatArray, float, float, FloatArray, FloatArray]] = []
 
@@ -137,39 +152,30 @@ def _rows(problem: TransientProblem, stage: LinearStage, where: Layout, data: De
         kinds.append(kind)
         found.append((G, d, d_size, bounds[0], bounds[1]))
 
-    current = limits.current_A / stage.current_A
-    thermal, supply = problem.thermal, problem.supply
     if thermal is not None:
-        row("winding", none, 0.0, 0.0, -np.inf, thermal.model.headroom_K / kelvin(problem), slice(1, N + 1))
+        row(WINDING, none, 0.0, 0.0, -np.inf, thermal.model.headroom_K / kelvin(problem), slice(1, N + 1))
         if thermal.model.closure is not None:
             # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.
             found[-1][3][0] = 0.0
-    command = current if limits.command_A is None else limits.command_A / stage.current_A
-    # A plain hand-over's commands are zero.
-    free = slice(problem.free_stages if problem.wall is None else N)
-    row("command", states[-1], 1.0, 0.0, -command, command, free)
-    if where.amplifier:
-        # The current at tau_0 is zero; that at tau_N follows the hand-over.
-        row("current", states[where.current], 0.0, 0.0, -current, current, slice(1, N))
-    if limits.slew_A_per_s is not None:
-        step = limits.slew_A_per_s * problem.grid.dt_s / stage.current_A
-        row("slew", none, 1.0, 0.0, -step, step, every)
-    if supply is not None:
-        nominal = supply.nominal_V / supply.limit_V
-        for j, (kind, stages) in enumerate({"supply_before": slice(1, N), "supply_after": every}.items()):
-            volts = nominal[stages]
-            row(kind, data.V[j], float(data.v[j]), 0.0, -1 - volts, 1 - volts, stages)
+    for stated in stated_rows(problem, stage):
+        row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
+        heating, flows, asked = thermal.model.heating, stage.outputs[CURRENT], stage.outputs[COMMAND]
+        G, d = (
+            mean_current(heating.share, heating.decay, i, c) / stage.current_A
+            for i, c in zip(flows, asked, strict=True)
+        )
         for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
-            row(kind, sign * data.V[2], float(sign * data.v[2]), 1.0, 0.0, np.inf, every)
-        row("size", none, 0.0, 1.0, -SIZE_BOUND * current, SIZE_BOUND * current, every)
+            row(kind, sign * G, float(sign * d), 1.0, 0.0, np.inf, every)
+        size = SIZE_BOUND * problem.limits.current_A / stage.current_A
+        row("size", none, 0.0, 1.0, -size, size, every)
 
     G, d, d_size, lower, upper = (np.array(each) for each in zip(*found, strict=True))
     bounds = np.concatenate([lower, upper], axis=1)
     unit = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1)
     # The winding's row is a state of the recursion, whose unit is the largest headroom already.
-    unit = np.where((unit > 0) & (np.array(kinds) != "winding"), unit, 1.0)
+    unit = np.where((unit > 0) & (np.array(kinds) != WINDING), unit, 1.0)
     by = unit[:, None]
     return Rows(tuple(kinds), G / by, d / unit, d_size / unit, (lower / by).T, (upper / by).T, unit)
 
@@ -203,33 +209,40 @@ class Stages:
 
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI from upper less lower ones (N + 1, rows) and the gradient (N,) by the movements."""
-        problem, N, unit = self.problem, self.sizes["stages"], OBJECTIVE_SCALE / self.current_A
+        problem, N = self.problem, self.sizes["stages"]
         scaled = dict(zip(self.limits.kinds, (by_row / self.limits.unit).T, strict=True))
-        zero = np.zeros(N + 1)
-        on = {kind: scaled.get(kind, zero)[:N] * unit for kind in ("command", "current", "slew")}
-        if problem.limits.command_A is None:
-            on["current"], on["command"] = on["command"], zero[:N]
-        if problem.supply is not None:
-            per_volt = OBJECTIVE_SCALE / problem.supply.limit_V
-            on |= {kind: scaled[kind][:N] * per_volt for kind in ("supply_before", "supply_after")}
-        sides = {
-            f"{kind}_{side}": sign * mu for kind, mu in on.items() for side, sign in (("lower", -1), ("upper", 1))
-        }
+        pairs, slope = {}, np.zeros(N)
+        for limit, row in problem.rows():
+            mu = scaled[row.name][:N] * (OBJECTIVE_SCALE / limit.stated)
+            pairs[row.name] = (-mu, mu)
         if problem.thermal is not None:
-            above, below = (np.maximum(-scaled[kind][:N], 0.0) for kind in ("size_above", "size_below"))
-            # The two share what the size is worth; where it is worth nothing any sign will do.
-            sides["current_sign"] = (above - below) / np.maximum(above + below, np.finfo(float).tiny)
-            sides["temperature_upper"] = scaled["winding"][1:] * OBJECTIVE_SCALE / self.kelvin
-        tail = -gradient[problem.free_stages :] * unit
-        stated = dict.fromkeys(STAGEWISE, zero[:N]) | sides
-        return Multipliers(**{**stated, "hand_over": tail}).clipped()
+            slope = slope_of(-scaled["size_above"][:N], -scaled["size_below"][:N])
+            mu = scaled[WINDING][1:] * (OBJECTIVE_SCALE / self.kelvin)
+            pairs[problem.thermal.row_names[0]] = (np.zeros(N), mu)
+        tail = -gradient[problem.free_stages :] * (OBJECTIVE_SCALE / self.current_A)
+        return Multipliers(N, pairs, tail, slope).clipped()
 
 
-def stages(problem: TransientProblem, stage: LinearStage, data: Derivatives, *, limited: bool = True) -> Stages:
-    """The problem around what one stage is; not `limited`, without any row."""
+def slope_of(above: FloatArray, below: FloatArray) -> FloatArray:
+    """(N,) slope of |mean i| by the multipliers (N,) of size >= mean i and of size >= -mean i.
+
+    The two share what the size is worth; where it is worth nothing any sign will do.
+    """
+    above, below = np.maximum(above, 0.0), np.maximum(below, 0.0)
+    return np.asarray((above - below) / np.maximum(above + below, np.finfo(float).tiny))
+
+
+def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limited: bool = True) -> Stages:
+    """Stage data of a problem; not `limited`, without any row.
+
+    Parameters
+    ----------
+    stage : its linear part, where it is known already.
+    """
+    stage = linear_stage(problem) if stage is None else stage
     where, m = layout(problem), 0 if problem.thermal is None else problem.thermal.model.nodes
     values = tracking_values(problem, stage)
-    limits = _rows(problem, stage, where, data) if limited else _no_rows(where.states)
+    limits = _rows(problem, stage) if limited else _no_rows(where.states)
     gains, offsets = hand_over_rows(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
     nothing = np.zeros(4)
@@ -239,9 +252,9 @@ def stages(problem: TransientProblem, stage: LinearStage, data: Derivatives, *, 
         else heat_values(problem, stage.current_A)
     )
     arrays = {
-        "A": data.A,
-        "C": data.C,
-        "E": data.E,
+        "A": stage.A,
+        "C": stage.C,
+        "E": np.zeros_like(stage.E) if where.amplifier else stage.E,
         "weight": 2 * values["w"] / (OBJECTIVE_SCALE * where.devices),
         "reference": values["r"],
         "rule_gain": gains,
@@ -266,22 +279,13 @@ def stages(problem: TransientProblem, stage: LinearStage, data: Derivatives, *, 
         },
         numbers={
             "movement_weight": 2 * float(values["rho"][0]) / OBJECTIVE_SCALE,
-            "command_bound": problem.limits.command_bound_A / stage.current_A,
+            "command_bound": problem.command_bound_A / stage.current_A,
             **{name: float(heat[name][0]) if m else 0.0 for name in ("decay", "ripple", "copper")},
         },
         arrays={name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},
     )
 
 
-def runtime_stages(problem: TransientProblem, stage: LinearStage | None = None) -> Stages:
-    """Stage data of a problem without the CasADi statement; `stage` spares computing the linear part again."""
-    stage = linear_stage(problem) if stage is None else stage
-    return stages(problem, stage, derivatives(problem, stage, layout(problem)))
-
-
 def without_limits(problem: TransientProblem, stage: LinearStage | None = None) -> Stages:
     """Stage data of the same problem without rows and temperature: what a linear pass takes."""
-    limited = problem.supply is not None or problem.thermal is not None
-    bare = replace(problem, supply=None, thermal=None) if limited else problem
-    stage = linear_stage(bare) if stage is None else stage
-    return stages(bare, stage, derivatives(bare, stage, layout(bare)), limited=False)
+    return stages(problem.without(TemperatureLimit.name), stage, limited=False)

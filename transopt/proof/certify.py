@@ -11,8 +11,12 @@ from transopt.base.signals import FloatArray
 from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.plant.discretise import Motion
 from transopt.plant.wall import earlier_by, feedback_command_transpose
-from transopt.problem.problem import STAGEWISE, Certificate, Multipliers, TransientProblem
+from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.limits.limit import Limit, tolerated, transposed
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
 
+TEMPERATURE = TemperatureLimit.row_names[0]
 BINDING_MULTIPLIER = 1e-9  # 1/A; an interior-point method leaves about 1e-13 on a limit that does not bind
 BINDING_SLACK = 1e-5  # of the limit
 SILENT = 1e-12  # of the limit: what rounding leaves of no transient at all over a wall
@@ -26,35 +30,51 @@ def _moved(by_movement: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Box:
-    """One limit along the horizon: |value| <= bound, or value <= bound without `lower`."""
+    """One limit's row along the horizon, lower <= value <= upper, with its multipliers.
 
-    name: str
-    unit: str
-    lower: FloatArray | None
-    upper: FloatArray
+    Attributes
+    ----------
+    limit : whose row it is.
+    value : (N,). lower, upper : (N,) its bounds, infinite where nothing is asked.
+    by_lower, by_upper : (N,) multipliers >= 0.
+    """
+
+    limit: Limit
     value: FloatArray
-    bound: FloatArray
-    stated: float  # the limit in the user's words
+    lower: FloatArray
+    upper: FloatArray
+    by_lower: FloatArray
+    by_upper: FloatArray
+
+    @property
+    def name(self) -> str:
+        return self.limit.label
+
+    @property
+    def unit(self) -> str:
+        return self.limit.unit
 
     @property
     def excess(self) -> FloatArray:
         """(N,) how far the value is outside, negative inside."""
-        size = self.value if self.lower is None else np.abs(self.value)
-        return np.asarray(size - self.bound)
+        return np.asarray(np.maximum(self.value - self.upper, self.lower - self.value))
 
     @property
-    def tolerance(self) -> float:
-        return Certificate.VIOLATION_TOLERANCE if self.unit == "C" else Certificate.tolerated(self.stated)
+    def peak(self) -> float:
+        """Largest size that the value reaches where it is bounded."""
+        return float(np.abs(self.value[np.isfinite(self.upper) | np.isfinite(self.lower)]).max())
 
     @property
     def complementarity(self) -> float:
-        """Sum of multiplier times slack, slacks by their size; a limit of infinity has no multiplier."""
-        if not (self.upper.any() or (self.lower is not None and self.lower.any())):
-            return 0.0
-        stated = np.isfinite(self.bound)
-        upper, value, bound = self.upper[stated], self.value[stated], self.bound[stated]
-        total = float(upper @ np.abs(bound - value))
-        return total if self.lower is None else total + float(self.lower[stated] @ np.abs(bound + value))
+        """Sum of multiplier times slack, slacks by their size; a bound of infinity has no multiplier."""
+        return _paired(self.by_upper, self.upper - self.value) + _paired(self.by_lower, self.value - self.lower)
+
+
+def _paired(multiplier: FloatArray, slack: FloatArray) -> float:
+    if not multiplier.any():
+        return 0.0
+    stated = np.isfinite(slack)
+    return float(multiplier[stated] @ np.abs(slack[stated]))
 
 
 class Effect:
@@ -94,7 +114,7 @@ class Effect:
 
     def by_heating(self, multipliers: Multipliers) -> FloatArray:
         """(N,) gradient of the temperature limit's part of the Lagrangian by the heatings; zero without one."""
-        thermal, by_winding = self.problem.thermal, multipliers.temperature_upper
+        thermal, by_winding = self.problem.thermal, multipliers.upper(TEMPERATURE)
         if thermal is None or not by_winding.any():
             return np.zeros(self.command_A.size)
         return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
@@ -106,27 +126,16 @@ def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, mult
 
 
 def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
-    problem, command_A, motion = effect.problem, effect.command_A, effect.motion
-    limits, m, N = problem.limits, multipliers, problem.grid.stages
-
-    def box(name: str, unit: str, pair: str, value: FloatArray, bound: float) -> Box:
-        lower, upper = getattr(m, f"{pair}_lower"), getattr(m, f"{pair}_upper")
-        return Box(name, unit, lower, upper, value, np.full(N, bound), bound)
-
-    yield box("current", "A", "current", motion.current_A, limits.current_A)
-    if limits.command_A is not None:
-        yield box("command", "A", "command", command_A, limits.command_A)
-    if limits.slew_A_per_s is not None:
-        movement = np.diff(command_A, prepend=0.0)
-        yield box("slew", "A/tick", "slew", movement, limits.slew_A_per_s * problem.grid.dt_s)
-    if problem.supply is not None:
-        before, after = problem.supply.voltages_V(motion, command_A)
-        yield box("supply", "V", "supply_before", before, problem.supply.limit_V)
-        yield box("supply", "V", "supply_after", after, problem.supply.limit_V)
-    if problem.thermal is not None:
-        model = problem.thermal.model
-        winding, limit = effect.rise_K[1:, 0] + model.unpowered_C, model.headroom_K + model.unpowered_C
-        yield Box("coil", "C", None, m.temperature_upper, winding, limit, problem.thermal.limit_C)
+    problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
+    for limit, row in problem.rows():
+        value = row.value(effect.motion, effect.command_A)
+        lower, upper = np.broadcast_to(row.lower, N), np.broadcast_to(row.upper, N)
+        yield Box(limit, value, lower, upper, m.lower(row.name), m.upper(row.name))
+    thermal = problem.thermal
+    if thermal is not None:
+        model = thermal.model
+        winding, limit_C = effect.rise_K[1:, 0] + model.unpowered_C, model.headroom_K + model.unpowered_C
+        yield Box(thermal, winding, np.full(N, -np.inf), limit_C, m.lower(TEMPERATURE), m.upper(TEMPERATURE))
 
 
 def inside(
@@ -139,7 +148,7 @@ def inside(
     effect : of this command in this problem, where further questions about it follow.
     """
     limits = _boxes(effect or Effect(problem, command_A), Multipliers.zero(problem))
-    return all(bool((box.excess <= 0).all()) for box in limits if only in (None, box.name))
+    return all(bool((box.excess <= 0).all()) for box in limits if only in (None, box.limit.name))
 
 
 def reduced_gradient(
@@ -154,22 +163,17 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
     problem, command_A, motion = effect.problem, effect.command_A, effect.motion
     m, r = multipliers, problem.reference_m_s2
     scale = 2 / (float(r @ r) * len(problem.devices))
-    by_command = m.command_upper - m.command_lower
 
     def by_acceleration(acceleration_m_s2: FloatArray) -> FloatArray:
         weighted = scale * problem.tracking_weights * problem.weighted_error(acceleration_m_s2)
         return weighted if problem.error_filter is None else problem.error_filter.transpose(weighted)
 
-    by_current = m.current_upper - m.current_lower
-    by_velocity = np.zeros_like(by_current)
-    by_encoder = np.zeros_like(by_current)
-    if problem.supply is not None:
-        before, after = m.supply_before_upper - m.supply_before_lower, m.supply_after_upper - m.supply_after_lower
-        through_current, by_velocity, directly = problem.supply.transpose(before, after)
-        by_current, by_command = by_current + through_current, by_command + directly
+    by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
+    through, by_command = transposed(by_row, command_A.size)
+    by_current, by_encoder = through.current_A, through.encoder_m
     if problem.thermal is not None and by_heating.any():
         heating = problem.thermal.model.heating
-        through_current, directly = heating.gradient(motion.current_A, command_A, m.current_sign)
+        through_current, directly = heating.gradient(motion.current_A, command_A, m.slope)
         by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
     tail = np.append(np.zeros(problem.free_stages), m.hand_over)
     by_command = by_command + tail
@@ -178,8 +182,9 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
         by_feedback = feedback_command_transpose(-tail, problem.stage.amplifier, dt)
         by_encoder = earlier_by(late, problem.wall.feedback_transpose(by_feedback, dt))
     movement = np.diff(command_A, prepend=0.0)
-    by_movement = 2 * problem.movement_weight * movement + m.slew_upper - m.slew_lower
-    own = Motion(by_acceleration(motion.acceleration_m_s2), by_current, by_velocity, by_encoder)
+    by_movement = 2 * problem.movement_weight * movement
+    by_error = by_acceleration(motion.acceleration_m_s2)
+    own = Motion(by_error, by_current, through.velocity_m_s, by_encoder, through.outputs)
     gradient = problem.stage.adjoint(own) + _moved(by_movement) + by_command
     for device, acceleration in zip(problem.spread, effect.accelerations_m_s2[1:], strict=True):
         tracking = replace(Motion.zero(acceleration.size), acceleration_m_s2=by_acceleration(acceleration))
@@ -208,10 +213,10 @@ def gradient_rounding(problem: TransientProblem, command_A: FloatArray, multipli
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
     """The same >= 0, and zero where there is no limit to bear them: a headroom may be infinite at some instants."""
     clipped = multipliers.clipped()
-    if problem.thermal is None or not clipped.temperature_upper.any():
+    if problem.thermal is None or not clipped.upper(TEMPERATURE).any():
         return clipped
     bears = np.isfinite(problem.thermal.model.headroom_K)
-    return replace(clipped, temperature_upper=np.where(bears, clipped.temperature_upper, 0.0))
+    return clipped.with_pair(TEMPERATURE, clipped.lower(TEMPERATURE), np.where(bears, clipped.upper(TEMPERATURE), 0.0))
 
 
 def kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
@@ -225,7 +230,7 @@ def _kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) 
     if thermal is None or not by_heating.any():
         return 0.0
     mean = thermal.model.heating.mean_current(effect.motion.current_A, effect.command_A)
-    short = np.abs(mean) - multipliers.current_sign * mean
+    short = np.abs(mean) - multipliers.slope * mean
     return float(np.abs(by_heating) @ (2 * PWM_RIPPLE_A * short))
 
 
@@ -257,9 +262,8 @@ def certify(
     effect : of this command in this problem, where it is known already.
     """
     N = problem.grid.stages
-    signed = [getattr(multipliers, name) for name in STAGEWISE]
-    arrays = [command_A, *signed, multipliers.hand_over]
-    shapes = [(N,)] * (1 + len(signed)) + [(problem.hand_over_samples,)]
+    arrays = [command_A, *multipliers.arrays()]
+    shapes = [(N,)] * (len(arrays) - 2) + [(problem.hand_over_samples,), (N,)]
     if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
         return Certificate.nothing()
 
@@ -272,19 +276,17 @@ def certify(
         return replace(Certificate.nothing(), objective=objective)
 
     over = [float(box.excess.max()) for box in limits]
-
-    def violation(*units: str) -> float:
-        return max((by for by, box in zip(over, limits, strict=True) if box.unit in units), default=0.0)
-
     tail = (command_A - problem.hand_over_command(effect.motion))[problem.free_stages :]
     off = float(np.abs(tail).max())
-    excess = [by / box.tolerance for by, box in zip(over, limits, strict=True)]
-    excess.append(off / Certificate.tolerated(problem.limits.current_A))
+    violations = {"A": max(off, 0.0)}
+    for by, box in zip(over, limits, strict=True):
+        unit = box.limit.step_unit.split("/")[0]
+        violations[unit] = max(violations.get(unit, 0.0), by)
+    excess = [by / box.limit.tolerance for by, box in zip(over, limits, strict=True)]
+    excess.append(off / tolerated(problem.limits.current_A))
     found = Certificate(
         objective=objective,
-        primal_violation_A=max(violation("A", "A/tick"), off, 0.0),
-        primal_violation_V=max(violation("V"), 0.0),
-        primal_violation_K=max(violation("C"), 0.0),
+        violations=violations,
         excess=max(*excess, 0.0),
         dual_residual=0.0,
         duality_gap=0.0,
@@ -298,10 +300,10 @@ def certify(
 
     by_heating = effect.by_heating(clipped)
     g = _reduced_gradient(effect, clipped, by_heating)
-    c_max = problem.limits.command_bound_A
+    c_max = problem.command_bound_A
     gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
     gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
-    convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.temperature_upper.any()
+    convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.upper(TEMPERATURE).any()
     return replace(
         found,
         dual_residual=float(np.abs(g).max()),
@@ -326,10 +328,10 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     thermal = problem.thermal
     if thermal is None or thermal.model.closure is not None:
         return -np.inf
-    relaxed = replace(problem, thermal=thermal.relaxed(problem.limits.current_A))
-    assert relaxed.thermal is not None
-    prices = relaxed.thermal.model.prices(effect.by_heating(admissible(problem, multipliers)))
-    priced = replace(multipliers, temperature_upper=np.maximum(prices, 0.0))
+    relaxed_limit = thermal.relaxed(problem.limits.current_A)
+    relaxed = problem.replaced(relaxed_limit)
+    prices = relaxed_limit.model.prices(effect.by_heating(admissible(problem, multipliers)))
+    priced = multipliers.with_pair(TEMPERATURE, np.zeros_like(prices), np.maximum(prices, 0.0))
     return certify(relaxed, command_A, priced, effect=Effect(relaxed, command_A, effect.motion)).lower_bound
 
 
@@ -351,16 +353,16 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
     """
     if multipliers.largest <= BINDING_MULTIPLIER:
         return "none"
-    limits = boxes(problem, command_A, problem.stage.motion(command_A), multipliers)
     rows: dict[str, NDArray[np.bool_]] = {}
-    for box in limits:
-        near = BINDING_SLACK * np.where(np.isfinite(box.bound), np.abs(box.bound), 1.0)
-        sides = [("+" if box.lower is not None else "", box.upper, box.bound - box.value)]
-        if box.lower is not None:
-            sides.append(("-", box.lower, box.bound + box.value))
+    for box in boxes(problem, command_A, problem.stage.motion(command_A), multipliers):
+        near = BINDING_SLACK * abs(box.limit.stated)
+        two_sided = np.isfinite(box.lower).any()
+        sides = [("+" if two_sided else "", box.by_upper, box.upper - box.value)]
+        if two_sided:
+            sides.append(("-", box.by_lower, box.value - box.lower))
         for sign, mu, slack in sides:
             active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
-            label = f"{box.name} {sign}{box.stated:.8g} {box.unit}"
+            label = f"{box.name} {sign}{box.limit.stated:.8g} {box.unit}"
             rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
     found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

@@ -1,12 +1,13 @@
 """Proof that no command meets all limits, from multipliers alone (Farkas' lemma over the commands' box)."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.problem.problem import Multipliers, TransientProblem
-from transopt.proof.certify import admissible, boxes, kink_gap, reduced_gradient
+from transopt.problem.answer import Multipliers
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import TEMPERATURE, admissible, boxes, kink_gap, reduced_gradient
 
 MARGIN = 1e-9  # of the sum of all terms' sizes: a hundred thousand times what rounding leaves of it
 
@@ -26,33 +27,31 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     ----------
     command_A : (N,) any command; the closer to all limits, the sharper.
     """
-    sizes = [
-        float(np.abs(getattr(multipliers, f.name)).max()) for f in fields(multipliers) if f.name != "current_sign"
-    ]
-    largest = max(sizes)
+    sides = [side for pair in multipliers.pairs.values() for side in pair]
+    largest = max(float(np.abs(side).max()) for side in (*sides, multipliers.hand_over))
     if not 0 < largest < np.inf or not np.all(np.isfinite(command_A)):
         return False
     clipped = admissible(problem, multipliers)
     ray = replace(
-        clipped, **{f.name: getattr(clipped, f.name) / largest for f in fields(clipped) if f.name != "current_sign"}
+        clipped,
+        pairs={row: (lower / largest, upper / largest) for row, (lower, upper) in clipped.pairs.items()},
+        hand_over=clipped.hand_over / largest,
     )
     thermal = problem.thermal
-    if thermal is not None and thermal.model.copper != 0 and ray.temperature_upper.any():
+    if thermal is not None and thermal.model.copper != 0 and ray.upper(TEMPERATURE).any():
         return False
     limits_alone = replace(problem, tracking_weights=np.zeros(problem.grid.stages), rho=0.0)
     motion = problem.stage.motion(command_A)
     total = size = 0.0
     for box in boxes(problem, command_A, motion, ray):
-        stated = np.isfinite(box.bound)
-        value, bound = box.value[stated], box.bound[stated]
-        sides = [(box.upper[stated], value)] + ([] if box.lower is None else [(box.lower[stated], -value)])
-        for mu, signed in sides:
-            total += float(mu @ (signed - bound))
-            size += float(mu @ (np.abs(signed) + bound))
+        for mu, value, bound in ((box.by_upper, box.value, box.upper), (box.by_lower, -box.value, -box.lower)):
+            stated = np.isfinite(bound)
+            total += float(mu[stated] @ (value[stated] - bound[stated]))
+            size += float(mu[stated] @ (np.abs(value[stated]) + np.abs(bound[stated])))
     tail = (command_A - problem.hand_over_command(motion))[problem.free_stages :]
     total += float(ray.hand_over @ tail)
     g = reduced_gradient(limits_alone, command_A, motion, ray)
-    loss = float(np.abs(g) @ (problem.limits.command_bound_A + np.abs(command_A)))
+    loss = float(np.abs(g) @ (problem.command_bound_A + np.abs(command_A)))
     loss += kink_gap(problem, command_A, motion, ray)
     # Written so that a NaN proves nothing. The gradient's rounding counts in `loss` itself.
     return bool(total - loss > MARGIN * (size + float(np.abs(ray.hand_over) @ np.abs(tail))))

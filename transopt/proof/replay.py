@@ -4,23 +4,21 @@ Simulated by `continuous`, which shares nothing but the plant's matrices with th
 at every fine step.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from transopt.base.signals import FloatArray, nrmse
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.circuit import Supply
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
 from transopt.plant.continuous import AGREEMENT, Loop, Trajectory, accurate, fine, peak_scale
-from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
-from transopt.problem.problem import Certificate, TransientProblem
-
-TEMPERATURE_TOLERANCE_K = 1e-3  # the problem states the temperature at the switching instants
-SUPPLY_TOLERANCE = 1e-3  # of the limit: between switching instants only the back-EMF is left to its own devices
+from transopt.problem.limits.limit import HELD, Limit, Limits, tolerated
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class Replay:
     peak_current_A, peak_command_A : over all t.
     after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
     after_peak_A : largest |i| there, all of it the wall's feedback.
-    peak_voltage_V : largest terminal voltage over all t; NaN without a supply.
+    reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
     command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
@@ -49,7 +47,7 @@ class Replay:
     peak_command_A: float
     after_peak_m_s2: float
     after_peak_A: float
-    peak_voltage_V: float
+    reached: Mapping[str, float]
     winding_C: float
     housing_C: float
     command_A: FloatArray
@@ -61,21 +59,18 @@ class Replay:
         """What differences of y'' are relative to."""
         return float(peak_scale(np.abs(self.acceleration_m_s2).max(), self.rounding_m_s2))
 
+    def peak(self, limit: Limit) -> float:
+        """Largest size over all t of what a limit bounds; 0 where nothing can be seen of it between the ticks."""
+        return self.winding_C if limit.name == TemperatureLimit.name else self.reached.get(limit.name, 0.0)
+
     def shortfalls(self, problem: TransientProblem, command_A: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
         """What speaks against admitting this command (N,), one sentence each; empty if clean."""
         found = []
-        limits = problem.limits
-        tolerance_A = Certificate.tolerated(limits.current_A)
-        if not self.peak_current_A <= limits.current_A + tolerance_A:
-            found.append(f"replayed current {self.peak_current_A:.6f} A, limit {limits.current_A:g} A")
-        bound = limits.command_bound_A
-        if not self.peak_command_A <= bound + Certificate.tolerated(bound):
-            found.append(f"command {self.peak_command_A:.6f} A, limit {bound:g} A")
-        supply, thermal = problem.supply, problem.thermal
-        if supply is not None and not self.peak_voltage_V <= supply.limit_V * (1 + SUPPLY_TOLERANCE):
-            found.append(f"terminal voltage {self.peak_voltage_V:.4f} V, limit {supply.limit_V:g} V")
-        if thermal is not None and not self.winding_C <= thermal.limit_C + TEMPERATURE_TOLERANCE_K:
-            found.append(f"winding {self.winding_C:.3f} C, limit {thermal.limit_C:.8g} C")
+        tolerance_A = tolerated(problem.limits.current_A)
+        for limit in problem.limits:
+            peak = self.peak(limit)
+            if not peak <= limit.stated + limit.replay_tolerance:
+                found.append(limit.replayed(peak))
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
         feedback_off = float(np.abs(self.command_A - command_A).max())
@@ -98,17 +93,45 @@ def replayed_errors(
     return np.array([nrmse(a, r) for a, r in zip(found, references_m_s2, strict=True)])
 
 
-def _peak_voltages(run: Trajectory, supplies: Sequence[Supply], grid: TimeGrid) -> FloatArray:
-    """(M,) largest terminal voltage while the waveform plays."""
-    peaks = []
+def _reached(
+    run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid
+) -> list[dict[str, float]]:
+    """Of each command, by limit: the largest size of its rows' values.
+
+    The command that is felt at t stands for c_k. A row of the command held before has no value between the ticks.
+    """
     playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
-    for m, supply in enumerate(supplies):
-        nominal = np.interp(run.times_s[playing], grid.switching_times_s, supply.nominal_m_s)
-        current, felt = run.current_A[m, playing], run.felt_A[m, playing]
-        velocity = run.velocity_m_s[m, playing] + nominal
-        voltage = supply.circuit.voltage_V(current, supply.pole_rad_s * (felt - current), velocity)
-        peaks.append(float(np.abs(voltage).max()))
-    return np.array(peaks)
+    found = []
+    for m, of_entry in enumerate(limits):
+        posed, peaks = _Posed(stage, grid, of_entry), dict[str, float]()
+        for limit in of_entry:
+            at = slice(None) if limit.after_the_waveform else playing
+            motion = Motion(
+                run.acceleration_m_s2[m, at],
+                run.current_A[m, at],
+                run.velocity_m_s[m, at],
+                np.zeros(0),
+                {name: values[m, at] for name, values in run.outputs.items()},
+            )
+            for row in limit.rows(posed):
+                if HELD in row.outputs:
+                    continue
+                offset = row.offset
+                if isinstance(offset, np.ndarray):
+                    offset = np.interp(run.times_s[at], grid.switching_times_s, offset)
+                value = replace(row, offset=offset).value(motion, run.felt_A[m, at])
+                peaks[limit.name] = max(peaks.get(limit.name, 0.0), float(np.abs(value).max()))
+        found.append(peaks)
+    return found
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """What the rows of limits look at."""
+
+    stage: StageModel
+    grid: TimeGrid
+    limits: Limits
 
 
 def _temperatures(
@@ -142,7 +165,7 @@ def replay(
     references_m_s2: FloatArray,
     coil: CoilModel | None,
     *,
-    supplies: Sequence[Supply] | None = None,
+    limits: Sequence[Limits] | None = None,
     walls: Sequence[HandOver] | None = None,
     budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
@@ -154,7 +177,7 @@ def replay(
 
     Parameters
     ----------
-    supplies : one per command, for the terminal voltage.
+    limits : one set per command, for the largest values that it reaches.
     walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
         replay's own encoder position, which `count_m` rounds to whole counts.
     budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
@@ -168,7 +191,7 @@ def replay(
     winding, housing = (
         (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
     )
-    voltage = unknown if supplies is None else _peak_voltages(run, supplies, grid)
+    reached: Sequence[Mapping[str, float]] = [{}] * M if limits is None else _reached(run, limits, stage, grid)
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
@@ -178,7 +201,7 @@ def replay(
             peak_command_A=float(np.abs(command[m]).max()),
             after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
             after_peak_A=float(np.abs(run.current_A[m, after]).max()),
-            peak_voltage_V=float(voltage[m]),
+            reached=reached[m],
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
             command_A=command[m],

@@ -2,6 +2,7 @@
 
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
@@ -14,7 +15,7 @@ from transopt.plant.discretise import TimeGrid
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
-from transopt.problem.problem import Limits
+from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.scene.identified import Identified
 from transopt.scene.model_file import StateSpaceDevice
@@ -269,12 +270,21 @@ class Scene(Section):
         delay = 0.0 if amplifier is None else amplifier.delay_s
         return TimeGrid(self.time.dt_s, self.time.stages, self.time.lead_s, delay)
 
-    def current_limits(self) -> Limits:
-        amplifier = self.amplifier_model()
-        return Limits(
-            current_A=self.limits.transient_current_A,
-            command_A=None if amplifier is None else amplifier.command_limit_A,
-            slew_A_per_s=self.limits.slew_A_per_s,
+    def posing(self) -> Posing:
+        """What the problems of all its taps share."""
+        grid = self.time_grid()
+        return Posing(
+            grid=grid,
+            amplifier=self.amplifier_model(),
+            tracking_weights=np.ones(grid.stages),
+            rho=self.weights.rho,
+            error_filter=self.error_filter(),
+            asked=self.limits.asked(),
+            hand_over_samples=self.hand_over_samples,
+            circuit=self.circuit(),
+            coil=self.coil(),
+            wall=self.wall(),
+            budget=self.budget(),
         )
 
     def budget(self) -> Budget:

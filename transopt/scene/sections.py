@@ -161,6 +161,10 @@ class LimitsSection(Section):
             raise ValueError("give beta or current_A, not both")
         return self
 
+    def asked(self) -> dict[str, float | None]:
+        """Key -> number of every limit, the current's as the one number that it comes to."""
+        return {**self.model_dump(exclude={"beta"}), "current_A": self.transient_current_A}
+
     @property
     def transient_current_A(self) -> float:
         if self.current_A is not None:

@@ -6,7 +6,7 @@ the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable
 repeat. Current, command and movement are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import casadi as ca
@@ -14,10 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.problem.problem import OBJECTIVE_SCALE, TransientProblem
-from transopt.problem.stage import Layout, layout
+from transopt.problem.answer import OBJECTIVE_SCALE
+from transopt.problem.heat import mean_current, mean_square, next_rise
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
+from transopt.problem.stage_data import stated_rows
 
 REPEATED_WEIGHT = 1e3
+
+
+@dataclass(frozen=True)
+class RowShape:
+    """What of a limit's row fixes the sparsity of the program."""
+
+    name: str
+    states: tuple[bool, ...]
+    first: int
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """(1, n) states that the value depends on."""
+        return np.array([self.states])
 
 
 @dataclass(frozen=True)
@@ -26,13 +43,16 @@ class Shape:
 
     Attributes
     ----------
-    supply : whether the supply rows are in. nodes : thermal states, 0 without. repeated : taps repeat for ever.
+    rows : sums of several outputs that are bounded, each by its name, the states that it depends on, and its first
+        stage; what bounds one variable alone is a box on it and no row.
+    nodes : thermal states, 0 without.
+    repeated : taps repeat for ever.
     """
 
     stages: int
     layout: Layout
     hand_over_samples: int
-    supply: bool
+    rows: tuple["RowShape", ...]
     nodes: int
     repeated: bool
 
@@ -66,8 +86,8 @@ class Program:
     x : MX (variables, 1), stage by stage. p : MX, all parameters.
     parameters : their names, in the order in which they stand in p.
     f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, rows kind by kind.
-    rows : kind -> where it stands in g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over",
-        "supply_before", "supply_after".
+    rows : kind -> where it stands in g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over", and the
+        name of every row of `shape.rows`.
     qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub. With the temperature
         (`nlp_only`) there is none.
     """
@@ -108,13 +128,6 @@ def feedback_mask(where: Layout) -> NDArray[np.bool_]:
     return mask
 
 
-def supply_mask(where: Layout) -> NDArray[np.bool_]:
-    """(1, n) states that the terminal voltage depends on."""
-    mask = np.zeros((1, where.states), dtype=bool)
-    mask[0, where.plant(0)] = mask[0, where.current] = mask[0, -1] = True
-    return mask
-
-
 @dataclass(frozen=True)
 class HeatSymbols:
     """Parameters of the temperature recursion, in units of the limit current and of the headroom."""
@@ -138,13 +151,11 @@ class HeatSymbols:
 
     def mean_current(self, current: ca.MX, command: ca.MX) -> ca.MX:
         """`heat.Heating.mean_current`, in units of the limit current."""
-        return self.share * current + (1 - self.share) * (self.decay * current + (1 - self.decay) * command)
+        return mean_current(self.share, self.decay, current, command)
 
     def mean_square(self, current: ca.MX, command: ca.MX, size: ca.MX) -> ca.MX:
         """Mean of i_eff^2 over a period; `heat.Heating.mean_square` with |mean i| a variable of its own."""
-        a, b = current, self.decay * current + (1 - self.decay) * command
-        quadratic = self.square[0] * a**2 + self.square[1] * a * b + self.square[2] * b**2
-        return quadratic + 2 * self.ripple * size + self.ripple**2
+        return mean_square(self.square, self.decay, self.ripple, current, command, size)
 
 
 @dataclass(frozen=True)
@@ -153,8 +164,10 @@ class Stage:
 
     Attributes
     ----------
-    A, B, C, E : MX of `linear.LinearStage`. S, direct : of the terminal voltage; None without supply rows.
-    heat : None without temperature. symbols : in the order in which `statement` gives their values.
+    A, B, C, E : MX of `problem.stage.LinearStage`.
+    rows : name of a limit's row -> MX of its value by x and by dc.
+    heat : None without temperature.
+    symbols : in the order in which `statement` gives their values.
     """
 
     layout: Layout
@@ -162,8 +175,7 @@ class Stage:
     B: ca.MX
     C: ca.MX
     E: ca.MX
-    S: ca.MX | None
-    direct: ca.MX | None
+    rows: dict[str, tuple[ca.MX, ca.MX]]
     heat: HeatSymbols | None
     symbols: dict[str, ca.MX]
 
@@ -177,12 +189,13 @@ class Stage:
         heat = HeatSymbols.make(shape) if shape.nodes else None
         if heat is not None:
             symbols |= {field.name: getattr(heat, field.name) for field in fields(HeatSymbols)}
-        S = direct = None
-        if shape.supply:
-            S_values, S = _sparse_symbol("S", supply_mask(where))
-            direct = ca.MX.sym("S_direct")
-            symbols |= {"S": S_values, "S_direct": direct}
-        return cls(where, A, B, C, E, S, direct, heat, symbols)
+        rows = {}
+        for row in shape.rows:
+            values, G = _sparse_symbol(f"G_{row.name}", row.mask)
+            d = ca.MX.sym(f"d_{row.name}")
+            symbols |= {f"G_{row.name}": values, f"d_{row.name}": d}
+            rows[row.name] = (G, d)
+        return cls(where, A, B, C, E, rows, heat, symbols)
 
     def after(self, before: ca.MX, movement: ca.MX) -> ca.MX:
         """(n, K) states one period later."""
@@ -193,15 +206,10 @@ class Stage:
         found = self.C @ before
         return found if self.layout.amplifier else found + self.E @ movement
 
-    def voltage_before(self, state: ca.MX) -> ca.MX:
-        """(1, K) just before the switching instant that the state belongs to, without the nominal motion's."""
-        assert self.S is not None
-        return self.S @ state
-
-    def voltage_after(self, before: ca.MX, movement: ca.MX) -> ca.MX:
-        assert self.S is not None
-        assert self.direct is not None
-        return self.S @ before + self.direct * movement
+    def value(self, row: str, before: ca.MX, movement: ca.MX) -> ca.MX:
+        """(1, K) of a limit's row, in units of what its limit states and without its offset."""
+        G, d = self.rows[row]
+        return G @ before + d * movement
 
     def current(self, before: ca.MX) -> ca.MX:
         """(1, K) zero for an ideal amplifier, whose current is the command."""
@@ -215,7 +223,8 @@ class Stage:
         """(m, K) rises one period later; `gain` (1, K) resistance at the unpowered temperature."""
         assert self.heat is not None
         square = self.heat.mean_square(self.current(before), before[-1, :] + movement, size)
-        return self.heat.M @ rise + self.heat.b @ ((gain + self.heat.copper * rise[0, :]) * square)
+        heat = self.heat
+        return next_rise(heat.M, heat.b, gain, heat.copper, rise, rise[0, :], square)
 
 
 @lru_cache(maxsize=16)
@@ -275,50 +284,19 @@ def state_program(shape: Shape) -> Program:
     return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
 
 
-def stage_shape(shape: Shape) -> Shape:
-    """What of a shape one stage depends on."""
-    return replace(shape, stages=1, hand_over_samples=1)
-
-
-@lru_cache(maxsize=16)
-def stage_data(shape: Shape) -> ca.Function:
-    """The same statement for a method that takes it stage by stage: matrices of one stage from its parameters.
-
-    Function of those symbols that they depend on (of a `stage_shape`) to the dense derivatives of the states one
-    period later by x (n, n), of the outputs by x (S, n) and dc (S,), and of voltage before and after a switching
-    instant and mean current by x (3, n) and dc (3,), zero where there is none.
+def program_shape(problem: TransientProblem, stage: LinearStage | None = None) -> Shape:
     """
-    stage = Stage.make(shape)
-    x, movement = ca.MX.sym("x", shape.layout.states), ca.MX.sym("dc")
-    outputs = stage.outputs(x, movement)
-    rows = [
-        stage.voltage_before(x) if shape.supply else ca.MX(1, 1),
-        stage.voltage_after(x, movement) if shape.supply else ca.MX(1, 1),
-        stage.mean_current(x, movement) if shape.nodes else ca.MX(1, 1),
-    ]
-    limits = ca.vertcat(*rows)
-    found = [ca.jacobian(stage.after(x, movement), x), ca.jacobian(outputs, x), ca.jacobian(outputs, movement)]
-    found += [ca.jacobian(limits, x), ca.jacobian(limits, movement)]
-    dense = [ca.densify(each) for each in found]
-    names = [
-        "A",
-        "B",
-        "C",
-        "E",
-        *(["S", "S_direct"] if shape.supply else []),
-        *(["share", "decay"] if shape.nodes else []),
-    ]
-    results = ["states", "outputs", "outputs_movement", "limits", "limits_movement"]
-    return ca.Function("stage_data", [stage.symbols[name] for name in names], dense, names, results)
-
-
-def program_shape(problem: TransientProblem) -> Shape:
-    thermal = problem.thermal
+    Parameters
+    ----------
+    stage : of the problem, where it is known already.
+    """
+    thermal, stage = problem.thermal, linear_stage(problem) if stage is None else stage
+    rows = [row for row in stated_rows(problem, stage) if not row.single]
     return Shape(
         stages=problem.grid.stages,
         layout=layout(problem),
         hand_over_samples=problem.hand_over_samples,
-        supply=problem.supply is not None,
+        rows=tuple(RowShape(row.name, tuple((row.G != 0).tolist()), 0 if row.d else 1) for row in rows),
         nodes=0 if thermal is None else thermal.model.nodes,
         repeated=thermal is not None and thermal.model.closure is not None,
     )

@@ -1,0 +1,224 @@
+"""What an answer to the problem consists of: status, multipliers, solution, certificate, verdict."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.problem.limits.limit import VIOLATION_TOLERANCE
+from transopt.problem.problem import TransientProblem
+
+OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
+AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
+AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, about 1.8 dB
+
+
+class Status(Enum):
+    """How an entry ended; the value is the message and the remedy."""
+
+    OPTIMAL = "optimal"
+    ITERATION_LIMIT = "the solver stopped at its iteration limit: loosen the tolerance or choose another --solver"
+    INFEASIBLE = "no command meets all limits"
+    NUMERICAL_FAILURE = "the solver broke down numerically: choose another --solver or rescale the scene"
+    NOT_GLOBAL = (
+        "a certified stationary point, but the convex bound leaves room for a better one: lower the temperature that "
+        "the winding may reach or the rate of taps, so that the copper warms less"
+    )
+    NOT_CERTIFIED = "the answer is not proven optimal: tighten --solver-tolerance or choose another --solver"
+    REPLAY_VIOLATION = (
+        "the continuous-time replay leaves a limit or misses the prediction: report this scene as a defect"
+    )
+    HAND_OVER = (
+        "the wall's feedback alone exceeds a limit when the transient has to end: lower feedback.stiffness_N_m or "
+        "the speed, or shorten time.stages so that the stylus is less deep"
+    )
+    PRECISION = (
+        "double precision has no digits left to prove the answer: state the problem with limits nearer to what the "
+        "answer takes, or fewer stages"
+    )
+    UNSTABLE_WALL = (
+        "the wall's feedback grows by itself on this device: lower feedback.stiffness_N_m, feedback.damping_N_s_m or "
+        "feedback.latency_ticks"
+    )
+    UNRESOLVED = (
+        "a limit is kept at every switching instant, as the problem states it, but left within a servo period: "
+        "shorten time.dt_s"
+    )
+
+
+Pair = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Lagrange multipliers of J's problem, all >= 0 except those of the hand-over; units 1 / unit of the row.
+
+    Sign: grad J + sum (upper - lower) grad(value) = 0, `lower` for the lower bound of a row, `upper` for the upper one.
+
+    Attributes
+    ----------
+    stages : N.
+    pairs : name of a row -> its multipliers (lower (N,), upper (N,)); a row that is not there has none.
+    hand_over : (hand_over_samples,) of c_k = feedback command.
+    slope : (N,) slope of |mean i| over period k, -1 to 1, by which the ripple heats; no multiplier itself, but a ratio
+        of two: where the mean current is zero, the optimum decides which it is.
+    """
+
+    stages: int
+    pairs: Mapping[str, Pair]
+    hand_over: FloatArray
+    slope: FloatArray
+
+    @classmethod
+    def zero(cls, problem: TransientProblem) -> "Multipliers":
+        """No limit binds."""
+        return cls(problem.grid.stages, {}, np.zeros(problem.hand_over_samples), _nothing(problem.grid.stages))
+
+    def lower(self, row: str) -> FloatArray:
+        """(N,) of a row's lower bound."""
+        return self.pairs[row][0] if row in self.pairs else _nothing(self.stages)
+
+    def upper(self, row: str) -> FloatArray:
+        """(N,) of a row's upper bound."""
+        return self.pairs[row][1] if row in self.pairs else _nothing(self.stages)
+
+    def with_pair(self, row: str, lower: FloatArray, upper: FloatArray) -> "Multipliers":
+        """The same with these of one row."""
+        return replace(self, pairs={**self.pairs, row: (lower, upper)})
+
+    def arrays(self) -> Iterator[FloatArray]:
+        """Every array of them, the slope too."""
+        for pair in self.pairs.values():
+            yield from pair
+        yield self.hand_over
+        yield self.slope
+
+    @property
+    def largest(self) -> float:
+        """The largest multiplier of a limit, whatever its unit."""
+        return max((float(side.max()) for pair in self.pairs.values() for side in pair), default=0.0)
+
+    def clipped(self) -> "Multipliers":
+        """The same with every negative multiplier of a limit set to zero."""
+        pairs = {row: (np.maximum(low, 0.0), np.maximum(high, 0.0)) for row, (low, high) in self.pairs.items()}
+        return replace(self, pairs=pairs, slope=np.minimum(np.maximum(self.slope, -1.0), 1.0))
+
+
+def _nothing(stages: int) -> FloatArray:
+    nothing = np.zeros(stages)
+    nothing.flags.writeable = False  # it stands for all of them
+    return nothing
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solver returned, in its own words: nothing here is proof (see `certify`).
+
+    Attributes
+    ----------
+    status : typed from the solver's raw status string.
+    command_A : (N,) commands, exactly inside the command box and exactly zero over the hand-over.
+    multipliers : clipped to their sign.
+    solver : name, version-free.
+    message : the solver's raw status.
+    iterations : -1 where the solver does not tell.
+    solve_time_s : wall time of this solve, stage data included, set-up excluded; a designed entry's includes
+        the unlimited solve before it.
+    """
+
+    status: Status
+    command_A: FloatArray
+    multipliers: Multipliers
+    solver: str
+    message: str
+    iterations: int
+    solve_time_s: float
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Proof of optimality from the command's rollout and the multipliers, never from the solver.
+
+    Attributes
+    ----------
+    objective : J of the rolled-out command.
+    violations : unit -> largest excess over a limit in that unit, and in A at the hand-over; 0 if none.
+    excess : the largest of the violations in units of its tolerance (`tolerated`); at most 1 is accepted.
+    dual_residual : largest |reduced gradient of the Lagrangian| over the free commands [1/A].
+    duality_gap : bound on J - optimum; rigorous unless the temperature binds, then that of the linearised problem.
+    lower_bound : rigorous bound on the optimum from below.
+    finite : every number that went in was finite.
+    """
+
+    objective: float
+    violations: Mapping[str, float] = field(repr=False)
+    excess: float
+    dual_residual: float
+    duality_gap: float
+    lower_bound: float
+    finite: bool
+
+    VIOLATION_TOLERANCE = VIOLATION_TOLERANCE
+    GAP_TOLERANCE = 1e-6
+    BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; trials 0.06 to 0.2 %
+
+    @classmethod
+    def nothing(cls) -> "Certificate":
+        """Of numbers that are not finite."""
+        inf = float("inf")
+        return cls(float("nan"), {"A": inf}, inf, inf, inf, -inf, finite=False)
+
+    @property
+    def stated_violations(self) -> dict[str, float]:
+        """Violations by unit, those of every device first."""
+        return {unit: self.violation(unit) for unit in dict.fromkeys(("A", "V", "K", *self.violations))}
+
+    def violation(self, unit: str) -> float:
+        """Largest excess over a limit in this unit."""
+        return self.violations.get(unit, 0.0)
+
+    @property
+    def relative_gap(self) -> float:
+        return self.duality_gap / max(self.objective, OBJECTIVE_SCALE)
+
+    @property
+    def relative_bound(self) -> float:
+        """How far J lies above the rigorous lower bound, relative."""
+        return (self.objective - self.lower_bound) / max(self.objective, OBJECTIVE_SCALE)
+
+    @property
+    def primal_violation(self) -> float:
+        """The largest of the violations, each in its unit."""
+        return max(self.violations.values(), default=0.0)
+
+    @property
+    def is_stationary(self) -> bool:
+        """Feasible, and no better nearby: all but the rigorous bound where the temperature binds."""
+        # Written so that a NaN anywhere rejects.
+        return (
+            self.finite
+            and all(by <= self.VIOLATION_TOLERANCE for by in self.violations.values())
+            and self.excess <= 1
+            and self.relative_gap <= self.GAP_TOLERANCE
+        )
+
+    @property
+    def accepted(self) -> bool:
+        return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
+
+
+def verdict(nrmse: float, floor: float, repeatability: float) -> str:
+    """How good an entry is, in terms of what limits it or of what a hand can feel.
+
+    Parameters
+    ----------
+    repeatability : trial-to-mean NRMSE of the recordings, NaN if unknown.
+    """
+    if nrmse > AMPLITUDE_THRESHOLD:
+        # Nothing to be proud of, even where the floor is no lower.
+        return "above 20 % threshold"
+    if nrmse <= floor + AT_FLOOR:
+        return "at its floor"
+    return "below repeatability" if nrmse <= repeatability else "below 20 % threshold"

@@ -1,0 +1,49 @@
+"""|c_k| <= range of the amplifier's command."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+from transopt.plant.discretise import TimeGrid
+from transopt.problem.limits.limit import COMMAND, Limit, Posed, Row, Setting, positive
+
+
+@dataclass(frozen=True)
+class CommandLimit(Limit):
+    """The amplifier's range [A], > 0; an ideal amplifier, which follows at once, has none."""
+
+    name: ClassVar[str] = "command"
+    label: ClassVar[str] = "command"
+    unit: ClassVar[str] = "A"
+    step_unit: ClassVar[str] = "A"
+    row_names: ClassVar[tuple[str, ...]] = ("command",)
+    in_every_file: ClassVar[bool] = True
+
+    limit_A: float
+
+    def __post_init__(self) -> None:
+        positive("command_A", self.limit_A)
+
+    @property
+    def stated(self) -> float:
+        return self.limit_A
+
+    @classmethod
+    def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
+        amplifier = setting.stage.amplifier
+        return None if amplifier is None else cls(amplifier.command_limit_A)
+
+    def wider(self, factor: float) -> Self:
+        return type(self)(factor * self.limit_A)
+
+    def rows(self, problem: Posed) -> tuple[Row, ...]:
+        return (Row("command", {COMMAND: 1.0}, -self.limit_A, self.limit_A),)
+
+    def command_bound_A(self, *, ideal: bool) -> float:
+        return self.limit_A
+
+    def reach_A(self, grid: TimeGrid) -> float:
+        return self.limit_A
+
+    def replayed(self, peak: float) -> str:
+        return f"command {peak:.6f} A, limit {self.limit_A:g} A"

@@ -1,0 +1,272 @@
+"""What a limit is: one interface, behind which each limit stands in a file of its own.
+
+A limit says what it bounds as rows, `lower_k <= sum of outputs + offset <= upper_k` at the switching instants tau_k.
+The outputs are named outputs of the stage, so that a row knows nothing of states, scaling or solvers. The solvers' stage
+data, the CasADi program, the program that asks for feasibility, the certificate and the replay all read the same rows.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.circuit import Circuit
+from transopt.plant.coil import CoilModel
+from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.wall import HandOver
+from transopt.problem.heat import Budget
+
+# Outputs that every stage has, all at the switching instant tau_k; a stage may name more (`StageModel.outputs`).
+CURRENT = "current"  # i(tau_k) [A]
+COMMAND = "command"  # c_k, felt from tau_k on [A]
+HELD = "held command"  # c_(k-1), felt until tau_k [A]
+VELOCITY = "velocity"  # dy/dt of the motor mass [m/s]
+
+VIOLATION_TOLERANCE = 1e-6  # of a limit where that is below one of its units, and of one unit above
+
+
+def tolerated(limit: float) -> float:
+    """By how much a limit may be left: a microampere is nothing at 1 A and everything at 1e-6 A."""
+    return VIOLATION_TOLERANCE * min(limit, 1.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One value along the horizon with a bound on either side.
+
+    Attributes
+    ----------
+    name : of its multipliers, which a library stores as mu_<name>_lower and mu_<name>_upper.
+    outputs : output -> its coefficient in the value.
+    lower, upper : (N,) or one number for all instants; infinite where nothing is asked.
+    offset : (N,) or one number: the part of the value that no command changes.
+    """
+
+    name: str
+    outputs: Mapping[str, float]
+    lower: FloatArray | float
+    upper: FloatArray | float
+    offset: FloatArray | float = 0.0
+
+    def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
+        """(..., N) what a command (..., N) with this motion makes of it."""
+        total: Any = self.offset
+        for output, by in self.outputs.items():
+            total = total + by * output_values(output, motion, command_A)
+        return np.asarray(total)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the command c_k has no say in the value at tau_k: at tau_0 nobody has."""
+        return COMMAND not in self.outputs
+
+
+def output_values(name: str, motion: Motion, command_A: FloatArray) -> FloatArray:
+    """(..., N) one output along a command (..., N)."""
+    if name == CURRENT:
+        return motion.current_A
+    if name == COMMAND:
+        return command_A
+    if name == HELD:
+        held = np.zeros_like(command_A)
+        held[..., 1:] = command_A[..., :-1]
+        return held
+    return motion.velocity_m_s if name == VELOCITY else motion.outputs[name]
+
+
+def transposed(by_value: Iterable[tuple[Row, FloatArray]], stages: int) -> tuple[Motion, FloatArray]:
+    """Gradients by the motion and, directly, by the commands (N,) for gradients (N,) by the values of rows."""
+    by: dict[str, FloatArray] = {}
+    nothing = np.zeros(stages)
+    for row, gradient in by_value:
+        for output, coefficient in row.outputs.items():
+            by[output] = by.get(output, nothing) + coefficient * gradient
+    by_command = by.pop(COMMAND, nothing)
+    if (by_held := by.pop(HELD, None)) is not None:
+        by_command = by_command + np.append(by_held[1:], 0.0)
+    motion = Motion(nothing, by.pop(CURRENT, nothing), by.pop(VELOCITY, nothing), nothing, by)
+    return motion, by_command
+
+
+class Posed(Protocol):
+    """What of a problem its limits may look at."""
+
+    @property
+    def stage(self) -> StageModel: ...
+
+    @property
+    def grid(self) -> TimeGrid: ...
+
+    @property
+    def limits(self) -> "Limits": ...
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What beside its own number a limit may be made of: the device, and the nominal motion of the tap.
+
+    Attributes
+    ----------
+    stage : device of the entry's grip.
+    grid : time axis.
+    circuit : terminals of the motor; None where the drive is stated at the tip.
+    coil : with its temperatures at the start; None without motor data.
+    budget : what the winding may do beside keeping below its limit.
+    wall : the virtual wall over this tap; None without one.
+    reference_m_s2 : (N,) r at the switching instants.
+    nominal_m, nominal_m_s : (N,) z_nom and its derivative at the switching instants.
+    """
+
+    stage: StageModel
+    grid: TimeGrid
+    circuit: Circuit | None
+    coil: CoilModel | None
+    budget: Budget
+    wall: HandOver | None
+    reference_m_s2: FloatArray
+    nominal_m: FloatArray
+    nominal_m_s: FloatArray
+
+
+@dataclass(frozen=True)
+class Limit(ABC):
+    """One limit of one entry's problem.
+
+    Attributes
+    ----------
+    name : of the limit in code and in `left_out` of a library.
+    label : how it is called where it binds.
+    unit : of what it bounds. step_unit : of differences.
+    key : its number in a scene, below `limits`; empty where the number stands elsewhere.
+    row_names : of all rows that it can have.
+    needs : outputs of the stage that its rows use beyond those that every stage has.
+    in_every_file : whether a library has its multipliers even where the limit is not in force.
+    after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
+    scales_movement : whether it is the unit I of the movement's weight in J.
+    said_without : why a problem does not have it.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+    unit: ClassVar[str]
+    step_unit: ClassVar[str]
+    key: ClassVar[str] = ""
+    row_names: ClassVar[tuple[str, ...]]
+    needs: ClassVar[tuple[str, ...]] = ()
+    in_every_file: ClassVar[bool] = False
+    after_the_waveform: ClassVar[bool] = False
+    scales_movement: ClassVar[bool] = False
+    said_without: ClassVar[str] = ""
+
+    @property
+    @abstractmethod
+    def stated(self) -> float:
+        """The limit in the user's words."""
+
+    @classmethod
+    @abstractmethod
+    def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
+        """The limit that a scene's numbers `asked` (key of `limits` -> number or None) put on a tap, if any."""
+
+    @abstractmethod
+    def wider(self, factor: float) -> Self:
+        """The same limit, `factor` times as wide."""
+
+    def rows(self, problem: Posed) -> tuple[Row, ...]:
+        """What it bounds; nothing for a limit that has a state of its own."""
+        return ()
+
+    @property
+    def room(self) -> float:
+        """How much of it there is to use, of which steps are shares."""
+        return self.stated
+
+    @property
+    def tolerance(self) -> float:
+        """By how much an answer may leave it and still be accepted."""
+        return tolerated(self.stated)
+
+    @property
+    def replay_tolerance(self) -> float:
+        """By how much the replay may leave it at any time, also between the instants at which it is stated."""
+        return self.tolerance
+
+    def command_bound_A(self, *, ideal: bool) -> float:
+        """Bound on |c_k| that it implies, with an `ideal` amplifier or with one that has a pole."""
+        return np.inf
+
+    def reach_A(self, grid: TimeGrid) -> float:
+        """Largest current that it leaves, for the scale of the problem."""
+        return np.inf
+
+    def cannot_bind(self, problem: Posed) -> str:
+        """Why no admissible command can reach it, with the bound; empty where one might."""
+        return ""
+
+    def unavoidable(self, problem: Posed) -> str:
+        """Why it is missed whatever is commanded, and what would do; empty where it need not be."""
+        return ""
+
+    def replayed(self, peak: float) -> str:
+        """What is said of a replay that leaves it."""
+        return f"replayed {self.label} {peak:.6f} {self.unit}, limit {self.stated:g} {self.unit}"
+
+    def unresolved(self, problem: Posed, command_A: FloatArray, peak: float) -> str:
+        """Why the replay left it although it is kept at every instant at which it is stated; empty if unknown."""
+        return ""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of one problem, in the order of `transopt.problem.limits.KINDS`; a limit that is not there binds nothing.
+
+    `limits["supply"]` is the one of that name.
+    """
+
+    members: tuple[Limit, ...] = field(default=())
+
+    def __iter__(self) -> Iterator[Limit]:
+        return iter(self.members)
+
+    def get(self, name: str) -> Limit | None:
+        return next((limit for limit in self.members if limit.name == name), None)
+
+    def __getitem__(self, name: str) -> Limit:
+        found = self.get(name)
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return any(limit.name == name for limit in self.members)
+
+    def without(self, *names: str) -> "Limits":
+        return Limits(tuple(limit for limit in self.members if limit.name not in names))
+
+    def replaced(self, limit: Limit) -> "Limits":
+        """With this limit in the place of the one of its name."""
+        return Limits(tuple(limit if each.name == limit.name else each for each in self.members))
+
+    @property
+    def current_A(self) -> float:
+        """I, the unit of the movement's weight: the limit on |i(t)|."""
+        return self["current"].stated
+
+    def command_bound_A(self, *, ideal: bool) -> float:
+        """The bound on |c| that every admissible command obeys; that on the current where nothing else states one."""
+        bound = min(limit.command_bound_A(ideal=ideal) for limit in self.members)
+        return bound if np.isfinite(bound) else self.current_A
+
+
+def positive(key: str, value: float) -> None:
+    """
+    Raises
+    ------
+    InputError : a limit that is not > 0 and finite.
+    """
+    if not 0 < value < np.inf:
+        raise InputError(f"limits.{key} = {value:g}: must be > 0 and finite")
