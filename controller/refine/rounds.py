@@ -18,7 +18,8 @@ from controller.refine.learning import LEAST_GAIN, Condition, Ratio, corrected, 
 from controller.servo.settings import Settings
 from controller.waveforms.prediction import REACTION_S, predict
 from transopt.base.signals import FloatArray, Signal, lowpass, nrmse
-from transopt.library.library import Library, entry_left_out
+from transopt.library.library import Library
+from transopt.library.meta import entry_left_out
 
 FADE_S = 5e-3  # in which a correction fades out after `REACTION_S`
 SPEED_PART = 0.15  # a tap this near to a node's speed counts for it, scaled

@@ -3,9 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import ValidationError
 
-from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library, interpolation_weights, speed_weights
 from transopt.plant.discretise import discretise
@@ -48,13 +46,7 @@ def scene_of(library: Library) -> Scene:
     ------
     InputError : a scene of another version, or changed by hand.
     """
-    try:
-        return Scene.model_validate(library.meta["scene"])
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"meta.scene: {key}: {message}; solve the scene again") from None
+    return library.scene()
 
 
 def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0) -> Prediction:

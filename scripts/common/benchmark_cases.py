@@ -232,7 +232,7 @@ def two_processes(runs: int, scene_file: Path) -> FloatArray:
     """
     program = (
         "import sys, time; from pathlib import Path; from transopt.scene.strikes import recordings\n"
-        "from transopt.design.build import build_library; from transopt.scene.file import load_scene\n"
+        "from transopt.design.build import build_library; from transopt.scene.file import read_scene\n"
         "import problems; scene = problems.load(sys.argv[1]); taps = recordings(scene)\n"
         "for run in range(int(sys.argv[2]) + 1):\n"
         "    start = time.perf_counter(); build_library(scene, taps, jobs=2); print(time.perf_counter() - start)\n"

@@ -14,6 +14,7 @@ DPI = 150
 LABEL_PT, SMALL_PT = 9.0, 8.0
 OPTIMUM, SEED, CLIPPED = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's blue, vermilion and green
 DARK = "0.15"
+VIRIDIS_RANGE = (0.12, 0.8)  # darker hides a reference drawn over it, lighter fades on white paper
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -34,7 +35,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 def colours(n: int) -> FloatArray:
     """(n, 4) colours from dark to light, for quantities that have an order."""
-    return np.asarray(colormaps["viridis"](np.linspace(0.12, 0.8, n)))
+    return np.asarray(colormaps["viridis"](np.linspace(*VIRIDIS_RANGE, n) if n > 1 else [0.35]))
 
 
 def plain(value: float, _: object = None) -> str:

@@ -299,9 +299,8 @@ def show(
     console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
     if figure is not None:
         from transopt.base.plotting import save_figure
-        from transopt.report.figures import library_figure
 
-        save_figure(library_figure(loaded), figure)
+        save_figure(loaded.plot(), figure)
         console.print(f"figure: {figure}", highlight=False)
 
 

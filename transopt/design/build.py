@@ -16,7 +16,8 @@ from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
-from transopt.library.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library, shared_left_out, temperature_is_in
+from transopt.library.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library
+from transopt.library.meta import shared_left_out, temperature_is_in
 from transopt.problem.problem import Status
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references

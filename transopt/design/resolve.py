@@ -11,7 +11,8 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.design.entry import left_out_by_scene, replayed
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit, unlimited_nrmse
-from transopt.library.library import MULTIPLIER_FIELDS, Library, entry_left_out, shared_left_out, temperature_is_in
+from transopt.library.library import MULTIPLIER_FIELDS, Library
+from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
 from transopt.problem.problem import Status
 from transopt.proof.certify import binding_limits
 from transopt.scene.scene import Scene

@@ -1,4 +1,4 @@
-"""A library in other formats: MAT, CSV, WAV to listen to, and a C header (DESIGN 6)."""
+"""A library in other formats: MAT, CSV, WAV to listen to, and a C header."""
 
 import io
 import json
@@ -13,8 +13,9 @@ from scipy.io import savemat, wavfile
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
+from transopt.library.arrays import HASH_FIELD
 from transopt.library.c_header import c_header
-from transopt.library.library import HASH_FIELD, TEXTS, Library
+from transopt.library.library import ARRAYS, Library
 from transopt.problem.baselines import seed_inversion
 
 SOUND_RATE_HZ = 48000
@@ -22,7 +23,7 @@ SILENCE_S = 0.3
 SOUND_PEAK = 10 ** (-1 / 20) * 32767  # -1 dBFS in 16 bit
 
 
-def export_library(library: Library, path: Path) -> None:
+def export_library(library: Library, path: str | Path) -> None:
     """Write a library in the format that the path's suffix names (.mat, .csv, .wav, .h; case does not matter).
 
     The file is written whole or not at all; one that is there already is replaced.
@@ -31,6 +32,7 @@ def export_library(library: Library, path: Path) -> None:
     ------
     InputError : another suffix, a file that cannot be written, axes that the header cannot hold.
     """
+    path = Path(path)
     formats = {".mat": mat_file, ".csv": csv_file, ".wav": wav_file, ".h": header_file}
     suffix = path.suffix.lower()
     if suffix not in formats:
@@ -48,7 +50,7 @@ def mat_file(library: Library) -> bytes:
     of a char array would have to share one length. MATLAB itself drops trailing dimensions of size 1.
     """
     arrays = library.arrays()
-    cells = {name: arrays[name].astype(object) for name in TEXTS}
+    cells = {name: arrays[name].astype(object) for name, stated in ARRAYS.items() if stated.is_text}
     file = io.BytesIO()
     content = {**arrays, **cells}
     savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects

@@ -1,8 +1,7 @@
-"""Reading a library file: nothing in it is used before all of it has been checked (DESIGN 6)."""
+"""Reading a library file: nothing in it is used before all of it has been checked."""
 
 import json
 import zipfile
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
-from transopt.library.library import (
-    HASH_FIELD,
-    MAY_BE_NAN,
-    META_KEYS,
-    OPTIONAL,
-    SCHEMA,
-    SHAPES,
-    TEXTS,
-    Library,
-    absent_arrays,
-    content_hash,
-)
+from transopt.library.arrays import HASH_FIELD, absent, content_hash
+from transopt.library.library import ARRAYS, SCHEMA, Library
+from transopt.library.meta import META_KEYS
 
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -68,51 +58,54 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
     return meta
 
 
-def _check_shapes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
-    sizes = {"1": 1, "2": 2}
-    for name, letters in SHAPES.items():
+def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, int]) -> None:
+    """Every array against its declaration; `sizes` gets what the letters of the declared shapes stand for."""
+    for name, stated in ARRAYS.items():
+        if name not in arrays:
+            continue
         array = arrays[name]
-        if array.ndim != len(letters):
-            raise InputError(f"{path}: {name} has {array.ndim} dimensions, expected {len(letters)}; solve it again")
-        expected = tuple(sizes.setdefault(letter, size) for letter, size in zip(letters, array.shape, strict=True))
+        if array.ndim != len(stated.shape):
+            raise InputError(
+                f"{path}: {name} has {array.ndim} dimensions, expected {len(stated.shape)}; solve it again"
+            )
+        pairs = zip(stated.shape, array.shape, strict=True)
+        expected = tuple(sizes.setdefault(letter, size) for letter, size in pairs)
         if array.shape != expected:
             raise InputError(f"{path}: {name} has shape {array.shape}, expected {expected}; solve it again")
-        kind = "U" if name in TEXTS else "f"
-        if array.dtype.kind != kind:
-            raise InputError(f"{path}: {name} has type {array.dtype}, expected {'text' if kind == 'U' else 'float'}")
-        if kind == "f" and name not in MAY_BE_NAN and not np.all(np.isfinite(array)):
+        if not stated.fits(array.dtype):
+            raise InputError(f"{path}: {name} has type {array.dtype}, expected {stated.type_word}")
+        if not stated.is_text and not stated.may_be_nan and not np.all(np.isfinite(array)):
             raise InputError(f"{path}: {name} holds a number that is not finite; solve the scene again")
     for name in ("speeds_m_s", "grips_N"):
         if arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
-def load_library(path: Path) -> Library:
+def load_library(path: str | Path) -> Library:
     """Read a library file and check it whole before anything is used.
 
     Raises
     ------
     InputError : missing, damaged, foreign, pickled, changed since it was written, an array missing or misshapen.
     """
+    path = Path(path)
     arrays = _read_arrays(path)
     for name in ("meta", HASH_FIELD):
         if name not in arrays:
             raise InputError(f"{path}: no array {name}: not a library of this project; solve the scene again")
     meta = _check_meta(path, arrays["meta"])
-    absent = absent_arrays(meta)
-    missing = [name for name in SHAPES if name not in arrays and name not in absent]
+    optional = absent(ARRAYS, meta)
+    missing = [name for name in ARRAYS if name not in arrays and name not in optional]
     if missing:
         raise InputError(f"{path}: array {missing[0]} is missing; solve the scene again")
     stored = str(arrays.pop(HASH_FIELD))
     if stored != content_hash(arrays):
         raise InputError(f"{path}: content does not match its hash: changed or damaged; solve the scene again")
-    for name in absent:
-        empty = name in OPTIONAL["spread"]
-        like = arrays[name.replace("spread", "plant")][:, None][:, :0] if empty else arrays["mu_current_lower"]
-        arrays.setdefault(name, np.zeros_like(like))
-    _check_shapes(path, arrays)
-    known = {field.name for field in fields(Library)}
-    library = Library(**{k: v for k, v in arrays.items() if k in known and k != "meta"}, meta=meta)
+    sizes = {"1": 1, "2": 2, **({} if meta["weights"]["spread"] else {"s": 0})}
+    _check_arrays(path, arrays, sizes)
+    for name in optional:
+        arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
+    library = Library(**{name: arrays[name] for name in ARRAYS}, meta=meta)
     _check_problem(path, library)
     return library
 

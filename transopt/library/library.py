@@ -1,18 +1,18 @@
-"""The library file: waveforms over (speed, grip) with all it takes to check them (DESIGN 6)."""
+"""A library: waveforms over (speed, grip) with all it takes to check and to play them."""
 
-import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
+from transopt.base.shown import brief, html_figure, html_table, percent, span, wrapped
 from transopt.base.signals import FloatArray
+from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
@@ -22,8 +22,12 @@ from transopt.problem.leave_out import pressing
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import Multipliers, TransientProblem
 
+if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor pydantic for it
+    from matplotlib.figure import Figure
+
+    from transopt.scene.scene import Scene
+
 SCHEMA = 1
-HASH_FIELD = "content_sha256"
 MULTIPLIER_FIELDS = {
     "current_lower": "mu_current_lower",
     "current_upper": "mu_current_upper",
@@ -39,94 +43,7 @@ MULTIPLIER_FIELDS = {
     "current_sign": "current_sign",
     "hand_over": "mu_end",
 }
-# Shape of each array in the sizes v (speeds), g (grips), N (stages), h (hand-over), n (plant states), s (further
-# devices of a robust entry). The two baselines stand for the transient and the steady limit.
-SHAPES = {
-    "speeds_m_s": "v",
-    "grips_N": "g",
-    "command_A": "vgN",
-    "transient_command_A": "vgN",
-    "current_A": "vgN",
-    "acceleration_m_s2": "vgN",
-    "reference_m_s2": "vN",
-    "reference_raw_m_s2": "vN",
-    "nominal_position_m": "vN",
-    "nominal_velocity_m_s": "vN",
-    "nominal_position_at_ticks_m": "vN",
-    "nrmse": "vg",
-    "floor": "vg",
-    "nrmse_seed": "vg2",
-    "nrmse_clipped": "vg2",
-    "peak_current_A": "vg",
-    "peak_temperature_C": "vg",
-    "objective": "vg",
-    "primal_violation": "vg",
-    "dual_residual": "vg",
-    "duality_gap": "vg",
-    "lower_bound": "vg",
-    "solve_time_s": "vg",
-    "status": "vg",
-    "binding": "vg",
-    "mu_current_lower": "vgN",
-    "mu_current_upper": "vgN",
-    "mu_command_lower": "vgN",
-    "mu_command_upper": "vgN",
-    "mu_slew_lower": "vgN",
-    "mu_slew_upper": "vgN",
-    "mu_supply_before_lower": "vgN",
-    "mu_supply_before_upper": "vgN",
-    "mu_supply_after_lower": "vgN",
-    "mu_supply_after_upper": "vgN",
-    "mu_temperature_upper": "vgN",
-    "current_sign": "vgN",
-    "mu_end": "vgh",
-    "plant_A": "gnn",
-    "plant_B": "gn1",
-    "plant_C": "g1n",
-    "plant_D": "g11",
-    "plant_Ce": "g1n",
-    "correction_m_s2": "vgN",
-    "spread_A": "gsnn",
-    "spread_B": "gsn1",
-    "spread_C": "gs1n",
-    "spread_D": "gs11",
-    "spread_Ce": "gs1n",
-}
 PLANT = ("A", "B", "C", "D", "Ce")
-TEXTS = ("status", "binding")
-MAY_BE_NAN = ("peak_temperature_C",)  # unknown where the drive is stated at the tip
-# Multipliers stand in the file only where their limit is in force, further devices where there are any, and
-# corrections only where a device's own taps have been learnt from.
-OPTIONAL = {
-    "slew_A_per_s": ("mu_slew_lower", "mu_slew_upper"),
-    "supply_V": tuple(f"mu_supply_{side}" for side in ("before_lower", "before_upper", "after_lower", "after_upper")),
-    "temperature_C": ("mu_temperature_upper", "current_sign"),
-    "spread": tuple(f"spread_{matrix}" for matrix in PLANT),
-    "refinement": ("correction_m_s2",),
-}
-META_KEYS = {
-    "dt_s": (),
-    "lead_s": (),
-    "grip_min_N": (),
-    "amplifier": ("pole_Hz", "delay_s", "command_limit_A"),
-    "limits": ("current_A", "steady_current_A", "slew_A_per_s", "supply_V", "temperature_C"),
-    "thermal": ("coil", "budget"),
-    "circuit": ("R_ohm", "L_H", "emf_V_s_m"),
-    "feedback": (
-        "stiffness_N_m",
-        "damping_N_s_m",
-        "force_per_current_N_A",
-        "latency_ticks",
-        "derivative_filter_Hz",
-    ),
-    "weights": ("rho", "tracking", "error_filter", "spread"),
-    "hand_over_samples": (),
-    "left_out": (),
-    "repeatability": (),
-    "scene": ("name", "description"),
-    "sources": (),
-    "versions": (),
-}
 
 
 @dataclass(frozen=True)
@@ -160,6 +77,8 @@ class Waveform(Place):
     command_A: FloatArray
     transient_command_A: FloatArray
 
+    __repr__ = brief
+
 
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
     """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
@@ -179,63 +98,136 @@ def speed_weights(nodes_m_s: FloatArray, speed_m_s: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Library:
-    """A solved library; arrays as in DESIGN 6, `meta` as its JSON.
+    """A solved library, as `library.npz` holds it.
+
+    Every array states its shape, unit and meaning beside its name, in the letters of `transopt.library.arrays.Array`;
+    `meta` is the file's JSON: time axis, limits, weights, the scene, the recordings and the versions used.
 
     In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
     so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
     `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
     """
 
-    speeds_m_s: FloatArray
-    grips_N: FloatArray
-    command_A: FloatArray
-    transient_command_A: FloatArray
-    current_A: FloatArray
-    acceleration_m_s2: FloatArray
-    reference_m_s2: FloatArray
-    reference_raw_m_s2: FloatArray
-    nominal_position_m: FloatArray
-    nominal_velocity_m_s: FloatArray
-    nominal_position_at_ticks_m: FloatArray
-    nrmse: FloatArray
-    floor: FloatArray
-    nrmse_seed: FloatArray
-    nrmse_clipped: FloatArray
-    peak_current_A: FloatArray
-    peak_temperature_C: FloatArray
-    objective: FloatArray
-    primal_violation: FloatArray
-    dual_residual: FloatArray
-    duality_gap: FloatArray
-    lower_bound: FloatArray
-    solve_time_s: FloatArray
-    status: NDArray[np.str_]
-    binding: NDArray[np.str_]
-    mu_current_lower: FloatArray
-    mu_current_upper: FloatArray
-    mu_command_lower: FloatArray
-    mu_command_upper: FloatArray
-    mu_slew_lower: FloatArray
-    mu_slew_upper: FloatArray
-    mu_supply_before_lower: FloatArray
-    mu_supply_before_upper: FloatArray
-    mu_supply_after_lower: FloatArray
-    mu_supply_after_upper: FloatArray
-    mu_temperature_upper: FloatArray
-    current_sign: FloatArray
-    mu_end: FloatArray
-    correction_m_s2: FloatArray
-    plant_A: FloatArray
-    plant_B: FloatArray
-    plant_C: FloatArray
-    plant_D: FloatArray
-    plant_Ce: FloatArray
-    spread_A: FloatArray
-    spread_B: FloatArray
-    spread_C: FloatArray
-    spread_D: FloatArray
-    spread_Ce: FloatArray
+    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising")]
+    grips_N: Annotated[
+        FloatArray, Array("g", "N", "grip forces of the grid, rising; the only one is 0 for a free device")
+    ]
+    command_A: Annotated[FloatArray, Array("vgN", "A", "total command c_k, issued at -lead + k dt and held")]
+    transient_command_A: Annotated[FloatArray, Array("vgN", "A", "the command without the wall's predicted feedback")]
+    current_A: Annotated[FloatArray, Array("vgN", "A", "motor current i at the switching instants")]
+    acceleration_m_s2: Annotated[FloatArray, Array("vgN", "m/s^2", "y'' of the stylus there, as predicted")]
+    reference_m_s2: Annotated[FloatArray, Array("vN", "m/s^2", "r = H r_raw, the motor's share of the recorded tap")]
+    reference_raw_m_s2: Annotated[
+        FloatArray, Array("vN", "m/s^2", "r_raw, the recorded tap scaled to the grid speed")
+    ]
+    nominal_position_m: Annotated[
+        FloatArray, Array("vN", "m", "the hand's own motion z_nom at the switching instants")
+    ]
+    nominal_velocity_m_s: Annotated[FloatArray, Array("vN", "m/s", "its derivative there")]
+    nominal_position_at_ticks_m: Annotated[
+        FloatArray, Array("vN", "m", "z_nom at the ticks, where encoders are read")
+    ]
+    nrmse: Annotated[FloatArray, Array("vg", "", "|y'' - r| / |r| after replay")]
+    floor: Annotated[FloatArray, Array("vg", "", "the same of the optimum without limits")]
+    nrmse_seed: Annotated[
+        FloatArray, Array("vg2", "", "of the seed's clipped inversion, at transient and steady limit")
+    ]
+    nrmse_clipped: Annotated[FloatArray, Array("vg2", "", "of the optimum without limits, clipped at both likewise")]
+    peak_current_A: Annotated[FloatArray, Array("vg", "A", "largest |i| of the replay")]
+    peak_temperature_C: Annotated[
+        FloatArray, Array("vg", "C", "hottest winding of the replay, NaN without a motor's data", may_be_nan=True)
+    ]
+    objective: Annotated[FloatArray, Array("vg", "", "J of the command")]
+    primal_violation: Annotated[FloatArray, Array("vg", "", "largest excess over a limit, in A, V or K")]
+    dual_residual: Annotated[FloatArray, Array("vg", "1/A", "largest reduced gradient of the Lagrangian")]
+    duality_gap: Annotated[FloatArray, Array("vg", "", "bound on J - optimum")]
+    lower_bound: Annotated[FloatArray, Array("vg", "", "rigorous bound on the optimum from below")]
+    solve_time_s: Annotated[FloatArray, Array("vg", "s", "wall time of the solve")]
+    status: Annotated[NDArray[np.str_], Array("vg", "", "how the entry ended", is_text=True)]
+    binding: Annotated[NDArray[np.str_], Array("vg", "", "the limits that bind, and for how long", is_text=True)]
+    mu_current_lower: Annotated[FloatArray, Array("vgN", "1/A", "multiplier of -I <= i")]
+    mu_current_upper: Annotated[FloatArray, Array("vgN", "1/A", "multiplier of i <= I")]
+    mu_command_lower: Annotated[FloatArray, Array("vgN", "1/A", "multiplier of the same box on the command")]
+    mu_command_upper: Annotated[FloatArray, Array("vgN", "1/A", "its upper side")]
+    mu_slew_lower: Annotated[FloatArray, Array("vgN", "1/A", "of the box on c_k - c_(k-1)", needs="slew_A_per_s")]
+    mu_slew_upper: Annotated[FloatArray, Array("vgN", "1/A", "its upper side", needs="slew_A_per_s")]
+    mu_supply_before_lower: Annotated[
+        FloatArray, Array("vgN", "1/V", "of the voltage just before the switching instants", needs="supply_V")
+    ]
+    mu_supply_before_upper: Annotated[FloatArray, Array("vgN", "1/V", "its upper side", needs="supply_V")]
+    mu_supply_after_lower: Annotated[FloatArray, Array("vgN", "1/V", "of the voltage just after", needs="supply_V")]
+    mu_supply_after_upper: Annotated[FloatArray, Array("vgN", "1/V", "its upper side", needs="supply_V")]
+    mu_temperature_upper: Annotated[
+        FloatArray, Array("vgN", "1/K", "of the winding's limit after each period", needs="temperature_C")
+    ]
+    current_sign: Annotated[
+        FloatArray,
+        Array("vgN", "", "slope of |mean i| over each period, by which ripple heats", needs="temperature_C"),
+    ]
+    mu_end: Annotated[FloatArray, Array("vgh", "1/A", "multiplier of the hand-over, of either sign")]
+    plant_A: Annotated[FloatArray, Array("gnn", "", "dx/dt = A x + B i of the device at each grip")]
+    plant_B: Annotated[FloatArray, Array("gn1", "", "B")]
+    plant_C: Annotated[FloatArray, Array("g1n", "", "y'' = C x + D i")]
+    plant_D: Annotated[FloatArray, Array("g11", "", "D")]
+    plant_Ce: Annotated[FloatArray, Array("g1n", "", "encoder position = Ce x")]
+    correction_m_s2: Annotated[
+        FloatArray,
+        Array("vgN", "m/s^2", "added to r where the device's own taps have been learnt from", needs="refinement"),
+    ]
+    spread_A: Annotated[
+        FloatArray, Array("gsnn", "", "A of further devices that a robust entry serves", needs="spread")
+    ]
+    spread_B: Annotated[FloatArray, Array("gsn1", "", "their B", needs="spread")]
+    spread_C: Annotated[FloatArray, Array("gs1n", "", "their C", needs="spread")]
+    spread_D: Annotated[FloatArray, Array("gs11", "", "their D", needs="spread")]
+    spread_Ce: Annotated[FloatArray, Array("gs1n", "", "their Ce", needs="spread")]
     meta: dict[str, Any]
+
+    def __repr__(self) -> str:
+        stages, dt_s = self.command_A.shape[2], self.meta["dt_s"]
+        return wrapped(
+            f"Library({self.meta['scene']['name']}: {span(self.speeds_m_s, 'm/s', 'speed')}, "
+            f"{span(self.grips_N, 'N', 'grip')}, {stages} commands of {1e3 * dt_s:g} ms, limit "
+            f"{self.meta['limits']['current_A']:g} A, NRMSE {percent(self.nrmse.min())} to "
+            f"{percent(self.nrmse.max())} %)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Table and figure in a notebook."""
+        columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "peak A", "what binds"]
+        rows = [
+            [
+                f"{speed:g}",
+                f"{grip:g}",
+                percent(self.nrmse[iv, ig]),
+                percent(self.floor[iv, ig]),
+                f"{self.peak_current_A[iv, ig]:.3f}",
+                str(self.binding[iv, ig]),
+            ]
+            for iv, speed in enumerate(self.speeds_m_s)
+            for ig, grip in enumerate(self.grips_N)
+        ]
+        return html_table(repr(self), columns, rows) + html_figure(self.plot())
+
+    def plot(self) -> "Figure":
+        """Every waveform over time: acceleration beside its reference, current beside its limit.
+
+        The figure is matplotlib's; `savefig` writes it to a file.
+        """
+        from transopt.library.figures import library_figure
+
+        return library_figure(self)
+
+    def scene(self) -> "Scene":
+        """The scene that the library was solved from, as the file tells it.
+
+        Raises
+        ------
+        InputError : a scene of another version, or changed by hand.
+        """
+        from transopt.library.own_scene import scene_in
+
+        return scene_in(self.meta)
 
     def time_grid(self) -> TimeGrid:
         amplifier = self.meta["amplifier"]
@@ -330,8 +322,8 @@ class Library:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
-        arrays = {name: np.asarray(getattr(self, name)) for name in SHAPES}
-        for name in absent_arrays(self.meta):
+        arrays = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
+        for name in absent(ARRAYS, self.meta):
             del arrays[name]
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
@@ -341,7 +333,7 @@ class Library:
     def content_sha256(self) -> str:
         return str(self.arrays()[HASH_FIELD])
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the file whole or not at all.
 
         Raises
@@ -349,42 +341,8 @@ class Library:
         InputError : the folder cannot be written.
         """
         arrays = self.arrays()
-        with whole_file(path) as file:
+        with whole_file(Path(path)) as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-def absent_arrays(meta: dict[str, Any]) -> list[str]:
-    """Optional arrays that a file with this meta does not have."""
-    stated = {**meta["limits"], "spread": meta["weights"]["spread"], "refinement": meta.get("refinement")}
-    return [name for part, names in OPTIONAL.items() if stated[part] is None for name in names]
-
-
-def content_hash(arrays: dict[str, NDArray[Any]]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
-
-
-def temperature_is_in(left_out: dict[str, str]) -> bool:
-    """Whether the temperature is a constraint of the problem of an entry with these parts left out."""
-    return "temperature" not in left_out and "limits" not in left_out
-
-
-def shared_left_out(left_out: Sequence[Sequence[dict[str, str]]]) -> dict[str, Any]:
-    """Part -> reason, or -> reasons per entry (nv, ng) where they differ (null: the part is in), as `meta` has it."""
-    parts = dict.fromkeys(part for row in left_out for entry in row for part in entry)
-    shared: dict[str, Any] = {}
-    for part in parts:
-        reasons = [[entry.get(part) for entry in row] for row in left_out]
-        alike = {reason for row in reasons for reason in row}
-        shared[part] = reasons[0][0] if len(alike) == 1 else reasons
-    return shared
-
-
-def entry_left_out(meta: dict[str, Any], iv: int, ig: int) -> dict[str, str]:
-    """What `shared_left_out` says of one entry."""
-    reasons = {p: said if isinstance(said, str) else said[iv][ig] for p, said in meta["left_out"].items()}
-    return {part: reason for part, reason in reasons.items() if reason is not None}
+ARRAYS = declared(Library)

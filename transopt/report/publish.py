@@ -89,8 +89,8 @@ def _draw(figure: str, subject: object, path: Path) -> None:
     """A figure by its module and function; this process need not have loaded either, nor matplotlib."""
     from transopt.base.plotting import save_figure
 
-    module, name = figure.split(".")
-    save_figure(getattr(import_module(f"transopt.report.{module}"), name)(subject), path)
+    module, name = figure.rsplit(".", 1)
+    save_figure(getattr(import_module(f"transopt.{module}"), name)(subject), path)
 
 
 # Of an earlier build in the same folder, which this one may not have.
@@ -110,12 +110,12 @@ def files_of(build: Build, *, figures: bool = True) -> Files:
     if library is None:
         return Files({"refused.md": text(build_markdown(build)), "refused.json": text(build_json(build))}, {})
     drawn: dict[str, Callable[[Path], None]] = {
-        "transients.png": partial(_draw, "figures.library_figure", library),
-        "methods.png": partial(_draw, "figures.method_figure", replace(build, references=[], library=None)),
-        "bode.png": partial(_draw, "figures.bode_figure", library),
+        "transients.png": partial(_draw, "library.figures.library_figure", library),
+        "methods.png": partial(_draw, "report.figures.method_figure", replace(build, references=[], library=None)),
+        "bode.png": partial(_draw, "report.figures.bode_figure", library),
     }
     if (refinement := build.refinement) is not None and refinement.entries > 1:
-        drawn["grid_error.png"] = partial(_draw, "grid_figure.grid_figure", refinement)
+        drawn["grid_error.png"] = partial(_draw, "report.grid_figure.grid_figure", refinement)
     return Files(
         here={
             "library.npz": library.save,

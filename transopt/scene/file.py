@@ -102,7 +102,7 @@ def _identified(scene: Path, named: str) -> dict[str, Any]:
     return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
 
 
-def load_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
+def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """Read and check a scene file.
 
     Relative paths in it count from the scene's folder; motor and transmission, where they are file names and

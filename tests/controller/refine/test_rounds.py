@@ -30,7 +30,7 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.design.resolve import resolve
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
-from transopt.library.library import SHAPES, Library
+from transopt.library.library import ARRAYS, Library
 from transopt.library.online import Online
 from transopt.scene.scene import Scene
 from transopt.solvers import riccati
@@ -41,9 +41,9 @@ DT = 1e-4
 def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Library:
     """Some of its nodes."""
     arrays = {}
-    for name, letters in SHAPES.items():
+    for name, stated in ARRAYS.items():
         array = np.asarray(getattr(library, name))
-        for axis, letter in enumerate(letters):
+        for axis, letter in enumerate(stated.shape):
             array = np.take(array, {"v": speeds, "g": grips}.get(letter, range(array.shape[axis])), axis=axis)
         arrays[name] = array
     left_out = {

@@ -18,7 +18,7 @@ from scipy.io import loadmat, wavfile
 from transopt.base.errors import InputError
 from transopt.library.export import export_library
 from transopt.library.file import load_library
-from transopt.library.library import SHAPES, TEXTS, Library
+from transopt.library.library import ARRAYS, Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import second_order
 from transopt.plant.discretise import TimeGrid, discretise
@@ -69,8 +69,11 @@ def make_library(
         **{f"plant_{m}": np.stack([getattr(plant, m) for plant in plants]) for m in ("A", "B", "C", "D", "Ce")},
     }
     sizes = {"v": nv, "g": ng, "N": samples, "h": HAND_OVER, "n": 2, "s": 0, "1": 1, "2": 2}
-    free = {field: letters for field, letters in SHAPES.items() if field not in {*derived, *TEXTS}}
-    others = {field: rng.uniform(size=[sizes[letter] for letter in letters]) for field, letters in free.items()}
+    others = {
+        field: rng.uniform(size=[sizes[letter] for letter in stated.shape])
+        for field, stated in ARRAYS.items()
+        if field not in derived and not stated.is_text
+    }
     binding = np.where(np.eye(nv, ng) == 1, "", "current +4 A")
     meta = json.loads(META) | {
         "amplifier": amplifier,
@@ -148,7 +151,7 @@ def test_mat_holds_every_array_of_the_file_under_its_name(
         assert max(map(len, stored.files)) <= 31
         assert read["content_sha256"].item() == str(stored["content_sha256"])
         assert json.loads(read["meta"].item()) == library.meta
-        for name in SHAPES.keys() & set(stored.files):
+        for name in ARRAYS.keys() & set(stored.files):
             wanted = stored[name]
             if wanted.dtype.kind == "U":
                 texts = [str(cell.item()) if cell.size else "" for cell in read[name].ravel()]

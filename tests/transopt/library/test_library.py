@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
+from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.library.file import load_library
-from transopt.library.library import HASH_FIELD, SHAPES, Library, content_hash
+from transopt.library.library import ARRAYS, Library
 
 COIL = {"R_ohm": 2.18, "R_wh_K_W": 3.0, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 600.0, "limit_C": 100.0}
 
@@ -49,11 +50,11 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         names = set(file.files)
         absent = {
             name
-            for name in SHAPES
+            for name in ARRAYS
             if name.startswith(("mu_slew", "mu_supply", "mu_temperature", "current_sign", "spread", "correction"))
         }
         assert len(absent) == 14
-        assert names >= (set(SHAPES) - absent) | {"meta"}
+        assert names >= (set(ARRAYS) - absent) | {"meta"}
         assert not absent & names, "no slew, supply or temperature limit is in force and there is one device"
         meta = json.loads(str(file["meta"]))
         assert file["command_A"].shape == (4, 3, 600)
@@ -267,8 +268,8 @@ class TestBlend:
 
     def test_one_grip_and_one_speed_are_enough(self, library: Library) -> None:
         cut = {}
-        for name, letters in SHAPES.items():
-            index = tuple(slice(1, 2) if letter in "vg" else slice(None) for letter in letters)
+        for name, stated in ARRAYS.items():
+            index = tuple(slice(1, 2) if letter in "vg" else slice(None) for letter in stated.shape)
             cut[name] = getattr(library, name)[index]
         small = replace(library, **cut)
         np.testing.assert_array_equal(small.at(0.9, 0.6).command_A, library.command_A[1, 1])

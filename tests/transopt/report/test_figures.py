@@ -16,13 +16,14 @@ from matplotlib.patches import Rectangle
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
 from transopt.design.build import Build
 from transopt.design.entry import Baselines, Entry
-from transopt.library.library import SHAPES, TEXTS, Library
+from transopt.library.figures import library_figure
+from transopt.library.library import ARRAYS, Library
 from transopt.plant.chain import Link, chain
 from transopt.problem.problem import Limits, Status
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import Tap
-from transopt.report.figures import bode_figure, library_figure, method_figure, taps_figure
+from transopt.report.figures import bode_figure, method_figure, taps_figure
 
 G = STANDARD_GRAVITY_M_S2
 LIMIT_A = 4.0
@@ -33,8 +34,8 @@ def make_library(nv: int = 2, ng: int = 2, stages: int = 300, decay_s: float = 2
     """A library of decaying oscillations that grow with speed; nothing in it is solved."""
     sizes = {"v": nv, "g": ng, "N": stages, "h": 10, "n": 2, "s": 0, "1": 1, "2": 2}
     arrays: dict[str, Any] = {
-        name: np.full([sizes[letter] for letter in shape], "" if name in TEXTS else 0.0)
-        for name, shape in SHAPES.items()
+        name: np.full([sizes[letter] for letter in stated.shape], "" if stated.is_text else 0.0)
+        for name, stated in ARRAYS.items()
     }
     arrays["speeds_m_s"] = 0.1 * np.arange(1, nv + 1)
     arrays["grips_N"] = 1.0 + 2.0 * np.arange(ng)

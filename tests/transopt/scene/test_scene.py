@@ -7,7 +7,7 @@ import pytest
 
 import problems
 from transopt.base.errors import InputError
-from transopt.scene.file import load_scene
+from transopt.scene.file import read_scene
 
 TEXT = problems.scene_path("wood_on_foam").read_text()
 
@@ -121,12 +121,12 @@ def test_a_drive_stated_at_the_tip(tmp_path: Path) -> None:
     tip = "[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\nstiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n\n"
     lines = [line for line in TEXT.splitlines() if not line.startswith(("motor =", "transmission ="))]
     path.write_text("\n".join(lines).replace("[amplifier]", tip + "[amplifier]"))
-    scene = load_scene(path)
+    scene = read_scene(path)
     assert scene.coil() is None
     assert scene.drive_at_tip().force_per_current_N_A == 1.25
     path.write_text(path.read_text().replace("stiffness_N_m = 6e4\ndamping_N_s_m = 8.0\n", ""))
     with pytest.raises(InputError, match=r"needs tip.stiffness_N_m"):
-        load_scene(path)
+        read_scene(path)
 
 
 def test_motor_without_transmission_is_refused(tmp_path: Path) -> None:
@@ -151,10 +151,10 @@ def test_an_ideal_amplifier_is_stated_never_assumed(tmp_path: Path) -> None:
 
 def test_files_that_are_no_scene(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
-        load_scene(tmp_path / "absent.toml")
+        read_scene(tmp_path / "absent.toml")
     with pytest.raises(InputError, match="cannot be read as text"):
-        load_scene(tmp_path)
+        read_scene(tmp_path)
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="cannot be read as text"):
-        load_scene(binary)
+        read_scene(binary)

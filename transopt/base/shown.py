@@ -1,0 +1,118 @@
+"""How a value shows itself: a few lines in a terminal, a table and a small figure in a notebook."""
+
+import base64
+import io
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LONGEST = 360  # characters of a `repr`: four lines of a terminal
+LINE = 100
+LONGEST_TEXT = 60
+MOST_ITEMS = 6  # of a list of plain numbers or words
+MOST_ROWS = 40  # of a table in a notebook
+NOTEBOOK_DPI = 70
+
+
+def brief(value: object) -> str:
+    """`Name(field=..., ...)` in a few lines, however large the arrays are; a class takes it as `__repr__ = brief`.
+
+    An array is shown by its shape and range, a part with fields of its own by its name. Fields that are None are not
+    shown, nor are those that no longer fit; how many these are is said.
+    """
+    shown = [f"{name}={summary(part)}" for name, part in _parts(value) if part is not None]
+    fitting, length = 0, len(type(value).__name__)
+    while fitting < len(shown) and length + len(shown[fitting]) + 2 <= LONGEST:
+        length += len(shown[fitting]) + 2
+        fitting += 1
+    more = [f"... {len(shown) - fitting} more"] if fitting < len(shown) else []
+    return wrapped(f"{type(value).__name__}({', '.join(shown[:fitting] + more)})")
+
+
+def wrapped(text: str) -> str:
+    """Text in lines of a terminal, the later ones indented."""
+    return textwrap.fill(text, LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+
+
+def _parts(value: object) -> list[tuple[str, Any]]:
+    """Fields of a dataclass, or of a section of a settings file."""
+    if is_dataclass(value):
+        return [(field.name, getattr(value, field.name)) for field in fields(value) if field.repr]
+    return [(name, getattr(value, name)) for name in getattr(type(value), "model_fields", {})]
+
+
+def summary(value: Any) -> str:
+    """One value in a few words."""
+    if isinstance(value, np.ndarray):
+        return _array(value)
+    if isinstance(value, float | np.floating):
+        return f"{value:.6g}"
+    if isinstance(value, Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if isinstance(value, str):
+        return repr(value if len(value) <= LONGEST_TEXT else value[: LONGEST_TEXT - 3] + "...")
+    if isinstance(value, Mapping):
+        return "{" + _some([str(key) for key in value], "keys") + "}"
+    if isinstance(value, list | tuple):
+        opening, closing = "[]" if isinstance(value, list) else "()"
+        return opening + _some([summary(each) for each in value], "items") + closing
+    if value is None or isinstance(value, bool | int | np.integer):
+        return str(value)
+    return f"{getattr(value, '__name__', type(value).__name__)}(...)"
+
+
+def _some(words: list[str], what: str) -> str:
+    text = ", ".join(words)
+    return text if len(words) <= MOST_ITEMS and len(text) <= LONGEST_TEXT else f"{len(words)} {what}"
+
+
+def _array(values: np.ndarray[Any, Any]) -> str:
+    """Shape and range."""
+    shape = "x".join(map(str, values.shape)) or "scalar"
+    if values.dtype.kind not in "fiu" or values.size == 0:
+        return f"<{shape} {values.dtype.kind if values.dtype.kind != 'U' else 'text'}>"
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return f"<{shape}, none finite>"
+    low, high = float(finite.min()), float(finite.max())
+    return f"<{shape}, {low:.4g}>" if low == high else f"<{shape}, {low:.4g} to {high:.4g}>"
+
+
+def span(values: Sequence[float] | np.ndarray[Any, Any], unit: str, what: str) -> str:
+    """`4 speeds 0.1 to 0.4 m/s`."""
+    count, first, last = len(values), float(values[0]), float(values[-1])
+    return f"1 {what} {first:g} {unit}" if count == 1 else f"{count} {what}s {first:g} to {last:g} {unit}"
+
+
+def percent(value: float) -> str:
+    """Percent with two decimals below ten, one above; a dash for what is not known."""
+    if np.isnan(value):
+        return "-"
+    return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
+
+
+def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table for a notebook; of many rows the first ones, and how many more there are."""
+
+    def row(cells: Sequence[str], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+    more = len(rows) - MOST_ROWS
+    left = [f'<tr><td colspan="{len(columns)}">and {more} more</td></tr>'] if more > 0 else []
+    body = [row(cells, "td") for cells in rows[:MOST_ROWS]]
+    return f"<table><caption>{escape(caption)}</caption>{row(columns, 'th')}{''.join(body + left)}</table>"
+
+
+def html_figure(figure: "Figure") -> str:
+    """A figure for a notebook, as a PNG that stands in the text itself."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=NOTEBOOK_DPI)
+    return f'<img alt="figure" src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'

@@ -1,0 +1,69 @@
+"""What an array of a library is: its shape, unit and meaning, declared where `Library` names it.
+
+A field of `Library` is annotated with its `Array`. Saving, loading, checking and exporting a library read these
+declarations, so that an array is added or changed in one place.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+HASH_FIELD = "content_sha256"
+
+
+@dataclass(frozen=True)
+class Array:
+    """Declaration of one array.
+
+    Attributes
+    ----------
+    shape : one letter for each dimension: v speeds, g grips, N stages, h samples of the hand-over, n states of the
+        plant, s further devices of a robust entry; a digit is that size.
+    unit : SI, with C for degrees Celsius; empty for what has none.
+    meaning : what it holds.
+    is_text : words and not double-precision numbers.
+    may_be_nan : NaN stands for what is not known; every other number is finite.
+    needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread` or
+        `refinement`; empty for an array that is always there. Without it the array is zero, or of no device.
+    """
+
+    shape: str
+    unit: str
+    meaning: str
+    is_text: bool = False
+    may_be_nan: bool = False
+    needs: str = ""
+
+    @property
+    def type_word(self) -> str:
+        return "text" if self.is_text else "float"
+
+    def fits(self, dtype: np.dtype[Any]) -> bool:
+        """Whether an array of this type can be it."""
+        return dtype.kind == ("U" if self.is_text else "f")
+
+
+def declared(owner: type) -> dict[str, Array]:
+    """Name -> declaration of every field that is annotated with one, in their order."""
+    hints = get_type_hints(owner, include_extras=True)
+    noted = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
+    return {name: note for name, notes in noted.items() for note in notes if isinstance(note, Array)}
+
+
+def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:
+    """Names of the arrays that a file with this meta does not have."""
+    stated = {**meta["limits"], "spread": meta["weights"]["spread"], "refinement": meta.get("refinement")}
+    return [name for name, array in arrays.items() if array.needs and stated[array.needs] is None]
+
+
+def content_hash(arrays: dict[str, NDArray[Any]]) -> str:
+    """SHA-256 over names, types, shapes and bytes of all arrays, by name in alphabetical order."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

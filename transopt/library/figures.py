@@ -1,0 +1,227 @@
+"""The figure of transients: every waveform of a library, a build or one entry.
+
+Drawn through matplotlib's object interface; pyplot is never imported: no window system, no global list of figures.
+Colours run through viridis, cut before it is too light for white paper; markers and line styles carry the same
+information into grey print.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, colours, plain, style
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.library.library import Library
+from transopt.plant.discretise import TimeGrid
+from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
+
+MARKERS = "os^Dv<>P"
+BINDING = "0.86"
+
+MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
+
+QUIET = 0.1  # of the reference's peak: the time axis is compressed once all references stay below it
+PROMINENT = 0.7  # share of the time axis before that
+TICK_STEPS = (1, 2, 5, 10)
+
+
+def grip_label(grip_N: float) -> str:
+    return "free device" if grip_N == 0 else f"grip {grip_N:g} N"
+
+
+def legend_above(figure: Figure, handles: Sequence[Any], entry_in: float) -> None:
+    """One legend above all axes, in as many columns of `entry_in` inches as the figure has room for."""
+    rows = -(-len(handles) // max(int(figure.get_figwidth() / entry_in), 1))
+    columns = -(-len(handles) // rows)
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, fontsize=SMALL_PT, frameon=False)
+
+
+def _ticks(intervals: int, start: float, end: float) -> FloatArray:
+    """Round numbers that enclose start to end, in about so many intervals."""
+    return np.asarray(MaxNLocator(intervals, steps=TICK_STEPS).tick_values(start, end))
+
+
+@dataclass(frozen=True)
+class _TimeAxis:
+    """Time in ms, compressed `factor` times after `knee_ms` so that the whole horizon is in the figure."""
+
+    start_ms: float
+    knee_ms: float
+    end_ms: float
+    factor: float
+
+    def forward(self, t_ms: FloatArray) -> FloatArray:
+        late = np.asarray(t_ms) - self.knee_ms
+        return self.knee_ms + np.where(late > 0, late / self.factor, late)
+
+    def inverse(self, x: FloatArray) -> FloatArray:
+        late = np.asarray(x) - self.knee_ms
+        return self.knee_ms + np.where(late > 0, late * self.factor, late)
+
+    @property
+    def limits_ms(self) -> tuple[float, float]:
+        """Where the axis begins and ends: a little outside the data, so that jumps at its ends are seen."""
+        margin_ms = 0.03 * self.knee_ms
+        return self.start_ms - margin_ms, self.end_ms + margin_ms * self.factor
+
+    @property
+    def ticks_ms(self) -> FloatArray:
+        left, right = self.limits_ms
+        early, late = _ticks(5, 0.0, self.knee_ms), _ticks(2, self.knee_ms, right)
+        after_knee = self.knee_ms + 0.12 * self.knee_ms * self.factor  # leaves room for the label at the knee
+        early, late = early[(early >= left) & (early <= self.knee_ms)], late[(late > after_knee) & (late <= right)]
+        return np.concatenate([early, late])
+
+    def spread(self, times_ms: FloatArray, count: int, phase: float) -> list[int]:
+        """Indices of `count` samples evenly spaced on paper, the first at `phase` (0 to 1) of their distance."""
+        x = self.forward(times_ms)
+        wanted = x[0] + (np.arange(count) + phase) / count * (x[-1] - x[0])
+        return [int(k) for k in np.unique(np.searchsorted(x, wanted))]
+
+
+def _time_axis(times_ms: FloatArray, end_ms: float, reference: FloatArray) -> _TimeAxis:
+    """The axis for references (nv, N) at `times_ms` (N,)."""
+    size = np.abs(reference)
+    loud = np.flatnonzero(np.any(size > QUIET * size.max(axis=1, keepdims=True), axis=0))
+    last_ms = float(times_ms[loud[-1]]) if loud.size else end_ms
+    ticks = _ticks(5, 0.0, max(last_ms, 0.0))
+    knee_ms = float(ticks[ticks >= last_ms][0])
+    factor = (end_ms - knee_ms) / knee_ms * PROMINENT / (1 - PROMINENT) if knee_ms > 0 else 1.0
+    if factor <= 1.5:  # hardly shorter than it is
+        return _TimeAxis(float(times_ms[0]), end_ms, end_ms, 1.0)
+    return _TimeAxis(float(times_ms[0]), knee_ms, end_ms, factor)
+
+
+def _some(count: int, most: int) -> list[int]:
+    """At most so many of 0..count-1, evenly spread, the first and the last among them."""
+    return [int(j) for j in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
+@dataclass(frozen=True)
+class Transients:
+    """What the figure draws; NaN where there is nothing to draw.
+
+    Attributes
+    ----------
+    speeds_m_s, grips_N : (nv,), (ng,) the grid.
+    reference_m_s2 : (nv, N) r. acceleration_m_s2, current_A : (nv, ng, N), all at the switching instants.
+    limit_A : the limit of the current. current_multiplier : (nv, ng, N) the larger one of its two sides [1/A].
+    """
+
+    grid: TimeGrid
+    speeds_m_s: FloatArray
+    grips_N: FloatArray
+    reference_m_s2: FloatArray
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    limit_A: float
+    current_multiplier: FloatArray
+    hand_over_samples: int
+
+    @property
+    def limit_binds(self) -> NDArray[np.bool_]:
+        """(nv, ng, N) where the current limit binds, as in `certify.binding_limits`."""
+        at_limit = np.abs(np.abs(self.current_A) - self.limit_A) < BINDING_SLACK * self.limit_A
+        return np.asarray(at_limit & (self.current_multiplier > BINDING_MULTIPLIER))
+
+    def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
+        """When the limit binds at a grip, for at least one speed."""
+        active = np.any(self.limit_binds[:, ig], axis=0)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]])))
+        start_ms, half_ms = self.grid.switching_times_s * 1e3, 0.5e3 * self.grid.dt_s
+        return [
+            (start_ms[first] - half_ms, start_ms[after - 1] + half_ms)
+            for first, after in zip(edges[::2], edges[1::2], strict=True)
+        ]
+
+
+def library_figure(library: Library) -> Figure:
+    """Every waveform of a library, see `transients_figure`."""
+    return transients_figure(
+        Transients(
+            grid=library.time_grid(),
+            speeds_m_s=library.speeds_m_s,
+            grips_N=library.grips_N,
+            reference_m_s2=library.reference_m_s2,
+            acceleration_m_s2=library.acceleration_m_s2,
+            current_A=library.current_A,
+            limit_A=library.meta["limits"]["current_A"],
+            current_multiplier=np.maximum(library.mu_current_lower, library.mu_current_upper),
+            hand_over_samples=library.meta["hand_over_samples"],
+        )
+    )
+
+
+def transients_figure(drawn: Transients) -> Figure:
+    """Every waveform in the layout of the seed's Fig. 10.
+
+    One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
+    current [A] with its limit. The whole horizon is shown; where the references have died away the time axis is
+    compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
+    """
+    grid = drawn.grid
+    times_ms, end_ms = grid.switching_times_s * 1e3, grid.end_s * 1e3
+    axis = _time_axis(times_ms, end_ms, drawn.reference_m_s2)
+    speeds, grips = drawn.speeds_m_s, drawn.grips_N
+    shown_speeds, shown_grips = _some(speeds.size, MOST_SPEEDS), _some(grips.size, MOST_GRIPS)
+    limit = drawn.limit_A
+    hand_over_ms = (grid.issue_times_s[-drawn.hand_over_samples] + grid.delay_s) * 1e3
+    shades = colours(len(shown_speeds))
+
+    figure = Figure(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0), layout="constrained")
+    rows = figure.subplots(2, len(shown_grips), sharex=True, sharey="row", squeeze=False)
+    binds = False
+    for column, ig in enumerate(shown_grips):
+        above, below = rows[:, column]
+        spans = drawn.binding_spans_ms(ig)
+        binds = binds or bool(spans)
+        for axes in (above, below):
+            style(axes)
+            axes.axhline(0.0, color="0.6", linewidth=0.6)
+            if axis.factor > 1:
+                axes.axvline(axis.knee_ms, color="0.6", linewidth=0.8)
+            for span in spans:
+                axes.axvspan(*span, color=BINDING, linewidth=0)
+        for line, iv in enumerate(shown_speeds):
+            line_style: dict[str, Any] = {
+                "label": f"{speeds[iv]:g} m/s",
+                "color": shades[line],
+                "marker": MARKERS[line % len(MARKERS)],
+                "markersize": 3.5,
+                "markevery": axis.spread(times_ms, 7, (line + 0.5) / len(shown_speeds)),
+            }
+            above.plot(times_ms, drawn.acceleration_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2, linewidth=2.0, **line_style)
+            below.plot(times_ms, drawn.current_A[iv, ig], linewidth=1.3, **line_style)
+        for reference in drawn.reference_m_s2[shown_speeds]:
+            above.plot(times_ms, reference / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
+        for sign in (1, -1):
+            below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
+        above.set_title(grip_label(grips[ig]), fontsize=LABEL_PT)
+    rows[0, 0].set_xscale("function", functions=(axis.forward, axis.inverse))
+    rows[0, 0].set_xlim(*axis.limits_ms)
+    rows[0, 0].set_xticks(axis.ticks_ms, [plain(tick) for tick in axis.ticks_ms])
+    for axes in rows[:, 0]:
+        axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
+    rows[0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
+    rows[1, 0].set_ylabel("current [A]", fontsize=LABEL_PT)
+    squeezed = f"compressed {axis.factor:.1f} times after {axis.knee_ms:g} ms, " if axis.factor > 1 else ""
+    whole = len(shown_speeds) == speeds.size and len(shown_grips) == grips.size
+    some = "" if whole else f"; {len(shown_speeds)} of {speeds.size} speeds, {len(shown_grips)} of {grips.size} grips"
+    label = f"time after contact [ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
+    figure.supxlabel(label, fontsize=LABEL_PT)
+
+    handles = [
+        *rows[1, 0].get_legend_handles_labels()[0],
+        Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
+        Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} A"),
+        *([Patch(color=BINDING, label="limit binds")] if binds else []),
+    ]
+    legend_above(figure, handles, entry_in=1.15)
+    return figure

@@ -1,0 +1,50 @@
+"""The built-in scenes: where their files lie, their names, and loading one by its name.
+
+They are data of the package `problems`, which is installed beside this one, in a checkout as in site-packages. The
+folder is found by that place and not by `import problems`: a script with a file `problems.py` of its own beside it
+would import that file in its stead.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from transopt.scene.scene import Scene
+
+FOLDER = Path(__file__).parents[2] / "problems"
+SCENES = FOLDER / "scenes"
+
+
+def scene_names() -> list[str]:
+    """Names of the built-in scenes, sorted."""
+    return sorted(path.stem for path in SCENES.glob("*.toml"))
+
+
+def scene_path(name: str) -> Path:
+    """File of a built-in scene.
+
+    Raises
+    ------
+    InputError : no scene of that name.
+    """
+    if name not in scene_names():
+        raise InputError(
+            f"{name}: no built-in scene of that name; choose one of {', '.join(scene_names())}, "
+            "or give the path of a .toml file"
+        )
+    return SCENES / f"{name}.toml"
+
+
+def load_scene(scene: str | Path) -> "Scene":
+    """A scene by its built-in name, or by the path of a .toml file, whose motor may be a built-in one.
+
+    Raises
+    ------
+    InputError : there is none, or it cannot be used; one line with file, key, value and limit.
+    """
+    from transopt.scene.file import read_scene  # pydantic, which the names alone do not need
+
+    path = Path(scene) if str(scene).lower().endswith(".toml") else scene_path(str(scene))
+    return read_scene(path, search=[FOLDER])
