@@ -39,7 +39,8 @@ from common.measuring import THREAD_VARIABLES
 import problems
 from transopt.base.files import whole_file, without_nan
 from transopt.base.machine import machine, versions
-from transopt.problem.heat import Budget, thermal_limit
+from transopt.problem.heat import Budget
+from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.solvers import riccati, unlimited
@@ -71,7 +72,8 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
     coil = scene.coil()
     assert coil is not None
     budget = Budget(headroom_K=0.05)
-    hot = replace(saturated, thermal=thermal_limit(coil, scene.amplifier_model(), saturated.grid, budget))
+    winding = temperature_limit(coil, scene.amplifier_model(), saturated.grid, budget)
+    hot = replace(saturated, limits=limits_of(*saturated.limits.without(winding.name), winding))
     unsaturated = [
         unlimited_solver("riccati-pass", "judged by its gradient", unlimited.solve, free),
         unlimited_solver("riccati-pass, CasADi", "in its virtual machine", unlimited.solve_in_casadi, free),

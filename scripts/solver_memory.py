@@ -22,7 +22,8 @@ import numpy as np
 
 import problems
 from transopt.design.entry import entry_problem, scene_stage
-from transopt.problem.leave_out import pressing, reference_course
+from transopt.plant.wall import reference_course
+from transopt.problem.leave_out import pressing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import Stages, runtime_stages, without_limits
 from transopt.recordings.reference import build_references

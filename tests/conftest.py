@@ -18,6 +18,7 @@ from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, bank
 from tests.benches.commands import Run, Terminal
 from tests.benches.desk import PORT, Desk
+from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.places import SCRIPTS
 from tests.benches.servo import WALL, Bench
@@ -26,8 +27,12 @@ from transopt.design.build import Build, build_library
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
-from transopt.problem.heat import Budget, thermal_limit
-from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.problem.answer import Solution, Status
+from transopt.problem.heat import Budget
+from transopt.problem.limits import posed
+from transopt.problem.limits.limit import Setting
+from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, build_references
@@ -88,7 +93,7 @@ class ProblemMaker:
         scene = self.scene
         grid, amplifier = scene.time_grid(), scene.amplifier_model()
         if ideal:
-            amplifier, limits = None, {"command_A": None, **limits}
+            amplifier = None
         if delay_s is not None:
             grid = replace(grid, delay_s=delay_s)
             amplifier = None if amplifier is None else replace(amplifier, delay_s=delay_s)
@@ -97,13 +102,16 @@ class ProblemMaker:
         reference = next(r for r in self.references if r.speed_m_s == speed_m_s).motor_m_s2
         # A longer horizon goes on with nothing to do, a shorter one is cut.
         padded = np.concatenate([reference, np.zeros(max(0, grid.stages - reference.size))])[: grid.stages]
+        # Neither nominal motion nor coil: what a limit needs of them is put in by the test that has it.
+        stage, nothing = discretise(scene.plant(grip_N), amplifier, grid.dt_s), np.zeros(grid.stages)
+        setting = Setting(stage, grid, None, None, Budget(), None, padded, nothing, nothing)
         return TransientProblem(
-            stage=discretise(scene.plant(grip_N), amplifier, grid.dt_s),
+            stage=stage,
             grid=grid,
             reference_m_s2=padded,
             tracking_weights=np.ones(grid.stages),
             rho=scene.weights.rho,
-            limits=replace(scene.current_limits(), **limits),
+            limits=numbers_of(posed(scene.limits.asked(), setting), grid.dt_s, **limits),
             hand_over_samples=scene.hand_over_samples,
         )
 
@@ -204,8 +212,8 @@ def hot_problem(make_problem: ProblemMaker, scene: Scene) -> TransientProblem:
     """The coil's temperature binds, so that there is no QP."""
     problem, coil = make_problem(stages=STAGES), scene.coil()
     assert coil is not None
-    limit = thermal_limit(coil, scene.amplifier_model(), problem.grid, Budget(headroom_K=0.02))
-    return replace(problem, thermal=limit)
+    limit = temperature_limit(coil, scene.amplifier_model(), problem.grid, Budget(headroom_K=0.02))
+    return with_limit(problem, limit)
 
 
 @pytest.fixture

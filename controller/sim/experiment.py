@@ -14,7 +14,7 @@ from controller.sim.user import Habit, RecordedUser, TapUser, Tremor, User
 from controller.waveforms.prediction import Prediction, predict, scene_of
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
-from transopt.problem.problem import verdict
+from transopt.problem.answer import verdict
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.scene import Scene
 

@@ -5,21 +5,22 @@ is refused here as it is for a user. Directed families are in `problems.stress.f
 `problems.stress.draw`.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Hand, LinearInGrip, Link, StateSpace, chain, drive, second_order
-from transopt.plant.circuit import Circuit, Supply
+from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid, discretise
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
-from transopt.problem.leave_out import thermal_of
+from transopt.problem.limits import posed
+from transopt.problem.limits.limit import Setting
 from transopt.problem.objective.weighting import error_filter
-from transopt.problem.problem import Limits, TransientProblem
+from transopt.problem.problem import TransientProblem
 
 PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s
 RING_HZ, RING_DECAY_S = 390.0, 4e-3
@@ -259,31 +260,37 @@ class StressCase:
             )
             nominal = -speed * grid.issue_times_s
             wall = HandOver(law, nominal, speed, nominal < 0)
-        supply = None
-        if current.supply is not None and amplifier is not None:
-            circuit = Circuit(R_ohm=2.18, L_H=0.238e-3, emf_V_s_m=self.device.force_N_A)
-            volts = current.supply * circuit.R_ohm * current.limit_A
-            supply = Supply(volts, circuit, amplifier.rate_rad_s, np.full(N, -speed))
         coil = None if self.coil is None else self.coil.model(current.limit_A, grid.dt_s * N)
         share = None if self.coil is None else self.coil.tap_share
-        budget = Budget(tap_rate_Hz=None if share is None else share / (N * grid.dt_s))
-        cold = TransientProblem(
-            stage=discretise(plant, amplifier, grid.dt_s, position=wall is not None),
+        circuit = Circuit(R_ohm=2.18, L_H=0.238e-3, emf_V_s_m=self.device.force_N_A)
+        stage = discretise(plant, amplifier, grid.dt_s, position=wall is not None)
+        setting = Setting(
+            stage=stage,
+            grid=grid,
+            circuit=circuit,
+            coil=coil,
+            budget=Budget(tap_rate_Hz=None if share is None else share / (N * grid.dt_s)),
+            wall=wall,
+            reference_m_s2=reference,
+            nominal_m=-speed * grid.switching_times_s,
+            nominal_m_s=np.full(N, -speed),
+        )
+        asked = {
+            "current_A": current.limit_A,
+            "slew_A_per_s": None if current.slew is None else current.slew * current.limit_A / grid.dt_s,
+            "supply_V": None if current.supply is None else current.supply * circuit.R_ohm * current.limit_A,
+        }
+        return TransientProblem(
+            stage=stage,
             grid=grid,
             reference_m_s2=reference,
             tracking_weights=self.demand.tracking(N),
             rho=self.demand.rho,
-            limits=Limits(
-                current_A=current.limit_A,
-                command_A=None if amplifier is None else amplifier.command_limit_A,
-                slew_A_per_s=None if current.slew is None else current.slew * current.limit_A / grid.dt_s,
-            ),
+            limits=posed(asked, setting),
             hand_over_samples=self.horizon.hand_over,
-            supply=supply,
             wall=wall,
             error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,
         )
-        return replace(cold, thermal=thermal_of(coil, amplifier, grid, budget, wall, reference))
 
 
 def _short(value: object) -> str:

@@ -13,7 +13,8 @@ from problems.stress.oracle import admits_a_command
 from transopt.base.errors import InputError
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit
-from transopt.problem.problem import Certificate, Multipliers, Status, TransientProblem
+from transopt.problem.answer import Certificate, Multipliers, Status
+from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import Replay, replay
 from transopt.solvers.options import SolverOptions
 
@@ -57,14 +58,14 @@ class Outcome:
 
 def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
     """The replay of one command as a library's entry gets it."""
-    thermal, supply, wall = problem.thermal, problem.supply, problem.wall
+    thermal, wall = problem.thermal, problem.wall
     (run,) = replay(
         problem.stage,
         problem.grid,
         problem.transient_command(command_A)[None],
         problem.reference_m_s2[None],
         None if thermal is None else thermal.coil,
-        supplies=None if supply is None else [supply],
+        limits=[problem.limits],
         walls=None if wall is None else [wall],
         budgets=None if thermal is None else [thermal.budget],
     )
@@ -74,6 +75,8 @@ def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
 def _numbers(part: Designed | Certificate | Multipliers | Replay, but: tuple[str, ...] = ()) -> bool:
     """Whether every number in the fields of a result is finite."""
     values = [getattr(part, field.name) for field in fields(part) if field.name not in but]
+    if isinstance(part, Multipliers):
+        values += part.arrays()
     return all(bool(np.all(np.isfinite(v))) for v in values if isinstance(v, float | np.ndarray))
 
 
@@ -86,12 +89,12 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     said = "; ".join(designed.remarks or shortfalls)
     if status is Status.OPTIMAL:
         # Beside a zero reference any motion is infinitely wrong: that of the wall alone.
-        unknown = ("peak_voltage_V", "winding_C", "housing_C", *(["nrmse"] if problem.reference_is_zero else []))
+        unknown = ("winding_C", "housing_C", *(["nrmse"] if problem.reference_is_zero else []))
         whole = _numbers(designed) and _numbers(proof) and _numbers(solution.multipliers) and _numbers(run, unknown)
         if not (whole and np.all(np.isfinite(solution.command_A))):
             return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)
-        if problem.supply is not None and not np.isfinite(run.peak_voltage_V):
-            return Outcome("bad: NaN", "peak voltage of a certified answer", nothing, nothing, 0.0)
+        if not np.all(np.isfinite(list(run.reached.values()))):
+            return Outcome("bad: NaN", "a largest value of a certified answer", nothing, nothing, 0.0)
         if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
             return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
         difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / run.scale_m_s2

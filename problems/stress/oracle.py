@@ -1,10 +1,11 @@
 """Whether any command meets all limits, decided by a linear program that shares no code with the solvers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
+from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import inside
 
@@ -34,12 +35,12 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
     other limits alone are asked about or the ripple alone, which any current adds to, is already too much.
     """
     if ignoring_heat:
-        problem = replace(problem, thermal=None)
+        problem = problem.without("temperature")
     nothing = np.zeros(problem.grid.stages)
     if problem.wall is None and inside(problem, nothing):
         return Verdict("doing nothing keeps all limits", decided=True)
     if problem.thermal is not None:
-        return Verdict("", decided=not inside(problem, nothing, only="coil"))
+        return Verdict("", decided=not inside(problem, nothing, only="temperature"))
     if problem.grid.stages > MOST_STAGES:
         return Verdict("", decided=False)
     room = _room(problem)
@@ -55,22 +56,24 @@ def _room(problem: TransientProblem) -> float | None:
     Minus infinity if the hand-over cannot be met at all, None if the linear program ended without telling.
     """
     N, limits, stage = problem.grid.stages, problem.limits, problem.stage
-    unit = limits.command_bound_A
+    unit = problem.command_bound_A
     motion = stage.motion(np.eye(N) * unit)
     at_rest = stage.motion(np.zeros(N))
     # Each row of `responses` is what one limited quantity does per command; `offset` what it does without any.
     quantities = [(motion.current_A.T, np.zeros(N), limits.current_A)]
-    quantities.append((np.eye(N) * unit, np.zeros(N), limits.command_bound_A))
-    if limits.slew_A_per_s is not None:
-        difference = np.eye(N) - np.eye(N, k=-1)
-        quantities.append((difference * unit, np.zeros(N), limits.slew_A_per_s * problem.grid.dt_s))
-    if problem.supply is not None:
-        for side in (0, 1):
-            rest = problem.supply.voltages_V(at_rest, np.zeros(N))[side]
-            columns = [
-                problem.supply.voltages_V(stage.motion(command), command)[side] - rest for command in np.eye(N) * unit
-            ]
-            quantities.append((np.stack(columns, axis=1), rest, problem.supply.limit_V))
+    quantities.append((np.eye(N) * unit, np.zeros(N), problem.command_bound_A))
+    slew, supply = limits.get("slew"), limits.get("supply")
+    if slew is not None:
+        quantities.append(((np.eye(N) - np.eye(N, k=-1)) * unit, np.zeros(N), slew.stated))
+    if supply is not None:
+        assert isinstance(supply, SupplyLimit)
+        circuit, w = supply.circuit, supply.pole_rad_s
+        rest = circuit.emf_V_s_m * supply.nominal_m_s
+        # The command felt just before and just after each switching instant.
+        for felt in (np.eye(N, k=-1), np.eye(N)):
+            rate = w * (felt * unit - motion.current_A.T)
+            volts = circuit.R_ohm * motion.current_A.T + circuit.L_H * rate
+            quantities.append((volts + circuit.emf_V_s_m * motion.velocity_m_s.T, rest, supply.limit_V))
     blocks, bounds = [], []
     for response, offset, limit in quantities:
         for sign in (1.0, -1.0):

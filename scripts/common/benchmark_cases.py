@@ -28,7 +28,8 @@ from transopt.design.build import build_library
 from transopt.library.library import Library
 from transopt.library.online import Online
 from transopt.plant.discretise import discretise
-from transopt.problem.problem import Multipliers, Solution, TransientProblem
+from transopt.problem.answer import Multipliers, Solution
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify
 from transopt.recordings.reference import build_references

@@ -9,8 +9,9 @@ from precision.qp import QP, quadratic_program, solved
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.design.entry import entry_problem, scene_stage
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Solution
 from transopt.problem.leave_out import leave_out
-from transopt.problem.problem import OBJECTIVE_SCALE, Certificate, Multipliers, Solution, TransientProblem
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, boxes, certify
 from transopt.proof.replay import replayed_errors
 from transopt.recordings.reference import build_references
@@ -129,7 +130,7 @@ def judge(problem: TransientProblem, command_A: FloatArray, reference_objective:
         stated = np.isfinite(size)
         excess.append(float((box.excess[stated] / size[stated]).max(initial=0.0)))
     tail = np.abs(command_A - problem.hand_over_command(motion))[problem.free_stages :]
-    excess.append(float(tail.max()) / problem.limits.command_bound_A)
+    excess.append(float(tail.max()) / problem.command_bound_A)
     gap = (objective(problem, command_A) - reference_objective) / max(reference_objective, OBJECTIVE_SCALE)
     return Verdict(gap, max(excess))
 

@@ -13,8 +13,8 @@ from common.peers import commonly_written
 from precision.cases import Case
 from precision.discretisations import RULES, discretised, growth
 from transopt.base.signals import FloatArray
+from transopt.problem.answer import Multipliers
 from transopt.problem.baselines import clipped_optimum, seed_inversion
-from transopt.problem.problem import Multipliers
 from transopt.solvers import unlimited
 from transopt.solvers.choose import SOLVERS, capable, solve
 from transopt.solvers.options import SolverOptions

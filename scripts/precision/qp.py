@@ -18,7 +18,8 @@ from scipy import sparse
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
-from transopt.problem.problem import OBJECTIVE_SCALE, Multipliers, TransientProblem
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.solvers import casadi_piqp
 from transopt.solvers import program as transcribe

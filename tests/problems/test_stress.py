@@ -18,7 +18,8 @@ from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, playe
 from problems.stress.oracle import Verdict, admits_a_command
 from transopt.base import console
 from transopt.design.optimum import Designed, optimum
-from transopt.problem.problem import Certificate, Limits, Status
+from transopt.problem.answer import Certificate, Status
+from transopt.problem.limits.limit import Limits
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -113,7 +114,7 @@ class TestJudge:
 
     def test_a_flipped_multiplier_is_bad(self, designed: Designed) -> None:
         m = designed.solution.multipliers
-        flipped = replace(m, current_lower=m.current_upper, current_upper=m.current_lower)
+        flipped = replace(m, current_lower=m.upper("current"), current_upper=m.lower("current"))
         solution = replace(designed.solution, multipliers=flipped)
         proof = prove(designed.problem, solution.command_A, flipped, SolverOptions())
         outcome = judge_design(

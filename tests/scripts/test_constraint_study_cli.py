@@ -16,7 +16,7 @@ from matplotlib import image
 from tests.benches.places import SCRIPTS
 from tests.benches.study import plain, read, serial, short_scene
 from transopt.design import sweep
-from transopt.problem.problem import Status
+from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
 
 

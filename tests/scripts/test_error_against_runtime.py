@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.benches.limits import with_numbers
 from tests.benches.places import ROOT
 from tests.conftest import STAGES
 from transopt.base.errors import InputError
@@ -40,7 +41,7 @@ class TestJudge:
 
     def test_a_better_objective_outside_the_limits_is_no_better(self, scripts: Any, short_case: Any) -> None:
         """The optimum for 4.4 A has a lower J; its distance counts by its size, and so does its violation."""
-        wider = replace(short_case.small, limits=replace(short_case.small.limits, current_A=4.4, command_A=6.6))
+        wider = with_numbers(short_case.small, current_A=4.4, command_A=6.6)
         verdict = scripts.precision.cases.judge(
             short_case.problem, solve(wider).command_A, short_case.optimum.objective
         )

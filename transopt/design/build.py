@@ -16,9 +16,10 @@ from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
-from transopt.library.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library
+from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays
 from transopt.library.meta import shared_left_out, temperature_is_in
-from transopt.problem.problem import Status
+from transopt.problem.answer import Status
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
 from transopt.scene.identified import Identified
@@ -120,9 +121,6 @@ def _assemble(
     def over_grid(value: Callable[[Entry], Any]) -> Any:
         return np.array([[value(entry) for entry in row] for row in entries])
 
-    def multiplier(name: str) -> Callable[[Entry], Any]:
-        return lambda entry: getattr(entry.solution.multipliers, name)
-
     plants = [entry.problem.stage.plant for entry in entries[0]]
     spreads = [[device.plant for device in entry.problem.spread] for entry in entries[0]]
 
@@ -157,7 +155,9 @@ def _assemble(
         solve_time_s=over_grid(lambda e: e.solution.solve_time_s),
         status=over_grid(lambda e: e.status.value),
         binding=over_grid(lambda e: e.binding),
-        **{field: over_grid(multiplier(name)) for name, field in MULTIPLIER_FIELDS.items()},
+        multipliers_of=multiplier_arrays([[entry.solution.multipliers for entry in row] for row in entries]),
+        current_sign=over_grid(lambda e: e.solution.multipliers.slope),
+        mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),
         **{f"plant_{name}": np.stack([getattr(plant, name) for plant in plants]) for name in PLANT},
         **{f"spread_{name}": stacked(name) for name in PLANT},
@@ -179,11 +179,8 @@ def _meta(
         "grip_min_N": scene.grid.grip_min_N,
         "amplifier": None if amplifier is None else asdict(amplifier),
         "limits": {
-            "current_A": problem.limits.current_A,
-            "steady_current_A": scene.limits.steady_current_A,
-            "slew_A_per_s": problem.limits.slew_A_per_s,
-            "supply_V": scene.limits.supply_V,
-            "temperature_C": problem.thermal.limit_C if warm and problem.thermal is not None else None,
+            **scene.limits.asked(),
+            TemperatureLimit.key: problem.thermal.limit_C if warm and problem.thermal is not None else None,
         },
         "thermal": None if coil is None else {"coil": asdict(coil), "budget": asdict(scene.budget())},
         "circuit": None if circuit is None else asdict(circuit),

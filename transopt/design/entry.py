@@ -11,8 +11,8 @@ from transopt.design.price import Price, prices
 from transopt.design.verify import admit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, acting_states
-from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.answer import Certificate, Solution, Status, verdict
+from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import KINDS
 from transopt.problem.posing import Wanted
 from transopt.problem.problem import TransientProblem

@@ -85,7 +85,9 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     if thermal is None:
         return []
     warmer = _least(lambda factor: problem.replaced(thermal.wider(factor)), options)
-    return [] if warmer is None else [_sentence(problem, problem.replaced(thermal.wider(warmer[0])), thermal, warmer[1])]
+    return (
+        [] if warmer is None else [_sentence(problem, problem.replaced(thermal.wider(warmer[0])), thermal, warmer[1])]
+    )
 
 
 def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> tuple[float, FloatArray] | None:
@@ -116,12 +118,14 @@ def _sentence(problem: TransientProblem, wide: TransientProblem, limit: Limit, c
     worst, _ = _worst(problem, limit, command_A)
     k = int(np.argmax(worst.excess))
     time_ms = problem.grid.switching_times_s[k] * 1e3
-    stated, enough = limit.stated, wide.limits[limit.name].stated
+    enough, unit = wide.limits[limit.name].stated, limit.unit
     if limit is problem.thermal:
         # What is widened there is the headroom over the unpowered course.
-        wider = next(box for box in boxes(wide, command_A, problem.stage.motion(command_A), Multipliers.zero(problem)) if box.limit.name == limit.name)
-        enough = float(wider.upper[np.isfinite(wider.upper)].max())
+        motion, unit = problem.stage.motion(command_A), limit.step_unit
+        found = boxes(wide, command_A, motion, Multipliers.zero(problem))
+        wider = [box for box in found if box.limit.name == limit.name]
+        enough = float(wider[0].upper[np.isfinite(wider[0].upper)].max())
     return (
-        f"{limit.label} {worst.excess[k]:.3g} {limit.step_unit if limit is problem.thermal else limit.unit} over its {stated:.8g} {limit.unit} at {time_ms:.1f} ms at the "
-        f"least; {rounded_up(enough):.8g} {limit.unit} would do"
+        f"{limit.label} {worst.excess[k]:.3g} {unit} over its {limit.stated:.8g} {limit.unit} at {time_ms:.1f} ms at "
+        f"the least; {rounded_up(enough):.8g} {limit.unit} would do"
     )

@@ -7,13 +7,12 @@ import numpy as np
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.explain import infeasibility, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
-from transopt.problem.leave_out import encoder_course, leave_out, pressing, silence
 from transopt.problem.answer import Certificate, Solution, Status
+from transopt.problem.leave_out import encoder_course, leave_out, pressing, silence
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, gradient_rounding, inside
-from transopt.solvers import program
-from transopt.solvers import unlimited
+from transopt.solvers import program, unlimited
 from transopt.solvers.choose import prove, solve, solve_certified
 from transopt.solvers.options import SolverOptions
 

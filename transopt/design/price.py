@@ -6,8 +6,8 @@ import numpy as np
 
 from transopt.base.signals import FloatArray, nrmse
 from transopt.base.writing import rounded_up
-from transopt.problem.leave_out import leave_out
 from transopt.problem.answer import Multipliers, Status
+from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import boxes, inside

@@ -17,7 +17,7 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.design.entry import entry_problem, scene_stage, spread_stages
 from transopt.design.optimum import optimum
 from transopt.plant.discretise import StageModel
-from transopt.problem.problem import Certificate, Status
+from transopt.problem.answer import Certificate, Status
 from transopt.proof.replay import replayed_errors
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references

@@ -11,9 +11,9 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.design.entry import left_out_by_scene, replayed
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit, unlimited_nrmse
-from transopt.library.library import MULTIPLIER_FIELDS, Library
+from transopt.library.library import MULTIPLIERS, Library, multiplier_arrays
 from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
-from transopt.problem.problem import Status
+from transopt.problem.answer import Status
 from transopt.proof.certify import binding_limits
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
@@ -101,7 +101,8 @@ def resolve(
         "solver": asdict(options),
         "refinement": refinement,
     }
-    return replace(library, **arrays, meta=meta), kept
+    multipliers = {name: arrays.pop(name) for name in MULTIPLIERS}
+    return replace(library, **arrays, multipliers_of=multipliers, meta=meta), kept
 
 
 _CHANGED = (
@@ -121,12 +122,16 @@ _CHANGED = (
     "solve_time_s",
     "binding",
     "correction_m_s2",
-    *MULTIPLIER_FIELDS.values(),
+    *MULTIPLIERS,
+    "current_sign",
+    "mu_end",
 )
 
 
 def _multipliers(answer: Designed) -> dict[str, Any]:
-    return {field: getattr(answer.solution.multipliers, name) for name, field in MULTIPLIER_FIELDS.items()}
+    found = answer.solution.multipliers
+    own = {name: array[0, 0] for name, array in multiplier_arrays([[found]]).items()}
+    return {**own, "current_sign": found.slope, "mu_end": found.hand_over}
 
 
 def _put(arrays: dict[str, Any], place: tuple[int, int], values: dict[str, Any]) -> None:

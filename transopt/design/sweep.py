@@ -8,8 +8,8 @@ import json
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Generic, TypeVar
 
@@ -21,7 +21,11 @@ from transopt.design.optimum import Designed, optimum
 from transopt.design.price import prices
 from transopt.design.verify import admit
 from transopt.plant.discretise import StageModel
-from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.answer import Status
+from transopt.problem.limits import KINDS
+from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, boxes
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
@@ -75,7 +79,8 @@ class Outcome:
     ----------
     status : name of a `Status`, REFUSED or DEFECT. reason : why it is not OPTIMAL.
     relative_gap, relative_bound, violation_A, violation_V, violation_K : certificate.
-    mu_* : the largest multiplier of each limit. binding : which limits bind, from when to when.
+    multipliers : column of a limit (`multiplier_column`) -> its largest multiplier.
+    binding : which limits bind, from when to when.
     price : what more of each binding limit would buy; with it the baselines at the transient limit.
     solve_ms : of the solver; total_ms : with certificate and share of the replay.
     """
@@ -98,11 +103,7 @@ class Outcome:
     violation_A: float = NAN
     violation_V: float = NAN
     violation_K: float = NAN
-    mu_current_1_A: float = NAN
-    mu_command_1_A: float = NAN
-    mu_slew_1_A: float = NAN
-    mu_supply_1_V: float = NAN
-    mu_coil_1_K: float = NAN
+    multipliers: Mapping[str, float] = field(default_factory=dict)
     nrmse_seed: float = NAN
     nrmse_clipped: float = NAN
     binding: str = ""
@@ -161,7 +162,7 @@ def _stage(scene: Scene, grip_N: float) -> StageModel:
 
 def _played_with(scene: Scene, grip_N: float, problem: TransientProblem) -> str:
     """What entries must have in common to be replayed together."""
-    parts = (problem.supply is None, problem.wall is None, problem.thermal is None)
+    parts = ([limit.name for limit in problem.limits], problem.wall is None)
     return f"{_device(scene, grip_N)} {scene.coil()} {scene.thermal.tap_rate_Hz} {parts}"
 
 
@@ -185,14 +186,21 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
     return _Solved(item, scene, designed, time.perf_counter() - start)
 
 
+def multiplier_column(kind: type[Limit]) -> str:
+    """Name of a limit's column among the rows of a study."""
+    return f"mu_{kind.label}_1_{kind.step_unit.split('/')[0]}"
+
+
+MULTIPLIER_COLUMNS = {kind.label: multiplier_column(kind) for kind in KINDS}
+
+
 def _largest(designed: Designed) -> dict[str, float]:
     """Largest multiplier of each limit that the problem has."""
     problem, answer = designed.problem, designed.solution
     found: dict[str, float] = {}
     for box in boxes(problem, answer.command_A, problem.stage.motion(answer.command_A), answer.multipliers):
-        sides = [box.upper] if box.lower is None else [box.upper, box.lower]
-        name = f"mu_{box.name}_1_{ {'V': 'V', 'C': 'K'}.get(box.unit, 'A') }"
-        found[name] = max(found.get(name, 0.0), *(float(side.max()) for side in sides))
+        name = multiplier_column(type(box.limit))
+        found[name] = max(found.get(name, 0.0), float(box.by_upper.max()), float(box.by_lower.max()))
     return found
 
 
@@ -220,14 +228,14 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         peak_current_A=played.peak_current_A,
         peak_command_A=played.peak_command_A,
         peak_temperature_C=played.winding_C,
-        peak_voltage_V=played.peak_voltage_V,
+        peak_voltage_V=played.reached.get(SupplyLimit.name, NAN),
         objective=proof.objective,
         relative_gap=proof.relative_gap,
         relative_bound=proof.relative_bound,
-        violation_A=proof.primal_violation_A,
-        violation_V=proof.primal_violation_V,
-        violation_K=proof.primal_violation_K,
-        **(_largest(designed) if finite else {}),
+        violation_A=proof.violation("A"),
+        violation_V=proof.violation("V"),
+        violation_K=proof.violation("K"),
+        multipliers=_largest(designed) if finite else {},
         nrmse_seed=NAN if rivals is None else rivals.seed,
         nrmse_clipped=NAN if rivals is None else rivals.clipped,
         binding=binding_limits(problem, command, answer.multipliers) if finite else "",

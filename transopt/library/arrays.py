@@ -56,7 +56,7 @@ def declared(owner: type) -> dict[str, Array]:
 def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:
     """Names of the arrays that a file with this meta does not have."""
     stated = {**meta["limits"], "spread": meta["weights"]["spread"], "refinement": meta.get("refinement")}
-    return [name for name, array in arrays.items() if array.needs and stated[array.needs] is None]
+    return [name for name, array in arrays.items() if array.needs and stated.get(array.needs) is None]
 
 
 def content_hash(arrays: dict[str, NDArray[Any]]) -> str:

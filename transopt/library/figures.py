@@ -153,7 +153,7 @@ def library_figure(library: Library) -> Figure:
             acceleration_m_s2=library.acceleration_m_s2,
             current_A=library.current_A,
             limit_A=library.meta["limits"]["current_A"],
-            current_multiplier=np.maximum(library.mu_current_lower, library.mu_current_upper),
+            current_multiplier=np.maximum(library.array("mu_current_lower"), library.array("mu_current_upper")),
             hand_over_samples=library.meta["hand_over_samples"],
         )
     )

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import ARRAYS, SCHEMA, Library
+from transopt.library.library import ARRAYS, MULTIPLIERS, SCHEMA, Library
 from transopt.library.meta import META_KEYS
+from transopt.problem.limits.temperature import TemperatureLimit
 
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -105,7 +106,10 @@ def load_library(path: str | Path) -> Library:
     _check_arrays(path, arrays, sizes)
     for name in optional:
         arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
-    library = Library(**{name: arrays[name] for name in ARRAYS}, meta=meta)
+    multipliers = {name: arrays.pop(name) for name in MULTIPLIERS}
+    library = Library(
+        **{name: arrays[name] for name in ARRAYS if name in arrays}, multipliers_of=multipliers, meta=meta
+    )
     _check_problem(path, library)
     return library
 
@@ -120,9 +124,9 @@ def _check_problem(path: Path, library: Library) -> None:
         if not (0 < grid.dt_s < np.inf and 0 <= grid.lead_s < np.inf and 0 <= grid.delay_s < np.inf):
             raise InputError("dt_s must be > 0, lead_s and delay_s >= 0, all finite")
         limits = library.meta["limits"]
-        for key in ("current_A", "steady_current_A", "slew_A_per_s", "supply_V"):
-            if limits[key] is not None and not 0 < float(limits[key]) < np.inf:
-                raise InputError(f"limits.{key} = {limits[key]}: must be > 0 and finite")
+        for key, value in limits.items():
+            if isinstance(value, int | float) and key != TemperatureLimit.key and not 0 < value < np.inf:
+                raise InputError(f"limits.{key} = {value}: must be > 0 and finite")
         thermal = library.problem(0, 0).thermal
         stated = limits["temperature_C"]
         if stated is not None and (thermal is None or stated != thermal.limit_C):

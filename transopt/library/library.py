@@ -1,6 +1,7 @@
 """A library: waveforms over (speed, grip) with all it takes to check and to play them."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,11 +17,14 @@ from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, dec
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.wall import Wall
+from transopt.problem.answer import Multipliers
 from transopt.problem.leave_out import pressing
+from transopt.problem.limits import KINDS
+from transopt.problem.limits.limit import SIDES
 from transopt.problem.posing import Posing, Wanted
-from transopt.problem.problem import Multipliers, TransientProblem
+from transopt.problem.problem import TransientProblem
 
 if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor pydantic for it
     from matplotlib.figure import Figure
@@ -28,21 +32,6 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
     from transopt.scene.scene import Scene
 
 SCHEMA = 1
-MULTIPLIER_FIELDS = {
-    "current_lower": "mu_current_lower",
-    "current_upper": "mu_current_upper",
-    "command_lower": "mu_command_lower",
-    "command_upper": "mu_command_upper",
-    "slew_lower": "mu_slew_lower",
-    "slew_upper": "mu_slew_upper",
-    "supply_before_lower": "mu_supply_before_lower",
-    "supply_before_upper": "mu_supply_before_upper",
-    "supply_after_lower": "mu_supply_after_lower",
-    "supply_after_upper": "mu_supply_after_upper",
-    "temperature_upper": "mu_temperature_upper",
-    "current_sign": "current_sign",
-    "hand_over": "mu_end",
-}
 PLANT = ("A", "B", "C", "D", "Ce")
 
 
@@ -102,6 +91,8 @@ class Library:
 
     Every array states its shape, unit and meaning beside its name, in the letters of `transopt.library.arrays.Array`;
     `meta` is the file's JSON: time axis, limits, weights, the scene, the recordings and the versions used.
+    `multipliers_of` has the array of every side of every limit's row by its name in the file, mu_<row>_<side>: which
+    these are follows from the list of limits (`MULTIPLIERS`).
 
     In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
     so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
@@ -145,21 +136,7 @@ class Library:
     solve_time_s: Annotated[FloatArray, Array("vg", "s", "wall time of the solve")]
     status: Annotated[NDArray[np.str_], Array("vg", "", "how the entry ended", is_text=True)]
     binding: Annotated[NDArray[np.str_], Array("vg", "", "the limits that bind, and for how long", is_text=True)]
-    mu_current_lower: Annotated[FloatArray, Array("vgN", "1/A", "multiplier of -I <= i")]
-    mu_current_upper: Annotated[FloatArray, Array("vgN", "1/A", "multiplier of i <= I")]
-    mu_command_lower: Annotated[FloatArray, Array("vgN", "1/A", "multiplier of the same box on the command")]
-    mu_command_upper: Annotated[FloatArray, Array("vgN", "1/A", "its upper side")]
-    mu_slew_lower: Annotated[FloatArray, Array("vgN", "1/A", "of the box on c_k - c_(k-1)", needs="slew_A_per_s")]
-    mu_slew_upper: Annotated[FloatArray, Array("vgN", "1/A", "its upper side", needs="slew_A_per_s")]
-    mu_supply_before_lower: Annotated[
-        FloatArray, Array("vgN", "1/V", "of the voltage just before the switching instants", needs="supply_V")
-    ]
-    mu_supply_before_upper: Annotated[FloatArray, Array("vgN", "1/V", "its upper side", needs="supply_V")]
-    mu_supply_after_lower: Annotated[FloatArray, Array("vgN", "1/V", "of the voltage just after", needs="supply_V")]
-    mu_supply_after_upper: Annotated[FloatArray, Array("vgN", "1/V", "its upper side", needs="supply_V")]
-    mu_temperature_upper: Annotated[
-        FloatArray, Array("vgN", "1/K", "of the winding's limit after each period", needs="temperature_C")
-    ]
+    multipliers_of: Mapping[str, FloatArray]
     current_sign: Annotated[
         FloatArray,
         Array("vgN", "", "slope of |mean i| over each period, by which ripple heats", needs="temperature_C"),
@@ -244,8 +221,7 @@ class Library:
         return None if self.meta["amplifier"] is None else Amplifier(**self.meta["amplifier"])
 
     def _discretised(self, matrices: list[FloatArray]) -> StageModel:
-        position = self.meta["feedback"] is not None
-        return discretise(StateSpace(*matrices), self.amplifier(), self.meta["dt_s"], position=position)
+        return self.posing().stage(StateSpace(*matrices))
 
     def stage(self, ig: int) -> StageModel:
         """Stage model of one grip, discretised anew from the plant in the file."""
@@ -261,7 +237,7 @@ class Library:
         wanted = self.wanted(float(self.speeds_m_s[iv]), np.eye(self.speeds_m_s.size)[iv])
         wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + self.correction_m_s2[iv, ig])
         stage = self.stage(ig) if stage is None else stage
-        problem = self.posing().problem(wanted, stage, self.spread(ig), self.coil())
+        problem = self.posing().problem(wanted, stage, self.spread(ig))
         if problem.wall is None:
             return problem
         return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
@@ -276,11 +252,22 @@ class Library:
             speed_m_s,
             by_speed @ self.reference_m_s2,
             by_speed @ self.nominal_velocity_m_s,
+            by_speed @ self.nominal_position_m,
             by_speed @ self.nominal_position_at_ticks_m,
         )
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
-        return Multipliers(**{name: getattr(self, field)[iv, ig] for name, field in MULTIPLIER_FIELDS.items()})
+        """Multipliers of one entry."""
+        stages, pairs = self.command_A.shape[2], {}
+        for row in dict.fromkeys(row for row, _ in MULTIPLIERS.values()):
+            lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
+            if lower is not None or upper is not None:
+                nothing = np.zeros(stages)
+                pairs[row] = (
+                    nothing if lower is None else lower[iv, ig],
+                    nothing if upper is None else upper[iv, ig],
+                )
+        return Multipliers(stages, pairs, self.mu_end[iv, ig], self.current_sign[iv, ig])
 
     def at(self, speed_m_s: float, grip_N: float) -> Waveform:
         """Bilinear blend at any speed and grip; outside the grid the nearest edge is taken and reported.
@@ -322,12 +309,19 @@ class Library:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
-        arrays = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
+        arrays = {name: np.asarray(self.array(name)) for name in ARRAYS}
         for name in absent(ARRAYS, self.meta):
             del arrays[name]
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
         return arrays
+
+    def array(self, name: str) -> NDArray[Any]:
+        """One array of the file by its name; zeros for multipliers of a limit that is not in force."""
+        if name in MULTIPLIERS:
+            found = self.multipliers_of.get(name)
+            return np.zeros_like(self.command_A) if found is None else found
+        return np.asarray(getattr(self, name))
 
     @property
     def content_sha256(self) -> str:
@@ -345,4 +339,33 @@ class Library:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-ARRAYS = declared(Library)
+def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
+    return {
+        f"mu_{row}_{side}": (
+            row,
+            Array(
+                "vgN",
+                f"1/{kind.step_unit}",
+                f"multiplier of the {side} bound on the {kind.label}",
+                needs="" if kind.in_every_file else kind.key,
+            ),
+        )
+        for kind in KINDS
+        for row in kind.row_names
+        for side in kind.sides
+    }
+
+
+# Array -> the row it belongs to, and what it is; in the order of the limits.
+MULTIPLIERS = _multiplier_arrays()
+ARRAYS = {**declared(Library), **{name: array for name, (_, array) in MULTIPLIERS.items()}}
+
+
+def multiplier_arrays(of_entries: Sequence[Sequence[Multipliers]]) -> dict[str, FloatArray]:
+    """`Library.multipliers_of` from the multipliers of all entries, speeds outermost."""
+    return {
+        name: np.array(
+            [[getattr(entry, name.rsplit("_", 1)[1])(row) for entry in of_speed] for of_speed in of_entries]
+        )
+        for name, (row, _) in MULTIPLIERS.items()
+    }

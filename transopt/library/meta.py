@@ -9,7 +9,7 @@ META_KEYS = {
     "lead_s": (),
     "grip_min_N": (),
     "amplifier": ("pole_Hz", "delay_s", "command_limit_A"),
-    "limits": ("current_A", "steady_current_A", "slew_A_per_s", "supply_V", "temperature_C"),
+    "limits": ("current_A", "steady_current_A", "temperature_C"),
     "thermal": ("coil", "budget"),
     "circuit": ("R_ohm", "L_H", "emf_V_s_m"),
     "feedback": (

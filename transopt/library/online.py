@@ -16,12 +16,15 @@ from transopt.base.signals import FloatArray
 from transopt.library.library import Library, Waveform, interpolation_weights, speed_weights
 from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, discretise
-from transopt.problem.leave_out import encoder_course, leave_out, pressing, reference_course
-from transopt.problem.problem import Certificate, Multipliers, TransientProblem
+from transopt.plant.discretise import StageModel
+from transopt.plant.wall import reference_course
+from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.leave_out import encoder_course, leave_out, pressing
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
-from transopt.problem.stage_data import Stages, runtime_stages, without_limits
-from transopt.proof.certify import BINDING_MULTIPLIER, Effect, certify, inside, relaxed_bound
+from transopt.problem.stage_data import Stages, stages, without_limits
+from transopt.proof.certify import BINDING_MULTIPLIER, TEMPERATURE, Effect, certify, inside, relaxed_bound
 from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,
@@ -103,13 +106,13 @@ class Online:
         self._buffers: dict[tuple[int, ...], Buffers] = {}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
         problem = self._posed(fastest, firmest, self._coil)
-        sizes = runtime_stages(problem).sizes
+        sizes = stages(problem).sizes
         states = sizes["states"] + sizes["nodes"]
         if states > MOST_STATES:
             raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
         # Memory of all that a tap can come to: without limits, with and without the temperature.
         self._buffers_for(without_limits(problem))
-        for each in (problem, replace(problem, thermal=None)):
+        for each in (problem, problem.without(TemperatureLimit.name)):
             self._by_interior_point(each)
 
     def _devices(self, grip_N: float) -> tuple[StageModel, ...]:
@@ -117,10 +120,7 @@ class Online:
         found = self._stages.get(grip_N)
         if found is None:
             posing, plants = self._posing, (self._plant(grip_N), *self._spread(grip_N))
-            position = posing.wall is not None
-            found = tuple(
-                discretise(plant, posing.amplifier, posing.grid.dt_s, position=position) for plant in plants
-            )
+            found = tuple(posing.stage(plant) for plant in plants)
             if len(self._stages) >= FAMILIES:
                 del self._stages[next(iter(self._stages))]
             self._stages[grip_N] = found
@@ -202,8 +202,8 @@ class Online:
             return self._judged(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
         stage, hot = linear_stage(small), False
-        stages = without_limits(small, stage)
-        linear = LinearPass(stages, self._buffers_for(stages))
+        bare = without_limits(small, stage)
+        linear = LinearPass(bare, self._buffers_for(bare))
         if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
             free = linear.command_A()
             effect = Effect(problem, free)
@@ -219,21 +219,21 @@ class Online:
         self, problem: TransientProblem, small: TransientProblem, stage: LinearStage, *, hot: bool
     ) -> _Found | None:
         """The answer within the limits; `hot`, a guess whether the winding's binds, only says what comes first."""
-        cold, found = replace(small, thermal=None), None
+        cold, found = small.without(TemperatureLimit.name), None
         attempts = [cold] if small.thermal is None else [small, cold] if hot else [cold, small]
         for attempt in attempts:
             answer = self._by_interior_point(attempt, stage)
             if answer is None:
                 continue
             command, multipliers = answer.command_A, answer.multipliers
-            if attempt.thermal is not None and multipliers.temperature_upper.max() <= BINDING_MULTIPLIER:
+            if attempt.thermal is not None and multipliers.upper(TEMPERATURE).max() <= BINDING_MULTIPLIER:
                 # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
-                multipliers = replace(multipliers, temperature_upper=np.zeros(command.size))
+                multipliers = multipliers.with_pair(TEMPERATURE, np.zeros(command.size), np.zeros(command.size))
             effect = Effect(problem, command)
             if (
                 attempt is cold
                 and small.thermal is not None
-                and not inside(problem, command, only="coil", effect=effect)
+                and not inside(problem, command, only=TemperatureLimit.name, effect=effect)
             ):
                 continue
             found = self._judged(effect, multipliers)
@@ -241,20 +241,20 @@ class Online:
                 return found
         return found
 
-    def _buffers_for(self, stages: Stages) -> Buffers:
-        key = tuple(stages.sizes.values())
+    def _buffers_for(self, given: Stages) -> Buffers:
+        key = tuple(given.sizes.values())
         if key not in self._buffers:
-            self._buffers[key] = Buffers(stages.sizes)
+            self._buffers[key] = Buffers(given.sizes)
         return self._buffers[key]
 
     def _by_interior_point(self, problem: TransientProblem, stage: LinearStage | None = None) -> _Answer | None:
-        stages = runtime_stages(problem, stage)
-        buffers = self._buffers_for(stages)
-        answer = interior_point(stages, buffers, tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
+        given = stages(problem, stage)
+        buffers = self._buffers_for(given)
+        answer = interior_point(given, buffers, tolerance=TOLERANCE, max_iterations=MOST_ITERATIONS)
         if answer.code not in (SOLVED, ACCURACY):
             return None
         by_row = buffers.upper - buffers.lower
-        return _Answer(stages.command(buffers.command), stages.multipliers(by_row, buffers.gradient))
+        return _Answer(given.command(buffers.command), given.multipliers(by_row, buffers.gradient))
 
     def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
@@ -263,7 +263,7 @@ class Online:
         if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
             proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
             if not proof.accepted:
-                relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+                relaxed = problem.replaced(problem.thermal.relaxed(problem.limits.current_A))
                 bound = self._by_interior_point(relaxed)
                 if bound is not None:
                     lower = certify(relaxed, bound.command_A, bound.multipliers).lower_bound

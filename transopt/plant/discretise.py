@@ -1,9 +1,8 @@
 """Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,11 +66,12 @@ class Motion:
     current_A: FloatArray
     velocity_m_s: FloatArray
     encoder_m: FloatArray
-    outputs: Mapping[str, FloatArray] = MappingProxyType({})
+    outputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def zero(cls, stages: int) -> "Motion":
-        return cls(*(np.zeros(stages) for _ in range(4)))
+        nothing = np.zeros(stages)
+        return cls(nothing, nothing, nothing, nothing)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class StageModel:
     Cv: FloatArray
     Cp: FloatArray | None = None
     Dp: FloatArray | None = None
-    outputs: Mapping[str, FloatArray] = MappingProxyType({})
+    outputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def whole_delay(self) -> int:
@@ -154,9 +154,7 @@ class StageModel:
         acceleration, current, velocity = values[:3]
         encoder = np.zeros(command_A.shape) if self.Cp is None else values[3]
         further = values[values.shape[0] - len(self.outputs) :]
-        return Motion(
-            acceleration, current, velocity, encoder, dict(zip(self.outputs, further, strict=True))
-        )
+        return Motion(acceleration, current, velocity, encoder, dict(zip(self.outputs, further, strict=True)))
 
     def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
@@ -218,7 +216,8 @@ def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
 def plant_outputs(plant: StateSpace, names: Sequence[str]) -> dict[str, FloatArray]:
     """Name -> (1, n) row of the plant's outputs that may be asked for beside acceleration and velocity.
 
-    "position" is y of the motor mass, the one that the encoder sees; "state 1" to "state n" are the plant's own states.
+    "position" is y of the motor mass, the one that the encoder sees; "state 1" to "state n" are the plant's own
+    states.
 
     Raises
     ------

@@ -55,15 +55,15 @@ Pair = tuple[FloatArray, FloatArray]
 class Multipliers:
     """Lagrange multipliers of J's problem, all >= 0 except those of the hand-over; units 1 / unit of the row.
 
-    Sign: grad J + sum (upper - lower) grad(value) = 0, `lower` for the lower bound of a row, `upper` for the upper one.
+    Sign: grad J + sum (upper - lower) grad(value) = 0, `lower` for a row's lower bound, `upper` for its upper one.
 
     Attributes
     ----------
     stages : N.
     pairs : name of a row -> its multipliers (lower (N,), upper (N,)); a row that is not there has none.
     hand_over : (hand_over_samples,) of c_k = feedback command.
-    slope : (N,) slope of |mean i| over period k, -1 to 1, by which the ripple heats; no multiplier itself, but a ratio
-        of two: where the mean current is zero, the optimum decides which it is.
+    slope : (N,) slope of |mean i| over period k, -1 to 1, by which the ripple heats; no multiplier itself, but a
+        ratio of two: where the mean current is zero, the optimum decides which it is.
     """
 
     stages: int

@@ -18,7 +18,7 @@ from transopt.plant.discretise import Motion, StageModel, state_scale
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Row
 from transopt.problem.problem import TransientProblem
 
-POSITION, VELOCITY = 0, 1  # of the wall's states
+WALL_POSITION, WALL_VELOCITY = 0, 1  # among the wall's states
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,13 @@ class Layout:
                 mask[self.filter(device), self.filter(device)] = True
         if self.feedback_delay is not None:
             first = self.wall.start
-            for row in (first + POSITION, first + VELOCITY):
+            for row in (first + WALL_POSITION, first + WALL_VELOCITY):
                 mask[row, self.plant(0)] = True
                 mask[row, -1] = True
                 if self.amplifier:
                     mask[row, self.current] = True
-            mask[first + VELOCITY, [first + POSITION, first + VELOCITY]] = True
-            mask[first + 2, [first + POSITION, first + VELOCITY]] = True
+            mask[first + WALL_VELOCITY, [first + WALL_POSITION, first + WALL_VELOCITY]] = True
+            mask[first + 2, [first + WALL_POSITION, first + WALL_VELOCITY]] = True
             later = np.arange(first + 3, self.wall.stop)
             mask[later, later - 1] = True
         return mask
@@ -178,9 +178,9 @@ def _dynamics(problem: TransientProblem, where: Layout) -> FloatArray:
             A[first, where.current] = problem.stage.Cp[0, size]
         A[first, -1] = problem.stage.Dp[0, 0]
         a = wall.smoothing(dt)
-        A[first + VELOCITY] = (1 - a) / dt * A[first]
-        A[first + VELOCITY, first + POSITION] = -(1 - a) / dt
-        A[first + VELOCITY, first + VELOCITY] = a
+        A[first + WALL_VELOCITY] = (1 - a) / dt * A[first]
+        A[first + WALL_VELOCITY, first + WALL_POSITION] = -(1 - a) / dt
+        A[first + WALL_VELOCITY, first + WALL_VELOCITY] = a
         A[first + 2, first : first + 2] = _demand(problem)
         later = np.arange(first + 3, where.wall.stop)
         A[later, later - 1] = 1.0
@@ -243,7 +243,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
 
 
 def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:
-    """The named outputs of the entry's own device by the scaled states and by the movement in units of `current_A`."""
+    """The named outputs of the entry's own device by the scaled states and by the scaled movement."""
     size, current = where.plants[0], float(units[-1])
     command = np.zeros(where.states)
     command[-1] = current

@@ -1,7 +1,7 @@
 """One problem's numbers stage by stage, as the project's own method takes them (`solvers/native/riccati.c`).
 
-They come from the linear stage and from the rows of the limits, as those of the CasADi program do (`solvers.program`),
-and need no CasADi: the runtime solves a tap with them.
+They come from the linear stage and from the rows of the limits, as those of the CasADi program do
+(`solvers.program`), and need no CasADi: the runtime solves a tap with them.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import PWM_RIPPLE_A
-from transopt.problem.heat import mean_current
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
+from transopt.problem.heat import mean_current
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem

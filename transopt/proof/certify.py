@@ -216,7 +216,9 @@ def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multiplie
     if problem.thermal is None or not clipped.upper(TEMPERATURE).any():
         return clipped
     bears = np.isfinite(problem.thermal.model.headroom_K)
-    return clipped.with_pair(TEMPERATURE, clipped.lower(TEMPERATURE), np.where(bears, clipped.upper(TEMPERATURE), 0.0))
+    return clipped.with_pair(
+        TEMPERATURE, clipped.lower(TEMPERATURE), np.where(bears, clipped.upper(TEMPERATURE), 0.0)
+    )
 
 
 def kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:

@@ -93,9 +93,7 @@ def replayed_errors(
     return np.array([nrmse(a, r) for a, r in zip(found, references_m_s2, strict=True)])
 
 
-def _reached(
-    run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid
-) -> list[dict[str, float]]:
+def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid) -> list[dict[str, float]]:
     """Of each command, by limit: the largest size of its rows' values.
 
     The command that is felt at t stands for c_k. A row of the command held before has no value between the ticks.

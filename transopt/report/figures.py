@@ -17,7 +17,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.figures import QUIET, grip_label, legend_above
 from transopt.library.library import Library
 from transopt.plant.chain import StateSpace
-from transopt.problem.problem import AMPLITUDE_THRESHOLD, Status
+from transopt.problem.answer import AMPLITUDE_THRESHOLD, Status
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.design.build import Build
@@ -47,7 +47,7 @@ class _Method:
 
 def _methods(build: "Build") -> list[_Method]:
     limits = build.scene.limits
-    high, low = f"{build.scene.current_limits().current_A:g} A", f"{limits.steady_current_A:g} A"
+    high, low = f"{limits.transient_current_A:g} A", f"{limits.steady_current_A:g} A"
     # A rival that heeds neither rail nor coil may lie below the optimum, which does.
     more = any({"supply", "coil"} & {price.limit for price in entry.prices} for entry in build.all_entries())
     only = ", no other limit" if more else ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from transopt.design.build import Build
 from transopt.design.entry import Entry
-from transopt.problem.problem import Status
+from transopt.problem.answer import Status
 from transopt.report.tables import percent
 from transopt.scene.fitted import Fitted
 from transopt.scene.identified import Identified

@@ -242,7 +242,7 @@ def build_json(build: Build) -> str:
             "after_peak_m_s2": e.played.after_peak_m_s2,
             "winding_C": e.played.winding_C,
             "housing_C": e.played.housing_C,
-            "peak_voltage_V": e.played.peak_voltage_V,
+            "peak_voltage_V": e.played.reached.get("supply", float("nan")),
             "binding": e.binding,
             "prices": [asdict(price) for price in e.prices],
             "size": None if e.size is None else asdict(e.size),

@@ -12,7 +12,7 @@ from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
 from transopt.design.verify import EntryCheck
 from transopt.library.library import Library
-from transopt.problem.problem import OBJECTIVE_SCALE, Status, verdict
+from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
 
 
 def percent(value: float) -> str:
@@ -188,7 +188,7 @@ def verify_table(checks: Sequence[EntryCheck], name: str) -> Table:
             f"{check.grip_N:g}",
             percent(check.played.nrmse),
             f"{check.played.peak_current_A:.4f}",
-            f"{check.certificate.primal_violation_A:.0e}",
+            f"{check.certificate.violation('A'):.0e}",
             f"{check.certificate.relative_gap:.0e}",
             "; ".join(check.shortfalls) or "certified, replayed clean",
             style="red" if check.shortfalls else None,

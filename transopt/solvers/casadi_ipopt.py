@@ -6,7 +6,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.problem.answer import Solution, Status
+from transopt.problem.problem import TransientProblem
 from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.statement import state

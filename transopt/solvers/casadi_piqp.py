@@ -6,7 +6,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.problem.answer import Solution, Status
+from transopt.problem.problem import TransientProblem
 from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.statement import state
@@ -41,7 +42,7 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
 
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
-    """Solve the QP; equality rows hold dynamics and hand-over, everything else is a box or a supply row."""
+    """Solve the QP; equality rows hold dynamics and hand-over, everything else is a box or a row of a limit."""
     shape = transcribe.program_shape(problem)
     qp, program = solver_object(shape, options), transcribe.state_program(shape)
     start = time.perf_counter()

@@ -7,7 +7,8 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.problem.problem import Certificate, Multipliers, Solution, Status, TransientProblem
+from transopt.problem.answer import Certificate, Multipliers, Solution, Status
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
 from transopt.solvers.feasibility import least_widening
@@ -24,7 +25,6 @@ __all__ = [
     "solve_certified",
 ]
 
-LIMITS = ("current", "command", "slew", "supply")
 MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
 SOLVERS = {
     "riccati": riccati.solve,
@@ -95,7 +95,7 @@ def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
     The convex relaxation is solved and its own certificate subtracted; minus infinity if that fails.
     """
     assert problem.thermal is not None
-    relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+    relaxed = problem.replaced(problem.thermal.relaxed(problem.limits.current_A))
     return max(
         (proof.lower_bound for _, proof in _answers(relaxed, options)),
         default=-np.inf,
@@ -128,7 +128,7 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
 
 def feasible(problem: TransientProblem) -> bool:
     """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
-    found = least_widening(problem, LIMITS)
+    found = least_widening(problem, [limit.name for limit in problem.limits if limit is not problem.thermal])
     return found is None or found[0] == 1.0
 
 

@@ -5,17 +5,18 @@ one until their iterations run out, and say little; the simplex method decides.
 """
 
 from collections.abc import Collection
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 import scipy
 
 from transopt.base.signals import FloatArray
+from transopt.problem.limits.limit import Row
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.solvers import program as transcribe
 from transopt.solvers.sparse_kkt import pattern
-from transopt.solvers.statement import state
+from transopt.solvers.statement import Statement, state, variable
 
 SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method
@@ -31,19 +32,21 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
 
     Parameters
     ----------
-    limits : among "current", "command", "slew", "supply"; the others stay as they are.
+    limits : names of limits; the others stay as they are.
     """
-    # Just before the first command is felt the nominal motion alone makes the voltage: no row of the program has it.
+    # Before the first command is felt nothing that a limit bounds can be helped: no row of the program has it.
     least = 0.0
-    if problem.supply is not None:
-        least = max(abs(float(problem.supply.nominal_V[0])) / problem.supply.limit_V - 1, 0.0)
-        if least > SLACK and "supply" not in limits:
-            return None
-    statement = state(replace(problem, thermal=None))
+    for limit, row in problem.rows():
+        if row.waits:
+            over = _first_excess(row) / limit.stated
+            if over > SLACK and limit.name not in limits:
+                return None
+            least = max(least, over)
+    statement = state(problem.without(TemperatureLimit.name))
     shape, program = statement.shape, transcribe.state_program(statement.shape)
     data = program.qp_data(p=statement.p)
     A = scipy.sparse.csc_array((np.asarray(data["A"].nonzeros()), *pattern(shape, "A")), shape=data["A"].shape)
-    wide_x, wide_g = _widths(statement.problem, shape, statement.upper_x, statement.upper_g.size, limits)
+    wide_x, wide_g = _widths(statement, limits)
     lower_x, upper_x, lower_g, upper_g = (
         np.array(bound) for bound in (statement.lower_x, statement.upper_x, statement.lower_g, statement.upper_g)
     )
@@ -96,21 +99,24 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     return 1.0 + (widened if widened > SLACK else 0.0), command
 
 
-def _widths(
-    problem: TransientProblem, shape: transcribe.Shape, upper_x: FloatArray, rows: int, limits: Collection[str]
-) -> tuple[FloatArray, FloatArray]:
+def _first_excess(row: Row) -> float:
+    """How far a row that nobody can move is outside its bounds at the first instant; negative inside."""
+    offset, lower, upper = (float(np.ravel(each)[0]) for each in (row.offset, row.lower, row.upper))
+    return max(offset - upper, lower - offset)
+
+
+def _widths(statement: Statement, limits: Collection[str]) -> tuple[FloatArray, FloatArray]:
     """What one unit of widening adds to each bound of the variables and of the rows; zero where it stays."""
-    wide_x, wide_g = np.zeros((shape.stages, shape.variables)), np.zeros(rows)
-    upper = upper_x[shape.first :].reshape(shape.stages, shape.variables)
-    own = {"slew": 0, "command": shape.command}
-    if problem.limits.command_A is None:
-        own = {"slew": 0, "current": shape.command}
-    else:
-        own["current"] = shape.controls + shape.layout.current
-    for name in set(limits) & set(own):
-        column = upper[:, own[name]]
-        wide_x[:, own[name]] = np.where(np.isfinite(column), column, 0.0)
-    if "supply" in limits and problem.supply is not None:
-        for kind in ("supply_before", "supply_after"):
-            wide_g[transcribe.state_program(shape).rows[kind]] = 1.0
+    shape, stage = statement.shape, statement.stage
+    wide_x, wide_g = np.zeros((shape.stages, shape.variables)), np.zeros(statement.upper_g.size)
+    upper = statement.upper_x[shape.first :].reshape(shape.stages, shape.variables)
+    named = {row for limit in statement.problem.limits if limit.name in limits for row in limit.row_names}
+    for row in statement.rows:
+        if row.name not in named:
+            continue
+        if row.single:
+            column = variable(shape, row.single)
+            wide_x[:, column] = np.where(np.isfinite(upper[:, column]), row.unit / stage.current_A, 0.0)
+        else:
+            wide_g[transcribe.state_program(shape).rows[row.name]] = 1.0
     return np.append(np.zeros(shape.first), wide_x.ravel()), wide_g

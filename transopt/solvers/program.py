@@ -151,11 +151,13 @@ class HeatSymbols:
 
     def mean_current(self, current: ca.MX, command: ca.MX) -> ca.MX:
         """`heat.Heating.mean_current`, in units of the limit current."""
-        return mean_current(self.share, self.decay, current, command)
+        found: ca.MX = mean_current(self.share, self.decay, current, command)
+        return found
 
     def mean_square(self, current: ca.MX, command: ca.MX, size: ca.MX) -> ca.MX:
         """Mean of i_eff^2 over a period; `heat.Heating.mean_square` with |mean i| a variable of its own."""
-        return mean_square(self.square, self.decay, self.ripple, current, command, size)
+        found: ca.MX = mean_square(self.square, self.decay, self.ripple, current, command, size)
+        return found
 
 
 @dataclass(frozen=True)
@@ -224,7 +226,8 @@ class Stage:
         assert self.heat is not None
         square = self.heat.mean_square(self.current(before), before[-1, :] + movement, size)
         heat = self.heat
-        return next_rise(heat.M, heat.b, gain, heat.copper, rise, rise[0, :], square)
+        found: ca.MX = next_rise(heat.M, heat.b, gain, heat.copper, rise, rise[0, :], square)
+        return found
 
 
 @lru_cache(maxsize=16)
@@ -266,9 +269,8 @@ def state_program(shape: Shape) -> Program:
         symbols["T"], T = _sparse_symbol("T", mask)
         asked = before[-1, N - h :] + movement[N - h :] - ca.sum1(T * before[:, N - h :])
         rows["hand_over"] = ca.vec(asked)
-    if shape.supply:
-        rows["supply_before"] = ca.vec(stage.voltage_before(after[:, :-1]))
-        rows["supply_after"] = ca.vec(stage.voltage_after(before, movement))
+    for row in shape.rows:
+        rows[row.name] = ca.vec(stage.value(row.name, before[:, row.first :], movement[:, row.first :]))
 
     ends = np.cumsum([0, *(kind.numel() for kind in rows.values())])
     x = ca.veccat(first, variables)

@@ -1,21 +1,17 @@
-"""The project's own method: an interior point over the stages, in C (`riccati.c`), on the statement's stage data.
+"""The project's own method: an interior point over the stages, in C (`native/riccati.c`).
 
 The extension is optional. Where it could not be built, `available` is False and the CasADi methods take over.
 """
 
 import time
-from typing import Any
 
-import numpy as np
-
-from transopt.problem import stage_data as stagewise
-from transopt.problem.problem import Solution, Status, TransientProblem
-from transopt.problem.stage import LinearStage, layout, linear_stage
-from transopt.problem.stage_data import Derivatives, Stages
+from transopt.problem.answer import Solution, Status
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import layout
+from transopt.problem.stage_data import stages
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.native.extension import MOST_STATES, Buffers, available, interior_point
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import nonzeros, program_shape, stage_data, stage_shape, supply_mask
 
 __all__ = ["available", "can_solve", "solve", "stages"]
 
@@ -34,38 +30,10 @@ STATUS = (
 )
 
 
-def derivatives(problem: TransientProblem, stage: LinearStage) -> Derivatives:
-    """What one stage is, as the CasADi statement says it."""
-    where = layout(problem)
-    values: dict[str, Any] = {
-        "A": nonzeros(stage.A, where.dynamics_mask()),
-        "B": stage.A[:, -1],
-        "C": nonzeros(stage.C, where.output_mask()),
-        "E": stage.E,
-    }
-    if problem.supply is not None:
-        volts = problem.supply.limit_V
-        values["S"] = nonzeros(stage.supply[None] / volts, supply_mask(where))
-        values["S_direct"] = problem.supply.by_command * stage.current_A / volts
-    if problem.thermal is not None:
-        heating = problem.thermal.model.heating
-        values |= {"share": heating.share, "decay": heating.decay}
-    function = stage_data(stage_shape(program_shape(problem)))
-    found = function.call([values[name] for name in function.name_in()])
-    A, C, E, V, v = (np.asarray(each) for each in found)
-    return Derivatives(A, C, E.ravel(), V, v.ravel())
-
-
-def stages(problem: TransientProblem) -> Stages:
-    """Stage data of a problem, from the CasADi statement."""
-    stage = linear_stage(problem)
-    return stagewise.stages(problem, stage, derivatives(problem, stage))
-
-
 def can_solve(problem: TransientProblem) -> bool:
     """Whether the extension is there and the problem small enough: many devices in a spread are too many states."""
-    shape = program_shape(problem)
-    return available and shape.layout.states + shape.nodes <= MOST_STATES
+    nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
+    return available and layout(problem).states + nodes <= MOST_STATES
 
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:

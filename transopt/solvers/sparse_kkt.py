@@ -1,6 +1,5 @@
 """The problem without its limits as one sparse KKT system: slower than the Riccati pass, but pivoting."""
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -8,7 +7,10 @@ import scipy
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import linear_stage
+from transopt.problem.stage_data import stated_rows
 from transopt.solvers import program as transcribe
 from transopt.solvers.statement import state
 
@@ -24,7 +26,10 @@ def pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDAr
 
 def movement(problem: TransientProblem) -> FloatArray:
     """(N,) optimal movement of the command in units of the limit current; NaN if the system is singular."""
-    statement = state(replace(problem, supply=None, thermal=None))
+    # What is no box would be an inequality among the rows.
+    sums = {row.name for row in stated_rows(problem, linear_stage(problem)) if not row.single}
+    no_boxes = [limit.name for limit in problem.limits if sums & set(limit.row_names)]
+    statement = state(problem.without(TemperatureLimit.name, *no_boxes))
     shape = statement.shape
     data = transcribe.state_program(shape).qp_data(p=statement.p)
     H, A = (

@@ -10,7 +10,16 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.limits.limit import COMMAND, CURRENT
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, hand_over_rows, linear_stage
-from transopt.problem.stage_data import SIZE_BOUND, StatedRow, heat_values, held, kelvin, slope_of, stated_rows, tracking_values
+from transopt.problem.stage_data import (
+    SIZE_BOUND,
+    StatedRow,
+    heat_values,
+    held,
+    kelvin,
+    slope_of,
+    stated_rows,
+    tracking_values,
+)
 from transopt.solvers.program import Shape, nonzeros, program_shape, state_program
 
 
@@ -62,7 +71,7 @@ class Statement:
         for row in self.rows:
             if row.single:
                 # The variable of stage k is the current at tau_(k+1); that at tau_0 is zero and has no limit.
-                on = boxes[:, _variable(shape, row.single)]
+                on = boxes[:, variable(shape, row.single)]
                 mu = (np.append(0.0, on[:-1]) if row.single == CURRENT else on) * unit
             else:
                 first = N - (rows[row.name].stop - rows[row.name].start)
@@ -75,7 +84,7 @@ class Statement:
         return Multipliers(N, pairs, lam_g[rows["hand_over"]] * unit, slope).clipped()
 
 
-def _variable(shape: Shape, single: str) -> int:
+def variable(shape: Shape, single: str) -> int:
     """Where among a stage's variables the one stands that a row bounds alone."""
     return {"movement": 0, COMMAND: shape.command, CURRENT: shape.controls + shape.layout.current}[single]
 
@@ -114,13 +123,13 @@ def _variable_bounds(
     for row in rows:
         if not row.single:
             continue
-        column, to_variable = _variable(shape, row.single), row.unit / stage.current_A
+        column, to_variable = variable(shape, row.single), row.unit / stage.current_A
         low, high = row.lower * to_variable, row.upper * to_variable
         if row.single == CURRENT:
             # The variable of stage k is the current at tau_(k+1); that at tau_N follows the hand-over.
             low, high = np.append(low[1:], -np.inf), np.append(high[1:], np.inf)
         elif row.single == COMMAND and problem.wall is None:
-            # The hand-over's rows hold these commands at zero; a box there as well does no harm and keeps them scaled.
+            # The hand-over's rows hold these commands at zero, inside the box that all others have.
             low[problem.free_stages :], high[problem.free_stages :] = low[0], high[0]
         lower[:, column], upper[:, column] = np.maximum(lower[:, column], low), np.minimum(upper[:, column], high)
     if problem.thermal is not None:

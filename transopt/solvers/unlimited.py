@@ -11,7 +11,8 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem import stage_data
-from transopt.problem.problem import OBJECTIVE_SCALE, Multipliers, Solution, Status, TransientProblem
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import hand_over_rows, layout, linear_stage
 from transopt.solvers import sparse_kkt
 from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
@@ -65,7 +66,7 @@ def _judged(problem: TransientProblem, run: Pass, point: Point, method: str) -> 
     if problem.wall is None:
         command[free:] = 0.0
     by_command = 2 * np.diff(run.gradient(point), append=0.0) / unit
-    gap = float(np.abs(by_command) @ (problem.limits.command_bound_A + np.abs(command[:free])))
+    gap = float(np.abs(by_command) @ (problem.command_bound_A + np.abs(command[:free])))
     objective = float(np.sum(data.weights * point.error**2) + data.movement_weights @ point.movement**2)
     relative = gap / max(objective, OBJECTIVE_SCALE)
     return _Candidate(point, command, relative if np.isfinite(relative) else np.inf, method)

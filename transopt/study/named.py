@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import LABEL_PT, SMALL_PT, colours, save_figure, style
 from transopt.base.writing import percent, table, write_csv, write_text
-from transopt.problem.problem import AT_FLOOR
+from transopt.problem.answer import AT_FLOOR
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import Plan, parse_axis

@@ -75,9 +75,9 @@ def proven(device: str, errors: Errors) -> list[Proven]:
             status.name,
             proof.relative_gap,
             proof.relative_bound,
-            proof.primal_violation_A,
-            proof.primal_violation_V,
-            proof.primal_violation_K,
+            proof.violation("A"),
+            proof.violation("V"),
+            proof.violation("K"),
         )
         for point, (status, proof) in sorted(errors.proofs.items())
     ]

@@ -21,7 +21,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits, whole_file, without_nan
 from transopt.design.sweep import REFUSED, Outcome
-from transopt.problem.problem import Status
+from transopt.problem.answer import Status
 from transopt.study.axes import label
 
 try:

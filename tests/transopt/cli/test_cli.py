@@ -18,7 +18,7 @@ from tests.benches.commands import Run, Terminal, assert_refused
 from tests.benches.places import IMPACTS, ROOT
 from transopt.library.file import load_library
 from transopt.library.library import Library
-from transopt.problem.problem import Status
+from transopt.problem.answer import Status
 
 WOOD = problems.scene_path("wood_on_foam").read_text()
 EXAMPLES = problems.FOLDER / "recordings"

@@ -1,5 +1,6 @@
 """The built-in scene end to end: what the issue asks for, entry by entry."""
 
+from tests.benches.limits import with_limit
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,8 +16,8 @@ from transopt.base.signals import nrmse
 from transopt.design.build import Build, build_library
 from transopt.design.verify import admit, verify_library
 from transopt.library.library import Library
-from transopt.problem.heat import thermal_limit
-from transopt.problem.problem import Status, verdict
+from transopt.problem.answer import Status, verdict
+from transopt.problem.limits.temperature import temperature_limit
 from transopt.proof.certify import certify
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
@@ -32,7 +33,7 @@ CHECKER = IMPACTS.parents[1] / "tools" / "check_library.py"
 def assert_entries_are_proven(build: Build) -> None:
     for entry in build.all_entries():
         assert entry.status is Status.OPTIMAL, entry.shortfalls
-        assert entry.certificate.primal_violation_A <= 1e-6
+        assert entry.certificate.violation("A") <= 1e-6
         assert entry.certificate.relative_gap <= 1e-6
         assert entry.played.peak_current_A <= build.scene.limits.transient_current_A + 1e-6
         assert entry.played.step_error <= 1e-10
@@ -256,8 +257,8 @@ class TestAdmission:
         # The temperature cannot bind, but what is admitted has to keep it all the same.
         coil = scene.coil()
         assert coil is not None
-        limit = thermal_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
-        problem = replace(problem, thermal=limit)
+        limit = temperature_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
+        problem = with_limit(problem, limit)
         predicted, _ = problem.stage.rollout(solution.command_A)
         (played,) = replay(problem.stage, problem.grid, solution.command_A[None], problem.reference_m_s2[None], coil)
         return {
@@ -282,10 +283,10 @@ class TestAdmission:
         [
             {"duality_gap": 1.0},
             {"duality_gap": np.nan},
-            {"primal_violation_A": 1e-5},
-            {"primal_violation_V": 1e-5},
-            {"primal_violation_K": 1e-5},
-            {"primal_violation_K": np.nan},
+            {"violations": {"A": 1e-5}},
+            {"violations": {"V": 1e-5}},
+            {"violations": {"K": 1e-5}},
+            {"violations": {"K": np.nan}},
             {"lower_bound": np.nan},
             {"lower_bound": 1.0},  # above J: something is wrong with one of the two
             {"finite": False},

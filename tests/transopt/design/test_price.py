@@ -7,14 +7,17 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tests.benches.limits import with_limit, with_numbers
 from transopt.base.signals import nrmse
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import Designed, optimum
 from transopt.design.price import Price, prices
-from transopt.plant.circuit import Supply
-from transopt.problem.heat import Budget, thermal_limit
+from transopt.problem.answer import Status
+from transopt.problem.heat import Budget
+from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.weighting import pacinian
-from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.problem import TransientProblem
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
@@ -33,11 +36,11 @@ class Case:
 
 
 def moved_current(problem: TransientProblem, bound: float) -> TransientProblem:
-    return replace(problem, limits=replace(problem.limits, current_A=bound))
+    return with_numbers(problem, current_A=bound)
 
 
 def moved_slew(problem: TransientProblem, bound: float) -> TransientProblem:
-    return replace(problem, limits=replace(problem.limits, slew_A_per_s=bound / problem.grid.dt_s))
+    return with_numbers(problem, slew_A_per_s=bound / problem.grid.dt_s)
 
 
 def moved_supply(problem: TransientProblem, bound: float) -> TransientProblem:
@@ -47,10 +50,10 @@ def moved_supply(problem: TransientProblem, bound: float) -> TransientProblem:
 
 def moved_coil(problem: TransientProblem, bound: float) -> TransientProblem:
     assert problem.thermal is not None
-    thermal = thermal_limit(
+    thermal = temperature_limit(
         problem.thermal.coil, problem.stage.amplifier, problem.grid, Budget(headroom_K=bound - HOT_C)
     )
-    return replace(problem, thermal=thermal)
+    return with_limit(problem, thermal)
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +66,15 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     circuit = scene.circuit()
     assert circuit is not None
     assert problem.stage.amplifier is not None
-    rail = Supply(9.0, circuit, problem.stage.amplifier.rate_rad_s, references[-1].nominal_velocity_m_s)
-    wide = replace(problem, limits=replace(problem.limits, current_A=8.0, command_A=16.0))
+    rail = SupplyLimit(9.0, circuit, problem.stage.amplifier.rate_rad_s, references[-1].nominal_velocity_m_s)
+    wide = with_numbers(problem, current_A=8.0, command_A=16.0)
     return {
-        "current 4 A": Case("current", replace(wide, thermal=None), 4.0, moved_current),
-        "current 2 A": Case("current", replace(wide, thermal=None), 2.0, moved_current),
+        "current 4 A": Case("current", wide.without("temperature"), 4.0, moved_current),
+        "current 2 A": Case("current", wide.without("temperature"), 2.0, moved_current),
         "supply 9 V": Case("supply", replace(wide, thermal=None, supply=rail), 9.0, moved_supply),
         "supply 6 V": Case("supply", replace(wide, thermal=None, supply=rail), 6.0, moved_supply),
         "coil 60.05 C": Case("coil", wide, HOT_C + 0.05, moved_coil),
-        "slew 0.5 A/tick": Case("slew", replace(wide, thermal=None), 0.5, moved_slew),
+        "slew 0.5 A/tick": Case("slew", wide.without("temperature"), 0.5, moved_slew),
     }
 
 
@@ -174,7 +177,7 @@ def test_no_price_in_nrmse_where_the_objective_is_another(cases: dict[str, Case]
     case = cases["current 4 A"]
     weighted = replace(moved_current(case.problem, 4.0), error_filter=pacinian(1e-4))
     designed, _, found = solved(weighted)
-    assert designed.solution.multipliers.current_upper.max() > 1e-6
+    assert designed.solution.multipliers.upper("current").max() > 1e-6
     assert found == []
 
 

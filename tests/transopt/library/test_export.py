@@ -22,8 +22,8 @@ from transopt.library.library import ARRAYS, Library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import second_order
 from transopt.plant.discretise import TimeGrid, discretise
+from transopt.problem.answer import Status
 from transopt.problem.baselines import seed_inversion
-from transopt.problem.problem import Status
 
 DT_S, LEAD_S, HAND_OVER = 1e-4, 3e-4, 10
 AMPLIFIER = {"pole_Hz": 1050.0, "delay_s": 68e-6, "command_limit_A": 6.0}

@@ -14,7 +14,8 @@ from transopt.design.optimum import optimum
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.continuous import _step_map
 from transopt.plant.discretise import StageModel, TimeGrid, discretise
-from transopt.problem.problem import OBJECTIVE_SCALE, Certificate, Multipliers, TransientProblem
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.proof.replay import replay
 from transopt.scene.strikes import rk4_step
@@ -158,18 +159,18 @@ def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipli
     weight = mpmath.mpf(problem.movement_weight)
     J = sum(w * np.array(error) ** 2) / norm + weight * sum(movement**2)
     by_movement = 2 * weight * movement
-    limit, bound = mpmath.mpf(problem.limits.current_A), mpmath.mpf(problem.limits.command_bound_A)
+    limit, bound = mpmath.mpf(problem.limits.current_A), mpmath.mpf(problem.command_bound_A)
     costate, gap = B * 0, mpmath.mpf(0)
     for k in range(N - 1, -1, -1):
         by_error = 2 * w[k] * error[k] / norm
-        by_current = mpmath.mpf(m.current_upper[k]) - mpmath.mpf(m.current_lower[k])
+        by_current = mpmath.mpf(m.upper("current")[k]) - mpmath.mpf(m.lower("current")[k])
         g = B @ costate + D * by_error + Di * by_current + by_movement[k]
-        g += -(by_movement[k + 1] if k + 1 < N else 0) + mpmath.mpf(m.command_upper[k] - m.command_lower[k])
+        g += -(by_movement[k + 1] if k + 1 < N else 0) + mpmath.mpf(m.upper("command")[k] - m.lower("command")[k])
         g += mpmath.mpf(m.hand_over[k - free]) if k >= free else 0
         costate = A.T @ costate + C * by_error + Ci * by_current
         gap += abs(g) * (bound + abs(c[k]))
-        gap += m.current_upper[k] * abs(limit - current[k]) + m.current_lower[k] * abs(limit + current[k])
-        gap += m.command_upper[k] * abs(bound - c[k]) + m.command_lower[k] * abs(bound + c[k])
+        gap += m.upper("current")[k] * abs(limit - current[k]) + m.lower("current")[k] * abs(limit + current[k])
+        gap += m.upper("command")[k] * abs(bound - c[k]) + m.lower("command")[k] * abs(bound + c[k])
         gap += abs(m.hand_over[k - free]) * abs(c[k]) if k >= free else 0
     return float(J), float(gap)
 

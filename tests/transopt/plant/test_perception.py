@@ -10,8 +10,8 @@ from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.design.optimum import optimum
+from transopt.problem.answer import Multipliers, Status
 from transopt.problem.objective.weighting import pacinian
-from transopt.problem.problem import Multipliers, Status
 from transopt.proof.certify import certify, reduced_gradient
 from transopt.scene.scene import Scene
 from transopt.solvers import unlimited

@@ -13,7 +13,8 @@ from transopt.design.entry import design_grip, entry_problem, scene_stage
 from transopt.design.explain import infeasibility
 from transopt.design.optimum import Designed, optimum
 from transopt.plant.discretise import Motion
-from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.answer import Status
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
@@ -175,7 +176,7 @@ class TestBinding:
         """Before, after and, by the replay, all the time: measured excess over 9 V 1e-14."""
         problem, command = nine_volts.problem, nine_volts.solution.command_A
         assert nine_volts.certificate.accepted
-        assert nine_volts.certificate.primal_violation_V <= 1e-9
+        assert nine_volts.certificate.violation("V") <= 1e-9
         before, after = voltages(problem, command, scene)
         peak = max(np.abs(before).max(), np.abs(after).max())
         assert peak == pytest.approx(9, abs=1e-5)
@@ -211,7 +212,7 @@ class TestBinding:
     def test_too_much_voltage_is_a_violation_in_volts(self, nine_volts: Designed, entry: Maker) -> None:
         lower = entry(supply_V=8.9)
         certificate = certify(lower, nine_volts.solution.command_A, nine_volts.solution.multipliers)
-        assert certificate.primal_violation_V == pytest.approx(0.1, abs=1e-6)
+        assert certificate.violation("V") == pytest.approx(0.1, abs=1e-6)
         assert not certificate.accepted
 
     def test_slew_is_kept(self, entry: Maker) -> None:

@@ -12,8 +12,9 @@ from transopt.design.optimum import Designed, optimum
 from transopt.plant.amplifier import Amplifier, prefilter
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import FeedbackLoop, HandOver, Wall
+from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import pressing
-from transopt.problem.problem import Multipliers, Status, TransientProblem
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import hand_over_rows, linear_stage
 from transopt.proof.certify import certify, reduced_gradient
 from transopt.proof.replay import replay
@@ -196,7 +197,7 @@ class TestHandOver:
         problem = optimum(walled(500, 0.4), SolverOptions()).problem
         proofs = []
         for solver in ("casadi-piqp", "casadi-ipopt"):
-            answer = solve(replace(problem, thermal=None), SolverOptions(solver))
+            answer = solve(problem.without("temperature"), SolverOptions(solver))
             assert answer.solver == solver
             proofs.append(certify(problem, answer.command_A, answer.multipliers))
         assert all(proof.accepted for proof in proofs)
@@ -211,7 +212,7 @@ class TestHandOver:
             assert not certify(designed.problem, command, wrong).accepted
         moved = command.copy()
         moved[-4] += 1e-4
-        assert certify(designed.problem, moved, m).primal_violation_A >= 0.9e-4
+        assert certify(designed.problem, moved, m).violation("A") >= 0.9e-4
 
 
 def fine_loop(

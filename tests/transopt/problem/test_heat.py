@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid
-from transopt.problem.heat import Budget, HeatModel, heating, thermal_limit
+from transopt.problem.heat import Budget, HeatModel, heating
+from transopt.problem.limits.temperature import temperature_limit
 from transopt.scene.scene import Scene
 
 AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=0.0, command_limit_A=6.0)
@@ -156,7 +157,7 @@ def currents(command_A: np.ndarray) -> np.ndarray:
 
 
 def model_of(coil: CoilModel, stages: int, **budget: float) -> HeatModel:
-    return thermal_limit(coil, AMPLIFIER, TimeGrid(DT_S, stages, 3e-4, 0.0), Budget(**budget)).model
+    return temperature_limit(coil, AMPLIFIER, TimeGrid(DT_S, stages, 3e-4, 0.0), Budget(**budget)).model
 
 
 class TestHeatModel:

@@ -11,9 +11,10 @@ from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver, Wall
-from transopt.problem.heat import thermal_limit
+from transopt.problem.answer import Status
 from transopt.problem.leave_out import leave_out, pressing, temperature_bound_C, voltage_bound_V, without_position
-from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, inside
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
@@ -152,7 +153,7 @@ class TestForcedIn:
         assert designed.size is None
         assert designed.certificate.accepted
         assert inside(whole, designed.solution.command_A)
-        for forced, solver in ((replace(whole, thermal=None), "casadi-piqp"), (whole, "casadi-ipopt")):
+        for forced, solver in ((whole.without("temperature"), "casadi-piqp"), (whole, "casadi-ipopt")):
             objective = certified_objective(whole, forced, solver)
             assert abs(objective - designed.certificate.objective) <= 1e-6 * max(objective, 1e-3)
 
@@ -272,7 +273,7 @@ class TestBounds:
             moved = replace(
                 problem,
                 supply=replace(problem.supply, limit_V=volts + shift),
-                thermal=thermal_limit(coil, amplifier, problem.grid, budget),
+                thermal=temperature_limit(coil, amplifier, problem.grid, budget),
             )
             left_out = leave_out(moved).left_out
             assert ("supply" in left_out) is gone

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.benches.limits import with_numbers
 from tests.conftest import WalledMaker, walled_scene
 from tests.transopt.plant.test_wall import plain_feedback, plain_prefilter
 from transopt.design.build import build_library
@@ -14,8 +15,9 @@ from transopt.design.optimum import optimum
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
+from transopt.problem.answer import Status
 from transopt.problem.leave_out import pressing
-from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.problem import TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
@@ -27,7 +29,7 @@ DT_S = 1e-4
 class TestRefusal:
     def weak(self, problem: TransientProblem) -> TransientProblem:
         """A motor that can neither hold the stylus up nor push back what the wall asks for."""
-        return replace(problem, limits=replace(problem.limits, current_A=0.3))
+        return with_numbers(problem, current_A=0.3)
 
     def test_names_the_hand_over_and_a_stiffness_that_does(self, walled: WalledMaker) -> None:
         designed = optimum(self.weak(walled(2000, 0.4)), SolverOptions())

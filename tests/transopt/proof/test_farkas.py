@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from problems.stress.cases import Coil, Current, Demand, Horizon, StressCase
+from tests.benches.limits import with_limit
 from tests.conftest import ProblemMaker
-from transopt.problem.problem import Multipliers, TransientProblem
+from transopt.problem.answer import Multipliers
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, inside, reduced_gradient
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.choose import capable, solve
@@ -29,7 +31,7 @@ def warm() -> TransientProblem:
     problem = case.problem()
     thermal = problem.thermal
     assert thermal is not None
-    problem = replace(problem, thermal=thermal.relaxed(problem.limits.current_A))
+    problem = with_limit(problem, thermal.relaxed(problem.limits.current_A))
     assert problem.thermal is not None
     rest, full = np.zeros(40), np.full(40, 1e-3)
     full[problem.free_stages :] = 0.0
@@ -84,8 +86,8 @@ def test_no_multiplier_counts_where_there_is_no_limit() -> None:
     problem = case.problem()
     thermal = problem.thermal
     assert thermal is not None
-    problem = with_headroom(replace(problem, thermal=thermal.relaxed(4.0)), np.array([np.inf, 5.0]))
-    command = 0.5 * solve(replace(problem, thermal=None)).command_A
+    problem = with_headroom(with_limit(problem, thermal.relaxed(4.0)), np.array([np.inf, 5.0]))
+    command = 0.5 * solve(problem.without("temperature")).command_A
     motion = problem.stage.motion(command)
     assert problem.thermal is not None
     slope = np.sign(problem.thermal.model.heating.mean_current(motion.current_A, command))

@@ -19,7 +19,8 @@ from transopt.design.entry import Baselines, Entry
 from transopt.library.figures import library_figure
 from transopt.library.library import ARRAYS, Library
 from transopt.plant.chain import Link, chain
-from transopt.problem.problem import Limits, Status
+from transopt.problem.answer import Status
+from transopt.problem.limits.limit import Limits
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import Tap

@@ -15,8 +15,9 @@ from transopt.design.explain import unstable_wall
 from transopt.design.optimum import Designed, optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.wall import earlier_by
+from transopt.problem.answer import Status
 from transopt.problem.leave_out import encoder_course, silence
-from transopt.problem.problem import Status, TransientProblem
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import wall_growth
 from transopt.proof.certify import certify
 from transopt.solvers.choose import solve

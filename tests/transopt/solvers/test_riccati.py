@@ -16,9 +16,12 @@ from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.build import Build
 from transopt.design.entry import entry_problem, scene_stage
-from transopt.problem.heat import Budget, thermal_limit
-from transopt.problem.leave_out import pressing, reference_course
-from transopt.problem.problem import OBJECTIVE_SCALE, Multipliers, Status, TransientProblem
+from transopt.plant.wall import reference_course
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
+from transopt.problem.heat import Budget
+from transopt.problem.leave_out import pressing
+from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
 from transopt.problem.stage_data import Derivatives, Stages, derivatives, runtime_stages
 from transopt.proof.certify import certify
@@ -68,7 +71,9 @@ def hot(scene: Scene) -> Callable[..., TransientProblem]:
     def make(problem: TransientProblem, **budget: float) -> TransientProblem:
         coil = scene.coil()
         assert coil is not None
-        return replace(problem, thermal=thermal_limit(coil, problem.stage.amplifier, problem.grid, Budget(**budget)))
+        return replace(
+            problem, thermal=temperature_limit(coil, problem.stage.amplifier, problem.grid, Budget(**budget))
+        )
 
     return make
 

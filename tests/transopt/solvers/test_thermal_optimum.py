@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import problems
+from tests.benches.limits import with_limit
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
 from transopt.design.entry import entry_problem, scene_stage
@@ -18,8 +19,10 @@ from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
-from transopt.problem.heat import STEADY_MARGIN, thermal_limit
-from transopt.problem.problem import Solution, Status, TransientProblem
+from transopt.problem.answer import Solution, Status
+from transopt.problem.heat import STEADY_MARGIN
+from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, certify, inside, relaxed_bound
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
@@ -57,7 +60,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
             grid=grid,
             reference_m_s2=problem.reference_m_s2[:stages],
             tracking_weights=np.ones(stages),
-            thermal=thermal_limit(coil, problem.stage.amplifier, grid, varied.budget()),
+            thermal=temperature_limit(coil, problem.stage.amplifier, grid, varied.budget()),
         )
 
     return make
@@ -84,7 +87,7 @@ class TestOptimum:
         proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, ipopt)]
         for answer, proof in zip((own, ipopt), proofs, strict=True):
             assert answer.status is Status.OPTIMAL
-            assert answer.multipliers.temperature_upper.max() > 1e-3
+            assert answer.multipliers.upper("temperature").max() > 1e-3
             assert replace(proof, lower_bound=proof.objective).accepted
             assert not proof.accepted, "where the temperature binds, no bound comes from the multipliers alone"
         assert proofs[0].objective == pytest.approx(proofs[1].objective, rel=1e-6)
@@ -108,7 +111,7 @@ class TestOptimum:
     def test_where_it_does_not_bind_the_nlp_is_the_qp(self, entry: Maker) -> None:
         problem = entry(start_winding_C=60.0, start_housing_C=60.0, headroom_K=3.0)
         forced = solve(problem, SolverOptions("casadi-ipopt"))
-        plain = solve(replace(problem, thermal=None), SolverOptions("casadi-piqp"))
+        plain = solve(problem.without("temperature"), SolverOptions("casadi-piqp"))
         assert (forced.solver, plain.solver) == ("casadi-ipopt", "casadi-piqp")
         first, second = (certify(problem, a.command_A, a.multipliers).objective for a in (forced, plain))
         assert abs(first - second) <= 1e-6 * max(second, 1e-3)
@@ -138,14 +141,14 @@ class TestOptimum:
         """Below the convex problem's optimum, as a dual bound has to be, and below it by almost nothing."""
         problem, answer = tight[headroom]
         assert problem.thermal is not None
-        relaxed = replace(problem, thermal=problem.thermal.relaxed(problem.limits.current_A))
+        relaxed = with_limit(problem, problem.thermal.relaxed(problem.limits.current_A))
         least = solve(relaxed, SolverOptions("casadi-ipopt"))
         optimum_of_relaxed = certify(relaxed, least.command_A, least.multipliers).objective
         effect = Effect(problem, answer.command_A)
         bound = relaxed_bound(effect, answer.multipliers)
         assert optimum_of_relaxed * (1 - 1e-4) < bound <= optimum_of_relaxed * (1 + 1e-9)
         # Any multipliers bound, wrong ones worse: too high, too low, at the wrong time, of the wrong sign.
-        mu = answer.multipliers.temperature_upper
+        mu = answer.multipliers.upper("temperature")
         for wrong in (1.5 * mu, 0.5 * mu, np.roll(mu, 100), -mu, np.zeros_like(mu)):
             weaker = relaxed_bound(effect, replace(answer.multipliers, temperature_upper=wrong))
             assert weaker < bound - 1e-3 * optimum_of_relaxed
@@ -156,7 +159,7 @@ class TestOptimum:
         """Commands from anywhere, shrunk until they keep all limits: zero does, and heat shrinks with them."""
         problem, answer = tight[0.02]
         bound = global_bound(problem, SolverOptions())
-        cold = solve(replace(problem, thermal=None)).command_A
+        cold = solve(problem.without("temperature")).command_A
         random = np.random.default_rng(10)
         noise = random.standard_normal((4, problem.grid.stages))
         noise[:, problem.free_stages :] = 0
@@ -245,7 +248,7 @@ def repeated(entry: Maker) -> tuple[TransientProblem, Solution]:
     assert designed.solution.status is Status.OPTIMAL
     assert designed.certificate.accepted
     assert "temperature" not in designed.left_out
-    assert designed.solution.multipliers.temperature_upper.max() > 1e-6
+    assert designed.solution.multipliers.upper("temperature").max() > 1e-6
     return problem, designed.solution
 
 
@@ -319,7 +322,7 @@ class TestRepetition:
         bound = global_bound(problem, SolverOptions())
         best = certify(problem, answer.command_A, answer.multipliers).objective
         assert 0 < (best - bound) / best < 6e-3
-        cold = solve(replace(problem, thermal=None)).command_A
+        cold = solve(problem.without("temperature")).command_A
         shares = np.linspace(0.5, 1.0, 11)
         kept = [share for share in shares if inside(problem, share * cold)]
         assert 0 < len(kept) < shares.size
@@ -391,11 +394,11 @@ class TestTampering:
         tamper: Callable[[np.ndarray], np.ndarray],
     ) -> None:
         problem, answer, objective = honest
-        wrong = replace(answer.multipliers, temperature_upper=tamper(answer.multipliers.temperature_upper))
+        wrong = replace(answer.multipliers, temperature_upper=tamper(answer.multipliers.upper("temperature")))
         assert not certify(problem, answer.command_A, wrong, objective).accepted
 
     def test_a_command_that_is_too_hot(self, honest: tuple[TransientProblem, Solution, float]) -> None:
         problem, answer, objective = honest
         certificate = certify(problem, 1.001 * answer.command_A, answer.multipliers, objective)
-        assert certificate.primal_violation_K > 1e-6
+        assert certificate.violation("K") > 1e-6
         assert not certificate.accepted

@@ -1,7 +1,7 @@
 """The limits of the optimal-control problem, one file each, all of the interface in `limit`.
 
-`KINDS` is the one list of them: scene keys, multipliers, the arrays of a library, columns of reports and studies follow
-from it.
+`KINDS` is the one list of them: scene keys, multipliers, the arrays of a library, columns of reports and studies
+follow from it.
 """
 
 from collections.abc import Iterable, Mapping

@@ -1,8 +1,9 @@
 """What a limit is: one interface, behind which each limit stands in a file of its own.
 
 A limit says what it bounds as rows, `lower_k <= sum of outputs + offset <= upper_k` at the switching instants tau_k.
-The outputs are named outputs of the stage, so that a row knows nothing of states, scaling or solvers. The solvers' stage
-data, the CasADi program, the program that asks for feasibility, the certificate and the replay all read the same rows.
+The outputs are named outputs of the stage, so that a row knows nothing of states, scaling or solvers. The solvers'
+stage data, the CasADi program, the program that asks for feasibility, the certificate and the replay all read the
+same rows.
 """
 
 from abc import ABC, abstractmethod
@@ -26,6 +27,7 @@ COMMAND = "command"  # c_k, felt from tau_k on [A]
 HELD = "held command"  # c_(k-1), felt until tau_k [A]
 VELOCITY = "velocity"  # dy/dt of the motor mass [m/s]
 
+SIDES = ("lower", "upper")  # of a row
 VIOLATION_TOLERANCE = 1e-6  # of a limit where that is below one of its units, and of one unit above
 
 
@@ -142,7 +144,7 @@ class Limit(ABC):
     label : how it is called where it binds.
     unit : of what it bounds. step_unit : of differences.
     key : its number in a scene, below `limits`; empty where the number stands elsewhere.
-    row_names : of all rows that it can have.
+    row_names : of all rows that it can have. sides : on which they are bounded.
     needs : outputs of the stage that its rows use beyond those that every stage has.
     in_every_file : whether a library has its multipliers even where the limit is not in force.
     after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
@@ -156,6 +158,7 @@ class Limit(ABC):
     step_unit: ClassVar[str]
     key: ClassVar[str] = ""
     row_names: ClassVar[tuple[str, ...]]
+    sides: ClassVar[tuple[str, ...]] = SIDES
     needs: ClassVar[tuple[str, ...]] = ()
     in_every_file: ClassVar[bool] = False
     after_the_waveform: ClassVar[bool] = False
@@ -222,9 +225,9 @@ class Limit(ABC):
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of one problem, in the order of `transopt.problem.limits.KINDS`; a limit that is not there binds nothing.
+    """The limits of one problem, in the order of `transopt.problem.limits.KINDS`.
 
-    `limits["supply"]` is the one of that name.
+    `limits["supply"]` is the one of that name; a limit that is not there binds nothing.
     """
 
     members: tuple[Limit, ...] = field(default=())

@@ -49,6 +49,4 @@ class SlewLimit(Limit):
         bound = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)
         if self.stated < 2 * bound:
             return ""
-        return (
-            f"no command inside +-{bound:g} A moves by more than {2 * bound:g} A per tick, limit {self.stated:g} A"
-        )
+        return f"no command inside +-{bound:g} A moves by more than {2 * bound:g} A per tick, limit {self.stated:g} A"

@@ -1,7 +1,7 @@
 """|R i + L di/dt + k_e w| <= V: the voltage that the motor takes may not pass the supply rail.
 
-It is stated just before and just after each switching instant: between two of them R i + L di/dt goes monotonically from
-the value after the one to the value before the next, through an amplifier of one pole, di/dt = w (c - i).
+It is stated just before and just after each switching instant: between two of them R i + L di/dt goes monotonically
+from the value after the one to the value before the next, through an amplifier of one pole, di/dt = w (c - i).
 """
 
 from collections.abc import Mapping

@@ -42,6 +42,7 @@ class TemperatureLimit(Limit):
     step_unit: ClassVar[str] = "K"
     key: ClassVar[str] = "temperature_C"
     row_names: ClassVar[tuple[str, ...]] = ("temperature",)
+    sides: ClassVar[tuple[str, ...]] = ("upper",)
     said_without: ClassVar[str] = "the scene has no motor data"
 
     coil: CoilModel
@@ -63,7 +64,7 @@ class TemperatureLimit(Limit):
         return None if self.budget.tap_rate_Hz is None else 1 / self.budget.tap_rate_Hz
 
     @classmethod
-    def posed(cls, asked: Mapping[str, Any], setting: Setting) -> "TemperatureLimit | None":  # type: ignore[override]
+    def posed(cls, asked: Mapping[str, Any], setting: Setting) -> "TemperatureLimit | None":
         if setting.coil is None:
             return None
         amplifier = setting.stage.amplifier
@@ -157,7 +158,8 @@ class TemperatureLimit(Limit):
         throughout = f"cannot pass {bound:.2f} C even if {problem.limits.current_A:g} A flowed"
         if self.period_s is None:
             return f"{throughout} for the whole horizon and no heat left the winding, limit {self.limit_C:g} C"
-        return f"{throughout} throughout every tap, {self.budget.tap_rate_Hz:g} taps/s for ever, limit {self.limit_C:g} C"
+        rate = self.budget.tap_rate_Hz
+        return f"{throughout} throughout every tap, {rate:g} taps/s for ever, limit {self.limit_C:g} C"
 
     def unavoidable(self, problem: Posed) -> str:
         # No current heats less than the ripple alone.
@@ -200,8 +202,8 @@ class TemperatureLimit(Limit):
         if hottest > self.limit_C + self.replay_tolerance or peak - hottest > warming_K:
             return ""
         return (
-            f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C within a servo period, in which it may warm "
-            f"by {warming_K:.3g} K; lower time.dt_s ({problem.grid.dt_s * 1e3:g} ms)"
+            f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C within a servo period, in which it may "
+            f"warm by {warming_K:.3g} K; lower time.dt_s ({problem.grid.dt_s * 1e3:g} ms)"
         )
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.problem.problem import OBJECTIVE_SCALE
+from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.stage_data import Stages
 
 EXTENSION = "_riccati"
