@@ -94,7 +94,7 @@ def _without(problem: TransientProblem, limit: Limit, unlimited_A: FloatArray, o
         clear = limit is problem.thermal or peak < CLEAR * wider.limits[limit.name].stated
         if status is Status.OPTIMAL and clear:
             acceleration, _ = problem.stage.rollout(command)
-            return _Without(peak, nrmse(acceleration, problem.reference_m_s2))
+            return _Without(limit.enough(peak), nrmse(acceleration, problem.reference_m_s2))
     return _Without(float("inf"), 0.0)
 
 

@@ -188,7 +188,7 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
 
 def multiplier_column(kind: type[Limit]) -> str:
     """Name of a limit's column among the rows of a study."""
-    return f"mu_{kind.label}_1_{kind.step_unit.split('/')[0]}"
+    return f"mu_{kind.label}_1_{kind.base_unit()}"
 
 
 MULTIPLIER_COLUMNS = {kind.label: multiplier_column(kind) for kind in KINDS}

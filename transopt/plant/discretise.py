@@ -14,6 +14,8 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
 
+AFTER = " after the period"  # behind the name of an output: its value at the next switching instant
+
 
 @dataclass(frozen=True)
 class TimeGrid:
@@ -87,7 +89,8 @@ class StageModel:
     A : (n, n). B : (n, 1).
     C, D : (1, n), (1, 1) of y''. Ci, Di : of the current. Cv : (1, n) of the motor mass's velocity.
     Cp, Dp : of the encoder position at the tick within the period; None where position is left out.
-    outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later.
+    outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later;
+        with `AFTER` behind its name the same output one period later, which the command has moved by then.
     """
 
     plant: StateSpace
@@ -124,9 +127,22 @@ class StageModel:
         rows, direct = [self.C, self.Ci, self.Cv], [self.D, self.Di, nothing]
         if self.Cp is not None and self.Dp is not None:
             rows, direct = [*rows, self.Cp], [*direct, self.Dp]
-        rows += [row[None] for row in self.outputs.values()]
-        direct += [nothing] * len(self.outputs)
+        for name in self.output_names:
+            row, by_command = self.output(name)
+            rows.append(row[None])
+            direct.append(np.full((1, 1), by_command, dtype=self.A.dtype))
         return np.concatenate(rows), np.concatenate(direct)[:, 0]
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Of the further outputs, each at the switching instant and one period later."""
+        return tuple(name for own in self.outputs for name in (own, own + AFTER))
+
+    def output(self, name: str) -> tuple[FloatArray, float]:
+        """(n,) and scalar: a further output by the state and by the command felt."""
+        own = name.removesuffix(AFTER)
+        row = self.outputs[own]
+        return (row, 0.0) if own == name else (row @ self.A, float(row @ self.B[:, 0]))
 
     def states(self, command_A: FloatArray) -> FloatArray:
         """(N, n) states at the switching instants for one held command (N,)."""
@@ -153,8 +169,9 @@ class StageModel:
         values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command_A.shape)
         acceleration, current, velocity = values[:3]
         encoder = np.zeros(command_A.shape) if self.Cp is None else values[3]
-        further = values[values.shape[0] - len(self.outputs) :]
-        return Motion(acceleration, current, velocity, encoder, dict(zip(self.outputs, further, strict=True)))
+        names = self.output_names
+        further = values[values.shape[0] - len(names) :]
+        return Motion(acceleration, current, velocity, encoder, dict(zip(names, further, strict=True)))
 
     def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
@@ -193,7 +210,7 @@ class StageModel:
         if self.Cp is not None:
             by_output.append(gradient.encoder_m)
         nothing = np.zeros_like(gradient.current_A)
-        by_output += [gradient.outputs.get(name, nothing) for name in self.outputs]
+        by_output += [gradient.outputs.get(name, nothing) for name in self.output_names]
         stacked = np.stack(by_output, axis=1)
         forcing = stacked @ rows
         if forcing.dtype == np.float64:
@@ -216,14 +233,14 @@ def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
 def plant_outputs(plant: StateSpace, names: Sequence[str]) -> dict[str, FloatArray]:
     """Name -> (1, n) row of the plant's outputs that may be asked for beside acceleration and velocity.
 
-    "position" is y of the motor mass, the one that the encoder sees; "state 1" to "state n" are the plant's own
-    states.
+    "position" and "velocity" are y and dy/dt of the motor mass, the one that the encoder sees; "state 1" to "state n"
+    are the plant's own states.
 
     Raises
     ------
     InputError : an output that the plant does not have.
     """
-    known = {"position": plant.Ce} if plant.Ce.any() else {}
+    known = {"position": plant.Ce, "velocity": plant.Ce @ plant.A} if plant.Ce.any() else {}
     known |= {f"state {j + 1}": np.eye(1, plant.order, j) for j in range(plant.order)}
     missing = [name for name in names if name not in known]
     if missing:

@@ -255,13 +255,17 @@ def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tup
             found[where.current] = row[size] * current
         return found
 
+    def of_output(name: str) -> tuple[FloatArray, float]:
+        row, direct = stage.output(name)
+        return of_device(row) + direct * command, direct * current
+
     flows = (of_device(stage.Ci[0]), 0.0) if where.amplifier else (command, current)
     return {
         CURRENT: flows,
         COMMAND: (command, current),
         HELD: (command, 0.0),
         VELOCITY: (of_device(stage.Cv[0]), 0.0),
-        **{name: (of_device(row), 0.0) for name, row in stage.outputs.items()},
+        **{name: of_output(name) for name in stage.output_names},
     }
 
 

@@ -282,7 +282,7 @@ def certify(
     off = float(np.abs(tail).max())
     violations = {"A": max(off, 0.0)}
     for by, box in zip(over, limits, strict=True):
-        unit = box.limit.step_unit.split("/")[0]
+        unit = box.limit.base_unit()
         violations[unit] = max(violations.get(unit, 0.0), by)
     excess = [by / box.limit.tolerance for by, box in zip(over, limits, strict=True)]
     excess.append(off / tolerated(problem.limits.current_A))

@@ -16,7 +16,7 @@ from transopt.plant.continuous import AGREEMENT, Loop, Trajectory, accurate, fin
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
-from transopt.problem.limits.limit import HELD, Limit, Limits, tolerated
+from transopt.problem.limits.limit import Limit, Limits, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 
@@ -94,10 +94,8 @@ def replayed_errors(
 
 
 def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid) -> list[dict[str, float]]:
-    """Of each command, by limit: the largest size of its rows' values.
-
-    The command that is felt at t stands for c_k. A row of the command held before has no value between the ticks.
-    """
+    """Of each command, by limit: the largest size of the values that it watches."""
+    instants = np.append(grid.switching_times_s, grid.end_s)
     playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
     found = []
     for m, of_entry in enumerate(limits):
@@ -111,12 +109,10 @@ def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid:
                 np.zeros(0),
                 {name: values[m, at] for name, values in run.outputs.items()},
             )
-            for row in limit.rows(posed):
-                if HELD in row.outputs:
-                    continue
+            for row in limit.watched(posed):
                 offset = row.offset
                 if isinstance(offset, np.ndarray):
-                    offset = np.interp(run.times_s[at], grid.switching_times_s, offset)
+                    offset = np.interp(run.times_s[at], instants[: offset.size], offset)
                 value = replace(row, offset=offset).value(motion, run.felt_A[m, at])
                 peaks[limit.name] = max(peaks.get(limit.name, 0.0), float(np.abs(value).max()))
         found.append(peaks)

@@ -14,7 +14,13 @@ from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 
-KINDS: tuple[type[Limit], ...] = (CurrentLimit, CommandLimit, SlewLimit, SupplyLimit, TemperatureLimit)
+KINDS: tuple[type[Limit], ...] = (
+    CurrentLimit,
+    CommandLimit,
+    SlewLimit,
+    SupplyLimit,
+    TemperatureLimit,
+)
 
 
 def posed(asked: Mapping[str, Any], setting: Setting) -> Limits:

@@ -17,7 +17,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.discretise import AFTER, Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
 
@@ -63,8 +63,8 @@ class Row:
 
     @property
     def waits(self) -> bool:
-        """Whether the command c_k has no say in the value at tau_k: at tau_0 nobody has."""
-        return COMMAND not in self.outputs
+        """Whether the command c_k has no say in the value of stage k: in that of the first nobody has."""
+        return not any(name == COMMAND or name.endswith(AFTER) for name in self.outputs)
 
 
 def output_values(name: str, motion: Motion, command_A: FloatArray) -> FloatArray:
@@ -183,10 +183,26 @@ class Limit(ABC):
         """What it bounds; nothing for a limit that has a state of its own."""
         return ()
 
+    @classmethod
+    def base_unit(cls) -> str:
+        """Unit of its violations and of its multipliers' inverse, which a step per tick has without the tick."""
+        return cls.step_unit.removesuffix("/tick")
+
     @property
     def room(self) -> float:
         """How much of it there is to use, of which steps are shares."""
         return self.stated
+
+    def watched(self, problem: Posed) -> tuple[Row, ...]:
+        """Rows that the replay follows at all times; an offset of (N + 1,) goes on to tau_N.
+
+        The command that is felt stands there for c_k. The command held before has no meaning between the ticks.
+        """
+        return tuple(row for row in self.rows(problem) if HELD not in row.outputs)
+
+    def enough(self, peak: float) -> float:
+        """The least limit that does not bind where what it bounds reaches this peak at the switching instants."""
+        return peak
 
     @property
     def tolerance(self) -> float:
