@@ -6,7 +6,7 @@ errors come at once.
 
 import shlex
 import sys
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -160,7 +160,6 @@ def solve(
     scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
-    jobs: Annotated[int, typer.Option(help="Processes; the grips are shared among them.")] = 1,
     solver: Annotated[
         str | None,
         typer.Option(help="riccati, the default where it is built, casadi-piqp or casadi-ipopt."),
@@ -174,17 +173,12 @@ def solve(
     figures: Annotated[bool, typer.Option(help="Draw transients, methods and Bode plots into the folder.")] = True,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
-    from transopt.base import workers
-
-    if jobs > 1:
-        drawing = ("transopt.report.publish", "transopt.report.figures") if figures else ()
-        workers.context((*workers.DESIGNING, "transopt.cli.main", *drawing))
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from transopt.design.build import build_library
     from transopt.design.refine_grid import check_tolerance, refine_grid
     from transopt.report.identified import model_warning
-    from transopt.report.publish import LEFTOVERS, files_of, publishing
+    from transopt.report.publish import LEFTOVERS, files_of, publish
     from transopt.report.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
     from transopt.solvers.choose import check_name
     from transopt.solvers.options import SolverOptions, default_solver
@@ -196,15 +190,11 @@ def solve(
     if grid_tolerance is not None:
         check_tolerance(loaded, grid_tolerance, grid_cap)
     folder = Path("out") / loaded.name if out is None else out
-    terminal.make_folder(folder)
     bar = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     watched, console = sys.stderr.isatty(), terminal.console()
     try:
-        with ExitStack() as running:
-            pool = running.enter_context(workers.pool(jobs)) if jobs > 1 else None
-            progress = running.enter_context(
-                Progress(*bar, console=Console(stderr=True), transient=True, disable=not watched)
-            )
+        terminal.make_folder(folder)
+        with Progress(*bar, console=Console(stderr=True), transient=True, disable=not watched) as progress:
             task = progress.add_task("recordings", total=None)
             taps_of_scene = _recordings(loaded)
             refinement = None
@@ -226,18 +216,14 @@ def solve(
                 loaded,
                 taps_of_scene,
                 options=options,
-                jobs=jobs,
-                pool=pool,
                 progress=lambda done: progress.advance(task, done),
                 refinement=refinement,
             )
             progress.update(task, visible=False)
             progress.add_task("files", total=None)
             files = files_of(build, figures=figures)
-            stale = [name for name in LEFTOVERS if name not in files.names] if build.library is not None else []
-            with publishing(folder, files, stale, pool), console.capture() as table:
-                # Takes a moment of this process while the others draw.
-                console.print(build_table(build, console.width))
+            stale = [name for name in LEFTOVERS if name not in files] if build.library is not None else []
+            publish(folder, files, stale)
     except InputError:
         with suppress(OSError):  # holds earlier results: it stays
             folder.rmdir()
@@ -245,7 +231,7 @@ def solve(
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
-    typer.echo(table.get(), nl=False)
+    console.print(build_table(build, console.width))
     console.print(LEGEND, style="dim", highlight=False)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
@@ -261,7 +247,7 @@ def solve(
     if refinement is not None:
         text = refinement_summary(refinement)
         console.print(text, style="red" if missed else None, highlight=False, soft_wrap=True)
-    console.print(f"{folder}: {', '.join(files.names)}", highlight=False, soft_wrap=True)
+    console.print(f"{folder}: {', '.join(files)}", highlight=False, soft_wrap=True)
     console.print(summary(build), style="red" if build.refused else None, highlight=False, soft_wrap=True)
     if build.refused or missed:
         raise typer.Exit(1)

@@ -235,7 +235,7 @@ class TestSolve:
         assert run("show", "run [1]/[/b]/library.npz").code == 0
 
     def test_second_solver(self, run: Run, quick_scene: Path) -> None:
-        assert run("solve", quick_scene, "--solver", "casadi-ipopt", "--jobs", 2).code == 0
+        assert run("solve", quick_scene, "--solver", "casadi-ipopt").code == 0
 
     @pytest.mark.parametrize(
         ("arguments", "words"),
@@ -247,7 +247,6 @@ class TestSolve:
                 ["--solver osqp", "riccati, casadi-piqp, casadi-ipopt"],
             ),
             (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
-            (["wood_on_foam", "--jobs", "0"], ["--jobs 0", "at least 1"]),
             (["wood_on_foam", "--grid-tolerance", "0"], ["--grid-tolerance 0", "between 0 and 1"]),
             (["wood_on_foam", "--grid-tolerance", "0.02", "--grid-cap", "11"], ["--grid-cap 11", "12 entries"]),
         ],
@@ -314,7 +313,7 @@ def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
     program = (
         # A background job of a shell starts with SIGINT ignored; a user's terminal does not.
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "sys.argv = ['transopt', 'solve', '--jobs', '2']; from transopt.cli.main import main; main()"
+        "sys.argv = ['transopt', 'solve']; from transopt.cli.main import main; main()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program],
