@@ -144,10 +144,13 @@ class TestMethods:
         for setting in method.settings(short_case):
             prepared = method.prepare(short_case, setting)
             one, two = (prepared.read(prepared.run()) for _ in range(2))
-            # A start from the last solution would end sooner, and elsewhere by as much as the tolerance. When OSQP is
-            # updated it undoes its scaling and scales again: every other run has other rounding.
+            # A start from the last solution would end sooner, and elsewhere by as much as the answer is off. When
+            # they are updated OSQP and PIQP undo their scaling and scale again: every other run has other rounding,
+            # which PIQP, stopped early, leaves in the answer as a small part of what it is off.
             assert one.iterations == two.iterations
-            np.testing.assert_allclose(one.command_A, two.command_A, rtol=0, atol=1e-9 if name == "osqp" else 0)
+            off = np.abs(one.command_A - short_case.optimum.command_A).max()
+            rounding = {"osqp": 1e-9, "piqp": 1e-9 + 1e-2 * off}.get(name, 0.0)
+            np.testing.assert_allclose(one.command_A, two.command_A, rtol=0, atol=rounding)
 
     def test_hpipm_and_opti(self, scripts: Any, rows_of: Any) -> None:
         rows = rows_of(scripts.precision.wheels.hpipm(), scripts.precision.methods.opti_ipopt())
