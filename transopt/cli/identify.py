@@ -1,4 +1,4 @@
-"""`transopt identify`: one subcommand per part of the model file, each in a file of its own (DESIGN 10)."""
+"""`transopt identify`: one subcommand per part of the model file."""
 
 import typer
 
