@@ -29,6 +29,9 @@ from transopt.library.library import Library
 from transopt.library.online import Online
 from transopt.plant.discretise import discretise
 from transopt.problem.answer import Multipliers, Solution
+from transopt.problem.limits import limits_of
+from transopt.problem.limits.command import CommandLimit
+from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify
@@ -85,13 +88,15 @@ def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> Transie
     """One entry of the scene; a longer horizon goes on with nothing to do."""
     references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
     wanted = references[scene.grid.speeds_m_s.index(speed_m_s)].motor_m_s2
+    amplifier = scene.amplifier_model()
+    assert amplifier is not None
     return TransientProblem(
         stage=discretise(scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s),
         grid=replace(scene.time_grid(), stages=stages),
         reference_m_s2=np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages],
         tracking_weights=np.ones(stages),
         rho=scene.weights.rho,
-        limits=scene.current_limits(),
+        limits=limits_of(CurrentLimit(scene.limits.transient_current_A), CommandLimit(amplifier.command_limit_A)),
         hand_over_samples=scene.hand_over_samples,
     )
 
@@ -226,23 +231,6 @@ def cold_start(runs: int, *arguments: str) -> tuple[FloatArray, float]:
     return np.array(times), memory
 
 
-def two_processes(runs: int, scene_file: Path) -> FloatArray:
-    """(runs,) times [ms] of a library by two processes, after one that is not counted.
-
-    In an interpreter of its own: workers load the main program again, and this one takes longer than the library.
-    """
-    program = (
-        "import sys, time; from pathlib import Path; from transopt.scene.strikes import recordings\n"
-        "from transopt.design.build import build_library; from transopt.scene.file import read_scene\n"
-        "import problems; scene = problems.load(sys.argv[1]); taps = recordings(scene)\n"
-        "for run in range(int(sys.argv[2]) + 1):\n"
-        "    start = time.perf_counter(); build_library(scene, taps, jobs=2); print(time.perf_counter() - start)\n"
-    )
-    words = [sys.executable, "-c", program, str(scene_file), str(runs)]
-    done = subprocess.run(words, check=True, capture_output=True, text=True)
-    return 1e3 * np.array([float(line) for line in done.stdout.splitlines()][1:])
-
-
 def wide(scene: Scene) -> Scene:
     """The scene on 20 speeds and 10 grips."""
     grid = {"speeds_m_s": WIDE_SPEEDS.round(6).tolist(), "grips_N": WIDE_GRIPS.round(6).tolist()}
@@ -278,11 +266,9 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
         row("library", "transopt, 20 x 10", f"200 entries {told}", 600, times["wide"]),
     ]
     with tempfile.TemporaryDirectory() as folder:
-        two = two_processes(runs, wide_scene_file(Path(folder)))
-        found.append(row("library", "two processes, 20 x 10", f"200 entries {told}", 600, two))
         for included, options in {"report": ("--no-figures",), "report and figures": ()}.items():
-            cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), "--jobs", "2", *options)
-            told = f"cold, two processes, {included} included"
+            cold, _ = cold_start(3, str(wide_scene_file(Path(folder))), *options)
+            told = f"cold, {included} included"
             found.append(row("library", " ".join(("transopt solve, 20 x 10", *options)), told, 600, cold))
     return found, library
 

@@ -45,9 +45,9 @@ _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 def run(app: Callable[..., object]) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback."""
     # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
-    # processor and gain nothing, and with --jobs they fight. Read when numpy is loaded, which is inside the commands.
+    # processor and gain nothing. Read when numpy is loaded, which is inside the commands.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Asked to end, it ends as by Ctrl-C: no worker is left behind, and nothing half written.
+    # Asked to end, it ends as by Ctrl-C: no process is left behind, and nothing half written.
     ours = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
     try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from transopt.base import console as terminal
-from transopt.base.errors import InputError
+from transopt.cli.identified_file import check_place, next_step
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,15 +26,12 @@ def identify_amplifier(
 ) -> None:
     """Pole and delay of the current amplifier from swept sines; exit 1 if they are not fit to design with."""
     from transopt.base.plotting import save_figure
-    from transopt.cli.next_step import next_step
     from transopt.identify.amplifier import fit_amplifier
     from transopt.identify.figures.amplifier import amplifier_figure
     from transopt.identify.measurement import load_measurements
     from transopt.scene.model_file import save_part
 
-    if out.suffix.lower() != ".json":
-        raise InputError(f"--out {out}: a model file ends in .json")
-    terminal.make_folder(out.parent)
+    check_place(out)
     with terminal.console().status("fitting"):
         runs = load_measurements(files)
         trials, findings = prepare(runs)
@@ -50,9 +47,9 @@ def identify_amplifier(
         console.print(str(finding), style="yellow", highlight=False, soft_wrap=True)
     console.print(crossover_line(fit), highlight=False, soft_wrap=True)
     console.print(f"{out}, {figure.name}", highlight=False, soft_wrap=True)
-    told = fit.shortcomings()
-    console.print(f"amplifier: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
-    if told:
+    short = fit.shortcomings()
+    console.print(f"amplifier: {part.verdict}", style="red" if short else None, highlight=False, soft_wrap=True)
+    if short:
         raise typer.Exit(1)
     console.print(next_step(out), highlight=False, soft_wrap=True)
 

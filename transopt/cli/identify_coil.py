@@ -7,6 +7,8 @@ import typer
 
 from transopt.base import console as terminal
 from transopt.base.errors import InputError
+from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,7 +30,7 @@ MEANING = {
 def identify_coil(
     file: Annotated[Path, typer.Argument(help="Record with current_A and winding_C or voltage_V: CSV, NPZ or MAT.")],
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
-    scene: Annotated[str, typer.Option(help="Scene of the motor: its resistance, its limit.")] = "wood_on_foam",
+    scene: Annotated[str, typer.Option(help="Scene of the motor: its resistance, its limit.")] = DEFAULT_SCENE,
     resistance_ohm: Annotated[
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
     ] = None,
@@ -37,15 +39,12 @@ def identify_coil(
     from dataclasses import replace
 
     from transopt.base.plotting import save_figure
-    from transopt.cli.next_step import next_step
     from transopt.identify.coil import fit_coil, heat_record
     from transopt.identify.figures.coil import coil_figure
     from transopt.identify.measurement import load_measurement
     from transopt.scene.model_file import save_part
 
-    if out.suffix.lower() != ".json":
-        raise InputError(f"--out {out}: a model file ends in .json")
-    terminal.make_folder(out.parent)
+    check_place(out)
     nominal = _coil_of(scene)
     run = load_measurement(file)
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
@@ -62,9 +61,9 @@ def identify_coil(
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
     console.print(f"from {channels}, {noise}", highlight=False, soft_wrap=True)
     console.print(f"{out}, {figure.name}", highlight=False, soft_wrap=True)
-    told = fit.shortfalls()
-    console.print(f"coil: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
-    if told:
+    short = fit.shortfalls()
+    console.print(f"coil: {part.verdict}", style="red" if short else None, highlight=False, soft_wrap=True)
+    if short:
         raise typer.Exit(1)
     console.print(next_step(out), highlight=False, soft_wrap=True)
 
@@ -80,9 +79,9 @@ def _coil_of(scene: str) -> "CoilModel":
 
 def verdict(fit: "CoilFit", nominal: "CoilModel", continuous_A: float) -> str:
     """In plain words: what the coil's model may be used for, or why not."""
-    told = fit.shortfalls()
-    if told:
-        return f"not to be relied upon: {'; '.join(told)}"
+    short = fit.shortfalls()
+    if short:
+        return f"not to be relied upon: {'; '.join(short)}"
     return (
         f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
         f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C"

@@ -9,6 +9,8 @@ import typer
 
 from transopt.base import console as terminal
 from transopt.base.errors import InputError
+from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from transopt.identify.device.identify import DeviceResult, Settings
     from transopt.scene.scene import Scene
 
-DEFAULT_SCENE = "wood_on_foam"
 UNLIMITED_A = 1e6  # an identified amplifier states no range, and a response needs none
 
 
@@ -44,16 +45,13 @@ def identify_device(
 ) -> None:
     """Identify drive and hand from swept sines, all grips together, and say what the model is good for."""
     from transopt.base.plotting import save_figure
-    from transopt.cli.next_step import next_step
     from transopt.identify.device.identify import Kind, device_part, identify
     from transopt.identify.figures.device import device_figure
     from transopt.identify.measurement import load_measurements
     from transopt.scene.model_file import save_part
 
     console = terminal.console()
-    if out.suffix.lower() != ".json":
-        raise InputError(f"--out {out}: a model file ends in .json")
-    terminal.make_folder(out.parent)
+    check_place(out)
     settings = _settings(out, scene, force_per_current, order, kind)
     with _progress(console) as step:
         read = load_measurements((*files, *(validate or [])), read=lambda: step("reading"))
@@ -81,7 +79,7 @@ def identify_device(
 
 @contextmanager
 def _progress(console: "Console") -> "Iterator[Callable[[str], None]]":
-    """A bar that tells what was done last; `step(name)` counts one."""
+    """A bar that names what was done last; `step(name)` counts one."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description:14}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -96,12 +94,6 @@ def _progress(console: "Console") -> "Iterator[Callable[[str], None]]":
             progress.advance(tasks[name])
 
         yield step
-
-
-def _load_scene(name: str) -> "Scene":
-    import problems
-
-    return problems.load(name)
 
 
 def _nominal(scene: "Scene") -> "DriveChain | None":
@@ -128,6 +120,7 @@ def _settings(
     ------
     InputError : options that exclude each other, a value out of range, a scene or a model file that cannot be read.
     """
+    import problems
     from transopt.identify.device.identify import Kind, Settings
     from transopt.plant.amplifier import Amplifier
     from transopt.scene.model_file import load_model
@@ -140,8 +133,8 @@ def _settings(
         raise InputError(f"--kind {kind}: unknown; choose {', '.join(Kind)}")
     if kind == Kind.DRIVE and order is not None:
         raise InputError("--order is that of a state space: leave it out with --kind drive")
-    known = _load_scene(scene_name or DEFAULT_SCENE)
-    nominal = _nominal(known) or _nominal(_load_scene(DEFAULT_SCENE))
+    known = problems.load(scene_name or DEFAULT_SCENE)
+    nominal = _nominal(known) or _nominal(problems.load(DEFAULT_SCENE))
     assert nominal is not None
     force = force_per_current_N_A or known.drive_at_tip().force_per_current_N_A
     amplifier = known.amplifier_model()

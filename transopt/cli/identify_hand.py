@@ -8,6 +8,7 @@ import typer
 
 from transopt.base import console as terminal
 from transopt.base.errors import InputError
+from transopt.cli.identified_file import check_place, next_step
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,7 +32,6 @@ def identify_hand(
     from pydantic import ValidationError
 
     from transopt.base.plotting import save_figure
-    from transopt.cli.next_step import next_step
     from transopt.identify.figures.hand import hand_figure
     from transopt.identify.hand.chain import fit_chain
     from transopt.identify.hand.lines import fit_hand
@@ -40,17 +40,15 @@ def identify_hand(
     from transopt.scene.fitted import complaint
     from transopt.scene.model_file import save_part
 
-    if out.suffix.lower() != ".json":
-        raise InputError(f"--out {out}: a model file ends in .json")
     if not 0.01 <= window <= 0.1:
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
-    terminal.make_folder(out.parent)
+    check_place(out)
     with terminal.console().status("fitting"):
         runs = load_measurements(files)
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
         chain = fit_chain(taps, fit)
-    told = fit.shortfalls()
+    short = fit.shortfalls()
 
     console = terminal.console()
     console.print(line_table(fit))
@@ -65,22 +63,22 @@ def identify_hand(
         part = hand_part(fit, chain, [run for run in runs if run.name in used])
     except ValidationError as error:
         console.print(f"{figure.name}", highlight=False, soft_wrap=True)
-        text = f"hand: {out} is not written: {complaint(error)}; {'; '.join(told)}"
+        text = f"hand: {out} is not written: {complaint(error)}; {'; '.join(short)}"
         console.print(text, style="red", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from None
     save_part(out, "hand", part)
     console.print(f"{out}, {figure.name}", highlight=False, soft_wrap=True)
-    console.print(f"hand: {part.verdict}", style="red" if told else None, highlight=False, soft_wrap=True)
-    if told:
+    console.print(f"hand: {part.verdict}", style="red" if short else None, highlight=False, soft_wrap=True)
+    if short:
         raise typer.Exit(1)
     console.print(next_step(out), highlight=False, soft_wrap=True)
 
 
 def verdict(fit: "HandFit") -> str:
     """In plain words: what the model may be used for, or why not."""
-    told = fit.shortfalls()
-    if told:
-        return f"not to be relied upon: {'; '.join(told)}"
+    short = fit.shortfalls()
+    if short:
+        return f"not to be relied upon: {'; '.join(short)}"
     return (
         f"supports designs with a second_order hand from {fit.grips_N.min():.2g} to {fit.grips_N.max():.2g} N: mass, "
         f"damping and stiffness follow grip as lines, {100 * fit.unexplained:.1f} % of the surface force is left "

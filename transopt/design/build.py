@@ -3,17 +3,12 @@
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, as_completed
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Any
 
 import numpy as np
 
-from transopt.base import workers
-from transopt.base.errors import InputError
-from transopt.base.files import ctrl_c_waits
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
 from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays
@@ -57,8 +52,6 @@ def build_library(
     recordings: Sequence[Recording],
     *,
     options: SolverOptions | None = None,
-    jobs: int = 1,
-    pool: Executor | None = None,
     progress: Callable[[int], None] = lambda done: None,
     refinement: Refinement | None = None,
 ) -> Build:
@@ -67,7 +60,6 @@ def build_library(
     Parameters
     ----------
     recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`).
-    jobs : processes; the grips are shared among them. pool : workers that are there already, in place of those.
     progress : called with the number of entries that have just been finished.
     refinement : of this scene (`refine.refine_grid`); its grid is solved in place of the scene's own, with references
         at added speeds derived from the recorded ones (`reference.between`).
@@ -76,8 +68,6 @@ def build_library(
     ------
     InputError : recordings that cannot serve, or parameters that are not passive at some grip.
     """
-    if jobs < 1:
-        raise InputError(f"--jobs {jobs}: must be at least 1")
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
     recorded = build_references(recordings, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
@@ -85,19 +75,10 @@ def build_library(
         scene = scene.model_copy(update={"grid": refinement.grid})
     speeds, grips = scene.grid.speeds_m_s, scene.grid.grips_N
     references = [between(recorded, speed) for speed in speeds]
-    columns: list[list[Entry]] = [[] for _ in grips]
-    if pool is None and (jobs == 1 or len(grips) == 1):
-        for j, grip in enumerate(grips):
-            columns[j] = design_grip(scene, grip, references, options)
-            progress(len(speeds))
-    else:
-        wanted = [reference.without_taps() for reference in references]
-        with workers.pool(min(jobs, len(grips))) if pool is None else nullcontext(pool) as executor:
-            with ctrl_c_waits():
-                futures = {executor.submit(design_grip, scene, g, wanted, options): j for j, g in enumerate(grips)}
-            for future in as_completed(futures):
-                columns[futures[future]] = future.result()
-                progress(len(speeds))
+    columns: list[list[Entry]] = []
+    for grip in grips:
+        columns.append(design_grip(scene, grip, references, options))
+        progress(len(speeds))
     entries = [[column[i] for column in columns] for i in range(len(speeds))]
     admitted = all(entry.status is Status.OPTIMAL for row in entries for entry in row)
     return Build(

@@ -1,7 +1,7 @@
 """From recordings to references: what the motor has to make the stylus do (DESIGN 2 and 5)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -45,11 +45,6 @@ class Reference:
     times_s: FloatArray
     repeats_m_s2: FloatArray
     between_m_s: tuple[float, float] | None = None
-
-    def without_taps(self) -> "Reference":
-        """What a design needs, without what it was made from, which is a hundred times as large."""
-        none = np.zeros(0)
-        return replace(self, taps=(), factors=none, times_s=none, repeats_m_s2=np.zeros((0, 0)))
 
     @property
     def scalings(self) -> FloatArray:

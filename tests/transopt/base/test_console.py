@@ -14,7 +14,7 @@ from transopt.base.console import run
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("transopt solve --jobs abc", "valid integer"),
+        ("transopt solve --grid-cap abc", "valid integer"),
         ("transopt solve --speedd 3", "No such option: --speedd"),
         ("transopt nosuch", "No such command 'nosuch'"),
         ("transopt verify", "Missing argument"),

@@ -1,6 +1,5 @@
 """The built-in scene end to end: what the issue asks for, entry by entry."""
 
-from tests.benches.limits import with_limit
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 import problems
+from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
 from transopt.base.signals import nrmse
@@ -130,11 +130,9 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
     assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
 
 
-def test_processes_give_the_same_library(scene: Scene, taps: list[Recording], library: Library) -> None:
+def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> None:
     done: list[int] = []
-    parallel = build_library(scene, taps, jobs=2, progress=done.append)
-    assert parallel.library is not None
-    np.testing.assert_array_equal(parallel.library.command_A, library.command_A)
+    build_library(scene, taps, progress=done.append)
     assert sum(done) == 12
 
 

@@ -1,15 +1,11 @@
 """What is done at once, or by fewer operations, against the same step by step or by a library."""
 
-import os
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.conftest import ProblemMaker
-from transopt.base import workers
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
@@ -17,7 +13,7 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.continuous import BLOCK, Flow, accurate
 from transopt.plant.discretise import TimeGrid
 from transopt.problem.baselines import clipped_optimum, seed_inversion
-from transopt.report.publish import Files, publishing
+from transopt.report.publish import publish
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import contact_force, rk4_step, strike
 
@@ -107,51 +103,36 @@ def refused(path: Path) -> None:
     raise InputError(f"{path.name}: cannot be written")
 
 
-@pytest.fixture(params=["here", "pool"])
-def pool(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
-    """No workers, or two."""
-    if request.param == "here":
-        yield None
-    else:
-        with ThreadPoolExecutor(2) as workers:
-            yield workers
-
-
-class TestPublishing:
-    def test_a_figure_that_fails_leaves_what_was_there(self, tmp_path: Path, pool: Executor | None) -> None:
+class TestPublish:
+    def test_a_file_that_fails_leaves_what_was_there(self, tmp_path: Path) -> None:
         (tmp_path / "a").write_text("old")
-        files = Files(here={"a": written}, tasks={"b": refused, "c": written})
-        with pytest.raises(InputError, match="b: cannot be written"), publishing(tmp_path, files, [], pool):
-            pass
+        with pytest.raises(InputError, match="b: cannot be written"):
+            publish(tmp_path, {"a": written, "b": refused, "c": written})
         assert [path.name for path in tmp_path.iterdir()] == ["a"]
         assert (tmp_path / "a").read_text() == "old"
 
-    def test_everything_comes_at_the_end_and_what_is_stale_goes(self, tmp_path: Path, pool: Executor | None) -> None:
+    def test_everything_comes_at_the_end_and_what_is_stale_goes(self, tmp_path: Path) -> None:
         (tmp_path / "stale").write_text("old")
-        files = Files(here={"a": written}, tasks={"b": written, "c": written})
-        with publishing(tmp_path, files, ["stale"], pool):
-            assert not any((tmp_path / name).exists() for name in files.names)
-        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys("abc", "new")
 
-    def test_what_stops_the_block_stops_the_files(self, tmp_path: Path, pool: Executor | None) -> None:
-        files = Files(here={"a": written}, tasks={"b": written})
-        with pytest.raises(KeyboardInterrupt), publishing(tmp_path, files, [], pool):
+        def last(path: Path) -> None:
+            assert [file.name for file in tmp_path.iterdir() if file.is_file()] == ["stale"]
+            written(path)
+
+        publish(tmp_path, {"a": written, "b": last}, ["stale"])
+        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys("ab", "new")
+
+    def test_ctrl_c_leaves_nothing_behind(self, tmp_path: Path) -> None:
+        def stopped(path: Path) -> None:
+            path.write_text("half")
             raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            publish(tmp_path, {"a": written, "b": stopped})
         assert list(tmp_path.iterdir()) == []
 
-    def test_what_a_dead_worker_has_not_drawn_is_drawn_here(self, tmp_path: Path) -> None:
-        files = Files(here={"a": written}, tasks={"b": written, "c": written})
-        with ProcessPoolExecutor(1) as workers, publishing(tmp_path, files, [], workers):
-            workers.submit(os._exit, 1)
-        assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys("abc", "new")
-
     def test_a_folder_that_is_gone_is_named(self, tmp_path: Path) -> None:
-        files = Files(here={"a": written}, tasks={})
-        with (
-            pytest.raises(InputError, match="gone: cannot be written"),
-            publishing(tmp_path / "gone", files, [], None),
-        ):
-            pass
+        with pytest.raises(InputError, match="gone: cannot be written"):
+            publish(tmp_path / "gone", {"a": written})
 
     def test_no_error_names_the_place_beside(self, tmp_path: Path) -> None:
         def fails(path: Path) -> None:
@@ -159,18 +140,10 @@ class TestPublishing:
                 file.write(b"half")
                 raise OSError(28, "No space left on device")
 
-        with (
-            pytest.raises(InputError, match=r"a: cannot be written .No space left") as caught,
-            publishing(tmp_path, Files(here={"a": fails}, tasks={}), [], None),
-        ):
-            pass
+        with pytest.raises(InputError, match=r"a: cannot be written .No space left") as caught:
+            publish(tmp_path, {"a": fails})
         assert str(caught.value).startswith(f"{tmp_path / 'a'}:")
         assert list(tmp_path.iterdir()) == []
-
-
-def test_a_dead_worker_is_told_in_one_line() -> None:
-    with pytest.raises(InputError, match=r"--jobs 1: a worker process died, .*; try fewer"), workers.pool(1) as pool:
-        pool.submit(os._exit, 1).result()
 
 
 def test_a_coil_that_runs_away_within_one_period_is_hot_for_ever() -> None:

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: outputs, messages, exit codes, nothing lost."""
+"""`transopt solve` as a user meets it: files, messages, exit codes, nothing lost."""
 
 import json
 import os
@@ -7,135 +7,16 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import problems
-from tests.benches.commands import Run, Terminal, assert_refused
+from tests.benches.commands import Run, assert_refused
 from tests.benches.places import IMPACTS, ROOT
-from transopt.library.file import load_library
-from transopt.library.library import Library
 from transopt.problem.answer import Status
 
 WOOD = problems.scene_path("wood_on_foam").read_text()
-EXAMPLES = problems.FOLDER / "recordings"
-# A quick scene: one speed, one grip, from the shipped files.
-QUICK = (
-    problems.scene_path("own_taps")
-    .read_text()
-    .replace("[0.2, 0.3, 0.4]", "[0.2]")
-    .replace("[1.0, 3.0, 5.0]", "[3.0]")
-    .replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', f'files = ["{EXAMPLES.as_posix()}/tap_0.2_m_s.csv"]')
-)
-
-
-@pytest.fixture
-def run(terminal: Terminal) -> Run:
-    """Run `transopt ARGS` in an empty folder."""
-    return partial(terminal, "transopt")
-
-
-@pytest.fixture(scope="module")
-def quick_scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scene") / "quick.toml"
-    path.write_text(QUICK.replace('motor = "motors/', f'motor = "{problems.FOLDER.as_posix()}/motors/'))
-    return path
-
-
-@pytest.fixture
-def solved(run: Run, quick_scene: Path) -> Path:
-    """Folder of a solved one-entry library."""
-    assert run("solve", quick_scene, "--out", "solved").code == 0
-    return Path("solved")
-
-
-class TestScene:
-    def test_list_names_every_scene_and_what_it_shows(self, run: Run) -> None:
-        outcome = run("scene", "list")
-        assert outcome.code == 0
-        for name in problems.scene_names():
-            assert name in outcome.out
-
-    def test_show_prints_the_file(self, run: Run) -> None:
-        assert run("scene", "show", "wood_on_foam").out == WOOD
-
-    def test_new_copies_and_the_copy_solves(self, run: Run) -> None:
-        outcome = run("scene", "new", "mine.toml", "--from", "wood_on_foam")
-        assert outcome.code == 0
-        assert "transopt solve mine.toml" in outcome.out
-        text = Path("mine.toml").read_text()
-        assert text == WOOD
-        Path("mine.toml").write_text(
-            text.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]")
-        )
-        assert run("solve", "mine.toml").code == 0
-        assert Path("out/mine/library.npz").exists()
-
-    def test_new_never_overwrites(self, run: Run) -> None:
-        Path("mine.toml").write_text("precious")
-        assert_refused(run("scene", "new", "mine.toml"), "mine.toml", "exists already")
-        assert Path("mine.toml").read_text() == "precious"
-
-    def test_refusals(self, run: Run) -> None:
-        assert_refused(run("scene", "show", "wood"), "no built-in scene", "wood_on_foam")
-        assert_refused(run("scene", "new", "mine.txt"), "ends in .toml")
-        assert_refused(run("scene", "new", "absent/mine.toml"), "cannot be written")
-        assert_refused(run("scene", "new", "mine.toml", "--from", "nope"), "nope", "no built-in scene")
-        assert not Path("mine.toml").exists()
-
-
-class TestTaps:
-    def test_table_figure_and_section(self, run: Run) -> None:
-        outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")), "--out", "look")
-        assert outcome.code == 0
-        assert "tap_0.3_m_s.csv" in outcome.out
-        assert "stated" in outcome.out
-        assert Path("look/taps.png").read_bytes()[:4] == b"\x89PNG"
-
-    def test_the_lines_make_a_scene_that_solves(self, run: Run) -> None:
-        """Put where the user is told to put them."""
-        outcome = run("taps", *sorted(EXAMPLES.glob("*.csv")))
-        lines = outcome.out[outcome.out.index("# in [grid]") :]
-        grid, recordings = lines.split("\n\n")
-        text = problems.scene_path("own_taps").read_text()
-        text = text.replace("speeds_m_s = [0.2, 0.3, 0.4]", grid).replace("[1.0, 3.0, 5.0]", "[3.0]")
-        text = text.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', recordings)
-        assert "# in [recordings]" in text
-        Path("pasted.toml").write_text(text)
-        assert run("solve", "pasted.toml").code == 0
-
-    def test_a_pattern_and_a_name_with_brackets(self, run: Run) -> None:
-        Path("a [1]").mkdir()
-        Path("a [1]/tap[1].csv").write_bytes((EXAMPLES / "tap_0.2_m_s.csv").read_bytes())
-        assert run("taps", "a [1]/tap[1].csv").code == 0
-        assert run("taps", EXAMPLES / "tap_*.csv").out.count("stated") == 3
-        assert_refused(run("taps", "a [1]/none*.csv"), "none*.csv", "matches no file")
-
-    def test_speed_is_for_files_that_state_none(self, run: Run) -> None:
-        outcome = run("taps", EXAMPLES / "tap_0.3_m_s.csv", "--speed", 0.2)
-        assert "0.3098" in outcome.out
-
-    def test_text_files_need_columns_and_scaling_is_stated(self, run: Run) -> None:
-        rows = "\n".join(f"{k * 2e-5:.6f} {100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
-        Path("impact.txt").write_text(f"# time, acceleration\n{rows}\n")
-        assert_refused(run("taps", "impact.txt"), "impact.txt", "columns")
-        columns = ("--columns", "time_s,acceleration_g")
-        assert_refused(run("taps", "impact.txt", *columns), "no incoming speed")
-        outcome = run("taps", "impact.txt", *columns, "--speed", 1.0, "--time-scale", 10, "--amplitude-scale", 0.02)
-        assert outcome.code == 0
-        assert "similarity-scaled" in outcome.out
-        assert "time_scale = 10.0" in outcome.out
-
-    def test_refusals(self, run: Run) -> None:
-        assert_refused(run("taps", "absent.csv"), "absent.csv")
-        Path("empty.csv").write_text("")
-        assert_refused(run("taps", "empty.csv"), "empty.csv", "empty")
-        assert_refused(
-            run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than or equal to 0.0001"
-        )
 
 
 class TestSolve:
@@ -235,7 +116,7 @@ class TestSolve:
         assert run("show", "run [1]/[/b]/library.npz").code == 0
 
     def test_second_solver(self, run: Run, quick_scene: Path) -> None:
-        assert run("solve", quick_scene, "--solver", "casadi-ipopt", "--jobs", 2).code == 0
+        assert run("solve", quick_scene, "--solver", "casadi-ipopt").code == 0
 
     @pytest.mark.parametrize(
         ("arguments", "words"),
@@ -247,7 +128,6 @@ class TestSolve:
                 ["--solver osqp", "riccati, casadi-piqp, casadi-ipopt"],
             ),
             (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
-            (["wood_on_foam", "--jobs", "0"], ["--jobs 0", "at least 1"]),
             (["wood_on_foam", "--grid-tolerance", "0"], ["--grid-tolerance 0", "between 0 and 1"]),
             (["wood_on_foam", "--grid-tolerance", "0.02", "--grid-cap", "11"], ["--grid-cap 11", "12 entries"]),
         ],
@@ -298,7 +178,7 @@ class TestSolve:
             raise KeyboardInterrupt
 
         target = {
-            "recordings": "transopt.cli.main._recordings",
+            "recordings": "transopt.cli.solve._recordings",
             "entries": "transopt.design.entry.replay",
             "writing": "transopt.report.figures.bode_figure",
         }[instant]
@@ -314,7 +194,7 @@ def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
     program = (
         # A background job of a shell starts with SIGINT ignored; a user's terminal does not.
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-        "sys.argv = ['transopt', 'solve', '--jobs', '2']; from transopt.cli.main import main; main()"
+        "sys.argv = ['transopt', 'solve']; from transopt.cli.main import main; main()"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program],
@@ -335,68 +215,3 @@ def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
     assert "stopped; earlier results are untouched" in err
     assert "Traceback" not in err
     assert list(folder.iterdir()) == []
-
-
-class TestVerifyShowExport:
-    def test_verify(self, run: Run, solved: Path) -> None:
-        outcome = run("verify", solved / "library.npz")
-        assert outcome.code == 0
-        assert "1 of 1 entries certified and replayed clean" in outcome.out
-
-    def test_verify_fails_on_a_library_that_claims_too_much(self, run: Run, solved: Path) -> None:
-        from dataclasses import replace
-
-        library = load_library(solved / "library.npz")
-        command = library.command_A.copy()
-        command[0, 0, 20] += 0.05
-        replace(library, command_A=command).save(Path("changed.npz"))
-        outcome = run("verify", "changed.npz")
-        assert outcome.code == 1
-        assert "0 of 1 entries" in outcome.out
-
-    def test_a_damaged_library_is_refused(self, run: Run, solved: Path) -> None:
-        content = (solved / "library.npz").read_bytes()
-        Path("cut.npz").write_bytes(content[: len(content) // 2])
-        for command in (["verify"], ["show"], ["export"]):
-            more = ["x.csv"] if command == ["export"] else []
-            assert_refused(run(*command, "cut.npz", *more), "cut.npz")
-            assert_refused(run(*command, "absent.npz", *more), "absent.npz: no such file")
-
-    def test_show_with_figure(self, run: Run, solved: Path) -> None:
-        outcome = run("show", solved / "library.npz", "--figure", "look.png")
-        assert outcome.code == 0
-        assert "at its floor" in outcome.out
-        assert Path("look.png").read_bytes()[:4] == b"\x89PNG"
-        assert_refused(run("show", solved / "library.npz", "--figure", "absent/look.png"), "cannot be written")
-
-    @pytest.mark.parametrize("suffix", ["mat", "csv", "wav", "h"])
-    def test_export(self, run: Run, solved: Path, suffix: str) -> None:
-        assert run("export", solved / "library.npz", f"x.{suffix}").code == 0
-        assert Path(f"x.{suffix}").stat().st_size > 1000
-
-    def test_export_refusals(self, run: Run, solved: Path) -> None:
-        assert_refused(run("export", solved / "library.npz", "x.pdf"), ".mat", ".csv", ".wav", ".h")
-        assert_refused(run("export", solved / "library.npz", "absent/x.csv"), "cannot be written")
-
-
-def test_shipped_recordings_are_what_the_generator_writes(tmp_path: Path) -> None:
-    from problems.generators.strikes import write_examples
-
-    write_examples(tmp_path)
-    names = sorted(path.name for path in tmp_path.iterdir())
-    assert names == sorted(path.name for path in EXAMPLES.iterdir())
-    assert len(names) == 3
-    for name in names:
-        fresh, shipped = (np.loadtxt(f / name, delimiter=",", skiprows=4) for f in (tmp_path, EXAMPLES))
-        np.testing.assert_allclose(fresh, shipped, atol=2e-4)  # the last digit may round differently elsewhere
-
-
-def test_reading_a_library_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:
-    """The runtime path: load, blend, and look at a controller, in a fresh interpreter."""
-    library.save(tmp_path / "library.npz")
-    program = (
-        "import sys; from pathlib import Path; import controller, transopt.library.file as l; "
-        "l.load_library(Path(sys.argv[1])).at(0.25, 2.0); "
-        "assert not {'casadi', 'matplotlib', 'serial'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", program, str(tmp_path / "library.npz")], check=True)

@@ -1,0 +1,65 @@
+"""`transopt scene`: list, show, new, keys."""
+
+from pathlib import Path
+
+import pytest
+
+import problems
+from tests.benches.commands import Run, assert_refused
+
+WOOD = problems.scene_path("wood_on_foam").read_text()
+
+
+class TestScene:
+    def test_list_names_every_scene_and_what_it_shows(self, run: Run) -> None:
+        outcome = run("scene", "list")
+        assert outcome.code == 0
+        for name in problems.scene_names():
+            assert name in outcome.out
+
+    def test_show_prints_the_file(self, run: Run) -> None:
+        assert run("scene", "show", "wood_on_foam").out == WOOD
+
+    def test_new_copies_and_the_copy_solves(self, run: Run) -> None:
+        outcome = run("scene", "new", "mine.toml", "--from", "wood_on_foam")
+        assert outcome.code == 0
+        assert "transopt solve mine.toml" in outcome.out
+        text = Path("mine.toml").read_text()
+        assert text == WOOD
+        Path("mine.toml").write_text(
+            text.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]")
+        )
+        assert run("solve", "mine.toml").code == 0
+        assert Path("out/mine/library.npz").exists()
+
+    def test_new_never_overwrites(self, run: Run) -> None:
+        Path("mine.toml").write_text("precious")
+        assert_refused(run("scene", "new", "mine.toml"), "mine.toml", "exists already")
+        assert Path("mine.toml").read_text() == "precious"
+
+    def test_refusals(self, run: Run) -> None:
+        assert_refused(run("scene", "show", "wood"), "no built-in scene", "wood_on_foam")
+        assert_refused(run("scene", "new", "mine.txt"), "ends in .toml")
+        assert_refused(run("scene", "new", "absent/mine.toml"), "cannot be written")
+        assert_refused(run("scene", "new", "mine.toml", "--from", "nope"), "nope", "no built-in scene")
+        assert not Path("mine.toml").exists()
+
+    def test_keys_with_unit_default_value_and_bounds(self, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+        from rich.console import Console
+
+        monkeypatch.setattr("transopt.base.console.console", lambda: Console(width=200))
+        outcome = run("scene", "keys")
+        assert outcome.code == 0
+        rows = rows_of(outcome.out)
+        assert rows["limits.slew_A_per_s"][1] == "A/s"
+        assert rows["time.stages"][2:5] == ["600", "600", ">= 2"]
+        assert rows["limits.steady_current_A"][2] == "to be stated"
+        Path("mine.toml").write_text(WOOD.replace("beta = 3.2", "beta = 2.5"))
+        assert rows_of(run("scene", "keys", "mine.toml").out)["limits.beta"][3] == "2.5"
+        assert_refused(run("scene", "keys", "absent"), "absent", "no built-in scene")
+
+
+def rows_of(printed: str) -> dict[str, list[str]]:
+    """The cells of a printed table by the first of their row."""
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in printed.splitlines() if "│" in line]
+    return {cells[0]: cells for cells in rows}

@@ -1,0 +1,92 @@
+"""`transopt scene`: the built-in scenes, a copy of one to change, and every key that a scene may state."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from transopt.scene.scene import Scene
+
+DEFAULT_SCENE = "wood_on_foam"
+
+app = typer.Typer(no_args_is_help=True, help="Built-in scenes: list, show, copy; the keys of a scene.")
+
+
+@app.command("list")
+def scene_list() -> None:
+    """Name the built-in scenes and what each shows."""
+    import tomllib
+
+    import problems
+
+    for name in problems.scene_names():
+        text = problems.scene_path(name).read_text(encoding="utf-8")
+        typer.echo(f"{name:20} {tomllib.loads(text)['description']}")
+
+
+@app.command("show")
+def scene_show(name: str) -> None:
+    """Print a built-in scene, comments included."""
+    import problems
+
+    typer.echo(problems.scene_path(name).read_text(encoding="utf-8"), nl=False)
+
+
+@app.command("new")
+def scene_new(
+    file: Path, source: Annotated[str, typer.Option("--from", help="Built-in scene to copy.")] = DEFAULT_SCENE
+) -> None:
+    """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
+    import problems
+
+    if file.suffix != ".toml":
+        raise InputError(f"{file}: a scene file ends in .toml")
+    # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
+    text = problems.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')
+    try:
+        with file.open("x", encoding="utf-8") as new:
+            new.write(text)
+    except FileExistsError:
+        raise InputError(f"{file}: exists already; choose another name") from None
+    except OSError as error:
+        raise InputError(f"{file}: cannot be written ({error.strerror}); choose another place") from None
+    typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
+
+
+@app.command("keys")
+def scene_keys(
+    scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
+) -> None:
+    """Print every number and choice that a scene may state: unit, default, value here, what is allowed."""
+    import problems
+
+    loaded = problems.load(scene)
+    terminal.console().print(key_table(loaded, f"{loaded.name}: keys of a scene"))
+
+
+def key_table(scene: "Scene", title: str) -> "Table":
+    """Every key of `transopt.scene.keys`, one a row, in the order of the tables of a scene."""
+    from rich.table import Table
+
+    from transopt.scene.keys import keys
+
+    table = Table(title=title)
+    for column in ("key", "unit", "default", "here", "allowed", "about"):
+        table.add_column(column, overflow="fold")
+
+    def shown(value: object) -> str:
+        return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+    for key in keys(scene):
+        words = ", ".join(key.choices)
+        allowed = " or ".join(part for part in (key.bounds, words, "none" if key.optional else "") if part)
+        default = "to be stated" if key.required else shown(key.default)
+        table.add_row(key.path, key.unit, default, shown(key.value), allowed, key.description)
+    return table

@@ -1,0 +1,29 @@
+"""`transopt show`: the table of a library, and its transients as a figure."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+
+
+def show(
+    library: Annotated[Path, typer.Argument(help="library.npz")],
+    figure: Annotated[Path | None, typer.Option(help="Also draw the transients into this PNG.")] = None,
+) -> None:
+    """Print a library's table; optionally draw its transients."""
+    from transopt.library.file import load_library
+    from transopt.report.tables import library_table
+
+    loaded = load_library(library)
+    if figure is not None and figure.suffix.lower() != ".png":
+        raise InputError(f"--figure {figure}: figures are written as .png")
+    console = terminal.console()
+    console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
+    if figure is not None:
+        from transopt.base.plotting import save_figure
+
+        save_figure(loaded.plot(), figure)
+        console.print(f"figure: {figure}", highlight=False)

@@ -1,0 +1,184 @@
+"""`transopt solve`: from a scene to a certified library, a report and figures."""
+
+import sys
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+from transopt.cli.scene import DEFAULT_SCENE
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from transopt.design.build import Build
+    from transopt.recordings.recording import Recording
+    from transopt.scene.scene import Scene
+    from transopt.solvers.options import SolverOptions
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the command line asks for.
+
+    Attributes
+    ----------
+    folder : of the results.
+    grid_tolerance : None for the scene's own grid.
+    grid_cap : most entries of a refined grid.
+    figures : whether any are drawn.
+    """
+
+    scene: "Scene"
+    options: "SolverOptions"
+    folder: Path
+    grid_tolerance: float | None
+    grid_cap: int
+    figures: bool
+
+
+def solve(
+    scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
+    recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
+    solver: Annotated[
+        str | None,
+        typer.Option(help="riccati, the default where it is built, casadi-piqp or casadi-ipopt."),
+    ] = None,
+    solver_tolerance: Annotated[float, typer.Option(help="On residuals and gap, scaled; 1e-10 is usual.")] = 1e-10,
+    grid_tolerance: Annotated[
+        float | None,
+        typer.Option(help="Add nodes until a blend between them is this close to the optimum; 0.02: 2 %."),
+    ] = None,
+    grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
+    figures: Annotated[bool, typer.Option(help="Draw transients, methods and Bode plots into the folder.")] = True,
+) -> None:
+    """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
+    try:
+        from transopt.design.refine_grid import check_tolerance
+        from transopt.solvers.choose import check_name
+        from transopt.solvers.options import SolverOptions, default_solver
+
+        name = default_solver() if solver is None else solver
+        check_name(name)
+        options = SolverOptions(name, solver_tolerance)
+        loaded = _load(scene, recordings)
+        if grid_tolerance is not None:
+            check_tolerance(loaded, grid_tolerance, grid_cap)
+        folder = Path("out") / loaded.name if out is None else out
+        wanted = Wanted(loaded, options, folder, grid_tolerance, grid_cap, figures)
+        terminal.make_folder(folder)
+        try:
+            build, names = _build(wanted)
+        except InputError:
+            with suppress(OSError):  # holds earlier results: it stays
+                folder.rmdir()
+            raise
+    except KeyboardInterrupt:
+        typer.echo("stopped; earlier results are untouched", err=True)
+        raise typer.Exit(130) from None
+    _print(terminal.console(), build, f"{folder}: {', '.join(names)}")
+    if build.refused or (build.refinement is not None and build.refinement.shortfall):
+        raise typer.Exit(1)
+
+
+def _load(scene: str, recordings: Path | None) -> "Scene":
+    """A scene by built-in name or by path, with the recordings folder replaced if one is given."""
+    import problems
+
+    loaded = problems.load(scene)
+    if recordings is None:
+        return loaded
+    if not recordings.is_dir():
+        raise InputError(f"--recordings {recordings}: no such folder")
+    settings = loaded.recordings.model_copy(update={"folder": str(recordings.resolve())})
+    return loaded.model_copy(update={"recordings": settings})
+
+
+def _recordings(scene: "Scene") -> "list[Recording]":
+    """Simulated or read, as the scene states."""
+    if scene.recordings.simulated is not None:
+        from transopt.scene.strikes import recordings
+
+        return recordings(scene)
+    from transopt.recordings.tap import read_recordings
+
+    return read_recordings(scene.recordings)
+
+
+def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
+    """Solve, with a bar on a terminal that counts, and publish; the build and the names of the files in its folder.
+
+    Raises
+    ------
+    InputError : recordings that cannot serve, or a folder that cannot be written.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from transopt.design.build import build_library
+    from transopt.design.refine_grid import refine_grid
+    from transopt.report.publish import LEFTOVERS, files_of, publish
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    watched = sys.stderr.isatty()
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not watched) as bar:
+        task = bar.add_task("recordings", total=None)
+
+        def tell(text: str, done: int, total: int) -> None:
+            bar.update(task, description=text, completed=done, total=total)
+
+        scene, taps, refinement = wanted.scene, _recordings(wanted.scene), None
+        if wanted.grid_tolerance is not None:
+            refinement = refine_grid(
+                scene,
+                taps,
+                wanted.grid_tolerance,
+                cap=wanted.grid_cap,
+                options=wanted.options,
+                progress=tell,
+            )
+        grid = scene.grid if refinement is None else refinement.grid
+        tell("entries", 0, len(grid.speeds_m_s) * len(grid.grips_N))
+        build = build_library(
+            scene,
+            taps,
+            options=wanted.options,
+            progress=lambda done: bar.advance(task, done),
+            refinement=refinement,
+        )
+        bar.update(task, visible=False)
+        bar.add_task("files", total=None)
+        files = files_of(build, figures=wanted.figures)
+        # A build that was refused writes no library, and leaves the earlier one with all that belongs to it.
+        stale = [name for name in LEFTOVERS if name not in files] if build.library is not None else []
+        publish(wanted.folder, files, stale)
+    return build, list(files)
+
+
+def _print(console: "Console", build: "Build", written: str) -> None:
+    """The table, what deserves a second look, what was refused and why; the last line sums up."""
+    from transopt.report.identified import model_warning
+    from transopt.report.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
+
+    def line(text: str, style: str | None = None) -> None:
+        console.print(text, style=style, highlight=False, soft_wrap=True)
+
+    console.print(build_table(build, console.width))
+    console.print(LEGEND, style="dim", highlight=False)
+    doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
+    if doubtful:
+        console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
+    for warning in (aftermath(build), model_warning(build)):
+        if warning:
+            line(warning, "yellow")
+    for entry in build.refused:
+        line(f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}", "red")
+    if build.refinement is not None:
+        line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
+    line(written)
+    line(summary(build), "red" if build.refused else None)

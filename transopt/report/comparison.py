@@ -1,0 +1,209 @@
+"""Two libraries side by side: the entries that both have, those of only one, and what was stated differently."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from transopt.base import writing
+from transopt.library.library import Library
+from transopt.problem.answer import verdict
+from transopt.report.tables import percent
+
+LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
+ENTRY_COLUMNS = ("speed m/s", "grip N", "NRMSE %", "floor %", "peak A", "winding C", "command apart A", "verdict")
+CHANGE_COLUMNS = ("stated", "A", "B")
+LEGEND = "One figure where both libraries print the same, A -> B where they differ."
+ABSENT = "not stated"
+
+Node = tuple[str, str]  # speed [m/s] and grip [N], to nine digits: nodes computed by refinement differ in their last
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What one entry is worth.
+
+    Attributes
+    ----------
+    nrmse, floor : relative errors, with and without the limits.
+    peak_current_A : of the replay.
+    peak_temperature_C : of the winding; NaN where it is unknown.
+    verdict : in words.
+    command_A : (N,) the waveform.
+    """
+
+    nrmse: float
+    floor: float
+    peak_current_A: float
+    peak_temperature_C: float
+    verdict: str
+    command_A: np.ndarray
+
+    def cells(self) -> list[str]:
+        """As they are printed, without the waveform and the verdict."""
+        winding = "-" if np.isnan(self.peak_temperature_C) else f"{self.peak_temperature_C:.2f}"
+        return [percent(self.nrmse), percent(self.floor), f"{self.peak_current_A:.3f}", winding]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two libraries, A and B.
+
+    Attributes
+    ----------
+    both : node -> figures in A and in B.
+    only_first, only_second : nodes of one of them.
+    changes : (dotted path in `meta`, value in A, value in B) of what differs.
+    same_instants : whether the commands of both are issued at the same instants.
+    same_content : whether both files hold the same, to the last bit.
+    """
+
+    both: dict[Node, tuple[Figures, Figures]]
+    only_first: list[Node]
+    only_second: list[Node]
+    changes: list[tuple[str, str, str]]
+    same_instants: bool
+    same_content: bool
+
+    @classmethod
+    def of(cls, first: Library, second: Library) -> "Comparison":
+        """Compare by nodes; entries whose nodes agree to nine digits are the same entry."""
+        ours, theirs = _entries(first), _entries(second)
+        return cls(
+            both={node: (ours[node], theirs[node]) for node in ours if node in theirs},
+            only_first=[node for node in ours if node not in theirs],
+            only_second=[node for node in theirs if node not in ours],
+            changes=_changes(first.meta, second.meta),
+            same_instants=_instants(first) == _instants(second),
+            same_content=first.content_sha256 == second.content_sha256,
+        )
+
+    def apart_A(self, node: Node) -> float:
+        """Largest difference of the two commands; NaN where they are issued at different instants."""
+        ours, theirs = self.both[node]
+        return float(np.abs(ours.command_A - theirs.command_A).max()) if self.same_instants else float("nan")
+
+
+def _instants(library: Library) -> tuple[float, float, int]:
+    """Servo period [s], how long before contact the first command is issued [s], and how many commands there are."""
+    return library.meta["dt_s"], library.meta["lead_s"], library.command_A.shape[2]
+
+
+def _entries(library: Library) -> dict[Node, Figures]:
+    found = {}
+    for iv, speed in enumerate(library.speeds_m_s):
+        spread = library.meta["repeatability"][iv]
+        for ig, grip in enumerate(library.grips_N):
+            nrmse, floor = float(library.nrmse[iv, ig]), float(library.floor[iv, ig])
+            found[f"{speed:.9g}", f"{grip:.9g}"] = Figures(
+                nrmse=nrmse,
+                floor=floor,
+                peak_current_A=float(library.peak_current_A[iv, ig]),
+                peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
+                verdict=verdict(nrmse, floor, float("nan") if spread is None else spread),
+                command_A=library.command_A[iv, ig],
+            )
+    return found
+
+
+def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted paths of tables within tables; a list is one value."""
+    if isinstance(value, dict) and value:
+        for name, inner in value.items():
+            yield from _flat(inner, f"{path}.{name}" if path else name)
+    else:
+        yield path, value
+
+
+def _changes(first: dict[str, Any], second: dict[str, Any]) -> list[tuple[str, str, str]]:
+    ours, theirs = dict(_flat(first)), dict(_flat(second))
+    # A table that only one library has stands as its keys; that the other states null in its place says no more.
+    paths = [path for path in dict.fromkeys([*ours, *theirs]) if ours.get(path) != theirs.get(path)]
+    return [(path, *_shown(ours.get(path), theirs.get(path))) for path in paths]
+
+
+def _shown(first: Any, second: Any) -> tuple[str, str]:
+    """Two different values as text, each cut where it is long; of long lists, how many of their values differ."""
+    texts = [_text(value) for value in (first, second)]
+    if not (isinstance(first, list) and isinstance(second, list) and max(map(len, texts)) > LONGEST_VALUE):
+        ours, theirs = (text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]} ..." for text in texts)
+        return ours, theirs
+    if len(first) != len(second):
+        return f"{len(first)} values", f"{len(second)} values"
+    pairs = [(ours, theirs) for ours, theirs in zip(first, second, strict=True) if ours != theirs]
+    tables = [(ours, theirs) for ours, theirs in pairs if isinstance(ours, dict) and isinstance(theirs, dict)]
+    named = dict.fromkeys(name for ours, theirs in tables for name in ours if ours[name] != theirs.get(name))
+    inside = f" in {', '.join(named)}" if named else ""
+    return f"{len(first)} values", f"{len(second)} values, {len(pairs)} of them others{inside}"
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ABSENT
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _from_to(first: str, second: str) -> str:
+    return first if first == second else f"{first} -> {second}"
+
+
+def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
+    """Cells of the entry table, and whether the verdict changed or only one library has the entry."""
+    for node, (ours, theirs) in found.both.items():
+        figures = [_from_to(a, b) for a, b in zip(ours.cells(), theirs.cells(), strict=True)]
+        apart = found.apart_A(node)
+        command = "-" if np.isnan(apart) else f"{apart:.2g}"
+        yield [*node, *figures, command, _from_to(ours.verdict, theirs.verdict)], ours.verdict != theirs.verdict
+    for name, nodes in (("A", found.only_first), ("B", found.only_second)):
+        for node in nodes:
+            yield [*node, *["-"] * 5, f"only in {name}"], True
+
+
+def entry_table(found: Comparison, title: str) -> Table:
+    """One row per entry; yellow where the verdict changed or only one library has the entry."""
+    table = Table(title=title, caption=LEGEND)
+    for column in ENTRY_COLUMNS:
+        table.add_column(column, justify="left" if column == "verdict" else "right", overflow="fold")
+    for cells, striking in _rows(found):
+        table.add_row(*cells, style="yellow" if striking else None)
+    return table
+
+
+def change_table(found: Comparison) -> Table:
+    """What the two libraries state differently, by dotted path."""
+    table = Table(title="stated differently")
+    for column in CHANGE_COLUMNS:
+        table.add_column(column, overflow="fold")
+    for row in found.changes:
+        table.add_row(*row)
+    return table
+
+
+def comparison_summary(found: Comparison) -> str:
+    """One line: how many entries, where the error changes most, how much is stated differently."""
+    if found.same_content:
+        return f"{len(found.both)} entries; A and B hold the same content"
+    said = [f"{len(found.both)} entries in both"]
+    said += [
+        f"{len(nodes)} only in {name}" for name, nodes in (("A", found.only_first), ("B", found.only_second)) if nodes
+    ]
+    change = {node: theirs.nrmse - ours.nrmse for node, (ours, theirs) in found.both.items()}
+    if change:
+        speed, grip = worst = max(change, key=lambda node: abs(change[node]))
+        points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
+        said.append(f"NRMSE changes most by {points}, at {speed} m/s and {grip} N")
+    said.append(f"{len(found.changes)} values stated differently")
+    return "; ".join(said)
+
+
+def comparison_markdown(found: Comparison, names: str) -> str:
+    """The same as a Markdown document."""
+    lines = ["# Two libraries", "", names, "", comparison_summary(found), "", "## Entries", "", LEGEND, ""]
+    lines += writing.table(ENTRY_COLUMNS, [cells for cells, _ in _rows(found)])
+    if found.changes:
+        escaped = [[cell.replace("|", "\\|") for cell in row] for row in found.changes]
+        lines += ["## Stated differently", "", *writing.table(CHANGE_COLUMNS, escaped)]
+    return "\n".join(lines)
