@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.explain import infeasibility, unavoidable, unstable_wall
 from transopt.problem.leave_out import encoder_course, leave_out, pressing, reference_course, silence
@@ -42,6 +43,8 @@ class Designed:
     left_out: dict[str, str]
     size: transcribe.Size | None
     remarks: list[str]
+
+    __repr__ = brief
 
     @property
     def is_proven(self) -> bool:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
-from transopt.base.shown import brief, html_figure, html_table, percent, span, wrapped
+from transopt.base.shown import brief, html_figure, html_table, span, wrapped
 from transopt.base.signals import FloatArray
+from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion
 
@@ -44,6 +45,8 @@ class Supply:
     circuit: Circuit
     pole_rad_s: float
     nominal_m_s: FloatArray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if not 0 < self.limit_V < np.inf:

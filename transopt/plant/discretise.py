@@ -9,6 +9,7 @@ from scipy import linalg
 
 from transopt.base import recursions
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
@@ -65,6 +66,8 @@ class Motion:
     velocity_m_s: FloatArray
     encoder_m: FloatArray
 
+    __repr__ = brief
+
     @classmethod
     def zero(cls, stages: int) -> "Motion":
         return cls(*(np.zeros(stages) for _ in range(4)))
@@ -97,6 +100,8 @@ class StageModel:
     Cv: FloatArray
     Cp: FloatArray | None = None
     Dp: FloatArray | None = None
+
+    __repr__ = brief
 
     @property
     def whole_delay(self) -> int:

@@ -8,6 +8,7 @@ from scipy import linalg
 
 from transopt.base.errors import InputError
 from transopt.base.recursions import band, constant_band, filtered, run, substitute
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
@@ -102,6 +103,8 @@ class HeatModel:
     headroom_K: FloatArray
     closure: tuple[FloatArray, FloatArray] | None
     unpowered_C: FloatArray
+
+    __repr__ = brief
 
     @property
     def nodes(self) -> int:
@@ -218,6 +221,8 @@ class ThermalLimit:
     budget: Budget
     model: HeatModel
     dt_s: float
+
+    __repr__ = brief
 
     @property
     def limit_C(self) -> float:

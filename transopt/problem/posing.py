@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit, Supply
@@ -32,6 +33,8 @@ class Wanted:
     nominal_velocity_m_s: FloatArray
     nominal_position_m: FloatArray
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Posing:
@@ -47,6 +50,8 @@ class Posing:
     supply: tuple[float, Circuit] | None
     wall: Wall | None
     budget: Budget
+
+    __repr__ = brief
 
     @classmethod
     def of(cls, meta: dict[str, Any], stages: int) -> "Posing":

@@ -6,6 +6,7 @@ from enum import Enum
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Supply
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
@@ -80,6 +81,8 @@ class TransientProblem:
     thermal: ThermalLimit | None = None
     error_filter: ErrorFilter | None = None
     spread: tuple[StageModel, ...] = ()
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         N = self.grid.stages
@@ -248,6 +251,8 @@ class Multipliers:
     current_sign: FloatArray
     hand_over: FloatArray
 
+    __repr__ = brief
+
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
         """No limit binds."""
@@ -296,6 +301,8 @@ class Solution:
     iterations: int
     solve_time_s: float
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -326,6 +333,8 @@ class Certificate:
     VIOLATION_TOLERANCE = 1e-6  # A, V or K; of the limit where that is below 1 A or 1 V
     GAP_TOLERANCE = 1e-6
     BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; trials 0.06 to 0.2 %
+
+    __repr__ = brief
 
     @classmethod
     def nothing(cls) -> "Certificate":

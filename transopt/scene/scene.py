@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
+from transopt.base.shown import cut, span, wrapped
 from transopt.plant import chain as models
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
@@ -57,6 +58,14 @@ class Scene(Section):
     weights: Weights = Weights()
     robust: Robust | None = None
     hand_over_samples: Annotated[int, Field(ge=1)] = 10
+
+    def __repr__(self) -> str:
+        grid, time = self.grid, self.time
+        return wrapped(
+            f"Scene({self.name}: {cut(self.description)}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
+            f"{self.current_limits().current_A:g} A)"
+        )
 
     @model_validator(mode="after")
     def _one_drive(self) -> Self:
