@@ -25,14 +25,13 @@ if TYPE_CHECKING:
     from transopt.base.errors import InputError
     from transopt.design.build import Build
     from transopt.design.entry import Entry
-    from transopt.design.solve import build, solve
+    from transopt.design.solve import build, certify, solve
     from transopt.design.verify import verify_library as verify
     from transopt.library.export import export_library
     from transopt.library.file import load_library
     from transopt.library.library import Library, Waveform
     from transopt.library.online import Online
     from transopt.problem.problem import Certificate, Limits, Multipliers, Solution, Status, TransientProblem
-    from transopt.proof.certify import certify
     from transopt.proof.replay import Replay, replay
     from transopt.recordings.recording import Recording
     from transopt.recordings.reference import Reference, build_references
@@ -103,7 +102,7 @@ _HOME = {
     "Waveform": "library.library",
     "build": "design.solve",
     "build_references": "recordings.reference",
-    "certify": "proof.certify",
+    "certify": "design.solve",
     "export_library": "library.export",
     "load_library": "library.file",
     "load_scene": "scene.builtin",

@@ -1,18 +1,20 @@
-"""From a scene, by name, path or value, to its library in one call."""
+"""From a scene, by name, path or value, to its library in one call; and the proof of one answer."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from transopt.base.errors import InputError
 from transopt.base.shown import cut
+from transopt.base.signals import FloatArray
 from transopt.design.build import Build, build_library
 from transopt.design.refine_grid import DEFAULT_CAP, check_tolerance, refine_grid
 from transopt.library.library import Library
+from transopt.problem.problem import Certificate, Multipliers, TransientProblem
 from transopt.recordings.recording import Recording
 from transopt.scene.builtin import load_scene
 from transopt.scene.recordings import recordings_of
 from transopt.scene.scene import Scene
-from transopt.solvers.choose import check_name
+from transopt.solvers.choose import check_name, prove
 from transopt.solvers.options import SolverOptions
 
 
@@ -73,3 +75,22 @@ def solve(
         f"{made.scene.name}: {len(made.refused)} of {count} entries refused, the first at {first.speed_m_s:g} m/s, "
         f"{first.grip_N:g} N: {cut(reason, 200)}; transopt.build returns all of them with their reasons"
     )
+
+
+def certify(
+    problem: TransientProblem,
+    command_A: FloatArray,
+    multipliers: Multipliers,
+    options: SolverOptions | None = None,
+) -> Certificate:
+    """Proof that a command is optimal, or by how much it may not be, whoever found it.
+
+    The command is rolled out anew, and with the multipliers bounds how far the objective lies above the optimum.
+    Where the problem limits the winding's temperature it is not convex; its convex relaxation is then solved for the
+    bound.
+
+    Parameters
+    ----------
+    command_A : (N,). multipliers : of the same problem, as a `Solution` or a library has them.
+    """
+    return prove(problem, command_A, multipliers, SolverOptions() if options is None else options)
