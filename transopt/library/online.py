@@ -216,7 +216,7 @@ class Online:
     def _solved(self, problem: TransientProblem) -> _Found | None:
         """The smallest problem that has the answer: without limits, without the temperature, whole."""
         if problem.reference_is_zero:
-            return self._judged(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
+            return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
         stage, hot = linear_stage(small), False
         stages = without_limits(small, stage)
@@ -226,7 +226,7 @@ class Online:
             effect = Effect(problem, free)
             if inside(problem, free, effect=effect):
                 multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
-                found = self._judged(effect, multipliers)
+                found = self._proven(effect, multipliers)
                 if found.proof.accepted:
                     return found
             hot = small.thermal is not None and _overheats(effect)
@@ -253,7 +253,7 @@ class Online:
                 and not inside(problem, command, only="coil", effect=effect)
             ):
                 continue
-            found = self._judged(effect, multipliers)
+            found = self._proven(effect, multipliers)
             if found.proof.accepted:
                 return found
         return found
@@ -276,7 +276,7 @@ class Online:
         by_row = buffers.upper - buffers.lower
         return _Answer(stages.command(buffers.command), stages.multipliers(by_row, buffers.gradient))
 
-    def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
+    def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
         problem, command = effect.problem, effect.command_A
         proof = certify(problem, command, multipliers, effect=effect)
