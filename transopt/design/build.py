@@ -14,7 +14,7 @@ import numpy as np
 from transopt.base import workers
 from transopt.base.errors import InputError
 from transopt.base.files import ctrl_c_waits
-from transopt.base.shown import html_figure, html_table, span, wrapped
+from transopt.base.shown import cut, html_figure, html_table, span, wrapped
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
@@ -52,8 +52,8 @@ class Build:
         errors = [entry.nrmse for entry in entries if entry.status is Status.OPTIMAL]
         found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
         return wrapped(
-            f"Build({self.scene.name}: {span(grid.speeds_m_s, 'm/s', 'speed')}, {span(grid.grips_N, 'N', 'grip')}, "
-            f"{len(errors)} of {len(entries)} entries certified and replayed{found}; {self.elapsed_s:.2f} s)"
+            f"Build({cut(self.scene.name)}: {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"{span(grid.grips_N, 'N', 'grip')}, {len(errors)} of {len(entries)} entries certified and replayed{found}; {self.elapsed_s:.2f} s)"
         )
 
     def _repr_html_(self) -> str:

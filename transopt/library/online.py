@@ -17,7 +17,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.library.library import Library, Place, Waveform, interpolation_weights, speed_weights
+from transopt.library.library import Library, Waveform, interpolation_weights, speed_weights
 from transopt.library.other_limits import with_limits
 from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
@@ -189,8 +189,11 @@ class Online:
         found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):
             wave = self._library.blend(place)
-            if limits and not place.silent:
-                wave, found = _within(wave, problem, found)
+            if limits and problem is None:  # too hot to begin with
+                wave = _silent(wave)
+            elif limits and problem is not None and not inside(problem, wave.command_A):
+                wave = _silent(wave)
+                found = f"{found}; nothing is played, for the library's blend leaves these limits"
             return OnlineTap(wave, None, found, time.perf_counter() - start)
         problem, answer = found
         transient = problem.transient_command(answer.command_A)
@@ -333,11 +336,7 @@ def _heated(
     return replace(coil, limit_C=limit_C, start_winding_C=winding_C, start_housing_C=housing), ""
 
 
-def _within(wave: Waveform, problem: TransientProblem | None, why: str) -> tuple[Waveform, str]:
-    """The blend if it keeps the limits of the problem, else silence; with the remark."""
-    if problem is not None and inside(problem, wave.command_A):
-        return wave, why
+def _silent(wave: Waveform) -> Waveform:
+    """Nothing at the same place."""
     nothing = np.zeros_like(wave.command_A)
-    place = {field: value for field, value in vars(wave).items() if field in Place.__dataclass_fields__}
-    silent = Waveform(**{**place, "silent": True}, command_A=nothing, transient_command_A=nothing)
-    return silent, f"{why}; nothing is played, for the library's blend leaves these limits"
+    return replace(wave, silent=True, command_A=nothing, transient_command_A=nothing)

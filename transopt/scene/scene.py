@@ -62,7 +62,7 @@ class Scene(Section):
     def __repr__(self) -> str:
         grid, time = self.grid, self.time
         return wrapped(
-            f"Scene({self.name}: {cut(self.description)}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"Scene({cut(self.name)}: {cut(self.description)}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
             f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
             f"{self.current_limits().current_A:g} A)"
         )
