@@ -53,7 +53,8 @@ class Build:
         found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
         return wrapped(
             f"Build({cut(self.scene.name)}: {span(grid.speeds_m_s, 'm/s', 'speed')}, "
-            f"{span(grid.grips_N, 'N', 'grip')}, {len(errors)} of {len(entries)} entries certified and replayed{found}; {self.elapsed_s:.2f} s)"
+            f"{span(grid.grips_N, 'N', 'grip')}, {len(errors)} of {len(entries)} entries certified and replayed"
+            f"{found}; {self.elapsed_s:.2f} s)"
         )
 
     def _repr_html_(self) -> str:
