@@ -40,6 +40,7 @@ import problems
 from transopt.base.files import whole_file, without_nan
 from transopt.base.machine import machine, versions
 from transopt.problem.heat import Budget
+from transopt.problem.limits import limits_of
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify

@@ -1,9 +1,133 @@
 """Design motor-current transients that make a virtual surface feel as hard as the real one.
 
-One tap runs through the modules in this order::
+    import transopt as to
 
-    importers -> recording -> reference -> models -> discretise -> problem -> transcribe
-    -> solvers -> certify -> replay -> build -> library -> export
+    library = to.solve("wood_on_foam")
+    library.save("library.npz")
 
-Nothing is imported here, so that reading a library at run time never loads the optimiser.
+The names in `__all__` are the public interface of this package, and stay: a change that breaks one of them is a new
+major version. Everything else, the rooms `transopt.design`, `transopt.library` and all below them, may move between
+versions; who imports from there follows.
+
+A tap runs through the names in this order. `load_scene` reads a `Scene`; `recordings_of` has its `Recording`s, which
+`prepare` and `build_references` turn into references; `build` poses a `TransientProblem` for every speed and grip,
+solves, certifies and replays it, and returns a `Build` of `Entry`s; `solve` returns its `Library` alone. `Online`
+solves a library's problem anew for what was measured.
+
+Each name is loaded when it is first used: `import transopt` alone loads nothing, so that a program which only reads a
+library never loads the optimiser.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from transopt.base.errors import InputError
+    from transopt.design.build import Build
+    from transopt.design.entry import Entry
+    from transopt.design.solve import build, certify, solve
+    from transopt.design.verify import verify_library as verify
+    from transopt.library.export import export_library
+    from transopt.library.file import load_library
+    from transopt.library.library import Library, Waveform
+    from transopt.library.online import Online
+    from transopt.problem.answer import Certificate, Multipliers, Solution, Status
+    from transopt.problem.limits.limit import Limits
+    from transopt.problem.problem import TransientProblem
+    from transopt.proof.replay import Replay, replay
+    from transopt.recordings.recording import Recording
+    from transopt.recordings.reference import Reference, build_references
+    from transopt.recordings.settings import Recordings
+    from transopt.recordings.tap import prepare, read_recordings
+    from transopt.report.write import write_report
+    from transopt.scene.builtin import load_scene, scene_names
+    from transopt.scene.recordings import recordings_of
+    from transopt.scene.scene import Scene
+    from transopt.solvers.choose import solve as solve_problem
+    from transopt.solvers.options import SolverOptions
+
+__all__ = [
+    "Build",
+    "Certificate",
+    "Entry",
+    "InputError",
+    "Library",
+    "Limits",
+    "Multipliers",
+    "Online",
+    "Recording",
+    "Recordings",
+    "Reference",
+    "Replay",
+    "Scene",
+    "Solution",
+    "SolverOptions",
+    "Status",
+    "TransientProblem",
+    "Waveform",
+    "build",
+    "build_references",
+    "certify",
+    "export_library",
+    "load_library",
+    "load_scene",
+    "prepare",
+    "read_recordings",
+    "recordings_of",
+    "replay",
+    "scene_names",
+    "solve",
+    "solve_problem",
+    "verify",
+    "write_report",
+]
+
+# Name -> the room that has it, and what it is called there where that is another name.
+_HOME = {
+    "Build": "design.build",
+    "Certificate": "problem.answer",
+    "Entry": "design.entry",
+    "InputError": "base.errors",
+    "Library": "library.library",
+    "Limits": "problem.limits.limit",
+    "Multipliers": "problem.answer",
+    "Online": "library.online",
+    "Recording": "recordings.recording",
+    "Recordings": "recordings.settings",
+    "Reference": "recordings.reference",
+    "Replay": "proof.replay",
+    "Scene": "scene.scene",
+    "Solution": "problem.answer",
+    "SolverOptions": "solvers.options",
+    "Status": "problem.answer",
+    "TransientProblem": "problem.problem",
+    "Waveform": "library.library",
+    "build": "design.solve",
+    "build_references": "recordings.reference",
+    "certify": "design.solve",
+    "export_library": "library.export",
+    "load_library": "library.file",
+    "load_scene": "scene.builtin",
+    "prepare": "recordings.tap",
+    "read_recordings": "recordings.tap",
+    "recordings_of": "scene.recordings",
+    "replay": "proof.replay",
+    "scene_names": "scene.builtin",
+    "solve": "design.solve",
+    "solve_problem": "solvers.choose:solve",
+    "verify": "design.verify:verify_library",
+    "write_report": "report.write",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    room, _, there = _HOME[name].partition(":")
+    value = getattr(import_module(f"{__name__}.{room}"), there or name)
+    globals()[name] = value  # the next time it is simply there
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

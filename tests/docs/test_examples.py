@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import transopt as to
 from tests.benches.places import ROOT
 from transopt.library.library import Library
 from transopt.solvers.native import extension as native
@@ -18,7 +19,7 @@ ONLINE, API, NUMPY = BLOCKS
 
 def test_readme_has_the_three_examples() -> None:
     assert "Online" in ONLINE
-    assert "build_library" in API
+    assert "to.solve" in API
     assert "transopt" not in re.sub("#.*", "", NUMPY)
 
 
@@ -36,8 +37,14 @@ def test_online(
 def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     exec(API, {})  # the block is this repository's own text
-    assert "0.4 m/s, 5 N: 19.08%" in capsys.readouterr().out
-    assert (tmp_path / "library.npz").exists()
+    assert "0.4 m/s, 5 N: NRMSE 19.1 %, floor 0.54 %" in capsys.readouterr().out
+    assert all((tmp_path / name).exists() for name in ("library.npz", "transients.png", "out/report.md"))
+
+
+def test_the_readme_names_the_whole_interface() -> None:
+    section = README[README.index("## Python") : README.index("## The library file")]
+    table = section[section.index("| for |") : section.index("These names")]
+    assert set(re.findall(r"`(\w+)", table)) == set(to.__all__)
 
 
 class TestNumpyAlone:

@@ -4,6 +4,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from transopt.base.shown import brief
+
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Speed = Annotated[float, Field(ge=1e-4, le=100)]
@@ -15,3 +17,5 @@ class Section(BaseModel):
     """A table of a settings file: unknown keys are refused, values never change after loading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    __repr__ = brief

@@ -37,6 +37,11 @@ def brief(value: object) -> str:
     return wrapped(f"{type(value).__name__}({', '.join(shown[:fitting] + more)})")
 
 
+def cut(text: str, longest: int = 2 * LONGEST_TEXT) -> str:
+    """Text that is no longer than this, which shows where it was cut."""
+    return text if len(text) <= longest else text[: longest - 3] + "..."
+
+
 def wrapped(text: str) -> str:
     """Text in lines of a terminal, the later ones indented."""
     return textwrap.fill(text, LINE, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
@@ -58,7 +63,7 @@ def summary(value: Any) -> str:
     if isinstance(value, Enum):
         return f"{type(value).__name__}.{value.name}"
     if isinstance(value, str):
-        return repr(value if len(value) <= LONGEST_TEXT else value[: LONGEST_TEXT - 3] + "...")
+        return repr(cut(value, LONGEST_TEXT))
     if isinstance(value, Mapping):
         return "{" + _some([str(key) for key in value], "keys") + "}"
     if isinstance(value, list | tuple):
@@ -90,13 +95,6 @@ def span(values: Sequence[float] | np.ndarray[Any, Any], unit: str, what: str) -
     """`4 speeds 0.1 to 0.4 m/s`."""
     count, first, last = len(values), float(values[0]), float(values[-1])
     return f"1 {what} {first:g} {unit}" if count == 1 else f"{count} {what}s {first:g} to {last:g} {unit}"
-
-
-def percent(value: float) -> str:
-    """Percent with two decimals below ten, one above; a dash for what is not known."""
-    if np.isnan(value):
-        return "-"
-    return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
 def html_table(caption: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

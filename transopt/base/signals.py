@@ -7,6 +7,7 @@ import scipy
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 
 FloatArray = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ class Signal:
     start_s: float
     dt_s: float
     values: FloatArray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if self.values.ndim != 1 or self.values.size < 2:

@@ -122,7 +122,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
-    from transopt.report.publish import LEFTOVERS, files_of, publish
+    from transopt.report.write import write_report
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     watched = sys.stderr.isatty()
@@ -153,11 +153,8 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
         )
         bar.update(task, visible=False)
         bar.add_task("files", total=None)
-        files = files_of(build, figures=wanted.figures)
-        # A build that was refused writes no library, and leaves the earlier one with all that belongs to it.
-        stale = [name for name in LEFTOVERS if name not in files] if build.library is not None else []
-        publish(wanted.folder, files, stale)
-    return build, list(files)
+        written = write_report(build, wanted.folder, figures=wanted.figures)
+    return build, [path.name for path in written]
 
 
 def _print(console: "Console", build: "Build", written: str) -> None:

@@ -5,10 +5,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from transopt.base.shown import cut, html_figure, html_table, span, wrapped
+from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
 from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays
@@ -21,6 +23,9 @@ from transopt.scene.identified import Identified
 from transopt.scene.model_file import PARTS
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
+
+if TYPE_CHECKING:  # nothing is drawn while a library is solved
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,43 @@ class Build:
     solver: str
     elapsed_s: float
     refinement: Refinement | None = None
+
+    def __repr__(self) -> str:
+        grid, entries = self.scene.grid, list(self.all_entries())
+        errors = [entry.nrmse for entry in entries if entry.status is Status.OPTIMAL]
+        found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
+        return wrapped(
+            f"Build({cut(self.scene.name)}: {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"{span(grid.grips_N, 'N', 'grip')}, {len(errors)} of {len(entries)} entries certified and replayed"
+            f"{found}; {self.elapsed_s:.2f} s)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Table and figure in a notebook."""
+        columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "seed %", "clipped %", "what binds", "verdict"]
+        rows = [
+            [
+                f"{entry.speed_m_s:g}",
+                f"{entry.grip_N:g}",
+                percent(entry.nrmse),
+                percent(entry.floor),
+                percent(entry.baselines.seed),
+                percent(entry.baselines.clipped),
+                entry.binding,
+                "; ".join([entry.verdict, *entry.shortfalls]),
+            ]
+            for entry in self.all_entries()
+        ]
+        return html_table(repr(self), columns, rows) + html_figure(self.plot())
+
+    def plot(self) -> "Figure":
+        """Every waveform over time; of a refused entry only its reference.
+
+        The figure is matplotlib's; `savefig` writes it to a file.
+        """
+        from transopt.design.figures import entries_figure
+
+        return entries_figure(self.entries)
 
     def all_entries(self) -> Iterator[Entry]:
         for row in self.entries:

@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import FloatArray, nrmse
+from transopt.base.writing import percent
 from transopt.design.optimum import Designed, optimum
 from transopt.design.price import Price, prices
 from transopt.design.verify import admit
@@ -22,6 +25,9 @@ from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Size
+
+if TYPE_CHECKING:  # nothing is drawn while a library is solved
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,40 @@ class Entry:
     left_out: dict[str, str]
     size: Size | None
     spread: SpreadErrors | None
+
+    def __repr__(self) -> str:
+        found = (
+            f"NRMSE {percent(self.nrmse)} %, floor {percent(self.floor)} %; {self.verdict}; "
+            f"binds: {cut(self.binding)}"
+            if self.status is Status.OPTIMAL
+            else f"refused: {cut('; '.join(self.shortfalls) or self.status.value)}"
+        )
+        return wrapped(f"Entry({self.speed_m_s:g} m/s, {self.grip_N:g} N: {found})")
+
+    def _repr_html_(self) -> str:
+        """Table and figure in a notebook."""
+        rows = [
+            ["speed", f"{self.speed_m_s:g} m/s"],
+            ["grip", f"{self.grip_N:g} N"],
+            ["NRMSE", f"{percent(self.nrmse)} %"],
+            ["floor, the same without limits", f"{percent(self.floor)} %"],
+            ["seed inversion", f"{percent(self.baselines.seed)} %"],
+            ["clipped optimum", f"{percent(self.baselines.clipped)} %"],
+            ["peak current", f"{self.played.peak_current_A:.3f} A"],
+            ["what binds", self.binding],
+            ["J", f"{self.certificate.objective:.6g}, gap {self.certificate.relative_gap:.0e}"],
+            ["verdict", "; ".join([self.verdict, *self.shortfalls])],
+        ]
+        return html_table(repr(self), ["", ""], rows) + html_figure(self.plot())
+
+    def plot(self) -> "Figure":
+        """The waveform over time: acceleration beside its reference, current beside its limit.
+
+        The figure is matplotlib's; `savefig` writes it to a file.
+        """
+        from transopt.design.figures import entries_figure
+
+        return entries_figure([[self]])
 
     @property
     def nrmse(self) -> float:

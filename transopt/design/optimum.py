@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.explain import infeasibility, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
@@ -44,6 +45,8 @@ class Designed:
     left_out: dict[str, str]
     size: program.Size | None
     remarks: list[str]
+
+    __repr__ = brief
 
     @property
     def is_proven(self) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.entry import entry_problem, scene_stage, spread_stages
 from transopt.design.optimum import optimum
@@ -83,6 +84,8 @@ class Refinement:
     rounds: int
     shortfall: str
     elapsed_s: float
+
+    __repr__ = brief
 
     @property
     def entries(self) -> int:

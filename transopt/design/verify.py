@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, nrmse
 from transopt.design.explain import unstable_wall
 from transopt.library.library import Library
@@ -96,6 +97,8 @@ class EntryCheck:
     certificate: Certificate
     played: Replay
     shortfalls: list[str]
+
+    __repr__ = brief
 
 
 def unlimited_nrmse(problem: TransientProblem, reference_m_s2: FloatArray) -> float:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
-from transopt.base.shown import brief, html_figure, html_table, percent, span, wrapped
+from transopt.base.shown import brief, cut, html_figure, html_table, span, wrapped
 from transopt.base.signals import FloatArray
+from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
@@ -135,7 +136,7 @@ class Library:
     lower_bound: Annotated[FloatArray, Array("vg", "", "rigorous bound on the optimum from below")]
     solve_time_s: Annotated[FloatArray, Array("vg", "s", "wall time of the solve")]
     status: Annotated[NDArray[np.str_], Array("vg", "", "how the entry ended", is_text=True)]
-    binding: Annotated[NDArray[np.str_], Array("vg", "", "the limits that bind, and for how long", is_text=True)]
+    binding: Annotated[NDArray[np.str_], Array("vg", "", "the limits that bind, and when", is_text=True)]
     multipliers_of: Mapping[str, FloatArray]
     current_sign: Annotated[
         FloatArray,
@@ -143,9 +144,9 @@ class Library:
     ]
     mu_end: Annotated[FloatArray, Array("vgh", "1/A", "multiplier of the hand-over, of either sign")]
     plant_A: Annotated[FloatArray, Array("gnn", "", "dx/dt = A x + B i of the device at each grip")]
-    plant_B: Annotated[FloatArray, Array("gn1", "", "B")]
+    plant_B: Annotated[FloatArray, Array("gn1", "", "its B")]
     plant_C: Annotated[FloatArray, Array("g1n", "", "y'' = C x + D i")]
-    plant_D: Annotated[FloatArray, Array("g11", "", "D")]
+    plant_D: Annotated[FloatArray, Array("g11", "", "its D")]
     plant_Ce: Annotated[FloatArray, Array("g1n", "", "encoder position = Ce x")]
     correction_m_s2: Annotated[
         FloatArray,
@@ -163,7 +164,7 @@ class Library:
     def __repr__(self) -> str:
         stages, dt_s = self.command_A.shape[2], self.meta["dt_s"]
         return wrapped(
-            f"Library({self.meta['scene']['name']}: {span(self.speeds_m_s, 'm/s', 'speed')}, "
+            f"Library({cut(self.meta['scene']['name'])}: {span(self.speeds_m_s, 'm/s', 'speed')}, "
             f"{span(self.grips_N, 'N', 'grip')}, {stages} commands of {1e3 * dt_s:g} ms, limit "
             f"{self.meta['limits']['current_A']:g} A, NRMSE {percent(self.nrmse.min())} to "
             f"{percent(self.nrmse.max())} %)"

@@ -1,19 +1,24 @@
 """One tap solved anew for what was measured: speed, grip and the coil's temperature.
 
-A library's blend between nodes is feasible but not optimal, and knows one start temperature. Here the problem of its
-nodes is posed for the measured point and solved by the compiled interior point, with the certificate of an entry.
-Nothing loads CasADi: stage data are those of `stagewise`, which a test holds to the CasADi statement.
+A library's blend between nodes is feasible but not optimal, and knows one start temperature and one set of limits.
+Here the problem of its nodes is posed for the measured point and solved by the compiled interior point, with the
+certificate of an entry. Nothing loads CasADi: stage data are those of `stage_data`, which a test holds to the CasADi
+statement.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library, Waveform, interpolation_weights, speed_weights
+from transopt.library.other_limits import with_limits
 from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
@@ -21,6 +26,7 @@ from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.leave_out import encoder_course, leave_out, pressing
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
 from transopt.problem.stage_data import Stages, stages, without_limits
@@ -35,6 +41,9 @@ from transopt.solvers.native.extension import (
     interior_point,
 )
 
+if TYPE_CHECKING:  # which loads pydantic
+    from transopt.scene.scene import Scene
+
 TOLERANCE = 1e-9  # of gap and residuals: three digits to the certificate's, as in the designer
 MOST_ITERATIONS = 60  # a tap takes 10 to 30; who needs more gets the blend
 MOST_MASKS = 3  # solves until the wall pushes exactly where it was assumed to
@@ -42,14 +51,14 @@ FAMILIES = 64  # grips whose stage models are kept
 
 
 @dataclass(frozen=True)
-class Tap:
+class OnlineTap:
     """What to play for one measured tap.
 
     Attributes
     ----------
     wave : the command, with what was clamped, as the library's own blend has it.
     certificate : of the optimum; None where the blend is played, or nothing.
-    remark : why the blend is played instead of an optimum; empty for an optimum.
+    remark : why the blend is played instead of an optimum, or nothing; empty for an optimum.
     elapsed_s : from the call to the answer, certificate included.
     """
 
@@ -57,6 +66,8 @@ class Tap:
     certificate: Certificate | None
     remark: str
     elapsed_s: float
+
+    __repr__ = brief
 
     @property
     def solved(self) -> bool:
@@ -81,8 +92,9 @@ class Online:
     ----------
     library : references, limits, grid, start temperatures. A speed between its nodes has the reference that
         `transopt.recordings.reference.between` states.
-    plant : device of any grip on the library's grid, `Scene.plant` for a library's own scene.
-    spread : further devices that a robust library's command shall serve at a grip; none without it.
+    plant : device of any grip on the library's grid; that of the scene the library was solved from without it.
+    spread : further devices that a robust library's command shall serve at a grip; without it those of the library's
+        own scene, or none where a plant is given.
 
     Raises
     ------
@@ -92,28 +104,30 @@ class Online:
     def __init__(
         self,
         library: Library,
-        plant: Callable[[float], StateSpace],
-        spread: Callable[[float], tuple[StateSpace, ...]] = lambda grip_N: (),
+        plant: Callable[[float], StateSpace] | None = None,
+        spread: Callable[[float], tuple[StateSpace, ...]] | None = None,
     ) -> None:
         if not available:
             raise InputError(
                 "online: the solver's extension is not built or out of date; install again where there is a compiler"
             )
-        self._library, self._plant, self._spread = library, plant, spread
-        self._coil = library.coil()
+        self._library, self._coil = library, library.coil()
+        if plant is None:
+            scene = library.scene()
+            plant, spread = scene.plant, spread or partial(_spread, scene)
+        self._plant, self._spread = plant, spread or _none
         self._stages: dict[float, tuple[StageModel, ...]] = {}
         self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
         self._buffers: dict[tuple[int, ...], Buffers] = {}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
-        problem = self._posed(fastest, firmest, self._coil)
-        sizes = stages(problem).sizes
-        states = sizes["states"] + sizes["nodes"]
-        if states > MOST_STATES:
-            raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
+        problem = self._posed(self._posing, fastest, firmest, self._coil)
         # Memory of all that a tap can come to: without limits, with and without the temperature.
         self._buffers_for(without_limits(problem))
         for each in (problem, problem.without(TemperatureLimit.name)):
             self._by_interior_point(each)
+
+    def __repr__(self) -> str:
+        return f"Online({self._library!r})"
 
     def _devices(self, grip_N: float) -> tuple[StageModel, ...]:
         """The device of a grip and those of its spread, discretised."""
@@ -126,7 +140,7 @@ class Online:
             self._stages[grip_N] = found
         return found
 
-    def _posed(self, speed_m_s: float, grip_N: float, coil: CoilModel | None) -> TransientProblem:
+    def _posed(self, posing: Posing, speed_m_s: float, grip_N: float, coil: CoilModel | None) -> TransientProblem:
         library = self._library
         stage, *spread = self._devices(grip_N)
         wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s))
@@ -136,49 +150,55 @@ class Online:
             by_grip = interpolation_weights(library.grips_N, grip_N)
             correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
             wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + correction)
-        problem = self._posing.problem(wanted, stage, tuple(spread), coil)
+        problem = posing.problem(wanted, stage, tuple(spread), coil)
         if problem.wall is None:
             return problem
         return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
 
     def solve(
-        self, speed_m_s: float, grip_N: float, winding_C: float | None = None, housing_C: float | None = None
-    ) -> Tap:
+        self,
+        speed_m_s: float,
+        grip_N: float,
+        winding_C: float | None = None,
+        housing_C: float | None = None,
+        limits: Mapping[str, float] | None = None,
+    ) -> OnlineTap:
         """The certified optimum for one tap, or the library's blend with the reason why.
 
         Parameters
         ----------
         winding_C, housing_C : temperatures at the start; the library's own without them. Without a housing's the
             library's is taken, but none that is hotter than the winding.
+        limits : values in place of the library's own: `current_A`, `command_A`, `slew_A_per_s`, `supply_V` and
+            `temperature_C` of the winding. Without a certified optimum the blend is then played only if it keeps
+            them, and nothing otherwise.
 
         Raises
         ------
-        InputError : speed, grip or temperature is not a finite number.
+        InputError : speed, grip or temperature is not a finite number; a limit that is unknown, not > 0, or of a part
+            that the library's scene does not have.
         """
         start = time.perf_counter()
+        limits = limits or {}
+        posing = with_limits(limits, self._posing, self._library.meta)
         place = self._library.located(speed_m_s, grip_N)
-        coil, remark = self._heated(winding_C, housing_C)
+        coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
         if place.silent and not remark:
             remark = "nothing to play: too little grip or speed"
-        found = remark or self._optimum(self._posed(place.speed_m_s, place.grip_N, coil))
+        problem = None if remark else self._posed(posing, place.speed_m_s, place.grip_N, coil)
+        found = remark if problem is None else self._optimum(problem)
         if isinstance(found, str):
-            return Tap(self._library.blend(place), None, found, time.perf_counter() - start)
+            wave = self._library.blend(place)
+            if limits and problem is None:  # too hot to begin with
+                wave = _silent(wave)
+            elif limits and problem is not None and not inside(problem, wave.command_A):
+                wave = _silent(wave)
+                found = f"{found}; nothing is played, for the library's blend leaves these limits"
+            return OnlineTap(wave, None, found, time.perf_counter() - start)
         problem, answer = found
         transient = problem.transient_command(answer.command_A)
         wave = Waveform(**vars(place), command_A=answer.command_A, transient_command_A=transient)
-        return Tap(wave, answer.proof, "", time.perf_counter() - start)
-
-    def _heated(self, winding_C: float | None, housing_C: float | None) -> tuple[CoilModel | None, str]:
-        """The coil with its measured start, and why that start allows no tap; or empty."""
-        coil = self._coil
-        if coil is None or winding_C is None:
-            return coil, ""
-        housing = min(coil.start_housing_C, winding_C) if housing_C is None else housing_C
-        if not (np.isfinite(winding_C) and np.isfinite(housing)):
-            raise InputError(f"winding {winding_C} C, housing {housing} C: both must be finite numbers")
-        if winding_C > coil.limit_C:
-            return coil, f"winding {winding_C:.4g} C is above its limit {coil.limit_C:g} C: let the motor cool"
-        return replace(coil, start_winding_C=winding_C, start_housing_C=housing), ""
+        return OnlineTap(wave, answer.proof, "", time.perf_counter() - start)
 
     def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
         """The problem, its wall pressing where the answer makes it press, and that answer; or why there is none."""
@@ -197,9 +217,9 @@ class Online:
         return "the wall pushes elsewhere after every solve"
 
     def _solved(self, problem: TransientProblem) -> _Found | None:
-        """The smallest problem that has the answer (DESIGN 4): without limits, without the temperature, whole."""
+        """The smallest problem that has the answer: without limits, without the temperature, whole."""
         if problem.reference_is_zero:
-            return self._judged(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
+            return self._proven(Effect(problem, np.zeros(problem.grid.stages)), Multipliers.zero(problem))
         small = leave_out(problem).problem
         stage, hot = linear_stage(small), False
         bare = without_limits(small, stage)
@@ -209,7 +229,7 @@ class Online:
             effect = Effect(problem, free)
             if inside(problem, free, effect=effect):
                 multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
-                found = self._judged(effect, multipliers)
+                found = self._proven(effect, multipliers)
                 if found.proof.accepted:
                     return found
             hot = small.thermal is not None and _overheats(effect)
@@ -236,12 +256,15 @@ class Online:
                 and not inside(problem, command, only=TemperatureLimit.name, effect=effect)
             ):
                 continue
-            found = self._judged(effect, multipliers)
+            found = self._proven(effect, multipliers)
             if found.proof.accepted:
                 return found
         return found
 
     def _buffers_for(self, given: Stages) -> Buffers:
+        states = given.sizes["states"] + given.sizes["nodes"]
+        if states > MOST_STATES:
+            raise InputError(f"online: the problem has {states} states, limit {MOST_STATES}: spread fewer devices")
         key = tuple(given.sizes.values())
         if key not in self._buffers:
             self._buffers[key] = Buffers(given.sizes)
@@ -256,7 +279,7 @@ class Online:
         by_row = buffers.upper - buffers.lower
         return _Answer(given.command(buffers.command), given.multipliers(by_row, buffers.gradient))
 
-    def _judged(self, effect: Effect, multipliers: Multipliers) -> _Found:
+    def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
         problem, command = effect.problem, effect.command_A
         proof = certify(problem, command, multipliers, effect=effect)
@@ -284,3 +307,36 @@ def _overheats(effect: Effect) -> bool:
         return False
     currents = (np.clip(each, -limit_A, limit_A) for each in (effect.motion.current_A, effect.command_A))
     return too_hot(model.rise(model.heating.mean_square(*currents)))
+
+
+def _none(grip_N: float) -> tuple[StateSpace, ...]:
+    """No further devices."""
+    return ()
+
+
+def _spread(scene: "Scene", grip_N: float) -> tuple[StateSpace, ...]:
+    """Further devices of a scene at a grip."""
+    return tuple(of.plant(grip) for of, grip in scene.spread(grip_N))
+
+
+def _heated(
+    coil: CoilModel | None, limit_C: float | None, winding_C: float | None, housing_C: float | None
+) -> tuple[CoilModel | None, str]:
+    """The coil with its measured start and, if given, another limit; and why that start allows no tap, or empty."""
+    if coil is None:
+        return coil, ""
+    limit_C = coil.limit_C if limit_C is None else float(limit_C)
+    if winding_C is None:
+        winding_C, housing_C = coil.start_winding_C, coil.start_housing_C
+    housing = min(coil.start_housing_C, winding_C) if housing_C is None else housing_C
+    if not (np.isfinite(winding_C) and np.isfinite(housing)):
+        raise InputError(f"winding {winding_C} C, housing {housing} C: both must be finite numbers")
+    if winding_C > limit_C:
+        return coil, f"winding {winding_C:.4g} C is above its limit {limit_C:g} C: let the motor cool"
+    return replace(coil, limit_C=limit_C, start_winding_C=winding_C, start_housing_C=housing), ""
+
+
+def _silent(wave: Waveform) -> Waveform:
+    """Nothing at the same place."""
+    nothing = np.zeros_like(wave.command_A)
+    return replace(wave, silent=True, command_A=nothing, transient_command_A=nothing)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
 
@@ -25,6 +26,8 @@ class StateSpace:
     C: FloatArray
     D: FloatArray
     Ce: FloatArray
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         n = self.A.shape[0]

@@ -10,6 +10,7 @@ from scipy import linalg
 
 from transopt.base import recursions
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
@@ -70,6 +71,8 @@ class Motion:
     encoder_m: FloatArray
     outputs: Mapping[str, FloatArray] = field(default_factory=dict)
 
+    __repr__ = brief
+
     @classmethod
     def zero(cls, stages: int) -> "Motion":
         nothing = np.zeros(stages)
@@ -106,6 +109,8 @@ class StageModel:
     Cp: FloatArray | None = None
     Dp: FloatArray | None = None
     outputs: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    __repr__ = brief
 
     @property
     def whole_delay(self) -> int:

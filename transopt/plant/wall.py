@@ -7,6 +7,7 @@ import scipy
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier, prefilter, prefilter_coefficients
 from transopt.plant.discretise import TimeGrid
@@ -105,6 +106,8 @@ class HandOver:
     nominal_m: FloatArray
     approach_m_s: float
     pressing: NDArray[np.bool_]
+
+    __repr__ = brief
 
     def encoder(self, deviation_m: FloatArray) -> FloatArray:
         """(..., N) z at the ticks for the deviations y there."""

@@ -1,11 +1,12 @@
 """What an answer to the problem consists of: status, multipliers, solution, certificate, verdict."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE
 from transopt.problem.problem import TransientProblem
@@ -70,6 +71,8 @@ class Multipliers:
     pairs: Mapping[str, Pair]
     hand_over: FloatArray
     slope: FloatArray
+
+    __repr__ = brief
 
     @classmethod
     def zero(cls, problem: TransientProblem) -> "Multipliers":
@@ -136,6 +139,8 @@ class Solution:
     iterations: int
     solve_time_s: float
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -153,12 +158,14 @@ class Certificate:
     """
 
     objective: float
-    violations: Mapping[str, float] = field(repr=False)
+    violations: Mapping[str, float]
     excess: float
     dual_residual: float
     duality_gap: float
     lower_bound: float
     finite: bool
+
+    __repr__ = brief
 
     VIOLATION_TOLERANCE = VIOLATION_TOLERANCE
     GAP_TOLERANCE = 1e-6

@@ -9,6 +9,7 @@ from scipy import linalg
 
 from transopt.base.errors import InputError
 from transopt.base.recursions import band, constant_band, filtered, run, substitute
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel
@@ -116,6 +117,8 @@ class HeatModel:
     headroom_K: FloatArray
     closure: tuple[FloatArray, FloatArray] | None
     unpowered_C: FloatArray
+
+    __repr__ = brief
 
     @property
     def nodes(self) -> int:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
@@ -38,6 +39,8 @@ class Wanted:
     nominal_position_m: FloatArray
     nominal_position_at_ticks_m: FloatArray
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Posing:
@@ -60,6 +63,8 @@ class Posing:
     coil: CoilModel | None
     wall: Wall | None
     budget: Budget
+
+    __repr__ = brief
 
     @classmethod
     def of(cls, meta: dict[str, Any], stages: int) -> "Posing":

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver, feedback_command
@@ -49,6 +50,8 @@ class TransientProblem:
     wall: HandOver | None = None
     error_filter: ErrorFilter | None = None
     spread: tuple[StageModel, ...] = ()
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         N = self.grid.stages

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, nrmse
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
@@ -53,6 +54,8 @@ class Replay:
     command_A: FloatArray
     rounding_m_s2: float
     step_error: float
+
+    __repr__ = brief
 
     @property
     def scale_m_s2(self) -> float:

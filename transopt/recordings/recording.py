@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import Signal
 
 
@@ -34,6 +35,8 @@ class Recording:
     current: Signal | None = None
     speed_m_s: float | None = None
     grip_N: float | None = None
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if self.speed_m_s is not None and not 1e-4 <= self.speed_m_s <= 100:

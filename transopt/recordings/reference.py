@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, highpass, nrmse, sampled
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
@@ -45,6 +46,8 @@ class Reference:
     times_s: FloatArray
     repeats_m_s2: FloatArray
     between_m_s: tuple[float, float] | None = None
+
+    __repr__ = brief
 
     @property
     def scalings(self) -> FloatArray:

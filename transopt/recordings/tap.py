@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, lowpass
 from transopt.recordings.importers import load_recording
 from transopt.recordings.recording import Recording
@@ -92,6 +93,8 @@ class Tap:
     amplitude: float
     clipped_samples: int
     notes: tuple[str, ...]
+
+    __repr__ = brief
 
 
 def _crossing(times_s: FloatArray, values: FloatArray, before: int, level: float) -> float:

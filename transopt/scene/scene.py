@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
+from transopt.base.shown import cut, span, wrapped
 from transopt.plant import chain as models
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
@@ -14,6 +15,7 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
+from transopt.problem.limits import KINDS
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
@@ -58,6 +60,14 @@ class Scene(Section):
     weights: Weights = Weights()
     robust: Robust | None = None
     hand_over_samples: Annotated[int, Field(ge=1)] = 10
+
+    def __repr__(self) -> str:
+        grid, time = self.grid, self.time
+        return wrapped(
+            f"Scene({cut(self.name)}: {cut(self.description)}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
+            f"{self.limits.transient_current_A:g} A)"
+        )
 
     @model_validator(mode="after")
     def _one_drive(self) -> Self:
@@ -116,7 +126,7 @@ class Scene(Section):
                 f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {window * 1e3:g} ms, so at most "
                 f"{1 / (window + self.time.dt_s):.3g} taps/s: lower it or shorten time.stages"
             )
-        if self.robust is not None and (self.feedback is not None or self.limits.supply_V is not None):
+        if self.robust is not None and (self.feedback is not None or self._one_device()):
             raise ValueError(
                 "robust: feedback and supply depend on one device's motion, not on a spread of them: leave one out"
             )
@@ -129,6 +139,11 @@ class Scene(Section):
     def _drive_in_file(self) -> bool:
         """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
         return isinstance(self.model, Identified) and self.model.device is not None
+
+    def _one_device(self) -> list[str]:
+        """Keys of the limits asked for that depend on the motion of one device."""
+        asked = self.limits.asked()
+        return [kind.key for kind in KINDS if kind.of_one_device and asked.get(kind.key) is not None]
 
     def _check_identified(self, model: Identified) -> None:
         """What the scene states beside a model file must not contradict it."""
@@ -152,7 +167,7 @@ class Scene(Section):
         if isinstance(model.device, StateSpaceDevice):
             for part, stated_in_scene in (
                 ("feedback", self.feedback is not None),
-                ("limits.supply_V", self.limits.supply_V is not None),
+                *((f"limits.{key}", True) for key in self._one_device()),
             ):
                 if stated_in_scene:
                     raise ValueError(

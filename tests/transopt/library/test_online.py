@@ -15,6 +15,7 @@ from tests.benches.places import ROOT
 from tests.conftest import walled_scene
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
+from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
 from transopt.library import online
 from transopt.library.library import Library
@@ -22,6 +23,7 @@ from transopt.library.online import Online
 from transopt.proof.certify import certify
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.native import extension as native
 from transopt.solvers.options import SolverOptions
@@ -51,7 +53,7 @@ def test_between_nodes_it_is_the_optimum_of_another_solver(
     library: Library, solver: Online, speed: float, grip: float
 ) -> None:
     tap = solver.solve(speed, grip)
-    problem = solver._posed(speed, grip, library.coil())
+    problem = solver._posed(library.posing(), speed, grip, library.coil())
     other = optimum(problem, SolverOptions("casadi-piqp"))
     assert tap.certificate is not None
     assert tap.certificate.objective == pytest.approx(other.certificate.objective, rel=1e-6)
@@ -72,7 +74,7 @@ class TestHeat:
         assert c.accepted
         assert c.objective - c.duality_gap > c.lower_bound > 0.9 * c.objective
         commands = np.stack([tap.wave.command_A, library.at(0.4, 5.0).command_A])
-        problem = solver._posed(0.4, 5.0, warm)
+        problem = solver._posed(library.posing(), 0.4, 5.0, warm)
         wanted = np.stack([problem.reference_m_s2] * 2)
         cool, hot = replay(problem.stage, problem.grid, commands, wanted, warm)
         assert cool.winding_C == pytest.approx(coil.limit_C, abs=1e-3)
@@ -149,6 +151,126 @@ def test_what_is_not_certified_is_not_played(
     tap = solver.solve(0.4, 5.0)
     assert tap.remark == "no certified optimum"
     np.testing.assert_array_equal(tap.wave.command_A, library.at(0.4, 5.0).command_A)
+
+
+class TestOtherLimits:
+    """A tap with limits that are not the library's is the entry of a scene that states them."""
+
+    @pytest.mark.parametrize(
+        ("limits", "section", "changes"),
+        [
+            ({"current_A": 3.0}, "limits", {"beta": None, "current_A": 3.0}),
+            ({"command_A": 3.5}, "amplifier", {"command_limit_A": 3.5}),
+            ({"slew_A_per_s": 15000.0}, "limits", {"slew_A_per_s": 15000.0}),
+            ({"supply_V": 8.0}, "limits", {"supply_V": 8.0}),
+            ({"temperature_C": 25.05}, "motor", {"winding_max_C": 25.05}),
+            (
+                {"current_A": 3.0, "slew_A_per_s": 15000.0},
+                "limits",
+                {"beta": None, "current_A": 3.0, "slew_A_per_s": 15000.0},
+            ),
+        ],
+        ids=lambda value: "+".join(value) if isinstance(value, dict) else "",
+    )
+    def test_it_is_the_designers_optimum(
+        self,
+        scene: Scene,
+        references: list[Reference],
+        solver: Online,
+        limits: dict[str, float],
+        section: str,
+        changes: dict[str, float | None],
+    ) -> None:
+        data = scene.model_dump()
+        data[section] = {**data[section], **changes}
+        stated = Scene.model_validate(data)
+        problem = entry_problem(stated, scene_stage(stated, 5.0), references[3])
+        designed = optimum(problem, SolverOptions())
+        tap = solver.solve(0.4, 5.0, limits=limits)
+        assert tap.certificate is not None, tap.remark
+        assert tap.certificate.objective == pytest.approx(designed.certificate.objective, rel=1e-6)
+        np.testing.assert_allclose(tap.wave.command_A, designed.solution.command_A, atol=1e-4)
+        # It does bind: with the library's own limits the answer is another one.
+        own = solver.solve(0.4, 5.0)
+        assert np.abs(tap.wave.command_A - own.wave.command_A).max() > 1e-2
+        np.testing.assert_allclose(own.wave.command_A, solver.solve(0.4, 5.0, limits={}).wave.command_A, atol=1e-12)
+
+    def test_a_wider_limit_is_used(self, solver: Online) -> None:
+        wider, own = solver.solve(0.4, 5.0, limits={"current_A": 5.0}), solver.solve(0.4, 5.0)
+        assert wider.certificate is not None
+        assert own.certificate is not None
+        assert wider.certificate.accepted
+        assert wider.certificate.objective < 0.8 * own.certificate.objective
+
+    @pytest.mark.parametrize(
+        ("limits", "message"),
+        [
+            ({"curent_A": 3.0}, "limits.curent_A: unknown; known here: current_A, command_A, slew_A_per_s, supply_V"),
+            ({"current_A": 0.0}, "limits.current_A = 0: must be > 0 and finite"),
+            ({"supply_V": -12.0}, "limits.supply_V = -12: must be > 0 and finite"),
+            ({"slew_A_per_s": float("nan")}, "limits.slew_A_per_s = nan: must be > 0 and finite"),
+            ({"current_A": float("inf")}, "limits.current_A = inf: must be > 0 and finite"),
+            ({"current_A": "3 A"}, "limits.current_A = '3 A': must be a number > 0"),
+        ],
+    )
+    def test_what_is_no_limit_is_refused_in_one_line(
+        self, solver: Online, limits: dict[str, float], message: str
+    ) -> None:
+        with pytest.raises(InputError) as caught:
+            solver.solve(0.3, 2.0, limits=limits)
+        assert str(caught.value).startswith(message)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("name", "message"),
+        [
+            ("command_A", "limits.command_A: the amplifier is ideal"),
+            ("supply_V", "limits.supply_V: needs the motor's circuit and an amplifier with a pole"),
+            ("temperature_C", "limits.temperature_C: the library's scene states no motor"),
+        ],
+    )
+    def test_a_part_that_the_library_does_not_have_cannot_be_limited(
+        self, library: Library, name: str, message: str
+    ) -> None:
+        bare = replace(library, meta={**library.meta, "amplifier": None, "circuit": None, "thermal": None})
+        solver = Online(bare, scene_of(library).plant)
+        with pytest.raises(InputError, match=message):
+            solver.solve(0.3, 2.0, limits={name: 20.0})
+
+    def test_without_an_optimum_the_blend_is_played_only_within_the_limits(
+        self, library: Library, solver: Online, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(online, "MOST_ITERATIONS", 2)
+        tight, loose = (solver.solve(0.4, 5.0, limits={"current_A": limit}) for limit in (3.0, 4.5))
+        assert tight.wave.silent
+        assert not tight.wave.command_A.any()
+        assert tight.remark == "no certified optimum; nothing is played, for the library's blend leaves these limits"
+        assert loose.remark == "no certified optimum"
+        np.testing.assert_array_equal(loose.wave.command_A, library.at(0.4, 5.0).command_A)
+
+    def test_a_winding_above_its_other_limit_plays_nothing(self, solver: Online) -> None:
+        tap = solver.solve(0.3, 2.0, 60.0, limits={"temperature_C": 50.0})
+        assert tap.remark == "winding 60 C is above its limit 50 C: let the motor cool"
+        assert tap.wave.silent
+        assert not tap.wave.command_A.any()
+        assert solver.solve(0.3, 2.0, limits={"temperature_C": 20.0}).remark.startswith("winding 25 C is above")
+
+
+class TestTheLibrarysOwnDevice:
+    def test_without_a_plant_it_is_that_of_the_scene(self, library: Library, solver: Online) -> None:
+        own = Online(library).solve(0.37, 4.2)
+        np.testing.assert_array_equal(own.wave.command_A, solver.solve(0.37, 4.2).wave.command_A)
+
+    def test_a_robust_librarys_spread_is_served(self, scene: Scene, taps: list[Recording]) -> None:
+        data = scene.model_dump()
+        data["robust"] = {"grip_spread": 0.2, "samples": 3}
+        data["grid"] = {**data["grid"], "speeds_m_s": [0.4], "grips_N": [5.0]}
+        robust = build_library(Scene.model_validate(data), [tap for tap in taps if "_0.4_m_s_" in tap.name]).library
+        assert robust is not None
+        tap = Online(robust).solve(0.4, 5.0)
+        assert tap.certificate is not None
+        assert tap.certificate.objective == pytest.approx(robust.objective[0, 0], rel=1e-6)
+        np.testing.assert_allclose(tap.wave.command_A, robust.command_A[0, 0], atol=1e-4)
 
 
 def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:

@@ -8,7 +8,7 @@ from transopt.plant.discretise import TimeGrid
 from transopt.problem.limits.limit import COMMAND, Limit, Posed, Row, Setting, positive
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CommandLimit(Limit):
     """The amplifier's range [A], > 0; an ideal amplifier, which follows at once, has none."""
 

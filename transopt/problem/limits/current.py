@@ -11,7 +11,7 @@ from transopt.plant.discretise import TimeGrid
 from transopt.problem.limits.limit import COMMAND, CURRENT, Limit, Posed, Row, Setting, positive
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CurrentLimit(Limit):
     """The limit on the total current [A], > 0."""
 

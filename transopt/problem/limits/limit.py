@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
@@ -149,6 +150,9 @@ class Limit(ABC):
     in_every_file : whether a library has its multipliers even where the limit is not in force.
     after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
     scales_movement : whether it is the unit I of the movement's weight in J.
+    of_one_device : whether it depends on the motion of the entry's own device, which a spread of devices does
+        not share.
+    asks_for : what a scene has to state beside its number; empty for nothing.
     said_without : why a problem does not have it.
     """
 
@@ -163,7 +167,11 @@ class Limit(ABC):
     in_every_file: ClassVar[bool] = False
     after_the_waveform: ClassVar[bool] = False
     scales_movement: ClassVar[bool] = False
+    of_one_device: ClassVar[bool] = False
+    asks_for: ClassVar[str] = ""
     said_without: ClassVar[str] = ""
+
+    __repr__ = brief
 
     @property
     @abstractmethod

@@ -8,7 +8,7 @@ from transopt.plant.discretise import TimeGrid
 from transopt.problem.limits.limit import COMMAND, HELD, Limit, Posed, Row, Setting, positive
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SlewLimit(Limit):
     """The rate at which the command may move [A/s], > 0, and the step per tick that follows from it."""
 

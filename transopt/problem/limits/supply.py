@@ -18,7 +18,7 @@ from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Limi
 BETWEEN_INSTANTS = 1e-3  # of the rail: within a period only the back-EMF is left to its own devices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SupplyLimit(Limit):
     """The rail of one tap.
 
@@ -36,6 +36,8 @@ class SupplyLimit(Limit):
     step_unit: ClassVar[str] = "V"
     key: ClassVar[str] = "supply_V"
     row_names: ClassVar[tuple[str, ...]] = ("supply_before", "supply_after")
+    of_one_device: ClassVar[bool] = True
+    asks_for: ClassVar[str] = "the motor's circuit and an amplifier with a pole"
     said_without: ClassVar[str] = "the scene states no supply limit"
 
     limit_V: float

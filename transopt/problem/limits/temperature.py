@@ -24,7 +24,7 @@ ROUNDING = 1e-6  # relative, for the heating within one step that the recursion 
 BETWEEN_INSTANTS_K = 1e-3  # the problem states the temperature at the switching instants
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TemperatureLimit(Limit):
     """The temperature limit of one entry.
 
@@ -43,6 +43,7 @@ class TemperatureLimit(Limit):
     key: ClassVar[str] = "temperature_C"
     row_names: ClassVar[tuple[str, ...]] = ("temperature",)
     sides: ClassVar[tuple[str, ...]] = ("upper",)
+    asks_for: ClassVar[str] = "the motor whose winding it is"
     said_without: ClassVar[str] = "the scene has no motor data"
 
     coil: CoilModel

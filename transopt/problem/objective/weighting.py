@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 
 PACINIAN_Hz = 275.0  # where vibration is felt best
@@ -19,6 +20,8 @@ class ErrorFilter:
 
     b: FloatArray
     a: FloatArray
+
+    __repr__ = brief
 
     def apply(self, error: FloatArray) -> FloatArray:
         """(..., N) filtered along the last axis."""

@@ -1,0 +1,254 @@
+"""The public interface: `import transopt as to`."""
+
+import ast
+import base64
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import transopt as to
+from transopt.design.verify import verify_library
+from transopt.solvers.native import extension as native
+
+FITS = 400  # characters of a `repr`
+LARGEST_HTML = 200_000
+HEAVY = ("casadi", "scipy", "matplotlib", "pydantic", "numpy", "rich", "typer")
+
+
+def python(program: str, folder: Path) -> str:
+    """What a program prints that runs as a script in a folder of its own."""
+    script = folder / "script.py"
+    script.write_text(program, encoding="utf-8")
+    words = [sys.executable, str(script)]
+    done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=60, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+class TestNames:
+    def test_importing_loads_nothing_else(self, tmp_path: Path) -> None:
+        said = python(f"import sys, transopt; dir(transopt); print({set(HEAVY)!r} & set(sys.modules))", tmp_path)
+        assert said.strip() == "set()"
+
+    def test_scene_names_need_no_solver(self, tmp_path: Path) -> None:
+        program = "import sys, transopt as to; print(to.scene_names()[0], 'casadi' in sys.modules)"
+        assert python(program, tmp_path).split() == [to.scene_names()[0], "False"]
+
+    def test_reading_a_library_loads_no_optimiser_and_no_figures(self, library: to.Library, tmp_path: Path) -> None:
+        library.save(tmp_path / "library.npz")
+        program = (
+            "import sys, transopt as to\n"
+            "print(to.load_library('library.npz').at(0.33, 2.0).command_A.size)\n"
+            "print({'casadi', 'matplotlib', 'pydantic'} & set(sys.modules))\n"
+        )
+        assert python(program, tmp_path).split() == ["600", "set()"]
+
+    def test_every_name_is_there_listed_and_typed(self) -> None:
+        assert dir(to) == sorted(to.__all__)
+        source = ast.parse(Path(to.__file__).read_text(encoding="utf-8"))
+        [typed] = [node for node in source.body if isinstance(node, ast.If)]
+        imports = [alias for node in typed.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+        assert sorted(alias.asname or alias.name for alias in imports) == sorted(to.__all__)
+        for node in typed.body:
+            assert isinstance(node, ast.ImportFrom)
+            assert node.module is not None
+            home = __import__(node.module, fromlist=["it"])
+            for alias in node.names:
+                assert getattr(to, alias.asname or alias.name) is getattr(home, alias.name)
+
+    def test_every_name_says_what_it_is(self) -> None:
+        for name in to.__all__:
+            assert getattr(to, name).__doc__, name
+
+    def test_an_unknown_name_is_an_attribute_error(self) -> None:
+        with pytest.raises(AttributeError, match="module 'transopt' has no attribute 'solv'"):
+            _ = to.solv  # type: ignore[attr-defined]
+
+
+def test_a_file_problems_py_beside_a_script_is_not_taken_for_the_scenes(tmp_path: Path) -> None:
+    (tmp_path / "problems.py").write_text("raise RuntimeError('the wrong file')\n", encoding="utf-8")
+    program = "import transopt as to; print(to.load_scene('wood_on_foam').name, len(to.scene_names()))"
+    assert python(program, tmp_path).split() == ["wood_on_foam", str(len(to.scene_names()))]
+
+
+class TestSolving:
+    def test_a_scene_by_name_by_path_and_by_value_is_the_same_library(
+        self, library: to.Library, tmp_path: Path
+    ) -> None:
+        scene = to.load_scene("wood_on_foam")
+        file = tmp_path / "mine.toml"
+        text = (Path(to.__file__).parents[1] / "problems/scenes/wood_on_foam.toml").read_text(encoding="utf-8")
+        file.write_text(text, encoding="utf-8")
+        by_value = to.solve(scene, to.recordings_of(scene))
+        for made in (to.solve("wood_on_foam"), to.solve(file), by_value):
+            np.testing.assert_allclose(made.command_A, library.command_A, rtol=0, atol=1e-9)
+
+    def test_refused_entries_are_said_in_one_line_and_kept_in_the_build(self) -> None:
+        """The housing warms the winding beyond its limit with the motor at rest."""
+        scene = to.load_scene("wood_on_foam")
+        hot = scene.thermal.model_copy(update={"start_winding_C": 99.9, "start_housing_C": 300.0})
+        grid = scene.grid.model_copy(update={"speeds_m_s": [0.2], "grips_N": [1.0, 3.0]})
+        impossible = scene.model_copy(update={"thermal": hot, "grid": grid})
+        taps = [tap for tap in to.recordings_of(scene) if "_0.2_m_s_" in tap.name]
+        made = to.build(impossible, taps)
+        assert made.library is None
+        assert made.refused
+        with pytest.raises(
+            to.InputError, match=r"wood_on_foam: 2 of 2 entries refused, the first at 0\.2 m/s, 1 N: coil"
+        ) as caught:
+            to.solve(impossible, taps)
+        assert "\n" not in str(caught.value)
+        assert len(repr(made)) <= FITS
+        assert len(repr(made.refused[0])) <= FITS
+        assert isinstance(made.plot(), Figure)
+        assert isinstance(made.refused[0].plot(), Figure)
+        assert "refused" in made._repr_html_()
+
+    def test_an_unknown_solver_and_scene_are_refused(self) -> None:
+        with pytest.raises(to.InputError, match="unknown; choose one of"):
+            to.solve("wood_on_foam", options=to.SolverOptions("magic"))
+        with pytest.raises(to.InputError, match="no built-in scene of that name"):
+            to.solve("wood")
+
+    def test_a_grid_tolerance_adds_nodes(self) -> None:
+        made = to.build("second_order", grid_tolerance=0.2)
+        assert made.refinement is not None
+        assert made.refinement.tolerance == 0.2
+
+    def test_the_report_is_what_the_command_writes(self, build: to.Build, tmp_path: Path) -> None:
+        files = to.write_report(build, tmp_path / "out", figures=False)
+        assert [file.name for file in files] == ["library.npz", "report.md", "report.json"]
+        assert all(file.stat().st_size > 1000 for file in files)
+        assert not to.verify(to.load_library(tmp_path / "out/library.npz"))[0].shortfalls
+        assert to.verify is verify_library
+
+    def test_one_entry_by_hand(self, build: to.Build) -> None:
+        entry = build.entries[3][2]
+        solution = to.solve_problem(entry.problem)
+        proof = to.certify(entry.problem, solution.command_A, solution.multipliers)
+        assert proof.accepted
+        assert proof.objective == pytest.approx(entry.certificate.objective, rel=1e-6)
+
+
+def reached(value: Any, seen: set[int]) -> Iterator[Any]:
+    """Everything with fields of its own that hangs on a value."""
+    if id(value) in seen:
+        return
+    seen.add(id(value))
+    if isinstance(value, list | tuple):
+        for each in value:
+            yield from reached(each, seen)
+        return
+    names = [f.name for f in fields(value)] if is_dataclass(value) else list(getattr(type(value), "model_fields", []))
+    if names:
+        yield value
+    for name in names:
+        yield from reached(getattr(value, name), seen)
+
+
+class TestShown:
+    def test_every_object_fits_a_terminal(self, build: to.Build, taps: list[to.Recording]) -> None:
+        library = build.library
+        assert library is not None
+        shown = list(reached([build, taps, library.at(0.33, 2.0), to.verify(library)], set()))
+        shown += [replace(build, library=None), library.problem(3, 2), library.stage(0), library.posing()]
+        names = {type(each).__name__ for each in shown}
+        assert names >= {
+            "Build",
+            "Entry",
+            "Library",
+            "Scene",
+            "Reference",
+            "TransientProblem",
+            "StageModel",
+            "Solution",
+        }
+        assert names >= {"Solution", "Multipliers", "Certificate", "Replay", "Recording", "Signal", "Waveform"}
+        for each in shown:
+            assert len(repr(each)) <= FITS, f"{type(each).__name__}: {len(repr(each))} characters"
+            assert repr(each).startswith(f"{type(each).__name__}("), type(each)
+
+    @pytest.mark.skipif(not native.available, reason="the extension is not built")
+    def test_what_solves_online_fits_too(self, library: to.Library) -> None:
+        online = to.Online(library)
+        assert len(repr(online)) <= FITS
+        assert len(repr(online.solve(0.33, 2.0))) <= FITS
+
+    def test_what_a_repr_says(self, build: to.Build, library: to.Library) -> None:
+        assert repr(library) == (
+            "Library(wood_on_foam: 4 speeds 0.1 to 0.4 m/s, 3 grips 1 to 5 N, 600 commands of 0.1 ms, limit 4 A,\n"
+            f"    NRMSE {100 * library.nrmse.min():.2f} to {100 * library.nrmse.max():.1f} %)"
+        )
+        assert "12 of 12 entries certified and replayed" in repr(build).replace("\n    ", " ")
+        assert "0.4 m/s, 5 N: NRMSE 19.1 %" in repr(build.entries[3][2])
+        assert "command_A=<600, " in repr(build.entries[3][2].solution)
+        assert "stage=StageModel(...)" in repr(build.entries[3][2].problem)
+
+    def test_equality_and_hash_are_those_of_the_fields(self, build: to.Build) -> None:
+        problem = build.entries[0][0].problem
+        limits = replace(problem.limits)
+        assert limits == problem.limits
+        assert hash(limits) == hash(problem.limits)
+        assert build.scene == to.load_scene("wood_on_foam")
+
+
+class TestInANotebook:
+    @pytest.mark.parametrize("what", ["library", "build", "entry"])
+    def test_a_table_and_a_figure(self, build: to.Build, what: str) -> None:
+        shown = {"library": build.library, "build": build, "entry": build.entries[3][2]}[what]
+        assert shown is not None
+        html = shown._repr_html_()
+        assert len(html) < LARGEST_HTML
+        assert html.startswith("<table>")
+        assert "19.1" in html
+        [picture] = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+        assert base64.b64decode(picture).startswith(b"\x89PNG")
+
+    def test_a_large_library_stays_small(self, library: to.Library) -> None:
+        """20 speeds and 10 grips: the first rows, and some of the waveforms."""
+        from transopt.library.library import ARRAYS
+
+        arrays = {}
+        for name, stated in ARRAYS.items():
+            array = np.asarray(getattr(library, name))
+            for axis, letter in enumerate(stated.shape):
+                times = {"v": 5, "g": 4}.get(letter, 1)
+                array = np.repeat(array, times, axis=axis)
+            arrays[name] = array
+        arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 12)
+        large = to.Library(**arrays, meta=library.meta)
+        html = large._repr_html_()
+        assert len(html) < LARGEST_HTML
+        assert "and 200 more" in html
+
+    def test_words_are_escaped(self, library: to.Library) -> None:
+        scene = {**library.meta["scene"], "name": "<b>mine"}
+        html = replace(library, meta={**library.meta, "scene": scene})._repr_html_()
+        assert "&lt;b&gt;mine" in html
+        assert "<b>" not in html
+
+
+class TestFigures:
+    def test_a_library_and_its_build_draw_the_same_curves(self, build: to.Build) -> None:
+        assert build.library is not None
+        one, other = build.library.plot(), build.plot()
+        for mine, its in zip(one.axes, other.axes, strict=True):
+            for a, b in zip(mine.get_lines(), its.get_lines(), strict=True):
+                np.testing.assert_allclose(np.asarray(a.get_ydata()), np.asarray(b.get_ydata()), atol=1e-12)
+            assert len(mine.patches) == len(its.patches)
+
+    def test_an_entry_draws_its_own(self, build: to.Build) -> None:
+        entry = build.entries[3][2]
+        above, below = entry.plot().axes
+        curves = [np.asarray(line.get_ydata()) for line in below.get_lines()]
+        assert any(curve.size == entry.current_A.size and np.allclose(curve, entry.current_A) for curve in curves)
+        assert above.get_title() == "grip 5 N"
+        assert below.get_ylabel() == "current [A]"

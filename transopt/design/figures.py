@@ -1,0 +1,40 @@
+"""The figure of a build's entries, drawn like a library's."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from transopt.base.signals import FloatArray
+from transopt.design.entry import Entry
+from transopt.library.figures import Transients, transients_figure
+from transopt.problem.answer import Status
+
+
+def entries_figure(entries: Sequence[Sequence[Entry]]) -> Figure:
+    """Waveforms of entries (nv, ng), speeds outermost; of a refused one, which has no waveform, the reference."""
+    first = entries[0][0].problem
+
+    def drawn(entry: Entry) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(N,) acceleration, current and the current limit's multiplier."""
+        if entry.status is not Status.OPTIMAL:
+            nothing = np.full(first.grid.stages, np.nan)
+            return nothing, nothing, np.zeros(first.grid.stages)
+        multipliers = entry.solution.multipliers
+        pushed = np.maximum(multipliers.lower("current"), multipliers.upper("current"))
+        return entry.predicted_m_s2, entry.current_A, pushed
+
+    acceleration, current, multiplier = np.moveaxis(np.array([[drawn(e) for e in row] for row in entries]), 2, 0)
+    return transients_figure(
+        Transients(
+            grid=first.grid,
+            speeds_m_s=np.array([row[0].speed_m_s for row in entries]),
+            grips_N=np.array([entry.grip_N for entry in entries[0]]),
+            reference_m_s2=np.stack([row[0].problem.reference_m_s2 for row in entries]),
+            acceleration_m_s2=acceleration,
+            current_A=current,
+            limit_A=first.limits.current_A,
+            current_multiplier=multiplier,
+            hand_over_samples=first.hand_over_samples,
+        )
+    )

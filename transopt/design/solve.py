@@ -1,0 +1,97 @@
+"""From a scene, by name, path or value, to its library in one call; and the proof of one answer."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from transopt.base.errors import InputError
+from transopt.base.shown import cut
+from transopt.base.signals import FloatArray
+from transopt.design.build import Build, build_library
+from transopt.design.refine_grid import DEFAULT_CAP, check_tolerance, refine_grid
+from transopt.library.library import Library
+from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.problem import TransientProblem
+from transopt.recordings.recording import Recording
+from transopt.scene.builtin import load_scene
+from transopt.scene.recordings import recordings_of
+from transopt.scene.scene import Scene
+from transopt.solvers.choose import check_name, prove
+from transopt.solvers.options import SolverOptions
+
+
+def build(
+    scene: Scene | str | Path,
+    recordings: Sequence[Recording] | None = None,
+    *,
+    options: SolverOptions | None = None,
+    grid_tolerance: float | None = None,
+    grid_cap: int = DEFAULT_CAP,
+) -> Build:
+    """Design, certify and replay every entry of a scene; the answer has the refused ones too.
+
+    Parameters
+    ----------
+    scene : a scene, the name of a built-in one, or the path of a .toml file.
+    recordings : to be reproduced in place of those that the scene names.
+    options : solver and its tolerance; the default is the project's own method.
+    grid_tolerance : nodes are added until a blend between them is this close to the optimum (0.02: 2 %), but not
+        beyond `grid_cap`; without it the scene's grid is taken as it stands.
+
+    Raises
+    ------
+    InputError : a scene, a recording or an option that cannot be used.
+    """
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    options = SolverOptions() if options is None else options
+    check_name(options.solver)
+    if grid_tolerance is not None:
+        check_tolerance(loaded, grid_tolerance, grid_cap)
+    taps = recordings_of(loaded) if recordings is None else recordings
+    refinement = None
+    if grid_tolerance is not None:
+        refinement = refine_grid(loaded, taps, grid_tolerance, cap=grid_cap, options=options)
+    return build_library(loaded, taps, options=options, refinement=refinement)
+
+
+def solve(
+    scene: Scene | str | Path,
+    recordings: Sequence[Recording] | None = None,
+    *,
+    options: SolverOptions | None = None,
+    grid_tolerance: float | None = None,
+    grid_cap: int = DEFAULT_CAP,
+) -> Library:
+    """The library of a scene, every entry certified and replayed; parameters as of `build`.
+
+    Raises
+    ------
+    InputError : what `build` refuses; or entries that are refused, with the first one's reason.
+    """
+    made = build(scene, recordings, options=options, grid_tolerance=grid_tolerance, grid_cap=grid_cap)
+    if made.library is not None:
+        return made.library
+    first, count = made.refused[0], sum(1 for _ in made.all_entries())
+    reason = "; ".join(first.shortfalls) or first.status.value
+    raise InputError(
+        f"{made.scene.name}: {len(made.refused)} of {count} entries refused, the first at {first.speed_m_s:g} m/s, "
+        f"{first.grip_N:g} N: {cut(reason, 200)}; transopt.build returns all of them with their reasons"
+    )
+
+
+def certify(
+    problem: TransientProblem,
+    command_A: FloatArray,
+    multipliers: Multipliers,
+    options: SolverOptions | None = None,
+) -> Certificate:
+    """Proof that a command is optimal, or by how much it may not be, whoever found it.
+
+    The command is rolled out anew, and with the multipliers bounds how far the objective lies above the optimum.
+    Where the problem limits the winding's temperature it is not convex; its convex relaxation is then solved for the
+    bound.
+
+    Parameters
+    ----------
+    command_A : (N,). multipliers : of the same problem, as a `Solution` or a library has them.
+    """
+    return prove(problem, command_A, multipliers, SolverOptions() if options is None else options)

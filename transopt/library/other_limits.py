@@ -1,0 +1,55 @@
+"""Limits of a single tap in place of those that a library was solved for."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.problem.limits import KINDS
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.posing import Posing
+
+AMPLIFIER = "command_A"  # the amplifier's range, which a scene states there and not among its limits
+BY_KEY = {kind.key: kind for kind in KINDS if kind.key}
+NAMES = (*BY_KEY, AMPLIFIER)
+
+
+def with_limits(limits: Mapping[str, float], posing: Posing, meta: dict[str, Any]) -> Posing:
+    """What the problems of a library share, with these limits in place of its own.
+
+    Parameters
+    ----------
+    limits : keys of a scene's `limits`, and `command_A` for the amplifier's range. `temperature_C` is checked here
+        and is the coil's, see `CoilModel.limit_C`.
+    meta : of the library, which knows whether it serves a spread of devices.
+
+    Raises
+    ------
+    InputError : an unknown limit, one that is not > 0 and finite, or one of a part that the library does not have.
+    """
+    for name, value in limits.items():
+        if name not in NAMES:
+            raise InputError(f"limits.{name}: unknown; known here: {', '.join(NAMES)}")
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+            raise InputError(f"limits.{name} = {value!r}: must be a number > 0")
+        if not 0 < value < np.inf:
+            raise InputError(f"limits.{name} = {value:g}: must be > 0 and finite")
+    if AMPLIFIER in limits:
+        if posing.amplifier is None:
+            raise InputError("limits.command_A: the amplifier is ideal, its command is the current: give current_A")
+        posing = replace(posing, amplifier=replace(posing.amplifier, command_limit_A=float(limits[AMPLIFIER])))
+    for name in limits:
+        kind = BY_KEY.get(name)
+        if kind is None:
+            continue
+        if kind.of_one_device and meta["weights"]["spread"] is not None:
+            raise InputError(f"limits.{name}: depends on the motion of one device, and the library serves a spread")
+        lacks = (
+            posing.coil is None if kind is TemperatureLimit else posing.circuit is None or posing.amplifier is None
+        )
+        if kind.asks_for and lacks:
+            raise InputError(f"limits.{name}: needs {kind.asks_for}, which the library's scene does not state")
+    asked = {name: float(value) for name, value in limits.items() if name in BY_KEY}
+    return replace(posing, asked={**posing.asked, **asked})
