@@ -16,6 +16,7 @@ from rich.console import Console
 from transopt.base import console as terminal
 from transopt.base.errors import InputError
 from transopt.cli.identify import app as identify
+from transopt.cli.study import study
 
 if TYPE_CHECKING:
     from transopt.recordings.recording import Recording
@@ -316,6 +317,9 @@ def export(
 
     export_library(load_library(library), file)
     typer.echo(f"{file} written")
+
+
+app.command()(study)
 
 
 def main() -> None:
