@@ -75,7 +75,7 @@ class Pool:
     def drop(self) -> None:
         """Let the executor go, with whatever it has under way."""
         if self._executor is not None:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+            self._executor.shutdown(wait=False)
         self._executor = None
 
     def close(self) -> None:
