@@ -5,13 +5,15 @@ All three are executors as `concurrent.futures` defines them, and so may be one 
 
 import multiprocessing
 import os
+import queue
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import connection
-from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from typing import Any, ParamSpec, TypeVar
 
 from transopt.base.errors import InputError
@@ -26,62 +28,32 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 LOADED = ("transopt.design.sweep", "scipy.fft", "scipy.integrate", "scipy.interpolate")
 
 
+@dataclass(frozen=True)
 class Pool:
     """An executor, and what a long run needs to know of it.
 
     Attributes
     ----------
     name : what messages call it.
+    executor : of `concurrent.futures`.
     workers : how many tasks run at a time; asked again and again, because a cluster may grow and shrink.
-    revived : whether a new executor may take the place of one whose worker died.
+    finish : called when the pool is closed, after the executor is shut down.
     """
 
-    def __init__(
-        self,
-        name: str,
-        make: Callable[[], Executor],
-        workers: Callable[[], int],
-        *,
-        revived: bool = False,
-        close: Callable[[], Any] = lambda: None,
-    ) -> None:
-        """Nothing is started before the first task.
-
-        Parameters
-        ----------
-        make : starts an executor.
-        close : called when all is done.
-        """
-        self.name, self.workers, self.revived = name, workers, revived
-        self._make, self._close = make, close
-        self._executor: Executor | None = None
+    name: str
+    executor: Executor
+    workers: Callable[[], int]
+    finish: Callable[[], Any] = lambda: None
 
     @classmethod
     def of(cls, executor: Executor, workers: int) -> "Pool":
         """A pool of the caller's own executor, which is shut down when the pool is closed."""
-        return cls(type(executor).__name__, lambda: executor, lambda: workers)
-
-    def submit(self, work: Callable[[T], Any], argument: T) -> "Future[Any]":
-        """Hand one call to the executor.
-
-        Raises
-        ------
-        BrokenExecutor : a worker died; `drop` it, and the next call starts another.
-        """
-        if self._executor is None:
-            self._executor = self._make()
-        return self._executor.submit(work, argument)
-
-    def drop(self) -> None:
-        """Let the executor go, with whatever it has under way."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=False)
-        self._executor = None
+        return cls(type(executor).__name__, executor, lambda: workers)
 
     def close(self) -> None:
-        """Let the executor go for good."""
-        self.drop()
-        self._close()
+        """Shut the executor down without waiting for what it has under way."""
+        self.executor.shutdown(wait=False)
+        self.finish()
 
 
 class Serial(Executor):
@@ -109,27 +81,41 @@ def _starting() -> Iterator[None]:
             del os.environ[name]
 
 
-def _end_when_let_go(line: connection.Connection) -> None:
-    connection.wait([line])
-    os._exit(1)
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, however that ended."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
 
 
-def _start_worker(line: connection.Connection) -> None:
-    """Leave Ctrl-C to the parent, and end as soon as nobody holds the other end of the line."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _work(line: "connection.Connection[Any, Any]") -> None:
+    """What a worker process does: take a call from the line, send back its result or exception, and so on."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends the workers
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    threading.Thread(target=_end_when_let_go, args=[line], daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            call, arguments = line.recv()
+        except EOFError:  # the other end was closed
+            return
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = (call(*arguments), None)
+        except Exception as error:
+            answer = (None, error)
+        line.send(answer)
 
 
-def _context() -> BaseContext:
+def _process() -> Callable[..., BaseProcess]:
     """How workers start: where that is possible, forked from a server process that has loaded what a task takes.
 
     They are not forked from this process, whose solver objects and threads a fork would copy half-alive. And they
     are not started from nothing each, which takes as long as solving a hundred entries.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
+        return multiprocessing.get_context("spawn").Process
     from multiprocessing import forkserver, resource_tracker
 
     forks = multiprocessing.get_context("forkserver")
@@ -137,32 +123,78 @@ def _context() -> BaseContext:
     resource_tracker.ensure_running()  # which would unblock Ctrl-C again if it were started with the server
     with _starting():
         forkserver.ensure_running()
-    return forks
+    return forks.Process
 
 
-class Processes(ProcessPoolExecutor):
-    """Worker processes that end at once when they are let go, or when this process ends, however it does.
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    """A worker process, and this process's end of the line to it."""
 
-    Each holds one end of a pipe, a line to this process. When the other end is closed, by `shutdown` or because
-    this process is gone, the worker ends in the middle of whatever it does.
+    process: BaseProcess
+    line: "connection.Connection[Any, Any]"
+
+
+class Processes(ThreadPoolExecutor):
+    """Worker processes, each served by a thread of this process that sends it a call and waits for the answer.
+
+    When a worker dies, its call ends in BrokenExecutor, the other workers go on, and a new one takes its place with
+    the next call. `shutdown(wait=False)` ends the workers in the middle of whatever they do. A ProcessPoolExecutor
+    does neither: one death breaks all of it, and it waits for calls that have started.
     """
 
     def __init__(self, workers: int) -> None:
-        context = _context()
-        self._theirs, self._ours = context.Pipe(duplex=False)
-        super().__init__(workers, context, _start_worker, (self._theirs,))
+        super().__init__(workers)
+        self._lock = threading.Lock()
+        self._live: set[_Worker] = set()
+        self._ended = False
+        # As many as there are threads. The last one put back is taken first, so that a new one starts only if all
+        # others are busy.
+        self._idle: queue.LifoQueue[_Worker | None] = queue.LifoQueue()
+        for _ in range(workers):
+            self._idle.put(None)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
-        with _starting():  # workers start when there is something to do
-            return super().submit(fn, *args, **kwargs)
+        return super().submit(self._call, fn, *args)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for the tasks that have started, or with `wait=False` end their workers."""
         if wait:
             super().shutdown(wait=True, cancel_futures=cancel_futures)
-        self._ours.close()
-        self._theirs.close()
-        super().shutdown(wait=False, cancel_futures=cancel_futures)
+        with self._lock:
+            self._ended = True
+            live, self._live = self._live, set()
+        for worker in live:
+            worker.process.kill()
+        super().shutdown(wait=False, cancel_futures=True)
+
+    def _start(self) -> _Worker:
+        with self._lock:
+            if self._ended:
+                raise BrokenExecutor("shut down")
+            start, (ours, theirs) = _process(), multiprocessing.Pipe()
+            with _starting(), theirs:
+                process = start(target=_work, args=(theirs,), daemon=True)
+                process.start()
+            worker = _Worker(process, ours)
+            self._live.add(worker)
+            return worker
+
+    def _call(self, fn: Callable[..., Any], *args: Any) -> Any:
+        """Run a call in a worker process, from a thread of this one."""
+        worker = self._idle.get()
+        try:
+            if worker is None:
+                worker = self._start()
+            worker.line.send((fn, args))
+            result, error = worker.line.recv()
+        except (EOFError, OSError) as gone:
+            self._live.discard(worker)
+            worker = None
+            raise BrokenExecutor("a worker process died") from gone
+        finally:
+            self._idle.put(worker)
+        if error is not None:
+            raise error
+        return result
 
 
 def processes(workers: int) -> Pool:
@@ -175,7 +207,7 @@ def processes(workers: int) -> Pool:
     if workers < 1:
         raise InputError(f"--jobs {workers}: must be at least 1")
     name = f"{workers} process{'es' if workers > 1 else ''}"
-    return Pool(name, lambda: Processes(workers), lambda: workers, revived=True)
+    return Pool(name, Processes(workers), lambda: workers)
 
 
 def dask(address: str, timeout_s: float = 10.0) -> Pool:
@@ -206,7 +238,7 @@ def dask(address: str, timeout_s: float = 10.0) -> Pool:
     if workers() == 0:
         client.close()
         raise InputError(f"--executor {address}: no worker is connected: start some with `dask worker`")
-    return Pool(address, lambda: client.get_executor(pure=False), workers, close=client.close)
+    return Pool(address, client.get_executor(pure=False), workers, client.close)
 
 
 def executor_pool(text: str, jobs: int) -> Pool:
@@ -219,7 +251,7 @@ def executor_pool(text: str, jobs: int) -> Pool:
     if text.startswith("dask://"):
         return dask(text)
     if text == "serial":
-        return Pool("this process", Serial, lambda: 1)
+        return Pool("this process", Serial(), lambda: 1)
     if text != "processes":
         raise InputError(f"--executor {text}: must be processes, serial or dask://HOST:PORT")
     return processes(jobs)

@@ -37,27 +37,21 @@ class _UnderWay:
             if task is None:
                 break
             try:
-                self._futures[self._pool.submit(run_task, task)] = task
+                self._futures[self._pool.executor.submit(run_task, task)] = task
             except BrokenExecutor:
-                self._again.append(task)
-                self._revive()
-                if self._futures:
-                    break  # what had finished before the worker died is written first
+                self._died(task)
         return bool(self._futures)
 
-    def _revive(self) -> None:
-        """Take what was under way to a new executor, but for what has finished."""
+    def _died(self, task: Task) -> None:
+        """The worker of a task died: the task is submitted again, unless workers do nothing but die."""
+        self._again.append(task)
         self._deaths += 1
-        if not self._pool.revived or self._deaths > MOST_DEATHS:
-            died = f"{self._pool.name}: a worker died" + (f" {self._deaths} times in a row" * (self._deaths > 1))
+        if self._deaths > MOST_DEATHS:
+            died = f"{self._pool.name}: a worker died {self._deaths} times in a row"
             raise InputError(_kept(f"{died} (out of memory? fewer --jobs take less)"))
-        for future in list(self._futures):
-            if not future.done() or future.cancelled() or future.exception() is not None:
-                self._again.append(self._futures.pop(future))
-        self._pool.drop()
 
     def write_finished(self, write: Write) -> None:
-        """Hand over what has finished, at least one task's; nothing if the workers have died and start again.
+        """Hand over what has finished; nothing if a worker died or `LOOK_S` have passed.
 
         A task counts as under way until its outcomes are written: a stop in between does not lose them.
         """
@@ -69,14 +63,14 @@ class _UnderWay:
             try:
                 outcomes = future.result()
             except BrokenExecutor:
-                return self._revive()
+                self._died(self._futures.pop(future))
+                continue
             except Exception as error:
                 reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
                 raise InputError(_kept(f"{self._pool.name}: a task could not be run ({reason})")) from None
             write(outcomes)
             del self._futures[future]
             self._deaths = 0
-        return None
 
     def cancel(self) -> list[Future[list[Outcome]]]:
         """Drop what has not started; what has."""

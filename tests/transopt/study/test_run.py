@@ -2,11 +2,11 @@
 
 import itertools
 import multiprocessing
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -22,18 +22,15 @@ from transopt.study.session import run_plan
 
 
 class Dying(Executor):
-    """Runs calls in place; the n-th ones end as if a worker process had died, and with it the executor."""
+    """Runs calls in place; some of them end as if their worker process had died."""
 
     def __init__(self, dies: Iterator[bool]) -> None:
-        self.dies, self.dead = dies, False
+        self.dies = dies
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":
-        if self.dead:
-            raise BrokenProcessPool("dead")
         future: Future[Any] = Future()
-        self.dead = next(self.dies)
-        if self.dead:
-            future.set_exception(BrokenProcessPool("died"))
+        if next(self.dies):
+            future.set_exception(BrokenExecutor("died"))
         else:
             future.set_result(fn(*args, **kwargs))
         return future
@@ -55,14 +52,14 @@ class TestExecutors:
 
     def test_dead_workers_are_replaced(self, small: Plan, finished: Path, tmp_path: Path) -> None:
         dies = itertools.cycle([False, True])
-        pool = Pool("mortal", lambda: Dying(dies), lambda: 1, revived=True)
+        pool = Pool.of(Dying(dies), 1)
         run_plan(small, tmp_path, pool)
         assert plain(tmp_path / "rows.csv") == plain(finished / "rows.csv")
 
     def test_workers_that_die_again_and_again(self, small: Plan, finished: Path, tmp_path: Path) -> None:
         dies = itertools.chain([False], itertools.repeat(True))
-        pool = Pool("mortal", lambda: Dying(dies), lambda: 1, revived=True)
-        with pytest.raises(InputError, match=r"mortal: a worker died 4 times in a row .*the same command goes on"):
+        pool = Pool.of(Dying(dies), 1)
+        with pytest.raises(InputError, match=r"Dying: a worker died 4 times in a row .*the same command goes on"):
             run_plan(small, tmp_path, pool)
         assert 0 < len(read(tmp_path / "rows.csv")) < 24
         run_plan(small, tmp_path, serial())
@@ -82,16 +79,25 @@ class TestExecutors:
         assert plain(tmp_path / "rows.csv") == plain(finished / "rows.csv")
 
     def test_workers_end_when_they_are_let_go_in_the_middle_of_a_task(self) -> None:
-        pool = processes(2)
-        future = pool.submit(_wait_for, 3600.0)
-        while not future.running():
-            pass
-        workers = multiprocessing.active_children()
+        pool = processes(1)
+        number = pool.executor.submit(os.getpid).result()
+        pool.executor.submit(_wait_for, 3600.0)
+        [worker] = multiprocessing.active_children()
+        assert worker.pid == number != os.getpid()
         pool.close()
-        for worker in workers:
-            worker.join(timeout=10.0)
-        assert workers
-        assert not any(worker.is_alive() for worker in workers)
+        worker.join(timeout=10.0)
+        assert not worker.is_alive()
+
+    def test_a_dead_worker_takes_nothing_but_its_own_call_with_it(self) -> None:
+        with closing(processes(1)) as pool:
+            first = pool.executor.submit(os.getpid).result()
+            with pytest.raises(BrokenExecutor):
+                pool.executor.submit(os._exit, 1).result()
+            assert pool.executor.submit(os.getpid).result() != first
+
+    def test_what_a_call_raises_is_raised_here(self) -> None:
+        with closing(processes(1)) as pool, pytest.raises(ZeroDivisionError):
+            pool.executor.submit(divmod, 1, 0).result()
 
     @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
     def test_a_stop_keeps_what_is_done(
