@@ -11,7 +11,7 @@ AHEAD = 3  # tasks under way or waiting per worker: none idles while results are
 MOST_DEATHS = 3  # of workers without a finished task in between
 LOOK_S = 0.5  # between looks at a cluster that gives no answer
 MOST_LOOKS = 120
-GRACE_S = 0.3  # that a stop leaves the tasks which have started
+GRACE_S = 0.2  # that a stop leaves the tasks which have started
 
 Write = Callable[[list[Outcome]], object]
 
