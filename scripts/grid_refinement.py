@@ -30,7 +30,7 @@ from transopt.report.grid_figure import grid_figure
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
-from transopt.study.offnode import soft_hand
+from transopt.study.grid_spacing import soft_hand
 
 SEED = 1
 

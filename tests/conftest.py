@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.places import SCRIPTS
 from tests.benches.servo import WALL, Bench
-from tests.benches.study import MODULES
 from transopt.design.build import Build, build_library
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.library.library import Library
@@ -153,16 +152,6 @@ def tables(library: Library) -> Bank:
 @pytest.fixture(scope="session")
 def stated(library: Library) -> Settings:
     return Settings.of(library)
-
-
-@pytest.fixture(scope="module")
-def study() -> Iterator[SimpleNamespace]:
-    """The modules of constraint studies by name, found beside each other as when a script is called by its path."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-            patch.setenv(name, "1")  # which a study would set for good
-        yield SimpleNamespace(**{name: importlib.import_module(path) for name, path in MODULES.items()})
 
 
 @pytest.fixture

@@ -1,31 +1,22 @@
 """What the tests of constraint studies share."""
 
 import csv
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
+from transopt.study.axes import parse_axis
+from transopt.study.executors import Pool, executor_pool
+from transopt.study.plan import Plan
 
-MODULES = {
-    "constraint_study": "constraint_study",
-    **{
-        name: f"transopt.study.{name}"
-        for name in (
-            "axes",
-            "figures",
-            "inverse",
-            "motors",
-            "named",
-            "offnode",
-            "report",
-            "rows",
-            "run",
-            "session",
-        )
-    },
-    "scale": "study_scale",
-}
+STARTUP_S = 60.0
 
 
 def short_scene(scene: Scene) -> Scene:
@@ -33,13 +24,19 @@ def short_scene(scene: Scene) -> Scene:
     return with_values(scene, {"time.stages": 80})
 
 
-def serial(study: Any) -> Any:
+def two_keys(scene: Scene) -> Plan:
+    """24 entries: a limit, a pole, two speeds, two grips."""
+    texts = ("limits.current_A=1.5:4:3", "amplifier.pole_Hz=500,1050")
+    return Plan(scene, tuple(parse_axis(scene, "--vary", text) for text in texts), (0.3, 0.4), (1.0, 5.0))
+
+
+def serial() -> Pool:
     """A pool that solves in this process."""
-    return study.run.executor_pool("serial", 1)
+    return executor_pool("serial", 1)
 
 
 def read(path: Path) -> list[dict[str, str]]:
-    """Rows of a study."""
+    """Rows of a CSV file."""
     with path.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
@@ -47,3 +44,38 @@ def read(path: Path) -> list[dict[str, str]]:
 def plain(path: Path) -> list[dict[str, str]]:
     """Rows of a study without its times."""
     return [{name: cell for name, cell in row.items() if not name.endswith("_ms")} for row in read(path)]
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"]]]:
+    """A dask scheduler and workers of one thread each on this machine: address as --executor takes it, workers."""
+    from distributed import Client
+
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(module: str, *arguments: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
+        started.append(
+            subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        )
+        return started[-1]
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scheduler.json"
+        local = ("--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+        few = ("--nthreads", "1", "--no-nanny", "--no-dashboard", "--memory-limit", "0", "--local-directory", folder)
+        try:
+            start("dask_scheduler", *local)
+            deadline = time.monotonic() + STARTUP_S
+            while not file.exists() and started[0].poll() is None and time.monotonic() < deadline:
+                time.sleep(0.01)  # polls for the scheduler to have begun; nothing is measured
+            own = [start("dask_worker", "--scheduler-file", str(file), *few) for _ in range(workers)]
+            with Client(scheduler_file=str(file), set_as_default=False, timeout=STARTUP_S) as client:
+                client.wait_for_workers(workers, timeout=STARTUP_S)
+                address = client.scheduler.address.replace("tcp://", "dask://")
+            yield address, own
+        finally:
+            for process in reversed(started):
+                process.kill()
+                process.wait()

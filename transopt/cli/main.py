@@ -15,6 +15,7 @@ from transopt.cli.identify import app as identify
 from transopt.cli.scene import app as scene
 from transopt.cli.show import show
 from transopt.cli.solve import solve
+from transopt.cli.study import study
 from transopt.cli.taps import taps
 from transopt.cli.verify import verify
 
@@ -24,7 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Motor-current transients that make a virtual surface feel as hard as the real one.",
 )
-for command in (taps, solve, verify, show, compare, export):
+for command in (taps, solve, verify, show, compare, export, study):
     app.command()(command)
 app.add_typer(scene, name="scene")
 app.add_typer(identify, name="identify")

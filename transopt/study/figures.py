@@ -14,9 +14,10 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import FloatArray
 from transopt.scene.keys import unit_of
-from transopt.study.axes import Axis, Plan
+from transopt.study.axes import Axis
 from transopt.study.inverse import Answer
-from transopt.study.rows import Row, number
+from transopt.study.plan import Plan
+from transopt.study.rows import OPTIMAL, Row, number
 
 MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
 MOST_WRITTEN = 80  # cells of a heat map with their figures written in
@@ -64,7 +65,7 @@ def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
     """(*shape, speeds, grips) one column of a study of all combinations; NaN where a row has no such figure."""
     table = np.full(plan.entries, np.nan)
     for row in rows:
-        table[int(row["index"])] = number(row, column) if row["status"] == "OPTIMAL" else np.nan
+        table[int(row["index"])] = number(row, column) if row["status"] == OPTIMAL else np.nan
     return table.reshape(*plan.shape, len(plan.speeds_m_s), len(plan.grips_N))
 
 
@@ -110,7 +111,7 @@ def heat_map(
         step = max(1, math.ceil(len(axis.labels) / 8))
         shown = range(0, len(axis.labels), step)
         texts = [f"{float(f'{axis.values[j]:.3g}'):g}" if axis.numeric else axis.labels[j] for j in shown]
-        turned = {"rotation": 30, "ha": "right"} if axis is across and not axis.numeric else {}
+        turned: dict[str, Any] = {"rotation": 30, "ha": "right"} if axis is across and not axis.numeric else {}
         set_ticks([j + 0.5 for j in shown], texts, fontsize=SMALL_PT, **turned)
     if written and percent.size <= MOST_WRITTEN:
         dark = np.sqrt(float(norm.vmin or 1) * float(norm.vmax or 1))
@@ -168,7 +169,7 @@ def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
 def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
     """NRMSE of every entry over each key, the others as they come; a colour per speed."""
     shade = dict(zip(plan.speeds_m_s, colours(len(plan.speeds_m_s)), strict=True))
-    there = [row for row in rows if row["status"] == "OPTIMAL"]
+    there = [row for row in rows if row["status"] == OPTIMAL]
     across = min(len(plan.axes), 3)
     down = math.ceil(len(plan.axes) / across)
     figure = Figure(figsize=(1.0 + 2.7 * across, 0.8 + 2.5 * down), layout="constrained")
@@ -220,7 +221,7 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
     by_speed = colours(len(shade))
     for entry in entries:
         own = [next(row for row in tried.rows if (row["speed_m_s"], row["grip_N"]) == entry) for tried in found.tried]
-        y = [scale * number(row, requirement.measure) if row["status"] == "OPTIMAL" else np.nan for row in own]
+        y = [scale * number(row, requirement.measure) if row["status"] == OPTIMAL else np.nan for row in own]
         name = f"{float(entry[0]):g} m/s, {float(entry[1]):g} N"
         colour, dash = by_speed[shade[entry[0]]], DASHES[dashes[entry[1]] % len(DASHES)]
         axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.0, marker="o", markersize=2.5, label=name)

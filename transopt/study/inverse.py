@@ -15,21 +15,13 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.scene.keys import Key, check_value, find_key, unit_of
 from transopt.scene.scene import Scene
-from transopt.study.axes import Axis, Plan, label
-from transopt.study.rows import Row, number
+from transopt.study.axes import Axis, label
+from transopt.study.columns import MEASURES
+from transopt.study.plan import Plan
+from transopt.study.rows import OPTIMAL, Row, number
 
 SCAN = 9
 TOLERANCE = 1e-3  # of the range, without one of the user's
-MEASURES = (
-    "nrmse",
-    "weighted_nrmse",
-    "floor",
-    "peak_current_A",
-    "peak_command_A",
-    "peak_temperature_C",
-    "peak_voltage_V",
-    "free_peak_A",
-)
 
 
 @dataclass(frozen=True)
@@ -46,7 +38,7 @@ class Requirement:
 
     def excess(self, row: Row) -> float:
         """How far a row misses it, negative where it is met; infinite where there is no certified answer."""
-        value = number(row, self.measure) if row["status"] == "OPTIMAL" else math.nan
+        value = number(row, self.measure) if row["status"] == OPTIMAL else math.nan
         missed = value - self.bound if self.at_most else self.bound - value
         return math.inf if math.isnan(missed) else missed
 
@@ -206,7 +198,7 @@ class Answer:
     def _entry(self, tried: Tried) -> str:
         row = self.worst(tried)
         name = f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
-        if row["status"] != "OPTIMAL":
+        if row["status"] != OPTIMAL:
             return f"{name} ({row['status']}: {row['reason']})"
         measures = dict.fromkeys(requirement.measure for requirement in self.question.requirements)
         return f"{name} ({', '.join(f'{measure} = {number(row, measure):.5g}' for measure in measures)})"

@@ -13,11 +13,12 @@ from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, table
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
-from transopt.study.axes import Axis, Plan, parse_axis
+from transopt.study.axes import Axis, parse_axis
+from transopt.study.executors import Pool
 from transopt.study.figures import entry_grid, heat_map, percent_axis, percent_norm
+from transopt.study.plan import Plan
 from transopt.study.report import LEGEND, binding_names, rows_table
 from transopt.study.rows import Row, number
-from transopt.study.run import Pool
 from transopt.study.session import run_plan
 
 MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30_310009,maxon_re40_148877"
@@ -222,16 +223,21 @@ def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
 
 
 def motor_selection(
-    scene: Scene, folder: Path, pool: Pool, *, motors: str = MOTORS, ratios: str = RATIOS
+    scene: Scene, folder: Path, pool: Pool, search: Sequence[Path], *, motors: str = MOTORS, ratios: str = RATIOS
 ) -> Selection:
     """Solve every motor at every ratio, each motor in a folder of its own.
+
+    Parameters
+    ----------
+    search : folders whose `motors/` hold the motors' files.
+    motors : names of the files, separated by commas. ratios : an axis, as `parse_axis` takes it.
 
     Raises
     ------
     InputError : as of `run_plan`; a scene whose drive is stated at the tip.
     """
     found = {}
-    axis = parse_axis(scene, "--study", f"motor={motors}")
+    axis = parse_axis(scene, "--study", f"motor={motors}", search)
     for stem, motor in zip(axis.labels, axis.values, strict=True):
         own = motor_scene(scene, motor)
         plan = Plan(own, (parse_axis(own, "--study", ratios),), SPEEDS_M_S, GRIPS_N)

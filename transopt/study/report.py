@@ -2,35 +2,31 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from transopt.base.machine import machine
-from transopt.base.writing import percent, table, write_text
+from transopt.base.machine import machine, versions
+from transopt.base.writing import percent, table
+from transopt.design.sweep import REFUSED
 from transopt.scene.keys import unit_of
-from transopt.study.axes import Plan, label
+from transopt.study.axes import label
+from transopt.study.columns import MULTIPLIERS, VIOLATIONS
 from transopt.study.inverse import Answer
-from transopt.study.rows import Row, number, versions
+from transopt.study.plan import Plan
+from transopt.study.rows import OPTIMAL, Row, number
+from transopt.study.store import LIBRARIES
 
 MOST_ROWS = 120  # of the table; rows.csv has them all
 LEGEND = (
     "NRMSE: |a - r| / |r| after replay. floor: that of the same point without its limits. gap: of the certificate, "
     "relative to max(J, 1e-3). largest multiplier: per A, V or K of the limit that binds hardest. ms: of the solver."
 )
-MULTIPLIERS = {
-    "current": "mu_current_1_A",
-    "command": "mu_command_1_A",
-    "slew": "mu_slew_1_A",
-    "supply": "mu_supply_1_V",
-    "coil": "mu_coil_1_K",
-}
 
 
 def provenance(command: str, elapsed_s: float) -> list[str]:
     """Command, time, machine, versions."""
     computer = machine()
-    names = ", ".join(f"{name} {version}" for name, version in versions().items())
+    names = ", ".join(f"{name} {version}" for name, version in versions(*LIBRARIES).items())
     return [
         f"`{command}`: {elapsed_s:.0f} s on {computer['cpu']}, {computer['cores']} cores, {computer['system']}; "
         f"{names}.",
@@ -56,7 +52,7 @@ def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
     """A row of the table."""
     values = [row[key] for key in keys]
     entry = [f"{float(row['speed_m_s']):g}", f"{float(row['grip_N']):g}"]
-    if row["status"] == "REFUSED":
+    if row["status"] == REFUSED:
         return [*values, *entry, "refused", "-", "-", "-", "-", "-", "-", row["reason"]]
     return [
         *values,
@@ -68,7 +64,7 @@ def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
         largest_multiplier(row),
         f"{number(row, 'relative_gap'):.0e}",
         f"{number(row, 'solve_ms'):.0f}",
-        binding_names(row) if row["status"] == "OPTIMAL" else f"{row['status']}: {row['reason']}",
+        binding_names(row) if row["status"] == OPTIMAL else f"{row['status']}: {row['reason']}",
     ]
 
 
@@ -93,12 +89,12 @@ def rows_table(rows: Sequence[Row], keys: Sequence[str]) -> list[str]:
 def summary(rows: Sequence[Row]) -> str:
     """Counts of outcomes and what the certificates say at worst, in one line."""
     counts = Counter(row["status"] for row in rows)
-    there = [row for row in rows if row["status"] == "OPTIMAL"]
-    others = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()) if name != "OPTIMAL")
+    there = [row for row in rows if row["status"] == OPTIMAL]
+    others = ", ".join(f"{count} {name}" for name, count in sorted(counts.items()) if name != OPTIMAL)
     text = f"{len(there)} of {len(rows)} entries certified and replayed clean" + (f"; {others}" if others else "")
     if there:
         gap = max(number(row, "relative_gap") for row in there)
-        violation = max(number(row, f"violation_{unit}") for row in there for unit in "AVK")
+        violation = max(number(row, column) for row in there for column in VIOLATIONS)
         times = [number(row, "solve_ms") for row in there]
         text += f"; worst gap {gap:.0e}, violation {violation:.0e}; solver {np.median(times):.0f} ms in the median"
     return text
@@ -106,7 +102,7 @@ def summary(rows: Sequence[Row]) -> str:
 
 def refusal_lines(rows: Sequence[Row]) -> list[str]:
     """Every reason once, with how often it stands there."""
-    reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if row["status"] != "OPTIMAL")
+    reasons = Counter(f"{row['status']}: {row['reason']}" for row in rows if row["status"] != OPTIMAL)
     if not reasons:
         return []
     lines = ["## Not certified", "", *(f"- {count} x {reason}" for reason, count in reasons.most_common(20))]
@@ -122,7 +118,7 @@ def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
             own = [
                 row
                 for row in rows
-                if float(row["speed_m_s"]) == speed and float(row["grip_N"]) == grip and row["status"] == "OPTIMAL"
+                if float(row["speed_m_s"]) == speed and float(row["grip_N"]) == grip and row["status"] == OPTIMAL
             ]
             if not own:
                 lines.append([f"{speed:g}", f"{grip:g}", "0", "-", "-", "-", "-"])
@@ -153,10 +149,6 @@ def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[
     lines += [*rows_table(rows[:MOST_ROWS], keys), LEGEND, ""]
     prices = [f"- row {row['index']}: {row['price']}" for row in rows[:MOST_ROWS] if row["price"]]
     return "\n".join([*lines, *(["## Prices", "", *prices, ""] if prices else [])])
-
-
-def write_report(text: str, folder: Path) -> None:
-    write_text(text, folder / "report.md")
 
 
 def answer_markdown(scene: str, found: Answer, head: Sequence[str]) -> str:

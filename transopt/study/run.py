@@ -1,290 +1,106 @@
-"""Tasks through any executor of concurrent.futures: a bounded window, dead workers, a clean stop."""
+"""Tasks through an executor: only so many under way, workers that die, a stop that loses nothing."""
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
-from multiprocessing import connection
-from types import FrameType
-from typing import Any, ParamSpec, TypeVar
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 
 from transopt.base.errors import InputError
-from transopt.base.files import ctrl_c_waits
 from transopt.design.sweep import Outcome, Task, run_task
+from transopt.study.executors import Pool
 
 AHEAD = 3  # tasks under way or waiting per worker: none idles while results are written, and memory stays flat
-MOST_DEATHS = 3  # of worker processes without a finished task in between
-LOOK_S = 5.0  # between looks at a cluster that gives no answer
-MOST_LOOKS = 12
-P, T = ParamSpec("P"), TypeVar("T")
+MOST_DEATHS = 3  # of workers without a finished task in between
+LOOK_S = 0.5  # between looks at a cluster that gives no answer
+MOST_LOOKS = 120
+GRACE_S = 0.2  # that a stop leaves the tasks which have started
+
+Write = Callable[[list[Outcome]], object]
 
 
-class Serial(Executor):
-    """Runs each call where it is submitted."""
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
-        future: Future[T] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-class Pool:
-    """Where tasks run, from study to study: an executor, and how to come by a new one.
-
-    Parameters
-    ----------
-    make : a new executor. workers : how many tasks it runs at a time; asked again and again, clusters grow.
-    revived : whether a new executor may take a broken one's place. close : called when all is done.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        make: Callable[[], Executor],
-        workers: Callable[[], int],
-        *,
-        revived: bool = False,
-        close: Callable[[], Any] = lambda: None,
-    ) -> None:
-        self.name, self.workers, self.revived = name, workers, revived
-        self._make, self._close = make, close
-        self._executor: Executor | None = None
-
-    @classmethod
-    def of(cls, executor: Executor, workers: int) -> "Pool":
-        """A pool of the caller's own executor."""
-        return cls(type(executor).__name__, lambda: executor, lambda: workers)
-
-    @property
-    def executor(self) -> Executor:
-        """The one there is, made when it is first wanted."""
-        if self._executor is None:
-            self._executor = self._make()
-        return self._executor
-
-    def drop(self) -> None:
-        """Let the executor go: the next one is new."""
-        if self._executor is not None:
-            self._executor.shutdown(wait=False)
-        self._executor = None
-
-    def close(self) -> None:
-        self.drop()
-        self._close()
-
-
-def _leave_with_parent() -> None:
-    """End this process when its parent is gone, however that ended: a killed study leaves nobody waiting."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        connection.wait([parent.sentinel])
-        os._exit(1)
-
-
-def _start_worker() -> None:
-    # Ctrl-C is the parent's; the signal was blocked while this process started, and stays so for nothing it starts.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-
-
-def processes(jobs: int) -> Pool:
-    """Worker processes, one thread each.
-
-    Raises
-    ------
-    InputError : fewer than one.
-    """
-    if jobs < 1:
-        raise InputError(f"--jobs {jobs}: must be at least 1")
-    # Spawned, not forked: the parent has solver objects and threads that a fork would copy half-alive.
-    spawn = multiprocessing.get_context("spawn")
-
-    def make() -> Executor:
-        # The workers multiply small matrices; threads of theirs would only wait for each other.
-        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-            os.environ.setdefault(name, "1")
-        return ProcessPoolExecutor(jobs, spawn, _start_worker)
-
-    return Pool(f"{jobs} process{'es' if jobs > 1 else ''}", make, lambda: jobs, revived=True)
-
-
-def dask(address: str, timeout_s: float = 10.0) -> Pool:
-    """Workers of a dask scheduler, `dask://HOST:PORT`; they need transopt, of the same version.
-
-    Raises
-    ------
-    InputError : dask.distributed is not installed, nobody answers, no worker is there.
-    """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            f"--executor {address}: dask.distributed is not installed; pip install 'transopt[cluster]'"
-        ) from None
-    try:
-        client = Client(address.replace("dask://", "tcp://"), timeout=timeout_s, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"--executor {address}: no dask scheduler answers there ({type(error).__name__})") from None
-
-    def workers() -> int:
-        try:
-            return sum(client.nthreads().values())
-        except (OSError, TimeoutError):
-            return 0
-
-    if workers() == 0:
-        client.close()
-        raise InputError(f"--executor {address}: no worker is connected: start some with `dask worker`")
-    return Pool(address, lambda: client.get_executor(pure=False), workers, close=client.close)
-
-
-def executor_pool(text: str, jobs: int) -> Pool:
-    """What --executor and --jobs name.
-
-    Raises
-    ------
-    InputError : no such executor.
-    """
-    if text.startswith("dask://"):
-        return dask(text)
-    if text == "serial":
-        return Pool("this process", Serial, lambda: 1)
-    if text != "processes":
-        raise InputError(f"--executor {text}: must be processes, serial or dask://HOST:PORT")
-    return processes(jobs)
-
-
-def kept(text: str) -> str:
+def _kept(text: str) -> str:
     return f"{text}; the rows so far are kept, the same command goes on from there"
 
 
-class _Window:
-    """Tasks under way."""
+class _UnderWay:
+    """Tasks that an executor has, and those that have to be submitted again because their worker died."""
 
     def __init__(self, pool: Pool, tasks: Iterator[Task]) -> None:
-        self.pool, self.tasks, self.deaths, self.looks = pool, tasks, 0, 0
-        self.under_way: dict[Future[list[Outcome]], Task] = {}
-        self.again: list[Task] = []
+        self._pool, self._tasks = pool, tasks
+        self._futures: dict[Future[list[Outcome]], Task] = {}
+        self._again: list[Task] = []
+        self._deaths = self._looks = 0
 
-    def fill(self, stop: threading.Event) -> None:
-        most = AHEAD * max(self.pool.workers(), 1)
-        while len(self.under_way) < most and not stop.is_set():
-            task = self.again.pop() if self.again else next(self.tasks, None)
+    def fill(self) -> bool:
+        """Submit as many tasks as the workers are to have at hand; whether any is under way."""
+        most = AHEAD * max(self._pool.workers(), 1)
+        while len(self._futures) < most:
+            task = self._again.pop() if self._again else next(self._tasks, None)
             if task is None:
-                return
+                break
             try:
-                # Workers may start here; they are not to see a Ctrl-C.
-                with ctrl_c_waits():
-                    future = self.pool.executor.submit(run_task, task)
+                self._futures[self._pool.executor.submit(run_task, task)] = task
             except BrokenExecutor:
-                self.again.append(task)
-                self.revive()
-                if self.under_way:
-                    return  # what had finished before that is written first
-                continue
-            self.under_way[future] = task
+                self._died(task)
+        return bool(self._futures)
 
-    def revive(self) -> None:
-        """Take what was under way to a new executor, but for what has finished."""
-        self.deaths += 1
-        if not self.pool.revived or self.deaths > MOST_DEATHS:
-            died = f"{self.pool.name}: a worker died" + (f" {self.deaths} times in a row" if self.deaths > 1 else "")
-            raise InputError(kept(f"{died} (out of memory? fewer --jobs take less)"))
-        finished = {
-            future: task
-            for future, task in self.under_way.items()
-            if future.done() and not future.cancelled() and future.exception() is None
-        }
-        self.again += [task for future, task in self.under_way.items() if future not in finished]
-        self.cancel()
-        self.under_way = finished
-        self.pool.drop()
+    def _died(self, task: Task) -> None:
+        """The worker of a task died: the task is submitted again, unless workers do nothing but die."""
+        self._again.append(task)
+        self._deaths += 1
+        if self._deaths > MOST_DEATHS:
+            died = f"{self._pool.name}: a worker died {self._deaths} times in a row"
+            raise InputError(_kept(f"{died} (out of memory? fewer --jobs take less)"))
 
-    def cancel(self) -> None:
-        for future in self.under_way:
-            future.cancel()
-        self.under_way.clear()
+    def write_finished(self, write: Write) -> None:
+        """Hand over what has finished; nothing if a worker died or `LOOK_S` have passed.
 
-    def finished(self) -> Iterator[list[Outcome]]:
-        """What is ready, at least one; or nothing if the workers have died and start again."""
-        done, _ = wait(self.under_way, timeout=LOOK_S, return_when=FIRST_COMPLETED)
-        if not done and self.pool.workers() == 0:
-            self.looks += 1
-            if self.looks > MOST_LOOKS:
-                raise InputError(kept(f"{self.pool.name}: no worker for {MOST_LOOKS * LOOK_S:g} s"))
-            return
-        self.looks = 0
+        A task counts as under way until its outcomes are written: a stop in between does not lose them.
+        """
+        done, _ = wait(self._futures, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+        self._looks = self._looks + 1 if not done and self._pool.workers() == 0 else 0
+        if self._looks > MOST_LOOKS:
+            raise InputError(_kept(f"{self._pool.name}: no worker for {MOST_LOOKS * LOOK_S:g} s"))
         for future in done:
             try:
                 outcomes = future.result()
             except BrokenExecutor:
-                self.revive()
-                return
+                self._died(self._futures.pop(future))
+                continue
             except Exception as error:
                 reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-                raise InputError(kept(f"{self.pool.name}: a task could not be run ({reason})")) from None
-            del self.under_way[future]
-            self.deaths = 0
-            yield outcomes
+                raise InputError(_kept(f"{self._pool.name}: a task could not be run ({reason})")) from None
+            write(outcomes)
+            del self._futures[future]
+            self._deaths = 0
 
-    def drain(self, write: Callable[[list[Outcome]], Any]) -> None:
-        """Drop what has not started, wait for what has."""
-        for future in [future for future in self.under_way if future.cancel()]:
-            del self.under_way[future]
-        while self.under_way:
-            done, _ = wait(self.under_way, return_when=FIRST_COMPLETED)
-            for future in done:
-                del self.under_way[future]
-                if future.exception() is None:
-                    write(future.result())
+    def cancel(self) -> list[Future[list[Outcome]]]:
+        """Drop what has not started; what has."""
+        return [future for future in self._futures if not future.cancel()]
 
-
-@contextmanager
-def _first_ctrl_c() -> Iterator[threading.Event]:
-    """Set by the first Ctrl-C, which stops nothing by itself; the second one is a KeyboardInterrupt."""
-    asked = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield asked
-        return
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        asked.set()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    previous = signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, previous)
+    def stop(self, write: Write) -> None:
+        """Drop what has not started, and write what has if it finishes at once."""
+        done, _ = wait(self.cancel(), timeout=GRACE_S)
+        for future in done:
+            if future.exception() is None:
+                write(future.result())
 
 
-def execute(pool: Pool, tasks: Iterator[Task], write: Callable[[list[Outcome]], Any]) -> None:
+def execute(pool: Pool, tasks: Iterator[Task], write: Write) -> None:
     """Run tasks and hand over what comes out, in whatever order that is.
 
-    At a Ctrl-C the tasks that have started are waited for and written; a second one drops them.
+    A stop, which is a Ctrl-C or whatever else raises KeyboardInterrupt or SystemExit, leaves the tasks that have
+    started `GRACE_S` to finish; outcomes may then be handed over a second time. What takes longer is solved again
+    by the next run; its workers end when the pool is closed.
 
     Raises
     ------
-    InputError : the workers die again and again, or none is left. KeyboardInterrupt : after that stop.
+    InputError : the workers die again and again, or none is left.
     """
-    window = _Window(pool, tasks)
+    under_way = _UnderWay(pool, tasks)
     try:
-        with _first_ctrl_c() as stop:
-            window.fill(stop)
-            while window.under_way:
-                for outcomes in window.finished():
-                    write(outcomes)
-                if stop.is_set():
-                    window.drain(write)
-                    raise KeyboardInterrupt
-                window.fill(stop)
+        while under_way.fill():
+            under_way.write_finished(write)
+    except (KeyboardInterrupt, SystemExit):
+        under_way.stop(write)
+        raise
     finally:
-        window.cancel()
+        under_way.cancel()

@@ -1,4 +1,4 @@
-"""One study from its plan to sorted rows: resumed where it stopped, with progress and remaining time."""
+"""One study from its plan to its rows: gone on with where it stopped, with progress and remaining time."""
 
 import sys
 import time
@@ -12,22 +12,25 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from transopt.design.sweep import Outcome
-from transopt.study.axes import TOGETHER, Plan, Recorder
+from transopt.study.executors import Pool
 from transopt.study.inverse import Answer, Question, answer, plan_at
-from transopt.study.rows import Row, Rows, row_of
-from transopt.study.run import Pool, execute
+from transopt.study.plan import TOGETHER, Plan
+from transopt.study.recordings import StudyRecordings
+from transopt.study.rows import Row, row_of
+from transopt.study.run import execute
+from transopt.study.store import Store
 
 MOST_VALUES = 200  # that a scan and a bisection can come to; sixty halvings exhaust a double
-TOLD_S = 15.0  # between lines of progress where no terminal shows a bar
+LINE_S = 15.0  # between lines of progress where no terminal shows a bar
 
-Tell = Callable[[int], None]
+Advance = Callable[[int], None]
 
 
-def definition(plan: Plan, takes: Recorder) -> dict[str, Any]:
-    """What study.json says of a plan, beside the versions."""
+def definition(plan: Plan, recorded: StudyRecordings) -> dict[str, Any]:
+    """Everything about a plan that its rows depend on, as JSON values."""
     return {
         "scene": plan.scene.model_dump(mode="json"),
-        "recordings_sha256": takes.taken({})[1],
+        "recordings_sha256": recorded.of({})[1],
         "axes": {
             axis.key: {"values": list(axis.labels), "limits": axis.limits, "log": axis.log} for axis in plan.axes
         },
@@ -42,26 +45,41 @@ def definition(plan: Plan, takes: Recorder) -> dict[str, Any]:
 
 
 @contextmanager
-def progress(name: str, total: int, done: int) -> Iterator[Tell]:
-    """A bar on the terminal, or a line now and then; `done` were there before."""
+def progress(name: str, total: int, done: int) -> Iterator[Advance]:
+    """A bar on the terminal, or a line now and then; `done` entries were there before.
+
+    Gives a function that takes how many more there are.
+    """
     if not sys.stderr.isatty():
         started = last = time.perf_counter()
         now = done
 
-        def tell(count: int) -> None:
+        def advance(count: int) -> None:
             nonlocal now, last
             now += count
-            if (moment := time.perf_counter()) - last > TOLD_S:
+            if (moment := time.perf_counter()) - last > LINE_S:
                 last = moment
                 left_s = (moment - started) / max(now - done, 1) * (total - now)
                 print(f"{name}: {now} of {total} entries, {left_s:.0f} s to go", file=sys.stderr, flush=True)
 
-        yield tell
+        yield advance
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=total, completed=done)
         yield lambda count: bar.advance(task, count)
+
+
+@contextmanager
+def _stop_said(store: Store, total: int | None) -> Iterator[None]:
+    """A stop says how far the study came, and where that is kept."""
+    try:
+        yield
+    except (KeyboardInterrupt, SystemExit):
+        of = "" if total is None else f" of {total}"
+        said = f"stopped: {store.done}{of} entries are in {store.path}; the same command goes on from there"
+        print(said, file=sys.stderr)
+        raise
 
 
 def run_plan(
@@ -71,37 +89,29 @@ def run_plan(
 
     Parameters
     ----------
+    folder : gets study.sqlite, from which the study goes on, and rows.csv.
+    name : shown beside the progress.
     watch : called with the number of rows after every task.
 
     Returns
     -------
-    All rows, sorted: the same whatever the executor and however often the run was stopped, but for the times.
+    All rows by number: the same whatever the executor and however often the run was stopped, but for the times.
 
     Raises
     ------
-    InputError : the folder holds another study, or the workers are gone. KeyboardInterrupt : stopped.
+    InputError : the folder holds another study or cannot be written, or the workers are gone.
     """
-    keys, takes = [axis.key for axis in plan.axes], Recorder(plan.scene, plan.axes)
-    with Rows(folder, definition(plan, takes), keys, plan.entries) as rows:
-        if rows.cut:
-            print(rows.cut, file=sys.stderr)
-        with progress(name, plan.entries, rows.done) as tell:
+    keys, recorded = [axis.key for axis in plan.axes], StudyRecordings(plan.scene, plan.axes)
+    with Store(folder, definition(plan, recorded), keys, plan.entries) as store:
+        with _stop_said(store, plan.entries), progress(name, plan.entries, store.done) as advance:
 
             def write(outcomes: list[Outcome]) -> None:
                 points = [plan.point_of(outcome.index) for outcome in outcomes]
-                tell(rows.add([row_of(o, p, plan.labels(p)) for o, p in zip(outcomes, points, strict=True)]))
-                watch(rows.done)
+                advance(store.add([row_of(o, p, plan.labels(p)) for o, p in zip(outcomes, points, strict=True)]))
+                watch(store.done)
 
-            try:
-                execute(pool, plan.tasks(rows.has, takes), write)
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(_stopped(rows, plan.entries)) from None
-        return rows.sort()
-
-
-def _stopped(rows: Rows, total: int) -> str:
-    of = f" of {total}" if total else ""
-    return f"stopped: {rows.done}{of} entries are in {rows.path}; the same command goes on from there"
+            execute(pool, plan.tasks(store.has, recorded), write)
+        return store.read()
 
 
 def run_question(plan: Plan, question: Question, folder: Path, pool: Pool) -> Answer:
@@ -109,10 +119,10 @@ def run_question(plan: Plan, question: Question, folder: Path, pool: Pool) -> An
 
     Raises
     ------
-    InputError : the folder holds another study, or the workers are gone. KeyboardInterrupt : stopped.
+    InputError : as of `run_plan`.
     """
     ends = plan_at(plan, question, [question.low, question.high])
-    takes = Recorder(plan.scene, ends.axes)
+    recorded = StudyRecordings(plan.scene, ends.axes)
     about = {
         "solve_for": {
             "key": question.key.path,
@@ -124,33 +134,27 @@ def run_question(plan: Plan, question: Question, folder: Path, pool: Pool) -> An
         "require": [requirement.text for requirement in question.requirements],
     }
     per_value, values = plan.entries_per_point, 0
-    with Rows(folder, {**definition(ends, takes), **about}, [question.key.path], MOST_VALUES * per_value) as rows:
-        if rows.cut:
-            print(rows.cut, file=sys.stderr)
+    whole = {**definition(ends, recorded), **about}
+    with Store(folder, whole, [question.key.path], MOST_VALUES * per_value) as store:
 
         def solve(new: list[float]) -> list[list[Row]]:
             nonlocal values
             own, first = plan_at(plan, question, new), values * per_value
             values += len(new)
-            lacking = sum(not rows.has(first + j) for j in range(own.entries))
-            with progress(f"{question.key.path}, {values} values", own.entries, own.entries - lacking) as tell:
+            there = sum(store.has(first + j) for j in range(own.entries))
+            with progress(f"{question.key.path}, {values} values", own.entries, there) as advance:
 
                 def write(outcomes: list[Outcome]) -> None:
                     found = []
                     for outcome in outcomes:
-                        p = own.point_of(outcome.index)
+                        labels = own.labels(own.point_of(outcome.index))
                         moved = replace(outcome, index=outcome.index + first)
-                        found.append(row_of(moved, moved.index // per_value, own.labels(p)))
-                    tell(rows.add(found))
+                        found.append(row_of(moved, moved.index // per_value, labels))
+                    advance(store.add(found))
 
-                execute(pool, own.tasks(lambda index: rows.has(index + first), takes), write)
-            wanted = range(first, first + own.entries)
-            there = {int(row["index"]): row for row in rows.read() if int(row["index"]) in wanted}
-            return [[there[first + j * per_value + k] for k in range(per_value)] for j in range(len(new))]
+                execute(pool, own.tasks(lambda index: store.has(index + first), recorded), write)
+            rows = store.read(first, own.entries)
+            return [rows[j : j + per_value] for j in range(0, own.entries, per_value)]
 
-        try:
-            found = answer(question, solve)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(_stopped(rows, 0)) from None
-        rows.sort()
-        return found
+        with _stop_said(store, None):
+            return answer(question, solve)

@@ -1,11 +1,14 @@
-"""The command line of constraint studies: files, bad input, stopped and gone on with."""
+"""`transopt study`: files, bad input, stopped and gone on with."""
 
 import contextlib
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +16,32 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from tests.benches.places import SCRIPTS
+import problems
+from tests.benches.commands import Run, Terminal, assert_refused
+from tests.benches.places import ROOT
 from tests.benches.study import plain, read, serial, short_scene
 from transopt.design import sweep
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
+from transopt.study.axes import parse_axis
+from transopt.study.named import write
+from transopt.study.plan import Plan
+from transopt.study.session import run_plan
+from transopt.study.swept import SWEPT
+
+
+@pytest.fixture
+def run(terminal: Terminal) -> Run:
+    """Run `transopt study ARGS` in an empty folder."""
+    return partial(terminal, "transopt", "study")
 
 
 @pytest.fixture(scope="module")
-def unstopped(study: Any, scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unstopped(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a run leaves that nobody stops."""
     short, out = short_scene(scene), tmp_path_factory.mktemp("unstopped")
-    axis = study.axes.parse_axis(short, "--vary", "limits.current_A=1:4:32")
-    study.session.run_plan(study.axes.Plan(short, (axis,), (0.3, 0.4), (1.0, 5.0)), out, serial(study))
+    axis = parse_axis(short, "--vary", "limits.current_A=1:4:32")
+    run_plan(Plan(short, (axis,), (0.3, 0.4), (1.0, 5.0)), out, serial())
     return out
 
 
@@ -33,7 +49,7 @@ class TestCommandLine:
     @pytest.fixture
     def scene_file(self, scene: Scene, tmp_path: Path) -> Path:
         """The scene with the short horizon as a file."""
-        text = (SCRIPTS.parent / "problems" / "scenes" / "wood_on_foam.toml").read_text(encoding="utf-8")
+        text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
         short = short_scene(scene)
         path = tmp_path / "short.toml"
         path.write_text(text.replace("stages = 600", f"stages = {short.time.stages}"), encoding="utf-8")
@@ -47,22 +63,14 @@ class TestCommandLine:
             (["--vary", "limits.current_A=1.5:3:2", "--vary", "weights.rho=1e-3,0", "--sample", "2"], "multiples"),
         ],
     )
-    def test_files(
-        self,
-        study: Any,
-        scene_file: Path,
-        tmp_path: Path,
-        capsys: pytest.CaptureFixture[str],
-        vary: list[str],
-        figure: str,
-    ) -> None:
-        out = tmp_path / figure
-        words = [str(scene_file), *vary, "--speed", "0.4", "--grip", "5", "--executor", "serial", "--out", str(out)]
-        assert study.constraint_study.main(words) == 0
-        assert {path.name for path in out.iterdir()} == {"rows.csv", "study.json", "nrmse.png", "report.md"}
+    def test_files(self, run: Run, scene_file: Path, vary: list[str], figure: str) -> None:
+        out = Path(figure)
+        ran = run(scene_file, *vary, "--speed", 0.4, "--grip", 5, "--executor", "serial", "--out", out)
+        assert ran.code == 0
+        assert {path.name for path in out.iterdir()} == {"rows.csv", "study.sqlite", "nrmse.png", "report.md"}
         assert np.ptp(image.imread(out / "nrmse.png")) > 0
         report = (out / "report.md").read_text(encoding="utf-8")
-        for word in ("entries certified and replayed clean", "--vary", "cores", "casadi", "what binds"):
+        for word in ("transopt study ", "entries certified and replayed clean", "--vary", "cores", "casadi", "binds"):
             assert word in report
         rows = read(out / "rows.csv")
         if figure == "maps":
@@ -70,13 +78,28 @@ class TestCommandLine:
             assert {row["motor"] for row in refused} == {"faulhaber_0816k003sr"}
             assert len(refused) == 2
             assert report.count("1 x REFUSED: ") == 2
-        assert "certified" in capsys.readouterr().out
+        assert "certified" in ran.out
 
-    def test_list_keys(self, study: Any, capsys: pytest.CaptureFixture[str]) -> None:
-        assert study.constraint_study.main(["--list-keys"]) == 0
-        shown = capsys.readouterr().out
+    def test_an_answer(self, run: Run) -> None:
+        words = ["--set", "time.stages=80", "--speed", 0.4, "--grip", 5, "--executor", "serial"]
+        ran = run("--require", "nrmse<=0.3", "--solve-for", "limits.current_A=2:6:0.2", *words, "--out", "least")
+        assert ran.code == 0
+        assert "The least limits.current_A from 2 to 6 A with nrmse <= 0.3 at every entry: " in ran.out
+        assert {path.name for path in Path("least").iterdir()} == {
+            "rows.csv",
+            "study.sqlite",
+            "answer.png",
+            "report.md",
+        }
+        assert "Evidence where it is missed" in Path("least/report.md").read_text(encoding="utf-8")
+        never = run("--require", "nrmse<=1e-6", "--solve-for", "limits.current_A=2:6:4", *words, "--out", "never")
+        assert never.code == 1
+
+    def test_list_keys(self, run: Run) -> None:
+        ran = run("--list-keys")
+        assert ran.code == 0
         for words in ("limits.current_A", "thermal.tap_rate_Hz", "transmission.ratio_1_m", "g/sqrt(Hz)", "datasheet"):
-            assert words in shown
+            assert words in ran.out
 
     @pytest.mark.parametrize(
         ("words", "error"),
@@ -100,14 +123,8 @@ class TestCommandLine:
             (["--study", "lead", "--vary", "limits.beta=1,2"], "a named study says itself what is varied"),
         ],
     )
-    def test_bad_input_is_one_line(
-        self, study: Any, words: list[str], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        assert study.constraint_study.main([*words, "--executor", "serial", "--out", str(tmp_path / "out")]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert error in said
-        assert said.count("\n") == 1
+    def test_bad_input_is_one_line(self, run: Run, words: list[str], error: str) -> None:
+        assert_refused(run(*words, "--executor", "serial", "--out", "out"), error)
 
     @pytest.mark.parametrize(
         ("words", "error"),
@@ -115,7 +132,7 @@ class TestCommandLine:
             (["--study", "lead", "--sample", "3"], "a named study says itself what is varied"),
             (["--study", "lead", "--full"], "a named study says itself what is varied"),
             (["--study", "lead", "--seed", "3"], "a named study says itself what is varied"),
-            (["--study", "nope"], "invalid choice: 'nope'"),
+            (["--study", "nope"], "--study nope: no such study; choose one of current_limit"),
             (["--study", "grip_mismatch", "--jobs", "2"], "--study grip_mismatch: solves in this process"),
             (["--study", "grid_spacing", "--executor", "serial"], "--study grid_spacing: solves in this process"),
             (
@@ -125,7 +142,7 @@ class TestCommandLine:
             (["--vary", "limits.beta=2,3", "--jobs", "-2"], "--jobs -2: must be at least 1"),
             (["--vary", "limits.beta=2,3", "--figures", "here"], "--figures: only with --study"),
             (["--vary", "limits.beta=2,3", "--seed", "3"], "--seed 3: only with --sample"),
-            (["--vary", "limits.beta=2,3", "--sample", "three"], "argument --sample: invalid int value: 'three'"),
+            (["--vary", "limits.beta=2,3", "--sample", "three"], "'--sample': must be a valid integer"),
             (["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--full"], "not together with --full"),
             (
                 ["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--seed", "2"],
@@ -133,20 +150,19 @@ class TestCommandLine:
             ),
         ],
     )
-    def test_options_that_would_be_ignored_are_refused(
-        self, study: Any, words: list[str], error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        assert study.constraint_study.main([*words, "--out", str(tmp_path / "out")]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert error in said
-        assert said.count("\n") == 1
-        assert not (tmp_path / "out").exists()
+    def test_options_that_would_be_ignored_are_refused(self, run: Run, words: list[str], error: str) -> None:
+        assert_refused(run(*words, "--out", "out"), error)
+        assert not Path("out").exists()
 
-    def test_everything_refused_is_a_shortfall(self, study: Any, scene_file: Path, tmp_path: Path) -> None:
-        words = [str(scene_file), "--vary", "limits.current_A=50,60", "--speed", "0.4", "--grip", "5"]
-        assert study.constraint_study.main([*words, "--executor", "serial", "--out", str(tmp_path / "out")]) == 1
-        assert (tmp_path / "out" / "nrmse.png").exists()
+    def test_nowhere_to_write(self, run: Run) -> None:
+        Path("taken").write_text("here already", encoding="utf-8")
+        assert_refused(run("--vary", "limits.beta=2,3"), "--out: give a folder")
+        assert_refused(run("--vary", "limits.beta=2,3", "--out", "taken"), "--out taken: cannot be written")
+
+    def test_everything_refused_is_a_shortfall(self, run: Run, scene_file: Path) -> None:
+        few = ("--speed", 0.4, "--grip", 5, "--executor", "serial", "--out", "out")
+        assert run(scene_file, "--vary", "limits.current_A=50,60", *few).code == 1
+        assert Path("out/nrmse.png").exists()
 
     @pytest.mark.parametrize(
         ("status", "code", "named"),
@@ -160,7 +176,7 @@ class TestCommandLine:
     )
     def test_one_row_that_falls_short_is_told(
         self,
-        study: Any,
+        run: Run,
         scene: Scene,
         scene_file: Path,
         tmp_path: Path,
@@ -179,51 +195,63 @@ class TestCommandLine:
             return (status, ["said so"]) if len(calls) == 2 else real(*given)
 
         monkeypatch.setattr(sweep, "admit", second_differs)
-        monkeypatch.setattr(study.axes, "TOGETHER", 1)
+        monkeypatch.setattr("transopt.study.plan.TOGETHER", 1)
         if named:
-            swept = study.named.SWEPT
             fewer = replace(
-                swept["current_limit"], axis="limits.current_A=2,3", speeds_m_s=(0.4,), grips_N=(3.0, 5.0)
+                SWEPT["current_limit"], axis="limits.current_A=2,3", speeds_m_s=(0.4,), grips_N=(3.0, 5.0)
             )
-            monkeypatch.setitem(swept, "current_limit", fewer)
-            assert study.named.write("current_limit", short_scene(scene), tmp_path, serial(study), None) == code
+            monkeypatch.setitem(SWEPT, "current_limit", fewer)
+            assert write("current_limit", short_scene(scene), tmp_path, serial())[0] == code
             rows = read(tmp_path / "current_limit" / "rows.csv")
         else:
-            words = [str(scene_file), "--vary", "limits.current_A=2,3", "--speed", "0.4", "--grip", "3,5"]
-            assert (
-                study.constraint_study.main([*words, "--executor", "serial", "--out", str(tmp_path / "out")]) == code
-            )
-            rows = read(tmp_path / "out" / "rows.csv")
+            few = ("--vary", "limits.current_A=2,3", "--speed", 0.4, "--grip", "3,5", "--executor", "serial")
+            assert run(scene_file, *few, "--out", "out").code == code
+            rows = read(Path("out/rows.csv"))
         assert sorted(row["status"] for row in rows) == sorted(
             ["OPTIMAL"] * 3 + [status.name if status else "DEFECT"]
         )
 
     @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-    @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGKILL])
+    @pytest.mark.parametrize(
+        ("sent", "how"),
+        [
+            (signal.SIGINT, ["--jobs", "1"]),
+            (signal.SIGINT, ["--executor", "serial"]),
+            (signal.SIGTERM, ["--jobs", "2"]),
+            (signal.SIGKILL, ["--jobs", "1"]),
+        ],
+    )
     def test_stopped_and_gone_on_with(
-        self, study: Any, scene_file: Path, unstopped: Path, tmp_path: Path, signal_number: signal.Signals
+        self, run: Run, scene_file: Path, unstopped: Path, sent: signal.Signals, how: list[str]
     ) -> None:
-        out = tmp_path / "out"
+        out = Path("out")
         words = [str(scene_file), "--vary", "limits.current_A=1:4:32", "--speed", "0.3,0.4", "--grip", "1,5"]
-        command = [sys.executable, str(SCRIPTS / "constraint_study.py"), *words, "--jobs", "1", "--out", str(out)]
-        environment = {**os.environ, "PYTHONPATH": str(SCRIPTS.parent)}
+        command = [sys.executable, str(ROOT / "scripts" / "constraint_study.py"), *words, *how, "--out", str(out)]
+        file = out / "study.sqlite"
         with subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as run:
-            rows = out / "rows.csv"
-            while not rows.exists() or rows.read_bytes().count(b"\n") < 3:
+            command,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as running:
+            while not file.exists() or file.read_bytes().count(b"OPTIMAL") < 3:
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    run.wait(timeout=0.02)
+                    running.wait(timeout=0.02)
                     pytest.fail("ended before anything was written")
-            run.send_signal(signal_number)
-            _, said = run.communicate(timeout=60)
-        if signal_number == signal.SIGINT:
-            assert run.returncode == 130
-            assert "the same command goes on from there" in said
-            assert "Traceback" not in said
-        kept = rows.read_bytes()
-        kept = kept[: kept.rfind(b"\n") + 1].splitlines()
-        assert 3 <= len(kept) < 129
-        assert study.constraint_study.main([*words, "--executor", "serial", "--out", str(out)]) == 0
-        assert plain(rows) == plain(unstopped / "rows.csv")
-        assert set(kept) <= set(rows.read_bytes().splitlines())
+            running.send_signal(sent)
+            _, said = running.communicate(timeout=60)
+        assert "Traceback" not in said
+        if sent == signal.SIGKILL:
+            assert not (out / "rows.csv").exists()
+        else:
+            assert running.returncode == 128 + sent
+            kept = len(read(out / "rows.csv"))
+            assert f"stopped: {kept} of 128 entries are in {file}; the same command goes on from there" in said
+        with closing(sqlite3.connect(file)) as there:
+            before = there.execute('SELECT "index", total_ms FROM rows').fetchall()
+        assert 3 <= len(before) < 128
+        assert run(*words, "--executor", "serial", "--out", out).code == 0
+        assert plain(out / "rows.csv") == plain(unstopped / "rows.csv")
+        rows = read(out / "rows.csv")
+        assert all(rows[number]["total_ms"] == total_ms for number, total_ms in before)

@@ -2,13 +2,16 @@
 
 import importlib.util
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.benches.study import plain, short_scene
+from tests.benches.study import cluster, plain, serial
 from transopt.base.errors import InputError
 from transopt.scene.scene import Scene
+from transopt.study.axes import parse_axis
+from transopt.study.executors import dask, executor_pool
+from transopt.study.plan import Plan
+from transopt.study.session import run_plan
 
 pytestmark = [
     pytest.mark.skipif(
@@ -21,32 +24,31 @@ pytestmark = [
 
 
 def test_a_worker_killed_mid_run_loses_and_doubles_nothing(
-    study: Any, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study.axes, "TOGETHER", 4)  # enough tasks for a middle
-    short = short_scene(scene)
-    axis = study.axes.parse_axis(short, "--vary", "limits.current_A=1:4:10")
-    plan = study.axes.Plan(short, (axis,), (0.3, 0.4), (1.0, 5.0))
+    monkeypatch.setattr("transopt.study.plan.TOGETHER", 4)  # enough tasks for a middle
+    axis = parse_axis(short, "--vary", "limits.current_A=1:4:10")
+    plan = Plan(short, (axis,), (0.3, 0.4), (1.0, 5.0))
     left: list[int] = []
-    with study.scale.cluster(2) as (address, workers):
+    with cluster(2) as (address, workers):
 
         def kill(done: int) -> None:
             if not left:
                 workers[0].kill()
                 left.append(plan.entries - done)
 
-        pool = study.run.dask(address)
-        rows = study.session.run_plan(plan, tmp_path / "dask", pool, watch=kill)
+        pool = dask(address)
+        rows = run_plan(plan, tmp_path / "dask", pool, watch=kill)
         assert pool.workers() == 1
         pool.close()
     assert left[0] > 0
     assert [int(row["index"]) for row in rows] == list(range(plan.entries))
-    study.session.run_plan(plan, tmp_path / "serial", study.run.executor_pool("serial", 1))
+    run_plan(plan, tmp_path / "serial", serial())
     assert plain(tmp_path / "dask" / "rows.csv") == plain(tmp_path / "serial" / "rows.csv")
 
 
-def test_nobody_there(study: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(study.run.dask, "__defaults__", (0.5,))
+def test_nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask, "__defaults__", (0.5,))
     with pytest.raises(InputError, match="no dask scheduler answers there") as refusal:
-        study.run.executor_pool("dask://127.0.0.1:9", 1)
+        executor_pool("dask://127.0.0.1:9", 1)
     assert "\n" not in str(refusal.value)

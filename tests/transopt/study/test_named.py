@@ -1,0 +1,122 @@
+"""The named studies, in short forms."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+import problems
+from tests.benches.study import read, serial
+from transopt.base.writing import percent
+from transopt.scene.scene import Scene
+from transopt.study import motors
+from transopt.study.figures import entry_grid
+from transopt.study.grid_spacing import spacing
+from transopt.study.grip_mismatch import mismatch, mismatch_sentence
+from transopt.study.named import OFF_NODE, write
+from transopt.study.optima import proven_sentence
+from transopt.study.session import run_plan
+from transopt.study.swept import SWEPT
+
+
+class TestNamed:
+    def test_swept_study_leaves_figure_and_finding(
+        self,
+        short: Scene,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        fewer = replace(SWEPT["current_limit"], axis="limits.current_A=1.25,4,6", speeds_m_s=(0.1, 0.4))
+        monkeypatch.setitem(SWEPT, "current_limit", fewer)
+        code, finding = write("current_limit", short, tmp_path / "out", serial(), figures=tmp_path / "figures")
+        assert code == 0
+        assert "At 1.25 A the limit cuts" in finding
+        assert np.ptp(image.imread(tmp_path / "figures" / "current_limit.png")) > 0
+        assert (tmp_path / "out" / "current_limit" / "report.md").exists()
+
+    @pytest.mark.parametrize(
+        ("name", "axis"),
+        [("amplifier_bandwidth", "amplifier.pole_Hz=100,1050,5000"), ("lead", "time.lead_s=0,0.0003")],
+    )
+    def test_findings_follow_from_rows(self, short: Scene, tmp_path: Path, name: str, axis: str) -> None:
+        fewer = replace(SWEPT[name], axis=axis, speeds_m_s=(0.1, 0.4), grips_N=(5.0,))
+        plan = fewer.plan(short)
+        rows = run_plan(plan, tmp_path, serial())
+        said = fewer.finding(plan, rows)
+        worst = entry_grid(plan, rows, "nrmse")
+        assert percent(float(worst[0].max())) in said or f"{100 * worst[0, 0].max():.2f}" in said
+
+    def test_blind_grip(self, short: Scene) -> None:
+        found, optima = mismatch(short, (0.2,), (1.0, 3.0))
+        assert [(one.speed_m_s, one.grip_N, one.status) for one in optima] == [
+            (0.2, 1.0, "OPTIMAL"),
+            (0.2, 3.0, "OPTIMAL"),
+        ]
+        assert all(0 <= one.relative_gap < 1e-6 for one in optima)
+        own = {(p.made_for_N, p.played_at_N): p for p in found}
+        assert len(own) == 4
+        assert all(own[F, F].excess == 0 for F in (1.0, 3.0))
+        assert own[3.0, 1.0].excess > 0.05
+        assert "made for 3 N" not in mismatch_sentence(found)
+        assert "at 1 N" in mismatch_sentence(found)
+
+    def test_finer_grids_err_less(self, short: Scene) -> None:
+        found, optima = spacing(
+            "default",
+            short,
+            grip_spacings_N=(4.0, 2.0),
+            speed_spacings_m_s=(0.3, 0.1),
+            held_speeds_m_s=(0.4,),
+            held_grips_N=(5.0,),
+            fine=2,
+        )
+        for axis, nodes in (("grip", [2, 3]), ("speed", [2, 4])):
+            wide, fine = (s for s in found if s.axis == axis)
+            assert [wide.nodes, fine.nodes] == nodes
+            assert wide.worst > fine.worst > 0
+        assert len({(one.speed_m_s, one.grip_N) for one in optima}) == len(optima) > 10
+        assert proven_sentence(optima).startswith(f"{len(optima)} of {len(optima)} optima")
+
+    def test_off_node_study_counts_its_certificates(
+        self, short: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """One optimum of two loses its certificate: rows, report and exit code say so."""
+
+        def measure(scene: Scene) -> Any:
+            found, optima = mismatch(scene, (0.2,), (1.0, 3.0, 5.0))
+            return found, [replace(optima[0], status="NOT_CERTIFIED"), *optima[1:]]
+
+        monkeypatch.setitem(OFF_NODE, "grip_mismatch", replace(OFF_NODE["grip_mismatch"], measure=measure))
+        code, _ = write("grip_mismatch", short, tmp_path, serial())
+        assert code == 1
+        rows = read(tmp_path / "grip_mismatch" / "rows.csv")
+        assert [row["status"] for row in rows] == ["NOT_CERTIFIED", "OPTIMAL", "OPTIMAL"]
+        assert float(rows[1]["relative_gap"]) < 1e-6
+        assert len(read(tmp_path / "grip_mismatch" / "grip_mismatch.csv")) == 9
+        assert "2 of 3 optima certified" in (tmp_path / "grip_mismatch" / "report.md").read_text(encoding="utf-8")
+
+    def test_motors(self, short: Scene, tmp_path: Path) -> None:
+        found = motors.motor_selection(
+            short,
+            tmp_path,
+            serial(),
+            [problems.FOLDER],
+            motors="maxon_re25,faulhaber_0816k003",
+            ratios="transmission.ratio_1_m=30,150",
+        )
+        best, worst = found.ranked()
+        assert (best.stem, worst.stem) == ("maxon_re25_118743", "faulhaber_0816k003sr")
+        assert best.ratio_1_m == 150.0
+        assert best.worst < 0.2
+        assert worst.worst > 0.5
+        plan, rows = found.studies["faulhaber_0816k003sr"]
+        assert plan.scene.limits.transient_current_A == 0.55
+        assert max(float(row["peak_current_A"]) for row in rows) <= 0.55 + 1e-6
+        assert max(float(row["peak_voltage_V"]) for row in rows) <= motors.RAIL_V * 1.001
+        text = "\n".join(found.report("motors.png", []))
+        for words in ("## Maxon RE 25, 118743", "## Faulhaber 0816K003SR", "motors.png", "Ranked by"):
+            assert words in text
+        assert set(found.pages()) == set(found.studies)

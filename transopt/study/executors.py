@@ -1,0 +1,257 @@
+"""Where the tasks of a study run: in this process, in worker processes of this machine, on a dask cluster.
+
+All three are executors as `concurrent.futures` defines them, and so may be one of the caller's own.
+"""
+
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import connection
+from multiprocessing.process import BaseProcess
+from typing import Any, ParamSpec, TypeVar
+
+from transopt.base.errors import InputError
+from transopt.base.files import ctrl_c_waits
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+# The workers multiply small matrices: threads of theirs would only wait for each other.
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+# What a task takes; scipy loads its parts when they are first used.
+LOADED = ("transopt.design.sweep", "scipy.fft", "scipy.integrate", "scipy.interpolate")
+
+
+@dataclass(frozen=True)
+class Pool:
+    """An executor, and what a long run needs to know of it.
+
+    Attributes
+    ----------
+    name : what messages call it.
+    executor : of `concurrent.futures`.
+    workers : how many tasks run at a time; asked again and again, because a cluster may grow and shrink.
+    finish : called when the pool is closed, after the executor is shut down.
+    """
+
+    name: str
+    executor: Executor
+    workers: Callable[[], int]
+    finish: Callable[[], Any] = lambda: None
+
+    @classmethod
+    def of(cls, executor: Executor, workers: int) -> "Pool":
+        """A pool of the caller's own executor, which is shut down when the pool is closed."""
+        return cls(type(executor).__name__, executor, lambda: workers)
+
+    def close(self) -> None:
+        """Shut the executor down without waiting for what it has under way."""
+        self.executor.shutdown(wait=False)
+        self.finish()
+
+
+class Serial(Executor):
+    """Runs each call where it is submitted."""
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
+        future: Future[T] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Processes started inside use one thread each, and a Ctrl-C, which is this process's own, passes them by."""
+    lacking = [name for name in THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(lacking, "1"))
+    try:
+        with ctrl_c_waits():
+            yield
+    finally:
+        for name in lacking:
+            del os.environ[name]
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is gone, however that ended."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+
+def _work(line: "connection.Connection[Any, Any]") -> None:
+    """What a worker process does: take a call from the line, send back its result or exception, and so on."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends the workers
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            call, arguments = line.recv()
+        except EOFError:  # the other end was closed
+            return
+        answer: tuple[Any, Exception | None]
+        try:
+            answer = (call(*arguments), None)
+        except Exception as error:
+            answer = (None, error)
+        line.send(answer)
+
+
+def _process() -> Callable[..., BaseProcess]:
+    """How workers start: where that is possible, forked from a server process that has loaded what a task takes.
+
+    They are not forked from this process, whose solver objects and threads a fork would copy half-alive. And they
+    are not started from nothing each, which takes as long as solving a hundred entries.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn").Process
+    from multiprocessing import forkserver, resource_tracker
+
+    forks = multiprocessing.get_context("forkserver")
+    forks.set_forkserver_preload(list(LOADED))
+    resource_tracker.ensure_running()  # which would unblock Ctrl-C again if it were started with the server
+    with _starting():
+        forkserver.ensure_running()
+    return forks.Process
+
+
+@dataclass(frozen=True, eq=False)
+class _Worker:
+    """A worker process, and this process's end of the line to it."""
+
+    process: BaseProcess
+    line: "connection.Connection[Any, Any]"
+
+
+class Processes(ThreadPoolExecutor):
+    """Worker processes, each served by a thread of this process that sends it a call and waits for the answer.
+
+    When a worker dies, its call ends in BrokenExecutor, the other workers go on, and a new one takes its place with
+    the next call. `shutdown(wait=False)` ends the workers in the middle of whatever they do. A ProcessPoolExecutor
+    does neither: one death breaks all of it, and it waits for calls that have started.
+    """
+
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers)
+        self._lock = threading.Lock()
+        self._live: set[_Worker] = set()
+        self._ended = False
+        # As many as there are threads. The last one put back is taken first, so that a new one starts only if all
+        # others are busy.
+        self._idle: queue.LifoQueue[_Worker | None] = queue.LifoQueue()
+        for _ in range(workers):
+            self._idle.put(None)
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
+        return super().submit(self._call, fn, *args)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        if wait:
+            super().shutdown(wait=True, cancel_futures=cancel_futures)
+        with self._lock:
+            self._ended = True
+            live, self._live = self._live, set()
+        for worker in live:
+            worker.process.kill()
+        super().shutdown(wait=False, cancel_futures=True)
+
+    def _start(self) -> _Worker:
+        with self._lock:
+            if self._ended:
+                raise BrokenExecutor("shut down")
+            start, (ours, theirs) = _process(), multiprocessing.Pipe()
+            with _starting(), theirs:
+                process = start(target=_work, args=(theirs,), daemon=True)
+                process.start()
+            worker = _Worker(process, ours)
+            self._live.add(worker)
+            return worker
+
+    def _call(self, fn: Callable[..., Any], *args: Any) -> Any:
+        """Run a call in a worker process, from a thread of this one."""
+        worker = self._idle.get()
+        try:
+            if worker is None:
+                worker = self._start()
+            worker.line.send((fn, args))
+            result, error = worker.line.recv()
+        except (EOFError, OSError) as gone:
+            self._live.discard(worker)
+            worker = None
+            raise BrokenExecutor("a worker process died") from gone
+        finally:
+            self._idle.put(worker)
+        if error is not None:
+            raise error
+        return result
+
+
+def processes(workers: int) -> Pool:
+    """Worker processes of this machine.
+
+    Raises
+    ------
+    InputError : fewer than one.
+    """
+    if workers < 1:
+        raise InputError(f"--jobs {workers}: must be at least 1")
+    name = f"{workers} process{'es' if workers > 1 else ''}"
+    return Pool(name, Processes(workers), lambda: workers)
+
+
+def dask(address: str, timeout_s: float = 10.0) -> Pool:
+    """Workers of a dask scheduler, `dask://HOST:PORT`; transopt must be installed there, of the same version.
+
+    Raises
+    ------
+    InputError : dask.distributed is not installed, nobody answers, no worker is there.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise InputError(
+            f"--executor {address}: dask.distributed is not installed; pip install 'transopt[cluster]'"
+        ) from None
+    connect: Callable[..., Any] = distributed.Client
+    try:
+        client = connect(address.replace("dask://", "tcp://"), timeout=timeout_s, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"--executor {address}: no dask scheduler answers there ({type(error).__name__})") from None
+
+    def workers() -> int:
+        try:
+            return sum(client.nthreads().values())
+        except (OSError, TimeoutError):
+            return 0
+
+    if workers() == 0:
+        client.close()
+        raise InputError(f"--executor {address}: no worker is connected: start some with `dask worker`")
+    return Pool(address, client.get_executor(pure=False), workers, client.close)
+
+
+def executor_pool(text: str, jobs: int) -> Pool:
+    """What --executor and --jobs name.
+
+    Raises
+    ------
+    InputError : no such executor, or it cannot be had.
+    """
+    if text.startswith("dask://"):
+        return dask(text)
+    if text == "serial":
+        return Pool("this process", Serial(), lambda: 1)
+    if text != "processes":
+        raise InputError(f"--executor {text}: must be processes, serial or dask://HOST:PORT")
+    return processes(jobs)

@@ -1,0 +1,115 @@
+"""The study `grip_mismatch`: a certified command for one grip, played in a hand that grips otherwise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from transopt.base.plotting import LABEL_PT, SEED, SMALL_PT, colours, style
+from transopt.design.refine_grid import Errors
+from transopt.plant.discretise import StageModel
+from transopt.proof.replay import replayed_errors
+from transopt.scene.scene import Scene
+from transopt.study.figures import percent_axis
+from transopt.study.optima import Proven, errors_of, proven
+
+SPEEDS_M_S = (0.2, 0.4)
+GRIPS_N = tuple(float(F) for F in np.arange(1.0, 5.01, 0.5))
+BLIND_GRIPS_N = (1.0, 3.0, 5.0)  # of the libraries for one grip alone that the figure shows
+
+
+@dataclass(frozen=True)
+class Played:
+    """A certified command for one grip, played at another.
+
+    Attributes
+    ----------
+    speed_m_s : of the tap.
+    made_for_N, played_at_N : grip of the command, and of the hand.
+    nrmse : after replay, as a share of 1.
+    excess : of that over the NRMSE of the optimum for the hand's own grip.
+    """
+
+    speed_m_s: float
+    made_for_N: float
+    played_at_N: float
+    nrmse: float
+    excess: float
+
+
+def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
+    commands = np.stack([errors.optimum((speed, F)).command_A for F in grips])
+    wanted = np.tile(errors.reference(speed).motor_m_s2, (len(grips), 1))
+    return [float(error) for error in replayed_errors(stage, scene.time_grid(), commands, wanted)]
+
+
+def mismatch(
+    scene: Scene,
+    speeds_m_s: Sequence[float] = SPEEDS_M_S,
+    grips_N: Sequence[float] = GRIPS_N,
+) -> tuple[list[Played], list[Proven]]:
+    """Every grip's command on every grip's device, and the optima that were solved for it.
+
+    Raises
+    ------
+    InputError : an optimum that cannot be proven.
+    """
+    errors, found = errors_of(scene), []
+    for speed in speeds_m_s:
+        for grip in grips_N:
+            played = _errors_at(errors, scene, errors.stage(grip), speed, grips_N)
+            own = played[grips_N.index(grip)]
+            found += [Played(speed, F, grip, e, e - own) for F, e in zip(grips_N, played, strict=True)]
+    return found, proven("default", errors)
+
+
+def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GRIPS_N) -> Figure:
+    """NRMSE over the grip of the hand: compensated, and blind with a library for one grip."""
+    speeds = list(dict.fromkeys(p.speed_m_s for p in found))
+    figure = Figure(figsize=(1.0 + 3.1 * len(speeds), 3.5), layout="constrained")
+    panels = figure.subplots(1, len(speeds), sharey=True, squeeze=False)[0]
+    for axes, speed in zip(panels, speeds, strict=True):
+        style(axes)
+        own = [p for p in found if p.speed_m_s == speed]
+        for grip, colour in zip(blind_N, colours(len(blind_N)), strict=True):
+            line = [p for p in own if p.made_for_N == grip]
+            axes.plot(
+                [p.played_at_N for p in line],
+                [100 * p.nrmse for p in line],
+                color=colour,
+                linewidth=1.2,
+                marker="o",
+                markersize=2.5,
+            )
+        best = [p for p in own if p.made_for_N == p.played_at_N]
+        axes.plot([p.played_at_N for p in best], [100 * p.nrmse for p in best], color=SEED, linewidth=1.6)
+        axes.set_title(f"{speed:g} m/s", fontsize=LABEL_PT)
+        axes.set_xlabel("grip of the hand [N]", fontsize=LABEL_PT)
+        percent_axis(axes)
+    panels[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
+    shades = zip(blind_N, colours(len(blind_N)), strict=True)
+    handles = [Line2D([], [], color=c, linewidth=1.2, label=f"blind, made for {F:g} N") for F, c in shades]
+    handles.append(Line2D([], [], color=SEED, linewidth=1.6, label="made for the grip there is"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=2, fontsize=SMALL_PT, frameon=False)
+    return figure
+
+
+def mismatch_sentence(found: Sequence[Played], blind_N: float = 3.0) -> str:
+    """The finding."""
+    blind = [p for p in found if p.made_for_N == blind_N]
+    worst = max(blind, key=lambda p: p.nrmse)
+    near = [
+        p
+        for p in found
+        if abs(p.made_for_N - p.played_at_N)
+        == min(abs(q.made_for_N - q.played_at_N) for q in found if q.made_for_N != q.played_at_N)
+    ]
+    return (
+        f"A library for {blind_N:g} N alone errs by up to {100 * worst.nrmse:.0f} % at {worst.played_at_N:g} N "
+        f"({worst.speed_m_s:g} m/s), where the optimum for that grip errs by "
+        f"{100 * (worst.nrmse - worst.excess):.1f} %; a grip misread by "
+        f"{abs(near[0].made_for_N - near[0].played_at_N):g} N costs up to "
+        f"{100 * max(p.excess for p in near):.1f} percentage points."
+    )

@@ -1,0 +1,64 @@
+"""Optima at any speed and grip of a scene, for studies of what a library is worth off its nodes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from transopt.design.refine_grid import Errors
+from transopt.recordings.reference import build_references
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings
+from transopt.solvers.options import SolverOptions
+from transopt.study.rows import OPTIMAL
+
+
+def errors_of(scene: Scene) -> Errors:
+    """Optima, blends and replays at any speed and grip of a scene with simulated recordings."""
+    recorded = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    return Errors(scene, recorded, SolverOptions())
+
+
+@dataclass(frozen=True)
+class Proven:
+    """One optimum that a study stands on, and what its certificate says.
+
+    Attributes
+    ----------
+    device : name of the device it was solved for.
+    status : name of a `Status`.
+    relative_gap, relative_bound : duality gap and global bound over max(J, 1e-3).
+    violation_A, violation_V, violation_K : by how much the command exceeds a limit at most.
+    """
+
+    device: str
+    speed_m_s: float
+    grip_N: float
+    status: str
+    relative_gap: float
+    relative_bound: float
+    violation_A: float
+    violation_V: float
+    violation_K: float
+
+
+def proven(device: str, errors: Errors) -> list[Proven]:
+    """Every optimum that was solved so far."""
+    return [
+        Proven(
+            device,
+            *point,
+            status.name,
+            proof.relative_gap,
+            proof.relative_bound,
+            proof.violation("A"),
+            proof.violation("V"),
+            proof.violation("K"),
+        )
+        for point, (status, proof) in sorted(errors.proofs.items())
+    ]
+
+
+def proven_sentence(optima: Sequence[Proven]) -> str:
+    """How many there are, how many are certified, and how well."""
+    certified = [one for one in optima if one.status == OPTIMAL]
+    worst = max((one.relative_gap for one in certified), default=float("nan"))
+    return f"{len(certified)} of {len(optima)} optima certified (rows.csv), worst gap {worst:.0e}"

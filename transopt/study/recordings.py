@@ -1,0 +1,64 @@
+"""The recordings that the points of a study follow."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.recordings.recording import Recording
+from transopt.recordings.tap import read_recordings
+from transopt.scene.keys import Changes, with_values
+from transopt.scene.scene import Scene
+from transopt.scene.strikes import recordings as simulated_recordings
+from transopt.study.axes import Axis
+
+MARGIN_S = 5e-3  # the recordings of a simulated scene outlast its horizon by twice this
+
+
+class StudyRecordings:
+    """The recordings of a study: those of its scene, whatever device is varied.
+
+    Simulated recordings are taken with the scene's own device, and long enough for the longest horizon of any point:
+    all points are to follow the same taps, or their errors could not be compared. Only where keys of `recordings`
+    are themselves varied are they simulated or read again.
+    """
+
+    def __init__(self, scene: Scene, axes: Sequence[Axis]) -> None:
+        self._scene = scene
+        # What was asked for last: its changes as text, the recordings, their digest.
+        self._last: tuple[str, tuple[Recording, ...], str] = ("", (), "")
+        longest: dict[str, float] = {"time.dt_s": scene.time.dt_s, "time.stages": scene.time.stages}
+        amplifier = scene.amplifier_model()
+        longest["amplifier.delay_s"] = 0.0 if amplifier is None else amplifier.delay_s
+        for axis in axes:
+            if axis.key in longest:
+                longest[axis.key] = max(map(float, axis.values))
+        end_s = longest["time.dt_s"] * longest["time.stages"] + longest["amplifier.delay_s"]
+        self._longer_s = end_s - scene.time.dt_s * scene.time.stages
+
+    def of(self, changes: Changes) -> tuple[tuple[Recording, ...], str]:
+        """The recordings for a point of the plan, and their SHA-256, by which they are told from all others."""
+        own = {key: value for key, value in changes.items() if key.startswith("recordings.")}
+        if repr(own) == self._last[0]:
+            return self._last[1], self._last[2]
+        taken = tuple(self._take(own))
+        digest = hashlib.sha256()
+        for one in taken:
+            digest.update(f"{one.name} {one.speed_m_s} {one.grip_N} {one.acceleration.dt_s}".encode())
+            digest.update(np.ascontiguousarray(one.acceleration.values).tobytes())
+        self._last = (repr(own), taken, digest.hexdigest())
+        return taken, digest.hexdigest()
+
+    def _take(self, own: Changes) -> list[Recording]:
+        try:
+            scene = with_values(self._scene, own)
+        except InputError:
+            scene = self._scene  # the point is refused for its value when it is solved
+        if scene.recordings.simulated is None:
+            return read_recordings(scene.recordings)
+        if self._longer_s > MARGIN_S:
+            stages = scene.time.stages + math.ceil(self._longer_s / scene.time.dt_s)
+            scene = with_values(scene, {"time.stages": stages})
+        return simulated_recordings(scene)

@@ -1,0 +1,156 @@
+"""Named studies of one key: what each varies, its figure, and its finding in words from the rows themselves."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from transopt.base.plotting import LABEL_PT, SMALL_PT, colours, style
+from transopt.base.writing import percent
+from transopt.problem.answer import AT_FLOOR
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.study.axes import parse_axis
+from transopt.study.figures import curves, entry_grid, percent_axis
+from transopt.study.plan import Plan
+from transopt.study.rows import Row
+
+
+@dataclass(frozen=True)
+class Swept:
+    """A named study of one key.
+
+    Attributes
+    ----------
+    axis : the key and its values, as `parse_axis` takes them.
+    speeds_m_s, grips_N : the entries solved at every value.
+    figure : drawn from plan and rows.
+    finding : one or two sentences from plan and rows.
+    changes : keys of the scene that are set for all values.
+    """
+
+    axis: str
+    speeds_m_s: tuple[float, ...]
+    grips_N: tuple[float, ...]
+    figure: Callable[[Plan, Sequence[Row]], Figure]
+    finding: Callable[[Plan, Sequence[Row]], str]
+    changes: tuple[tuple[str, Any], ...] = ()
+
+    def plan(self, scene: Scene) -> Plan:
+        changed = with_values(scene, dict(self.changes)) if self.changes else scene
+        return Plan(changed, (parse_axis(changed, "--study", self.axis),), self.speeds_m_s, self.grips_N)
+
+
+def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
+    error, floor, needed = (entry_grid(plan, rows, name) for name in ("nrmse", "floor", "free_peak_A"))
+    limits = plan.axes[0].values
+    cut = int(np.sum(needed[0] > limits[0]))
+    free = [A for A, e, f in zip(limits, error, floor, strict=True) if np.all(e <= f + AT_FLOOR)]
+    clear = (
+        f"from {free[0]:.2f} A on all are at their floor" if free else f"even {limits[-1]:g} A is not enough for all"
+    )
+    moderate = [A for A, e in zip(limits, error, strict=True) if np.all(e <= 0.2)]
+    fair = f"; the 20 % threshold of amplitude is kept by all from {moderate[0]:.2f} A on" if moderate else ""
+    return (
+        f"At {limits[0]:g} A the limit cuts {cut} of {needed[0].size} taps, and the best that is left errs by "
+        f"{percent(float(error[0].min()))} to {percent(float(error[0].max()))} %{fair}; {clear}."
+    )
+
+
+def bandwidth_finding(plan: Plan, rows: Sequence[Row]) -> str:
+    error = entry_grid(plan, rows, "nrmse")
+    poles = plan.axes[0].values
+    worse = (error - error[-1]).max(axis=(1, 2))
+    enough = next(f for j, f in enumerate(poles) if np.all(worse[j:] <= 0.01))
+    at = np.unravel_index(int(np.nanargmax(error[0] - error[-1])), error[0].shape)
+    return (
+        f"From {enough:.0f} Hz on no entry errs by more than one percentage point above an amplifier of "
+        f"{poles[-1]:.0f} Hz: the optimum plans the lag in, and the seed's 1050 Hz costs nothing. At "
+        f"{poles[0]:.0f} Hz the command limit holds it back, most at {plan.speeds_m_s[at[0]]:g} m/s and "
+        f"{plan.grips_N[at[1]]:g} N: {percent(float(error[0][at]))} % against {percent(float(error[-1][at]))} %."
+    )
+
+
+def lead_finding(plan: Plan, rows: Sequence[Row]) -> str:
+    error = entry_grid(plan, rows, "nrmse")
+    leads = plan.axes[0].values
+    slow = error[:, 0].max(axis=1)
+    best = int(np.argmin(slow))
+    enough = next(j for j, e in enumerate(slow) if e <= slow[best] + AT_FLOOR)
+    return (
+        f"Without a lead the slowest taps err by {percent(float(slow[0]))} %, since no current acts before "
+        f"{1e3 * plan.scene.time_grid().delay_s:.3f} ms; from {1e3 * leads[enough]:g} ms on by "
+        f"{percent(float(slow[enough]))} %, within {100 * AT_FLOOR:g} % of the least. At the fastest and firmest the "
+        f"current limit rules: {percent(float(error[0].max()))} % without, {percent(float(error[-1].max()))} % at "
+        f"{1e3 * leads[-1]:g} ms."
+    )
+
+
+def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
+    used = entry_grid(plan, rows, "peak_current_A") / plan.scene.limits.steady_current_A
+    error = entry_grid(plan, rows, "nrmse")
+    rates = plan.axes[0].values
+    at = np.unravel_index(int(np.nanargmax(used[0] - used[-1])), used[-1].shape)
+    beta, own = used[:, at[0], at[1]], error[:, at[0], at[1]]
+    full = [f for f, b in zip(rates, beta, strict=True) if b >= np.nanmax(beta) * (1 - 1e-3)]
+    there = np.flatnonzero(np.isfinite(beta))
+    last = int(there[-1])
+    return (
+        f"At {plan.speeds_m_s[at[0]]:g} m/s and {plan.grips_N[at[1]]:g} N the coil lets the optimum use beta = "
+        f"{beta[0]:.2f} up to {full[-1]:g} taps/s and {beta[last]:.2f} at {rates[last]:g} taps/s; the error rises "
+        f"from {percent(float(own[0]))} to {percent(float(own[last]))} %."
+    )
+
+
+def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
+    """Beta that the optimum uses, and its error, over the tap rate; a line per entry."""
+    used = entry_grid(plan, rows, "peak_current_A") / plan.scene.limits.steady_current_A
+    error = 100 * entry_grid(plan, rows, "nrmse")
+    rates = plan.axes[0].values
+    figure = Figure(figsize=(7.4, 3.7), layout="constrained")
+    panels = figure.subplots(1, 2)
+    shade = colours(len(plan.grips_N))
+    for axes, values, label in zip(
+        panels, (used, error), ("greatest beta = |i| / steady current", "NRMSE [%]"), strict=True
+    ):
+        style(axes)
+        for iv, (speed, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
+            for ig, grip in enumerate(plan.grips_N):
+                name = f"{speed:g} m/s, {grip:g} N"
+                axes.plot(
+                    rates,
+                    values[:, iv, ig],
+                    color=shade[ig],
+                    linestyle=dash,
+                    linewidth=1.2,
+                    marker="o",
+                    markersize=3,
+                    label=name,
+                )
+        axes.set_xlabel("taps per second, for ever", fontsize=LABEL_PT)
+        axes.set_ylabel(label, fontsize=LABEL_PT)
+    percent_axis(panels[1])
+    panels[0].set_ylim(bottom=0)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL_PT, frameon=False)
+    return figure
+
+
+ALL_SPEEDS_M_S, ALL_GRIPS_N = (0.1, 0.2, 0.3, 0.4), (1.0, 3.0, 5.0)
+SWEPT = {
+    "current_limit": Swept("limits.current_A=1.25:6:20", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, current_finding),
+    "tap_rate": Swept(
+        "thermal.tap_rate_Hz=2:16:15",
+        (0.3, 0.4),
+        ALL_GRIPS_N,
+        rate_figure,
+        rate_finding,
+        (("limits.current_A", 6.0),),
+    ),
+    "amplifier_bandwidth": Swept(
+        "amplifier.pole_Hz=100:10000:13:log", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, bandwidth_finding
+    ),
+    "lead": Swept("time.lead_s=0:0.001:11", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, lead_finding),
+}
