@@ -143,7 +143,7 @@ def _exact(matrix: FloatArray) -> np.ndarray:
 
 
 def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipliers) -> tuple[float, float]:
-    """J and gap of a problem with current and command limits only, in extended precision, as DESIGN 4 writes them."""
+    """J and gap of a problem with current and command limits only, written out in extended precision."""
     stage, N, free = problem.stage, problem.grid.stages, problem.free_stages
     A, B, C, Ci = (_exact(getattr(stage, name)) for name in ("A", "B", "C", "Ci"))
     D, Di = mpmath.mpf(stage.D[0, 0]), mpmath.mpf(stage.Di[0, 0])
