@@ -1,4 +1,4 @@
-"""The supply rail: the voltage that the motor takes may not pass it (DESIGN 3.2)."""
+"""The motor's terminal voltage, and the supply rail that it may not pass."""
 
 from dataclasses import dataclass
 
@@ -15,6 +15,8 @@ class Circuit:
 
     Attributes
     ----------
+    R_ohm : resistance of the winding.
+    L_H : its inductance.
     emf_V_s_m : k_e times the transmission's ratio: volt per m/s of the stylus tip; in SI also the force per ampere.
     """
 
@@ -32,10 +34,12 @@ class Supply:
     """|V| <= limit just before and just after each switching instant, through an amplifier of one pole.
 
     Between two instants R i + L di/dt goes monotonically from the value after the one to the value before the next.
+    The voltage is therefore checked at both sides of each instant and nowhere between.
 
     Attributes
     ----------
     limit_V : > 0.
+    circuit : the motor's.
     pole_rad_s : w of di/dt = w (c - i).
     nominal_m_s : (N,) velocity of the nominal motion at tau_k; the back-EMF follows dz/dt, not dy/dt.
     """
