@@ -5,10 +5,9 @@ problem. "The seed" in these files is Fiene, Kuchenbecker, Niemeyer 2006, "Event
 Compensation".
 
 Frame and signs, here and everywhere above: z is the stylus position along the surface normal, positive out of the
-object, with the surface at z = 0. Contact is at t = 0, with dz/dt = -v for an incoming speed v > 0. A positive current
-pushes outwards, and a positive acceleration decelerates the incoming stylus.
+object, with the surface at z = 0. Contact is at t = 0, with dz/dt = -v for an incoming speed v > 0. A positive
+current pushes outwards, and a positive acceleration decelerates the incoming stylus.
 
-The nominal motion z_nom is the motion of the user's hand alone. It starts at contact with z_nom = 0 and
-dz_nom/dt = -v. The models describe the deviation y = z - z_nom that the current adds: it starts at rest, so the models
-start from the state zero.
+The nominal motion z_nom is the motion of the user's hand alone, with z_nom = 0 and dz_nom/dt = -v at contact. The
+models describe the deviation y = z - z_nom that the current adds. It starts at rest, and so do the models.
 """

@@ -1,7 +1,7 @@
 """Spring-mass-damper chains from motor current to stylus acceleration.
 
-Every model of a device is such a chain, assembled by `chain`: the hand as one mass (`second_order`, seed Fig. 4a), the
-stylus before a hand (`fourth_order`, seed Fig. 4b), and a motor that drives the stylus through a transmission
+Every model of a device is such a chain, assembled by `chain`: the hand as one mass (`second_order`, seed Fig. 4a),
+the stylus before a hand (`fourth_order`, seed Fig. 4b), and a motor that drives the stylus through a transmission
 (`drive`). All masses are positive, all stiffnesses and dampings at least zero, so that a chain is passive.
 """
 
