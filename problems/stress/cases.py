@@ -37,7 +37,9 @@ class Device:
     """Attributes
     ----------
     kind : "drive", "second_order", or "defective": a stylus on a link so damped that both poles are one.
-    grip_N : 0 is free. moving_kg, stylus_kg : masses. mode_Hz, damping_ratio : of the transmission.
+    grip_N : 0 is free.
+    moving_kg, stylus_kg : masses.
+    mode_Hz, damping_ratio : of the transmission.
     units : the states are stated in units of 1, u, u^2, 1, u, ... of SI.
     """
 
@@ -83,8 +85,12 @@ class Device:
 class Current:
     """Attributes
     ----------
-    limit_A : of the current. command : the amplifier's range, times that limit. pole_Hz : None is ideal.
-    delay_samples : of the amplifier. slew : per tick, times the limit. supply : times R times the limit.
+    limit_A : of the current.
+    command : the amplifier's range, times that limit.
+    pole_Hz : None is ideal.
+    delay_samples : of the amplifier.
+    slew : per tick, times the limit.
+    supply : times R times the limit.
     """
 
     limit_A: float = 4.0
@@ -108,7 +114,8 @@ class Demand:
     """Attributes
     ----------
     kind : "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
-    speed_m_s : incoming; 0 asks for nothing. weights : "one", "late", "sparse", "none" or "tiny".
+    speed_m_s : incoming; 0 asks for nothing.
+    weights : "one", "late", "sparse", "none" or "tiny".
     """
 
     kind: str = "tap"
@@ -155,7 +162,8 @@ class Demand:
 class Coil:
     """Attributes
     ----------
-    tau_w_s, tau_h_s : time constants. below_K : the start below the limit, negative above it.
+    tau_w_s, tau_h_s : time constants.
+    below_K : the start below the limit, negative above it.
     warming : what the limit current held for the horizon would add to the winding, times `below_K`, at least 1 mK.
     tap_share : of the time that taps take when they repeat for ever; None for a single tap.
     """

@@ -39,8 +39,10 @@ class Outcome:
 
     Attributes
     ----------
-    kind : `CERTIFIED`, "refused: ..." by its name, or "bad: ...". detail : the message or the shortfall.
-    gap : bound on J - optimum over max(J, 1e-3). difference : of the replayed to the predicted acceleration, of the
+    kind : `CERTIFIED`, "refused: ..." by its name, or "bad: ...".
+    detail : the message or the shortfall.
+    gap : bound on J - optimum over max(J, 1e-3).
+    difference : of the replayed to the predicted acceleration, of the
         peak. Both NaN unless certified.
     """
 

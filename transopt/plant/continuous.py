@@ -247,7 +247,8 @@ def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: 
 
     Parameters
     ----------
-    by_command : (n, w). issued_A : (M, at least periods + w - 1).
+    by_command : (n, w).
+    issued_A : (M, at least periods + w - 1).
     """
     (n, w), M = by_command.shape, issued_A.shape[0]
     powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows

@@ -34,7 +34,8 @@ class Fitted(Part):
 
     Attributes
     ----------
-    intervals : name -> (lower, upper), 95 %. parameters : dotted names of the values that were fitted.
+    intervals : name -> (lower, upper), 95 %.
+    parameters : dotted names of the values that were fitted.
     covariance : (p, p) of `parameters`, in their order, raw SI units.
     """
 

@@ -51,9 +51,14 @@ class Key:
 
     Attributes
     ----------
-    path : dotted. unit : from the ending of the name, empty without one.
-    default : of the model, None for none; `required` if it has no default. value : in this scene, None if not stated.
-    bounds : in words. choices : the words it takes. number : whether it takes numbers. integer : only whole ones.
+    path : dotted.
+    unit : from the ending of the name, empty without one.
+    default : of the model, None for none; `required` if it has no default.
+    value : in this scene, None if not stated.
+    bounds : in words.
+    choices : the words it takes.
+    number : whether it takes numbers.
+    integer : only whole ones.
     optional : whether it may be left out.
     description : of the table it stands in.
     """

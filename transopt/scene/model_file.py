@@ -111,7 +111,8 @@ class DriveDevice(Fitted):
     ----------
     force_per_current_N_A : known, not fitted: the response does not change if it and all masses, stiffnesses and
         dampings are scaled alike.
-    grips_N : recorded, 0 for the free device. nrmse : grip -> held-out NRMSE on trials outside the fit.
+    grips_N : recorded, 0 for the free device.
+    nrmse : grip -> held-out NRMSE on trials outside the fit.
     """
 
     kind: Literal["drive"]

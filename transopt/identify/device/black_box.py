@@ -45,8 +45,10 @@ class BlackBox:
 
     Attributes
     ----------
-    grips_N : increasing. plants : one per grip, of one order; the encoder's row is zero, nothing tells of it.
-    scatter : (grips,) mean square of the residuals. criterion : Bayesian information criterion of all grips.
+    grips_N : increasing.
+    plants : one per grip, of one order; the encoder's row is zero, since its signal was not fitted.
+    scatter : (grips,) mean square of the residuals.
+    criterion : Bayesian information criterion of all grips.
     """
 
     grips_N: tuple[float, ...]

@@ -1,4 +1,8 @@
-"""The drive chain as numbers: nine parameters at a grip, four for the free device, and their slopes (DESIGN 3.1)."""
+"""The drive chain as numbers: nine parameters at a grip, four for the free device, and their derivatives.
+
+The chain is that of `transopt.plant.chain.drive`: motor mass, transmission, stylus, and the seed's Fig. 4b for the
+hand.
+"""
 
 from dataclasses import dataclass
 
@@ -26,7 +30,8 @@ class DriveChain:
     Attributes
     ----------
     force_per_current_N_A : known, not identified: with it all masses, stiffnesses and dampings scale alike.
-    shared : (4,) values of `SHARED`. hand : (5, 2) constant and per newton of `HAND`; (0, 2) without any.
+    shared : (4,) values of `SHARED`.
+    hand : (5, 2) constant and per newton of `HAND`; (0, 2) without any.
     """
 
     force_per_current_N_A: float

@@ -26,7 +26,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify.hand.chain import NAMES, OF_HAND, _simulate, fit_chain
 from transopt.identify.hand.lines import COEFFICIENTS, LEAST_TRIALS, HandFit, fit_hand, grip_groups
-from transopt.identify.hand.tap import Tap, cut_tap, fit_tap, onset, tap_of, usable_taps
+from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement, load_measurement
 from transopt.plant.chain import Link, chain
 from transopt.scene.strikes import strike
@@ -34,7 +34,7 @@ from transopt.scene.strikes import strike
 DT_S = 1e-4
 
 
-def cut(trials: Trials) -> list[Tap]:
+def cut(trials: Trials) -> list[HandTap]:
     return [
         cut_tap(
             f"trial {j}",
@@ -54,12 +54,12 @@ def trials() -> Trials:
 
 
 @pytest.fixture(scope="module")
-def cut_taps(trials: Trials) -> list[Tap]:
+def cut_taps(trials: Trials) -> list[HandTap]:
     return cut(trials)
 
 
 @pytest.fixture(scope="module")
-def hand(cut_taps: list[Tap]) -> HandFit:
+def hand(cut_taps: list[HandTap]) -> HandFit:
     return fit_hand(cut_taps)
 
 
@@ -137,7 +137,7 @@ def test_a_quiet_tap_shows_its_hand() -> None:
         assert fit.unexplained < 1e-3
 
 
-def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cut_taps: list[Tap]) -> None:
+def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cut_taps: list[HandTap]) -> None:
     """Without the accelerometer's own pole on the force the fit is biased: the reason for the pole."""
     with_pole = [fit_tap(tap) for tap in cut_taps]
     without = [fit_tap(tap) for tap in cut(replace(trials, accelerometer_Hz=1e9))]
@@ -209,13 +209,13 @@ def test_intervals_cover_the_truth(scripts: Any) -> None:
     assert [row[0] for row in rows] == list(COEFFICIENTS)
 
 
-def test_a_bent_dependence_is_no_line(cut_taps: list[Tap]) -> None:
+def test_a_bent_dependence_is_no_line(cut_taps: list[HandTap]) -> None:
     bent = [replace(tap, force_N=tap.force_N * (1 + 0.01 * (tap.grip_N - 5.5) ** 2)) for tap in cut_taps]
     told = fit_hand(bent).shortfalls()
     assert any("mass_kg is no line over grip" in text and "record more taps around" in text for text in told)
 
 
-def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[Tap]) -> None:
+def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[HandTap]) -> None:
     random = np.random.default_rng(1)
     loud = [
         replace(tap, force_N=tap.force_N + random.normal(0, 0.4) * tap.displacement_m * 500)
@@ -224,7 +224,7 @@ def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[Tap]) -> None:
     assert any("known to" in text and "times as many taps" in text for text in fit_hand(loud).shortfalls())
 
 
-def test_too_few_trials_or_grips_are_refused(cut_taps: list[Tap]) -> None:
+def test_too_few_trials_or_grips_are_refused(cut_taps: list[HandTap]) -> None:
     with pytest.raises(InputError, match=r"5 taps: at least 12 are needed"):
         fit_hand(cut_taps[:5])
     with pytest.raises(InputError, match=r"only 2 different grips \(1, 10 N\): at least 3"):
@@ -232,7 +232,7 @@ def test_too_few_trials_or_grips_are_refused(cut_taps: list[Tap]) -> None:
 
 
 @pytest.mark.parametrize(("factor", "remedy"), [(1 / STANDARD_GRAVITY_M_S2, "kgf"), (STANDARD_GRAVITY_M_S2, "twice")])
-def test_forces_off_by_gravity_are_named(cut_taps: list[Tap], factor: float, remedy: str) -> None:
+def test_forces_off_by_gravity_are_named(cut_taps: list[HandTap], factor: float, remedy: str) -> None:
     with pytest.raises(InputError, match=rf"the taps show a mass of .*{remedy}.*[Uu]nits of force"):
         fit_hand([replace(tap, force_N=factor * tap.force_N) for tap in cut_taps])
 
@@ -276,7 +276,7 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     assert inside.sum() >= len(NAMES) - 2
 
 
-def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[Tap], hand: HandFit) -> None:
+def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[HandTap], hand: HandFit) -> None:
     fit = fit_chain(cut_taps[::4], fit_hand(cut_taps[::4]), starts=1)
     assert "hand.skin_stiffness_N_m" in fit.undetermined
     assert "not determined by these taps" in fit.word()
