@@ -20,8 +20,8 @@ from transopt.library.library import MULTIPLIER_FIELDS, PLANT, SCHEMA, Library, 
 from transopt.problem.problem import Status
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
-from transopt.scene.identified import Identified
-from transopt.scene.model_file import PARTS
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -227,10 +227,10 @@ def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
 
 def _model_sources(scene: Scene) -> list[dict[str, Any]]:
     """The model file, and what its parts were fitted to; nothing for a model that the scene states itself."""
-    if not isinstance(scene.model, Identified):
+    if not isinstance(scene.model, IdentifiedModel):
         return []
     own = {"file": scene.model.file, "origin": "model file", "sha256": scene.model.sha256}
-    parts = {name: getattr(scene.model, name) for name in PARTS}
+    parts = {name: getattr(scene.model, name) for name in MODEL_PARTS}
     return [
         own,
         *(

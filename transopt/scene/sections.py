@@ -1,4 +1,7 @@
-"""Tables of a scene file: keys, types, bounds (DESIGN 3, 5, 8)."""
+"""Tables of a scene file: keys, types, bounds.
+
+The first paragraph of a table's docstring is shown to users beside its keys.
+"""
 
 import itertools
 from typing import Annotated, Literal, Self

@@ -26,7 +26,7 @@ from transopt.identify.device.validation import Model, Transient, called, compar
 from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
-from transopt.scene.model_file import DriveDevice, StateSpaceDevice
+from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
 PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
