@@ -159,7 +159,7 @@ def taps(
     """Taps from contact on, one per hand, free of sensors.
 
     The hand goes on meaning to move at the incoming speed, so that the stylus' deviation from that motion obeys the
-    zero-state model (DESIGN 2).
+    model, which starts from rest.
 
     Parameters
     ----------
