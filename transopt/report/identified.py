@@ -41,6 +41,7 @@ def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
 
 
 def _value_rows(name: str, part: FittedPart) -> list[str]:
+    """Rows of a Markdown table: parameter, value, interval, deviation."""
     rows = []
     for j, (parameter, value) in enumerate(zip(part.parameters, part.values(), strict=True)):
         interval = part.intervals.get(parameter)
@@ -50,6 +51,7 @@ def _value_rows(name: str, part: FittedPart) -> list[str]:
 
 
 def _spread_words(scene: Scene) -> list[str]:
+    """Which devices each command of a robust scene serves."""
     robust = scene.robust
     if robust is None:
         return []
@@ -87,6 +89,7 @@ def model_warning(build: Build) -> str:
 
 
 def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
+    """A note on grips that the scene plays outside the recorded ones."""
     recorded = [grip for grip in model.moving.grips_N if grip > 0]
     beyond = [f"{grip:g}" for grip in scene.grid.grips_N if grip > 0 and not recorded[0] <= grip <= recorded[-1]]
     if not beyond:
@@ -128,7 +131,7 @@ def identified_lines(build: Build) -> list[str]:
 
 
 def identified_rows(build: Build) -> dict[str, Any] | None:
-    """The same for report.json."""
+    """What `identified_lines` says, for report.json; None for a model that the scene states itself."""
     model = build.scene.model
     if not isinstance(model, IdentifiedModel):
         return None
@@ -150,5 +153,6 @@ def identified_rows(build: Build) -> dict[str, Any] | None:
 
 
 def _values(part: FittedPart) -> dict[str, Any]:
+    """Values and intervals by name of the parameter."""
     values: Sequence[float] = part.values().tolist()
     return {"values": dict(zip(part.parameters, values, strict=True)), "intervals": part.intervals}

@@ -1,4 +1,4 @@
-"""Looking at recordings before anything is solved: `transopt taps`."""
+"""A look at recordings before anything is solved, for `transopt taps`: a table, and lines for a scene file."""
 
 import json
 import os
