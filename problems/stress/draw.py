@@ -20,19 +20,24 @@ class _Draw:
         self._random = np.random.default_rng([seed, index])
 
     def perhaps(self, probability: float) -> bool:
+        """True with this probability."""
         return bool(self._random.random() < probability)
 
     def log(self, low: float, high: float) -> float:
+        """Log-uniform between the two."""
         return float(np.exp(self._random.uniform(np.log(low), np.log(high))))
 
     def of(self, *choices: T) -> T:
+        """One of the choices, each as likely."""
         return choices[int(self._random.integers(len(choices)))]
 
     def weighted(self, choices: Sequence[tuple[int, float]]) -> int:
+        """One of the values, by its share."""
         values, shares = zip(*choices, strict=True)
         return int(self._random.choice(values, p=shares))
 
     def seed(self) -> int:
+        """A seed for a generator of its own."""
         return int(self._random.integers(2**31))
 
 

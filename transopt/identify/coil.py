@@ -275,6 +275,7 @@ class _Steps:
 
     @classmethod
     def of(cls, record: HeatRecord) -> "_Steps":
+        """The steps of a record."""
         heat = record.heating_A2[:-1]
         threshold = _CHANGE * heat.max()
         first, changed, level = [0], 0, heat[0]
@@ -314,6 +315,7 @@ class _Misfit:
         )
 
     def coil(self, theta: FloatArray) -> CoilModel:
+        """The model of theta, its limit left open."""
         R_wh, R_ha, tau_w, tau_h = np.exp(theta[:4]).tolist()
         ambient, winding, housing = self._temperatures(theta)
         return CoilModel(
@@ -344,6 +346,7 @@ class _Misfit:
         return np.concatenate(parts)
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
+        """Derivatives of the residuals by theta, by forward differences."""
         centre = self(theta)
         columns = []
         for j in range(theta.size):

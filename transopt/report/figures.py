@@ -78,10 +78,12 @@ class _TimeAxis:
     factor: float
 
     def forward(self, t_ms: FloatArray) -> FloatArray:
+        """Place on the axis of times [ms]."""
         late = np.asarray(t_ms) - self.knee_ms
         return self.knee_ms + np.where(late > 0, late / self.factor, late)
 
     def inverse(self, x: FloatArray) -> FloatArray:
+        """Times [ms] of places on the axis."""
         late = np.asarray(x) - self.knee_ms
         return self.knee_ms + np.where(late > 0, late * self.factor, late)
 
@@ -93,6 +95,7 @@ class _TimeAxis:
 
     @property
     def ticks_ms(self) -> FloatArray:
+        """Round times before and after the knee."""
         left, right = self.limits_ms
         early, late = _ticks(5, 0.0, self.knee_ms), _ticks(2, self.knee_ms, right)
         after_knee = self.knee_ms + 0.12 * self.knee_ms * self.factor  # leaves room for the label at the knee

@@ -42,6 +42,7 @@ class ChainHand(Section):
     arm_damping_N_s_m: LinearParameter
 
     def hand(self) -> chain.Hand:
+        """The hand of `transopt.plant.chain`."""
         return chain.Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
 
 
@@ -157,6 +158,7 @@ class DriveDevice(FittedPart):
         )
 
     def error_at(self, grip_N: float) -> float:
+        """Held-out NRMSE at a grip, NaN without validation."""
         return _error_at(self.nrmse, grip_N)
 
 
@@ -226,6 +228,7 @@ class StateSpaceDevice(ModelPart):
         return chain.blended(self.node(first + j), self.node(first + j + 1), share)
 
     def error_at(self, grip_N: float) -> float:
+        """Held-out NRMSE at a grip, NaN without validation."""
         return _error_at(self.nrmse, grip_N)
 
 

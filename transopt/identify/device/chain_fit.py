@@ -131,6 +131,7 @@ class _Residuals:
 
     @property
     def points(self) -> NDArray[np.int_]:
+        """(grips,) number of residuals."""
         return np.array([2 * response.size for _, _, response, _ in self._data])
 
     def _evaluate(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -146,9 +147,11 @@ class _Residuals:
         return self._last
 
     def value(self, unknowns: FloatArray) -> FloatArray:
+        """Residuals of all grips."""
         return self._evaluate(unknowns)[0]
 
     def jacobian(self, unknowns: FloatArray) -> FloatArray:
+        """Their derivatives by the unknowns."""
         return self._evaluate(unknowns)[1]
 
     def minimise(self, start: FloatArray, free: NDArray[np.bool_], most: int) -> tuple[FloatArray, float]:

@@ -125,6 +125,7 @@ def verdict(recorded: Mapping[float, float], between: Mapping[float, float]) -> 
 
 
 def called(grip_N: float) -> str:
+    """How messages call a grip."""
     return "free device" if grip_N == 0 else f"{grip_N:.3g} N"
 
 

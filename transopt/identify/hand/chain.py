@@ -111,6 +111,7 @@ class _Session:
 
     @classmethod
     def of(cls, taps: Sequence[HandTap], ends_N: tuple[float, float]) -> "_Session":
+        """The taps of a session, with lines stated at both `ends_N`."""
         n = max(tap.force_N.size for tap in taps)
         force, acceleration, weight = (np.zeros((len(taps), n)) for _ in range(3))
         for j, tap in enumerate(taps):

@@ -145,14 +145,14 @@ def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cu
     assert bias > 1.08
 
 
-@pytest.mark.parametrize(("by", "told"), [(1, "later"), (-1, "earlier")])
-def test_a_force_that_is_read_a_sample_apart_is_told(trials: Trials, hand: HandFit, by: int, told: str) -> None:
+@pytest.mark.parametrize(("by", "word"), [(1, "later"), (-1, "earlier")])
+def test_a_force_that_is_read_a_sample_apart_is_reported(trials: Trials, hand: HandFit, by: int, word: str) -> None:
     """It takes half of the spring's constant away, or adds as much, and is no hand."""
     assert not any("read about a sample" in text for text in hand.shortfalls())
     force = np.roll(trials.force_N, by, axis=1)
     force[:, [0, -1]] = trials.force_N[:, [0, -1]]
     apart = fit_hand(cut(replace(trials, force_N=force)), resamples=200)
-    assert any(f"the force is read about a sample {told} than" in text for text in apart.shortfalls())
+    assert any(f"the force is read about a sample {word} than" in text for text in apart.shortfalls())
 
 
 def test_a_bandwidth_that_is_not_stated_is_seen(trials: Trials) -> None:
@@ -160,8 +160,8 @@ def test_a_bandwidth_that_is_not_stated_is_seen(trials: Trials) -> None:
         cut_tap(f"{j}", trials.force_N[j], trials.acceleration_m_s2[j], 1e-4, grip_N=float(trials.grip_N[j]))
         for j in range(81)
     ]
-    told = fit_hand(taps, resamples=200).shortfalls()
-    assert any("read about a sample earlier" in text and "state accelerometer_Hz" in text for text in told)
+    shortfalls = fit_hand(taps, resamples=200).shortfalls()
+    assert any("read about a sample earlier" in text and "state accelerometer_Hz" in text for text in shortfalls)
 
 
 def test_onset_is_where_the_force_rises(trials: Trials) -> None:
@@ -211,8 +211,8 @@ def test_intervals_cover_the_truth(scripts: Any) -> None:
 
 def test_a_bent_dependence_is_no_line(cut_taps: list[HandTap]) -> None:
     bent = [replace(tap, force_N=tap.force_N * (1 + 0.01 * (tap.grip_N - 5.5) ** 2)) for tap in cut_taps]
-    told = fit_hand(bent).shortfalls()
-    assert any("mass_kg is no line over grip" in text and "record more taps around" in text for text in told)
+    shortfalls = fit_hand(bent).shortfalls()
+    assert any("mass_kg is no line over grip" in text and "record more taps around" in text for text in shortfalls)
 
 
 def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[HandTap]) -> None:
@@ -258,9 +258,9 @@ def test_simulation_of_the_chain_against_scipy() -> None:
 def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     found = cut(tapping_trials(1, hand="fourth_order", spread=Spread(0, 0, 0)))[::3]
     second = fit_hand(found)
-    told = second.shortfalls()
-    assert len(told) == 1
-    assert "see the fourth order" in told[0]
+    shortfalls = second.shortfalls()
+    assert len(shortfalls) == 1
+    assert "see the fourth order" in shortfalls[0]
     fit = fit_chain(found, second, starts=3)
     assert fit.stylus_mass_kg == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.01)
     for name, tolerance in zip(OF_HAND, (0.02, 0.02, 0.02, 0.1, 0.03), strict=True):
