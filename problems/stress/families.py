@@ -23,12 +23,12 @@ def _devices() -> Iterator[StressCase]:
         yield StressCase("defective", DrawnDevice("defective", mode_Hz=mode))
     yield StressCase("defective", DrawnDevice("defective", mode_Hz=0.0))
     # 80 and 40 time constants in one tick: at the switching instants link and current cancel, down to rounding.
-    slow = Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999)
+    late = Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999)
     light = DrawnDevice("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3)
-    yield StressCase("defective", light, slow, Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4))
+    yield StressCase("defective", light, late, Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4))
     heavy = DrawnDevice("defective", stylus_kg=3.1e-3, mode_Hz=13.8e3, units=1e3)
     coarse = Horizon(dt_s=4.4e-4, lead_s=5e-3, hand_over=1)
-    yield StressCase("defective", heavy, replace(slow, delay_samples=1.0), coarse, Demand(rho=1e-12))
+    yield StressCase("defective", heavy, replace(late, delay_samples=1.0), coarse, Demand(rho=1e-12))
     for units in (1e-6, 1e-3, 1e3, 1e6):
         yield StressCase("units", DrawnDevice(units=units), Current(limit_A=1.0))
     yield StressCase("input", DrawnDevice(stylus_kg=0.0))
