@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from transopt.base import plotting
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
@@ -23,7 +23,7 @@ from transopt.plant.chain import StateSpace
 from transopt.problem.problem import AMPLITUDE_THRESHOLD, Status
 from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
-if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file does not need
+if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.design.build import Build
     from transopt.design.entry import Entry
     from transopt.recordings.tap import PreparedTap
@@ -48,8 +48,17 @@ def _colours(n: int) -> FloatArray:
     return np.asarray(colormaps["viridis"](np.linspace(*VIRIDIS_RANGE, n) if n > 1 else [0.35]))
 
 
+def _style(axes: Axes) -> None:
+    axes.tick_params(labelsize=SMALL_PT)
+    axes.grid(color="0.9", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def _plain(value: float, _: object = None) -> str:
+    return f"{value:g}"
+
+
 def _grip(grip_N: float) -> str:
-    """How a label calls a grip."""
     return "free device" if grip_N == 0 else f"grip {grip_N:g} N"
 
 
@@ -78,12 +87,10 @@ class _TimeAxis:
     factor: float
 
     def forward(self, t_ms: FloatArray) -> FloatArray:
-        """Place on the axis of times [ms]."""
         late = np.asarray(t_ms) - self.knee_ms
         return self.knee_ms + np.where(late > 0, late / self.factor, late)
 
     def inverse(self, x: FloatArray) -> FloatArray:
-        """Times [ms] of places on the axis."""
         late = np.asarray(x) - self.knee_ms
         return self.knee_ms + np.where(late > 0, late * self.factor, late)
 
@@ -95,7 +102,6 @@ class _TimeAxis:
 
     @property
     def ticks_ms(self) -> FloatArray:
-        """Round times before and after the knee."""
         left, right = self.limits_ms
         early, late = _ticks(5, 0.0, self.knee_ms), _ticks(2, self.knee_ms, right)
         after_knee = self.knee_ms + 0.12 * self.knee_ms * self.factor  # leaves room for the label at the knee
@@ -169,7 +175,7 @@ def library_figure(library: Library) -> Figure:
         spans = _binding_spans_ms(library, ig)
         binds = binds or bool(spans)
         for axes in (above, below):
-            plotting.style(axes)
+            _style(axes)
             axes.axhline(0.0, color="0.6", linewidth=0.6)
             if axis.factor > 1:
                 axes.axvline(axis.knee_ms, color="0.6", linewidth=0.8)
@@ -192,7 +198,7 @@ def library_figure(library: Library) -> Figure:
         above.set_title(_grip(grips[ig]), fontsize=LABEL_PT)
     rows[0, 0].set_xscale("function", functions=(axis.forward, axis.inverse))
     rows[0, 0].set_xlim(*axis.limits_ms)
-    rows[0, 0].set_xticks(axis.ticks_ms, [plotting.plain(tick) for tick in axis.ticks_ms])
+    rows[0, 0].set_xticks(axis.ticks_ms, [_plain(tick) for tick in axis.ticks_ms])
     for axes in rows[:, 0]:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
     rows[0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
@@ -227,7 +233,6 @@ class _Method:
 
 
 def _methods(build: "Build") -> list[_Method]:
-    """The series of `method_figure`, with the build's own limits in their labels."""
     limits = build.scene.limits
     high, low = f"{build.scene.current_limits().current_A:g} A", f"{limits.steady_current_A:g} A"
     # A rival that heeds neither rail nor coil may lie below the optimum, which does.
@@ -252,7 +257,6 @@ def _methods(build: "Build") -> list[_Method]:
 
 
 def _entry_label(entry: "Entry", separator: str) -> str:
-    """Speed and grip of an entry."""
     refused = [] if entry.status is Status.OPTIMAL else ["refused"]
     return separator.join([f"{entry.speed_m_s:g} m/s", f"{entry.grip_N:g} N", *refused])
 
@@ -273,7 +277,7 @@ def method_figure(build: "Build") -> Figure:
     crowded = len(entries) > 20
     figure = Figure(figsize=(float(np.clip(1.5 + 0.48 * len(entries), 5.0, 16.0)), 4.6), layout="constrained")
     axes = figure.subplots()
-    plotting.style(axes)
+    _style(axes)
     axes.grid(visible=False, axis="x")
     positions = np.arange(len(entries))
     first = 0
@@ -293,7 +297,7 @@ def method_figure(build: "Build") -> Figure:
     axes.set_yscale("log")
     axes.set_ylim(bottom, top)
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if top < 1e4 * bottom else (1.0,)))
-    axes.yaxis.set_major_formatter(FuncFormatter(plotting.plain))
+    axes.yaxis.set_major_formatter(FuncFormatter(_plain))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylabel("NRMSE after replay [%]", fontsize=LABEL_PT)
     axes.set_xlim(-0.5, len(entries) - 0.5)
@@ -337,18 +341,18 @@ def bode_figure(library: Library) -> Figure:
         magnitude.plot(frequencies, np.abs(response) / STANDARD_GRAVITY_M_S2, label=_grip(grip), **style)
         phase.plot(frequencies, degrees, **style)
     for axes in (magnitude, phase):
-        plotting.style(axes)
+        _style(axes)
     magnitude.set_xscale("log")
     magnitude.set_yscale("log")
     for logarithmic in (magnitude.xaxis, magnitude.yaxis):  # drawing eight minor ticks a decade takes 0.1 s
         logarithmic.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         logarithmic.set_minor_formatter(NullFormatter())
-    magnitude.yaxis.set_major_formatter(FuncFormatter(plotting.plain))
+    magnitude.yaxis.set_major_formatter(FuncFormatter(_plain))
     magnitude.set_ylabel("acceleration per current [g/A]", fontsize=LABEL_PT)
     phase.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.8, 3, 4.5, 9, 10]))
     phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
     phase.set_xlim(*BODE_HZ)
-    phase.xaxis.set_major_formatter(FuncFormatter(plotting.plain))
+    phase.xaxis.set_major_formatter(FuncFormatter(_plain))
     phase.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
     _legend_above(figure, magnitude.get_lines(), entry_in=1.2)
     return figure
@@ -358,7 +362,6 @@ def bode_figure(library: Library) -> Figure:
 
 
 def _tap_label(tap: "PreparedTap") -> str:
-    """Speed and name of a tap."""
     name = tap.recording.name
     name = name if len(name) <= 30 else f"{name[:14]}…{name[-15:]}"
     return f"{name}, scaled to 1 m/s" if np.isnan(tap.speed_m_s) else f"{name}, {tap.speed_m_s:.3g} m/s"
@@ -377,7 +380,7 @@ def taps_figure(taps: Sequence["PreparedTap"]) -> Figure:
     columns = -(-len(ordered) // 30)
     figure = Figure(figsize=(4.6 + 2.6 * columns, max(3.6, 0.7 + 0.2 * len(ordered) / columns)), layout="constrained")
     axes = figure.subplots()
-    plotting.style(axes)
+    _style(axes)
     axes.axvline(0.0, color="0.4", linewidth=0.8)
     last_ms = 0.0
     for j, (tap, colour) in enumerate(zip(ordered, _colours(len(ordered)), strict=True)):
