@@ -1,4 +1,4 @@
-"""Speed against the named peers, in one run on one machine (DESIGN 10).
+"""Speed against the named peers, in one run on one machine.
 
     python scripts/benchmark.py --json FILE
 

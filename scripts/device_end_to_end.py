@@ -44,8 +44,7 @@ from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
-from transopt.recordings.importers import load_recording
-from transopt.recordings.recording import Recording
+from transopt.recordings.recording import Recording, load_recording
 from transopt.scene.strikes import recordings
 
 MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03

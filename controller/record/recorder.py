@@ -3,7 +3,7 @@
     telemetry.csv    every record, as `telemetry` writes it for the simulator; grows by blocks of complete lines
     events.csv       every event, with its tick; written as it comes
     tap_001.csv ...  acceleration, position and current around each contact in the canonical format that
-                     `transopt.recordings.importers` reads; each written whole, when its time has passed
+                     `transopt.recordings.recording` reads; each written whole, when its time has passed
 
 A contact is told by an armed device; for taps on a real object, which no device foresees, it is where the
 acceleration leaves its running mean.

@@ -16,8 +16,8 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M, LinearInGrip
 from transopt.plant.coil import CoilModel
 from transopt.recordings.settings import SimulatedTaps
-from transopt.scene.identified import Identified
-from transopt.scene.model_file import ChainHand, DriveDevice, HandPart, StateSpaceDevice
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_parts import ChainHand, DriveDevice, HandPart, StateSpaceDevice
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Drive, FourthOrder, HandSection, SecondOrder
 
@@ -130,7 +130,7 @@ def device_of(scene: Scene) -> Device:
     ------
     InputError : a black box, which has no masses to move.
     """
-    model = scene.model.moving if isinstance(scene.model, Identified) else scene.model
+    model = scene.model.moving if isinstance(scene.model, IdentifiedModel) else scene.model
     if isinstance(model, StateSpaceDevice):
         raise InputError(
             f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "

@@ -16,7 +16,12 @@ from transopt.scene.strikes import recordings
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """A recording in the canonical format: comment lines, column names, rows (DESIGN 5)."""
+    """Write a recording in the canonical format: comment lines, column names, rows.
+
+    Raises
+    ------
+    InputError : a recording without position, or a place that cannot be written.
+    """
     if recording.position is None:
         raise InputError(f"{recording.name}: no position to write")
     lines = [f"# {recording.source}", f"# speed_m_s: {recording.speed_m_s:.4f}", f"# grip_N: {recording.grip_N:g}"]

@@ -64,8 +64,11 @@ class Sensors:
 
     Attributes
     ----------
-    accelerometer_Hz : one pole. noise_g_rtHz : one-sided density (ADXL321). range_g : its end stops.
-    offset_g : static. force_N : rms noise of the force plate, white up to half the rate.
+    accelerometer_Hz : one pole.
+    noise_g_rtHz : one-sided density (ADXL321).
+    range_g : its end stops.
+    offset_g : static.
+    force_N : rms noise of the force plate, white up to half the rate.
     grip_relative, grip_N : rms error of the stated grip, drawn once per trial: a share of it, and a constant.
     """
 
@@ -84,8 +87,10 @@ class Trials:
 
     Attributes
     ----------
-    times_s : (n,). force_N, acceleration_m_s2, position_m : (T, n).
-    grip_N, speed_m_s : (T,) as stated by the session, not the truth. accelerometer_Hz : of all.
+    times_s : (n,).
+    force_N, acceleration_m_s2, position_m : (T, n).
+    grip_N, speed_m_s : (T,) as stated by the session, not the truth.
+    accelerometer_Hz : of all.
     """
 
     times_s: FloatArray
@@ -154,7 +159,7 @@ def taps(
     """Taps from contact on, one per hand, free of sensors.
 
     The hand goes on meaning to move at the incoming speed, so that the stylus' deviation from that motion obeys the
-    zero-state model (DESIGN 2).
+    model, which starts from rest.
 
     Parameters
     ----------

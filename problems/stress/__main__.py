@@ -27,7 +27,7 @@ from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.families import directed, long_cases
 from problems.stress.judge import CERTIFIED, Outcome, judge
-from transopt.base import console as terminal
+from transopt.base import console
 from transopt.base.errors import InputError
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
@@ -38,8 +38,8 @@ LOG_EVERY = 50  # cases, where there is no terminal for the progress bar
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]) -> None:
-    """Judge cases as they come; what libraries print, past Python's own warnings, is a warning too."""
+def _worker(pipe: connection.Connection, outcome_of: Callable[[StressCase], Outcome]) -> None:
+    """Answer cases as they come; what a library prints by itself makes an outcome bad, as a warning would."""
     with tempfile.TemporaryFile() as printed:
         for stream in (1, 2):
             os.dup2(printed.fileno(), stream)
@@ -49,7 +49,7 @@ def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]
                 case = pipe.recv()
             except (EOFError, KeyboardInterrupt):
                 return
-            outcome = judged(case)
+            outcome = outcome_of(case)
             sys.stdout.flush()
             sys.stderr.flush()
             if printed.seek(0, os.SEEK_END):
@@ -64,7 +64,16 @@ def _worker(pipe: connection.Connection, judged: Callable[[StressCase], Outcome]
 
 @dataclass
 class _Slot:
-    """One worker process, the case that it has or gets as soon as it is ready, and until when it may be silent."""
+    """One worker process.
+
+    Attributes
+    ----------
+    process, pipe : the worker, and how to talk with it.
+    index : of the case that it has, or gets as soon as it is ready.
+    deadline : until when it may be silent, on the monotonic clock.
+    started : whether it has said that it is ready.
+    lost : whether it has died or been silent for too long.
+    """
 
     process: BaseProcess
     pipe: connection.Connection
@@ -74,7 +83,7 @@ class _Slot:
     lost: bool = False
 
     def give(self, index: int, case: StressCase, limit_s: float) -> None:
-        """Hand over a case; a worker that has just died shows when it is listened to."""
+        """Hand over a case; `hear` finds a worker that has died meanwhile."""
         self.index, self.deadline = index, monotonic() + limit_s
         with suppress(OSError):
             self.pipe.send(case)
@@ -103,9 +112,9 @@ def run_cases(
     cases: Sequence[StressCase],
     jobs: int,
     limit_s: float = LIMIT_S,
-    judged: Callable[[StressCase], Outcome] = judge,
+    outcome_of: Callable[[StressCase], Outcome] = judge,
 ) -> Iterator[tuple[int, Outcome]]:
-    """Judge every case in one of `jobs` processes; index and outcome, in the order in which they end.
+    """Index and outcome of every case, each in one of `jobs` processes, in the order in which they end.
 
     A worker that takes longer than `limit_s`, or `START_S` to start, is killed and one that dies is replaced: all of
     these are outcomes of the case that it had or was to get.
@@ -116,7 +125,7 @@ def run_cases(
 
     def start(index: int) -> _Slot:
         ours, theirs = context.Pipe()
-        process = context.Process(target=_worker, args=(theirs, judged), daemon=True)
+        process = context.Process(target=_worker, args=(theirs, outcome_of), daemon=True)
         process.start()
         theirs.close()
         return _Slot(process, ours, index, monotonic() + START_S)
@@ -130,7 +139,7 @@ def run_cases(
             for slot in list(slots):
                 index, found = slot.index, slot.hear(slot.pipe in ready, limit_s)
                 if isinstance(found, str):
-                    # Only now does the case's own time begin: starting Python is no part of it.
+                    # The case's own time begins here: starting Python does not count.
                     slot.give(index, cases[index], limit_s)
                 elif found is not None:
                     if waiting and not slot.lost:
@@ -179,11 +188,13 @@ def summary(cases: Sequence[StressCase], outcomes: dict[int, Outcome], command: 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        """In one line, as every error here."""
+        """Raise what argparse found as an error of one line."""
         raise InputError(f"{message.removeprefix('argument ')}; see --help")
 
 
 def _at_least(lowest: int, kind: Callable[[str], float]) -> Callable[[str], float]:
+    """A type for argparse: numbers of a kind, from `lowest` on."""
+
     def parsed(text: str) -> float:
         try:
             value = kind(text)
@@ -216,15 +227,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     families, seed, case = options.directed, options.seed, options.case
     chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(options.cases)]
     command = "python -m problems.stress.__main__ " + ("--directed" if families else f"--seed {seed}")
-    console = terminal.console()
+    output = console.console()
     if case is not None:
         one = chosen[case] if families and case < len(chosen) else drawn(seed, case)
         if families and case >= len(chosen):
             raise InputError(f"--case {case}: there are {len(chosen)} directed cases, from 0 on")
         found = judge(one)
-        console.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}", soft_wrap=True)
+        output.print(f"{one}\n{one!r}\n{found.kind} in {found.elapsed_s:.1f} s: {found.detail}", soft_wrap=True)
         if found.kind == CERTIFIED:
-            console.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
+            output.print(f"gap {found.gap:.1e}, replay difference {found.difference:.1e}")
         return int(found.bad)
     for variable in ONE_THREAD:
         os.environ.setdefault(variable, "1")
@@ -240,11 +251,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if outcome.bad:
                 progress.console.print(f"{command} --case {index}: {outcome.kind}", soft_wrap=True)
     table, lines = summary(chosen, outcomes, command)
-    console.print(table)
+    output.print(table)
     for line in lines:
-        console.print(line, soft_wrap=True)
+        output.print(line, soft_wrap=True)
     return int(any(outcome.bad for outcome in outcomes.values()))
 
 
 if __name__ == "__main__":
-    terminal.run(lambda: sys.exit(main()))
+    console.run(lambda: sys.exit(main()))

@@ -34,11 +34,17 @@ HAND = Hand(
 
 
 @dataclass(frozen=True)
-class Device:
-    """Attributes
+class DrawnDevice:
+    """The device of a case: motor mass, transmission and stylus in a hand.
+
+    Attributes
     ----------
     kind : "drive", "second_order", or "defective": a stylus on a link so damped that both poles are one.
-    grip_N : 0 is free. moving_kg, stylus_kg : masses. mode_Hz, damping_ratio : of the transmission.
+    grip_N : 0 is free.
+    moving_kg : mass of the motor at the tip.
+    stylus_kg : mass of the stylus.
+    mode_Hz, damping_ratio : of motor and stylus on the transmission.
+    force_N_A : force per ampere.
     units : the states are stated in units of 1, u, u^2, 1, u, ... of SI.
     """
 
@@ -52,6 +58,12 @@ class Device:
     units: float = 1.0
 
     def plant(self) -> StateSpace:
+        """From current to stylus acceleration, its states in the stated units.
+
+        Raises
+        ------
+        InputError : parameters that are not passive.
+        """
         made = self._in_si()
         scale = self.units ** (np.arange(made.order) % 3)
         return StateSpace(
@@ -82,10 +94,16 @@ class Device:
 
 @dataclass(frozen=True)
 class Current:
-    """Attributes
+    """The amplifier of a case, and the limits on current, command, slew and supply.
+
+    Attributes
     ----------
-    limit_A : of the current. command : the amplifier's range, times that limit. pole_Hz : None is ideal.
-    delay_samples : of the amplifier. slew : per tick, times the limit. supply : times R times the limit.
+    limit_A : of the current.
+    command : range of the command over that limit.
+    pole_Hz : of the amplifier; None is ideal.
+    delay_samples : of the amplifier, in servo periods.
+    slew : limit on the change of the command per tick, over the limit on the current; None for none.
+    supply : limit on the voltage over R times the limit on the current; None for none.
     """
 
     limit_A: float = 4.0
@@ -98,6 +116,8 @@ class Current:
 
 @dataclass(frozen=True)
 class Horizon:
+    """The time grid of a case: servo period, number of commands, lead before contact, hand-over samples."""
+
     dt_s: float = 1e-4
     stages: int = 100
     lead_s: float = 3e-4
@@ -106,10 +126,16 @@ class Horizon:
 
 @dataclass(frozen=True)
 class Demand:
-    """Attributes
+    """What a case asks of its device: reference, weights, movement.
+
+    Attributes
     ----------
-    kind : "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
-    speed_m_s : incoming; 0 asks for nothing. weights : "one", "late", "sparse", "none" or "tiny".
+    kind : of the reference: "tap", "constant", "denormal", "noise", "sample", "huge", "overflow", "nan" or "empty".
+    speed_m_s : incoming; 0 asks for nothing.
+    weights : of the tracking error: "one", "late", "sparse", "none" or "tiny".
+    rho : weight of the command's movement.
+    pacinian : whether the error is filtered by what the hand feels.
+    seed : of the noise in the reference.
     """
 
     kind: str = "tap"
@@ -154,10 +180,14 @@ class Demand:
 
 @dataclass(frozen=True)
 class Coil:
-    """Attributes
+    """The coil of a case, by how near its temperature limit is.
+
+    Attributes
     ----------
-    tau_w_s, tau_h_s : time constants. below_K : the start below the limit, negative above it.
-    warming : what the limit current held for the horizon would add to the winding, times `below_K`, at least 1 mK.
+    tau_w_s, tau_h_s : time constants of winding and housing.
+    below_K : how far the start lies below the limit, negative above it.
+    warming : what the limit current held for the horizon would add to the winding, over `below_K` (at least 1 mK).
+    nodes : 1 (winding) or 2 (winding and housing).
     tap_share : of the time that taps take when they repeat for ever; None for a single tap.
     """
 
@@ -169,6 +199,12 @@ class Coil:
     tap_share: float | None = None
 
     def model(self, limit_A: float, duration_s: float) -> CoilModel:
+        """For a limit on the current and the length of the horizon.
+
+        Raises
+        ------
+        InputError : values that no coil can have.
+        """
         R_ohm = 2.18
         # The resistance that gives the wanted warming: rise = R i^2 R_wh (1 - exp(-t / tau)).
         share = -np.expm1(-duration_s / self.tau_w_s)
@@ -206,10 +242,16 @@ class StressCase:
     Attributes
     ----------
     family : what it is a case of.
+    device : that is driven.
+    current : amplifier and limits.
+    horizon : time grid.
+    demand : what is asked of the device.
+    coil : whose temperature is limited; None for no such limit.
+    surface : virtual wall; None for none.
     """
 
     family: str
-    device: Device = field(default_factory=Device)
+    device: DrawnDevice = field(default_factory=DrawnDevice)
     current: Current = field(default_factory=Current)
     horizon: Horizon = field(default_factory=Horizon)
     demand: Demand = field(default_factory=Demand)
@@ -217,27 +259,28 @@ class StressCase:
     surface: Surface | None = None
 
     def __str__(self) -> str:
-        """In one line what is not as in the plain case."""
+        """In one line what differs from the plain case."""
         plain = StressCase(self.family)
         words = []
         for name in ("device", "current", "horizon", "demand", "coil", "surface"):
-            part = getattr(self, name)
-            if part is None:
+            own = getattr(self, name)
+            if own is None:
                 continue
-            usual = getattr(plain, name) or type(part)()
-            changed = [f.name for f in fields(part) if getattr(part, f.name) != getattr(usual, f.name)]
-            said = " ".join(f"{key}={_short(getattr(part, key))}" for key in changed)
+            usual = getattr(plain, name) or type(own)()
+            changed = [f.name for f in fields(own) if getattr(own, f.name) != getattr(usual, f.name)]
+            said = " ".join(f"{key}={_short(getattr(own, key))}" for key in changed)
             if said or getattr(plain, name) is None:
                 words.append(f"{name}({said})")
         return f"{self.family}: {' '.join(words) or 'plain'}"
 
     def grid(self) -> TimeGrid:
+        """Its time grid; an InputError as `problem` raises it."""
         horizon = self.horizon
         delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
         return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay)
 
     def problem(self) -> TransientProblem:
-        """Build it.
+        """The optimal-control problem of the case.
 
         Raises
         ------

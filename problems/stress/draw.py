@@ -5,40 +5,46 @@ from typing import TypeVar
 
 import numpy as np
 
-from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 
 STAGES = ((1, 0.03), (2, 0.04), (10, 0.15), (40, 0.38), (150, 0.28), (600, 0.118), (20000, 0.002))
-WHEN_LONG = 2000  # stages from which the parts that need a general solver stay out: minutes each
-
+WHEN_LONG = 2000  # stages from which coil and wall stay out: they need a general solver, which would take minutes
 
 T = TypeVar("T")
 
 
 class _Draw:
+    """The random numbers of one case."""
+
     def __init__(self, seed: int, index: int) -> None:
         self._random = np.random.default_rng([seed, index])
 
     def perhaps(self, probability: float) -> bool:
+        """True with this probability."""
         return bool(self._random.random() < probability)
 
     def log(self, low: float, high: float) -> float:
+        """Log-uniform between the two."""
         return float(np.exp(self._random.uniform(np.log(low), np.log(high))))
 
     def of(self, *choices: T) -> T:
+        """One of the choices, each as likely."""
         return choices[int(self._random.integers(len(choices)))]
 
     def weighted(self, choices: Sequence[tuple[int, float]]) -> int:
+        """One of the values, by its share."""
         values, shares = zip(*choices, strict=True)
         return int(self._random.choice(values, p=shares))
 
     def seed(self) -> int:
+        """A seed for a generator of its own."""
         return int(self._random.integers(2**31))
 
 
-def _device(draw: _Draw) -> Device:
+def _device(draw: _Draw) -> DrawnDevice:
     kind = "drive" if draw.perhaps(0.8) else draw.of("second_order", "defective")
     wide = draw.perhaps(0.4)
-    return Device(
+    return DrawnDevice(
         kind=kind,
         grip_N=0.0 if draw.perhaps(0.15) else draw.log(0.5, 100.0),
         moving_kg=draw.log(1e-6, 100.0) if wide else draw.log(1e-3, 1.0),

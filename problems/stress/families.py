@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 
 SATURATED = Demand(speed_m_s=1.0)
 SMALL_A = 0.3  # at which the plain tap saturates
@@ -12,28 +12,28 @@ SMALL_A = 0.3  # at which the plain tap saturates
 def _devices() -> Iterator[StressCase]:
     for mode in (2e3, 12e3, 35e3):
         for damping in (0.17, 1e-2, 1e-4):
-            yield StressCase("mode", Device(mode_Hz=mode, damping_ratio=damping))
+            yield StressCase("mode", DrawnDevice(mode_Hz=mode, damping_ratio=damping))
     for moving, stylus in ((1e-6, 1e-6), (1e-6, 100.0), (100.0, 1e-6), (100.0, 100.0), (14e-3, 1e-6)):
-        yield StressCase("mass", Device(moving_kg=moving, stylus_kg=stylus))
+        yield StressCase("mass", DrawnDevice(moving_kg=moving, stylus_kg=stylus))
     for grip in (0.0, 0.5, 100.0):
-        yield StressCase("grip", Device(grip_N=grip))
+        yield StressCase("grip", DrawnDevice(grip_N=grip))
     for grip in (0.0, 60.0, 100.0):
-        yield StressCase("second order", Device("second_order", grip_N=grip))
+        yield StressCase("second order", DrawnDevice("second_order", grip_N=grip))
     for mode in (1.0, 400.0, 35e3, 160e3):
-        yield StressCase("defective", Device("defective", mode_Hz=mode))
-    yield StressCase("defective", Device("defective", mode_Hz=0.0))
+        yield StressCase("defective", DrawnDevice("defective", mode_Hz=mode))
+    yield StressCase("defective", DrawnDevice("defective", mode_Hz=0.0))
     # 80 and 40 time constants in one tick: at the switching instants link and current cancel, down to rounding.
-    still = Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999)
-    light = Device("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3)
-    yield StressCase("defective", light, still, Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4))
-    heavy = Device("defective", stylus_kg=3.1e-3, mode_Hz=13.8e3, units=1e3)
+    late = Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999)
+    light = DrawnDevice("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3)
+    yield StressCase("defective", light, late, Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4))
+    heavy = DrawnDevice("defective", stylus_kg=3.1e-3, mode_Hz=13.8e3, units=1e3)
     coarse = Horizon(dt_s=4.4e-4, lead_s=5e-3, hand_over=1)
-    yield StressCase("defective", heavy, replace(still, delay_samples=1.0), coarse, Demand(rho=1e-12))
+    yield StressCase("defective", heavy, replace(late, delay_samples=1.0), coarse, Demand(rho=1e-12))
     for units in (1e-6, 1e-3, 1e3, 1e6):
-        yield StressCase("units", Device(units=units), Current(limit_A=1.0))
-    yield StressCase("input", Device(stylus_kg=0.0))
-    yield StressCase("input", Device(damping_ratio=-1e-4))
-    yield StressCase("input", Device(moving_kg=float("nan")))
+        yield StressCase("units", DrawnDevice(units=units), Current(limit_A=1.0))
+    yield StressCase("input", DrawnDevice(stylus_kg=0.0))
+    yield StressCase("input", DrawnDevice(damping_ratio=-1e-4))
+    yield StressCase("input", DrawnDevice(moving_kg=float("nan")))
 
 
 def _currents() -> Iterator[StressCase]:

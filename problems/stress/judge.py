@@ -1,4 +1,4 @@
-"""How a stress case ends, judged strictly: certified and replayed clean, or refused by the name of its cause."""
+"""How a stress case ends: certified and replayed clean, or refused by the name of its cause; all else is bad."""
 
 import re
 import time
@@ -40,9 +40,11 @@ class Outcome:
 
     Attributes
     ----------
-    kind : `CERTIFIED`, "refused: ..." by its name, or "bad: ...". detail : the message or the shortfall.
-    gap : bound on J - optimum over max(J, 1e-3). difference : of the replayed to the predicted acceleration, of the
-        peak. Both NaN unless certified.
+    kind : `CERTIFIED`, "refused: ..." by its name, or "bad: ...".
+    detail : the message or the shortfall.
+    gap : bound on J - optimum over max(J, 1e-3).
+    difference : between replayed and predicted acceleration over the peak; this and `gap` are NaN unless certified.
+    elapsed_s : for building, solving and replaying.
     """
 
     kind: str
@@ -53,11 +55,12 @@ class Outcome:
 
     @property
     def bad(self) -> bool:
+        """Whether the case ended in neither of the two ways that it may."""
         return self.kind.startswith("bad")
 
 
 def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
-    """The replay of one command as a library's entry gets it."""
+    """The replay of one command (N,) [A] as a library's entry gets it."""
     thermal, wall = problem.thermal, problem.wall
     (run,) = replay(
         problem.stage,
@@ -72,16 +75,16 @@ def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
     return run
 
 
-def _numbers(part: Designed | Certificate | Multipliers | Replay, but: tuple[str, ...] = ()) -> bool:
-    """Whether every number in the fields of a result is finite."""
-    values = [getattr(part, field.name) for field in fields(part) if field.name not in but]
-    if isinstance(part, Multipliers):
-        values += part.arrays()
+def _numbers(result: Designed | Certificate | Multipliers | Replay, but: tuple[str, ...] = ()) -> bool:
+    """Whether every number in the fields of a result, but those named, is finite."""
+    values = [getattr(result, field.name) for field in fields(result) if field.name not in but]
+    if isinstance(result, Multipliers):
+        values += result.arrays()
     return all(bool(np.all(np.isfinite(v))) for v in values if isinstance(v, float | np.ndarray))
 
 
 def judge_design(designed: Designed, run: Replay) -> Outcome:
-    """Judge an answer and its replay; the time is the caller's to fill in."""
+    """How an answer and its replay end; `elapsed_s` is 0, the caller's to fill in."""
     problem, solution, proof = designed.problem, designed.solution, designed.certificate
     nothing = float("nan")
     predicted, _ = problem.stage.rollout(solution.command_A)
@@ -116,7 +119,10 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
 
 
 def judge(case: StressCase) -> Outcome:
-    """Build, solve, replay and judge one case; warnings count as failures, exceptions never leave."""
+    """Build, solve and replay one case, and say how it ended.
+
+    Warnings and exceptions are bad outcomes; none is passed on.
+    """
     start = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -138,6 +144,7 @@ def judge(case: StressCase) -> Outcome:
 
 
 def _where(error: BaseException) -> str:
+    """Message and innermost places of an exception in one line."""
     last = traceback.extract_tb(error.__traceback__)
     places = [f"{frame.filename.rsplit('/', 1)[-1]}:{frame.lineno}" for frame in last[-3:]]
     return f"{str(error)[:200]} at {' < '.join(reversed(places))}"

@@ -17,7 +17,9 @@ DECIDED = (0, 2)  # status of scipy's linprog: an optimum, or a proof that there
 
 @dataclass(frozen=True)
 class Verdict:
-    """Attributes
+    """What was found out about whether any command keeps all limits.
+
+    Attributes
     ----------
     way_out : what kind of command lies inside all limits; empty if none was found.
     decided : whether the search was complete, so that an empty `way_out` means something.
@@ -28,7 +30,7 @@ class Verdict:
 
 
 def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) -> Verdict:
-    """Whether a command lies inside all limits, as far as an independent method can tell.
+    """Whether a command lies inside all limits, as far as an independent method can decide it.
 
     Doing nothing is tried first. All commands are then searched for the one that is farthest inside, with every
     stage's state as the sum of impulse responses. The temperature is no linear limit and stays undecided, unless the
@@ -53,7 +55,7 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
 def _room(problem: TransientProblem) -> float | None:
     """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit.
 
-    Minus infinity if the hand-over cannot be met at all, None if the linear program ended without telling.
+    Minus infinity if the hand-over cannot be met at all, None if the linear program ended without deciding it.
     """
     N, limits, stage = problem.grid.stages, problem.limits, problem.stage
     unit = problem.command_bound_A

@@ -12,15 +12,15 @@ from transopt.design.verify import verify_library
 from transopt.library.library import Library
 from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M, LinearInGrip
 from transopt.recordings.recording import Recording
-from transopt.scene.model_file import (
+from transopt.scene.model_file import save_part
+from transopt.scene.model_parts import (
     AmplifierPart,
-    AnyPart,
+    AnyModelPart,
     CoilPart,
     DriveDevice,
     HandPart,
-    PartName,
+    ModelPartName,
     StateSpaceDevice,
-    save_part,
 )
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Drive
@@ -128,7 +128,7 @@ ON_FILE = 'model = "MODEL.json"\n' + WOOD.replace(MODEL, "")
 # A black box cannot strike an object; the tests bring the recordings themselves.
 BOX = ON_FILE.replace(SIMULATED, 'files = ["tap.csv"]\n\n')
 SMALL = ("speeds_m_s = [0.1, 0.2, 0.3, 0.4]", "speeds_m_s = [0.4]")
-Parts = dict[PartName, AnyPart]
+Parts = dict[ModelPartName, AnyModelPart]
 Make = Callable[..., Scene]
 ROBUST = "\n[robust]\nmodel_uncertainty = true\nsamples = 4\n"
 

@@ -1,4 +1,4 @@
-"""Files of one tap in every format, for the importers' tests."""
+"""Files of one tap in every format, for the tests of reading recordings."""
 
 import io
 from pathlib import Path
@@ -10,8 +10,7 @@ from scipy.io import savemat, wavfile
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.recordings.importers import load_recording
-from transopt.recordings.recording import Recording
+from transopt.recordings.recording import Recording, load_recording
 
 DT_S = 1e-4
 TIMES_S: FloatArray = DT_S * np.arange(200, dtype=float)

@@ -230,7 +230,7 @@ class TestMotors:
         return Motor.model_validate(tomllib.loads(path.read_text()))
 
     def test_thermal_model_returns_the_continuous_current(self, path: Path) -> None:
-        """DESIGN 3.3. R_th (i^2 R + friction) = rise; at standstill, as in a haptic device, friction is nothing."""
+        """R_th (i^2 R + friction) = rise; at standstill, where a haptic device works, friction is nothing."""
         motor = self.load(path)
         coil = load("wood_on_foam").model_copy(update={"motor": motor}).coil()
         assert coil is not None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from problems.stress.__main__ import START_S, main, run_cases, summary
-from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
 from problems.stress.families import SMALL_A, directed, rescaled
 from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
@@ -77,7 +77,7 @@ def test_a_case_follows_from_seed_and_index_alone() -> None:
 @pytest.mark.parametrize("units", [1e-6, 1e-3, 1e3, 1e6])
 @pytest.mark.parametrize("limit_A", [SMALL_A, 1e-6])
 def test_the_same_problem_in_other_units_has_the_same_command(units: float, limit_A: float) -> None:
-    case = StressCase("units", Device(mode_Hz=2e3), Current(limit_A=limit_A), Horizon(stages=60))
+    case = StressCase("units", DrawnDevice(mode_Hz=2e3), Current(limit_A=limit_A), Horizon(stages=60))
     own, other = (optimum(c.problem(), SolverOptions()) for c in (case, rescaled(case, units)))
     assert own.certificate.accepted
     assert other.certificate.accepted

@@ -1,4 +1,4 @@
-"""The real servo plays a library on the nominal device: on time and as predicted (DESIGN 7).
+"""The real servo plays a library on the nominal device: on time and as predicted.
 
 `scripts/playback_accuracy.py` is the long form, over more phases, seeds and points.
 """

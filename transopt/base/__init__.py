@@ -1,1 +1,4 @@
-"""What every room may lean on: errors, files, signals, plotting, the console; it knows nothing of haptics."""
+"""The ground floor: errors, files, signals, tables, figures, the console. Nothing here knows of haptics.
+
+Every room of the package may import from here, and this room imports from none of them.
+"""

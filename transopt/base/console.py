@@ -1,4 +1,4 @@
-"""What the two command lines share: the console, folders that can be written, errors in one line."""
+"""What the command lines share: the console, folders that can be written, errors in one line."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole l
 
 
 def console() -> Console:
-    """Where tables go."""
+    """The standard output, to print tables on: as wide as the terminal, or `WIDTH` columns without one."""
     # No markup: names and descriptions are the user's and may hold brackets.
     return Console(markup=False, width=None if sys.stdout.isatty() else WIDTH)
 
@@ -43,11 +43,19 @@ _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 
 def run(app: Callable[..., object]) -> None:
-    """Run a command line: errors a user can cause end in one line, never in a traceback."""
+    """Run a command line: errors a user can cause end in one line, never in a traceback.
+
+    The process ends with the code that `app` returns (0 if it returns none), with 2 after an error of the user's,
+    with 130 after Ctrl-C.
+
+    Parameters
+    ----------
+    app : a Typer application, or a function without arguments.
+    """
     # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
-    # processor and gain nothing. Read when numpy is loaded, which is inside the commands.
+    # processor and gain nothing. The variable is read when numpy is loaded, which happens inside the commands.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Asked to end, it ends as by Ctrl-C: no process is left behind, and nothing half written.
+    # SIGTERM is answered like Ctrl-C: no process is left behind, and nothing half written.
     ours = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
     try:
@@ -67,7 +75,7 @@ def run(app: Callable[..., object]) -> None:
 
 
 def _refuse(error: Any) -> NoReturn:
-    """A command, option or value that does not exist; a command without arguments that needs some prints its help."""
+    """End with one line about a command, option or value that does not exist, or with the help it needs."""
     said: str = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
         # Its message is the help, which Rich has printed already.

@@ -1,4 +1,4 @@
-"""The one exception a user can cause."""
+"""The one exception that a user can cause."""
 
 
 class InputError(ValueError):

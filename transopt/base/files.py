@@ -15,7 +15,7 @@ from transopt.base.errors import InputError
 def whole_file(path: Path) -> Iterator[BinaryIO]:
     """A binary file that appears under `path` when the block ends well, and not at all otherwise.
 
-    Written beside its place under a temporary name, then renamed over it.
+    It is written beside its place under a temporary name, then renamed over it.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def ctrl_c_waits() -> Iterator[None]:
 
 
 def without_nan(value: Any) -> Any:
-    """The same with null for every number that JSON cannot hold."""
+    """A copy of nested dictionaries and lists with None for every number that JSON cannot hold (NaN, infinity)."""
     if isinstance(value, dict):
         return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list):

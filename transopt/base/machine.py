@@ -7,6 +7,7 @@ from pathlib import Path
 
 
 def machine() -> dict[str, object]:
+    """Name of the processor, number of cores, operating system."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -16,5 +17,10 @@ def machine() -> dict[str, object]:
 
 
 def versions(*names: str) -> dict[str, str]:
-    """Of installed packages, and of Python."""
+    """Name -> version of installed packages, and of Python.
+
+    Raises
+    ------
+    importlib.metadata.PackageNotFoundError : one of them is not installed.
+    """
     return {**{name: metadata.version(name) for name in names}, "python": platform.python_version()}

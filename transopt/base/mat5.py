@@ -1,7 +1,7 @@
-"""Real numeric arrays of level 5 MAT files (MATLAB's "MAT-File Format", Sec. 1).
+"""Real numeric arrays of level 5 MAT files (The MathWorks, "MAT-File Format", Sec. 1).
 
-scipy.io.loadmat would do, but one damaged type tag in a file makes it crash the process, and a recording that was
-copied badly must end in an error message.
+scipy.io.loadmat reads them too, but one damaged type tag in a file makes it crash the process, and a recording that
+was copied badly must end in an error message.
 """
 
 import struct
@@ -19,6 +19,10 @@ _COMPLEX = 0x800
 def variables(data: bytes) -> dict[str, object]:
     """Every variable of a file by name; None for text, cells, structures and complex numbers.
 
+    Parameters
+    ----------
+    data : the file's bytes.
+
     Raises
     ------
     ValueError : not a level 5 file (-v7.3 is HDF5), or cut short. Other damage raises whatever the bytes lead to
@@ -31,12 +35,13 @@ def variables(data: bytes) -> dict[str, object]:
     for kind, content in _elements(data[128:], order):
         is_compressed = kind == _COMPRESSED
         matrix = next(_elements(zlib.decompress(content), order))[1] if is_compressed else content
-        (_, flags), (_, dims), (_, name), *parts = _elements(matrix, order)
+        (_, flags), (_, dims), (_, name), *elements = _elements(matrix, order)
         flag_bits = int(np.frombuffer(flags, order + "u4")[0])
         value = None
         if flag_bits & 0xFF in _NUMERIC_CLASSES and not flag_bits & _COMPLEX:
             shape = np.frombuffer(dims, order + "i4")
-            value = np.frombuffer(parts[0][1], order + _TYPES[parts[0][0]]).reshape(shape, order="F")
+            real_type, real = elements[0]
+            value = np.frombuffer(real, order + _TYPES[real_type]).reshape(shape, order="F")
         found[name.decode("latin-1")] = value
     return found
 

@@ -26,7 +26,7 @@ def save_figure(figure: Figure, path: Path) -> None:
     """
     figure.set_dpi(DPI)
     if (layout := figure.get_layout_engine()) is not None:
-        # Laid out once, here: savefig would draw everything to nowhere for it, and then once more.
+        # savefig would draw the figure a second time only to lay it out, so that is done here, once.
         layout.execute(figure)
         figure.set_layout_engine("none")
     with whole_file(path) as file:
@@ -39,10 +39,12 @@ def colours(n: int) -> FloatArray:
 
 
 def plain(value: float, _: object = None) -> str:
+    """A tick's label without exponent and trailing zeros; the second argument is Matplotlib's tick position."""
     return f"{value:g}"
 
 
 def style(axes: Axes) -> None:
+    """Small tick labels, and a light grid behind the data."""
     axes.tick_params(labelsize=SMALL_PT)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)

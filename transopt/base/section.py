@@ -1,4 +1,4 @@
-"""What every table of a settings file is made of: numbers with bounds, and a table that refuses unknown keys."""
+"""The building blocks of settings files: numbers with bounds, and a table that refuses unknown keys."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""Uniformly sampled signals and the few filters the design uses."""
+"""Uniformly sampled signals, and the few filters and measures that the design uses."""
 
 from dataclasses import dataclass, replace
 
@@ -52,11 +52,12 @@ class Signal:
 
     @property
     def rate_Hz(self) -> float:
+        """Samples per second."""
         return 1.0 / self.dt_s
 
     @property
     def spline(self) -> "scipy.interpolate.CubicSpline":
-        """Through all samples."""
+        """The cubic spline through all samples; NaN outside them."""
         return scipy.interpolate.CubicSpline(self.times_s, self.values, extrapolate=False)
 
     def at(self, times_s: FloatArray) -> FloatArray:
@@ -64,6 +65,7 @@ class Signal:
         return sampled(self.spline, times_s)
 
     def scaled(self, factor: float) -> "Signal":
+        """The signal with all its values multiplied by `factor`."""
         return replace(self, values=factor * self.values)
 
 
@@ -90,9 +92,11 @@ def lowpass(x: Signal, cutoff_Hz: float) -> Signal:
 
 
 def highpass(x: Signal, cutoff_Hz: float) -> Signal:
-    """Causal second-order Butterworth high-pass from rest: H of DESIGN 2, the motor's share of a tap.
+    """Causal second-order Butterworth high-pass, from rest.
 
-    Causal because a zero-phase one would make the motor move before the contact.
+    Applied to a recorded acceleration it gives the share of a tap that the motor has to make: r = H r_raw. What it
+    takes away, r_raw - r, is slow and is the user's own motion. It is causal because a zero-phase filter would make
+    the motor move before the contact.
     """
     sos = scipy.signal.butter(2, cutoff_Hz, btype="highpass", fs=x.rate_Hz, output="sos")
     return replace(x, values=np.asarray(scipy.signal.sosfilt(sos, x.values)))

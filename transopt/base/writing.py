@@ -1,4 +1,4 @@
-"""What reports share: Markdown tables, texts and CSV files written whole."""
+"""Text output of reports: Markdown tables, and text and CSV files that are written whole or not at all."""
 
 import csv
 import io
@@ -12,19 +12,29 @@ from transopt.base.files import whole_file
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    """Lines of a Markdown table."""
+    """Lines of a Markdown table, with an empty line below it."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
     return lines + ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows] + [""]
 
 
 def write_text(text: str, path: Path) -> None:
-    """Whole or not at all."""
+    """Write a UTF-8 file whole or not at all.
+
+    Raises
+    ------
+    InputError : the place cannot be written.
+    """
     with whole_file(path) as file:
         file.write(text.encode())
 
 
 def write_csv(rows: Sequence[Any], path: Path) -> None:
-    """One row per dataclass, its fields as columns."""
+    """Write a CSV file: one row per dataclass, its fields as columns.
+
+    Raises
+    ------
+    InputError : the place cannot be written.
+    """
     text = io.StringIO()
     writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
     writer.writeheader()
@@ -33,6 +43,7 @@ def write_csv(rows: Sequence[Any], path: Path) -> None:
 
 
 def percent(value: float) -> str:
+    """A share in percent, with two decimals below 10 % and one above; a dash for NaN."""
     return "-" if math.isnan(value) else f"{100 * value:.2f}" if value < 0.1 else f"{100 * value:.1f}"
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from transopt.identify.checks import Finding
     from transopt.identify.measurement import Measurement
     from transopt.identify.spectrum import Trial
-    from transopt.scene.model_file import AmplifierPart
+    from transopt.scene.model_parts import AmplifierPart
 
 
 def identify_amplifier(
@@ -93,7 +93,7 @@ def prepare(runs: "Sequence[Measurement]") -> "tuple[list[Trial], list[Finding]]
 def amplifier_part(fit: "AmplifierFit", runs: "Sequence[Measurement]") -> "AmplifierPart":
     """What the model file states."""
     from transopt.scene.fitted import Source
-    from transopt.scene.model_file import AmplifierPart
+    from transopt.scene.model_parts import AmplifierPart
 
     low, high = fit.intervals["delay_s"]
     half_s = 0.5 * fit.dt_s

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from transopt.identify.coil import CoilFit
     from transopt.identify.measurement import Measurement
     from transopt.plant.coil import CoilModel
-    from transopt.scene.model_file import CoilPart
+    from transopt.scene.model_parts import CoilPart
 
 UNITS = {"R_wh_K_W": "K/W", "R_ha_K_W": "K/W", "tau_w_s": "s", "tau_h_s": "s"}
 MEANING = {
@@ -92,7 +92,7 @@ def coil_part(fit: "CoilFit", run: "Measurement", nominal: "CoilModel", continuo
     """What the model file states."""
     from transopt.identify.coil import NAMES
     from transopt.scene.fitted import Source
-    from transopt.scene.model_file import CoilPart
+    from transopt.scene.model_parts import CoilPart
 
     return CoilPart.model_validate(
         {

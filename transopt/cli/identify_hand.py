@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from transopt.identify.hand.chain import ChainFit
     from transopt.identify.hand.lines import HandFit
     from transopt.identify.measurement import Measurement
-    from transopt.scene.model_file import HandPart
+    from transopt.scene.model_parts import HandPart
 
 UNITS = {"mass_kg": "kg", "damping_N_s_m": "N s/m", "stiffness_N_m": "N/m"}
 
@@ -95,7 +95,7 @@ def hand_part(fit: "HandFit", chain: "ChainFit", runs: "Sequence[Measurement]") 
     """
     from transopt.identify.hand.lines import COEFFICIENTS, grip_groups
     from transopt.scene.fitted import Source
-    from transopt.scene.model_file import HandPart
+    from transopt.scene.model_parts import HandPart
 
     grips = [float(fit.grips_N[group].mean()) for group in grip_groups(fit.grips_N)]
     grips[0], grips[-1] = float(fit.grips_N.min()), float(fit.grips_N.max())

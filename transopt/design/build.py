@@ -19,8 +19,8 @@ from transopt.problem.answer import Status
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
-from transopt.scene.identified import Identified
-from transopt.scene.model_file import PARTS
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -248,10 +248,10 @@ def _refined(refinement: Refinement | None) -> dict[str, Any] | None:
 
 def _model_sources(scene: Scene) -> list[dict[str, Any]]:
     """The model file, and what its parts were fitted to; nothing for a model that the scene states itself."""
-    if not isinstance(scene.model, Identified):
+    if not isinstance(scene.model, IdentifiedModel):
         return []
     own = {"file": scene.model.file, "origin": "model file", "sha256": scene.model.sha256}
-    parts = {name: getattr(scene.model, name) for name in PARTS}
+    parts = {name: getattr(scene.model, name) for name in MODEL_PARTS}
     return [
         own,
         *(

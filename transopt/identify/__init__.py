@@ -1,8 +1,9 @@
-"""From recorded sweeps, taps and heating to the grip-dependent model (seed Sections 3, 4.1, 5).
+"""From recorded sweeps, taps and heating to the grip-dependent model of a device (seed Sections 3, 4.1, 5).
 
-One record through the code:
+In the walk from a recording to a library this room stands beside the recordings: it gives the model that a scene may
+name in place of masses, springs and dampers of its own (model = "MODEL.json"). One record through the code:
 
-    measurement -> checks -> spectrum -> amplifier | device | hand | coil -> validation -> model_file
+    measurement -> checks -> spectrum -> amplifier | device | hand | coil -> validation -> model file
 
-Each arrow is a function that takes and returns values. A scene names the result: model = "MODEL.json".
+Each arrow is a function that takes and returns values. `figures` draws what each of the four has found.
 """

@@ -34,7 +34,8 @@ class Crossover:
 
     Attributes
     ----------
-    half_width_A : h, 0 where the records do not show one. deviation_A : standard deviation of the estimate.
+    half_width_A : h, 0 where the records do not show one.
+    deviation_A : standard deviation of the estimate.
     shows : whether h stands out of its noise.
     """
 
@@ -49,7 +50,9 @@ class AmplifierFit:
 
     Attributes
     ----------
-    pole_Hz, gain. delay_s : beyond the hold of the command.
+    pole_Hz : of the amplifier.
+    delay_s : beyond the hold of the command.
+    gain : of current over command, 1 where both share a scale.
     covariance : (3, 3), in the order of `PARAMETERS`, SI.
     intervals : 95 %, of each parameter.
     continuous_pole_Hz, continuous_delay_s : what a continuous pole and delay, fitted to the samples as if there were
@@ -87,33 +90,33 @@ class AmplifierFit:
 
     def shortcomings(self) -> list[str]:
         """What keeps the fit from being one to design with, each with what to record again; empty if nothing does."""
-        told = []
+        found = []
         low, high = self.intervals["pole_Hz"]
         if not 0.5 * (high - low) <= POLE_WANTED * self.pole_Hz:
             width = 50 * (high - low) / self.pole_Hz
             limit = f"must be within {100 * POLE_WANTED:g} %"
-            told.append(f"the pole is known to {width:.2g} % only, {limit}: record longer or larger sweeps")
+            found.append(f"the pole is known to {width:.2g} % only, {limit}: record longer or larger sweeps")
         low, high = self.intervals["delay_s"]
         if not 0.5 * (high - low) <= DELAY_WANTED_S:
             limit = f"must be within {1e6 * DELAY_WANTED_S:g} us"
-            told.append(f"the delay is known to {5e5 * (high - low):.2g} us only, {limit}: sweep higher, or longer")
+            found.append(f"the delay is known to {5e5 * (high - low):.2g} us only, {limit}: sweep higher, or longer")
         if not (self.misfit_dB <= MISFIT_dB and self.misfit_deg <= MISFIT_deg):
             misfit = f"{self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg"
             limit = f"must be within {MISFIT_dB:g} dB and {MISFIT_deg:g} deg"
             remedy = (
                 "the amplifier has further dynamics, or the sweep drove it into its supply: sweep with less current"
             )
-            told.append(f"one pole and a delay miss the response by up to {misfit}, {limit}: {remedy}")
+            found.append(f"one pole and a delay miss the response by up to {misfit}, {limit}: {remedy}")
         if not abs(self.gain - 1) <= GAIN_WANTED:
             remedy = "correct the scale of the command or of the current monitor"
-            told.append(f"the gain from command to current is {self.gain:.3g}, must be near 1: {remedy}")
-        return told
+            found.append(f"the gain from command to current is {self.gain:.3g}, must be near 1: {remedy}")
+        return found
 
     def verdict(self) -> str:
-        """In plain words."""
-        told = self.shortcomings()
-        if told:
-            return "not fit to design with: " + "; ".join(told)
+        """One sentence for the model file and for the user: fit to design with, or why not."""
+        shortcomings = self.shortcomings()
+        if shortcomings:
+            return "not fit to design with: " + "; ".join(shortcomings)
         low, high = self.estimate.frequencies_Hz[[0, -1]]
         misses = f"by at most {self.misfit_dB:.2g} dB and {self.misfit_deg:.2g} deg beyond its noise"
         return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
@@ -299,6 +302,7 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
 
 
 def _without(trial: Trial, half_width_A: float) -> Trial:
+    """The trial with the dead band taken off its command."""
     given: Signal = replace(trial.input, values=less_dead_band(trial.input.values, half_width_A))
     return replace(trial, input=given)
 
@@ -313,6 +317,7 @@ class _Fit:
 
 
 def _sampled(dt_s: float) -> Callable[[FloatArray, float, float], ComplexArray]:
+    """`sampled_response` at a servo period, as a function of frequencies, pole and delay."""
     return lambda f, pole, delay: sampled_response(f, pole, delay, dt_s)
 
 

@@ -1,6 +1,7 @@
 """Bad records, each by its name, with what to record again: nothing wrong is fitted in silence.
 
-What makes a fit worthless is fatal; what only narrows it is told.
+A finding that makes a fit worthless is fatal and refuses the records. One that only narrows what a fit can say is
+passed on to the user beside the result.
 """
 
 from collections import defaultdict
@@ -19,7 +20,7 @@ from transopt.identify.spectrum import TransferEstimate, Trial
 
 LEAST_CYCLES = 1.0  # per octave, in all trials together
 LEAST_TRIALS = 2
-JITTER_TOLD, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid
+JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid
 FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
 CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
 END_SAMPLES, END_PART = 3, 0.1  # the last samples, and how large they may be against the peak
@@ -57,7 +58,10 @@ class Finding:
 
     Attributes
     ----------
-    where : file, grip or band. text : value, limit and remedy. fatal : no fit should follow.
+    fault : what kind of thing is wrong.
+    where : file, grip or band.
+    text : value, limit and remedy.
+    fatal : no fit should follow.
     """
 
     fault: Fault
@@ -92,7 +96,7 @@ def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Findi
     quantities : names of the signals in use, such as command, current, acceleration; those not recorded are skipped.
     """
     found = []
-    if run.off_grid > JITTER_TOLD:
+    if run.off_grid > JITTER_NOTED:
         found.append(_jitter(run, quantities))
     for quantity in quantities:
         x = getattr(run, quantity)
@@ -102,6 +106,7 @@ def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Findi
 
 
 def _jitter(run: Measurement, quantities: Sequence[str]) -> Finding:
+    """Time stamps off the uniform grid, and what that does to phases and delays."""
     dt_s = next(x.dt_s for q in quantities if (x := getattr(run, q)) is not None)
     late_us = 1e6 * run.off_grid * dt_s
     fatal = run.off_grid > JITTER_LIMIT
@@ -112,6 +117,7 @@ def _jitter(run: Measurement, quantities: Sequence[str]) -> Finding:
 
 
 def _signal(name: str, quantity: str, x: Signal) -> list[Finding]:
+    """A signal that never moves, sits at a sensor's or a device's end stop, or ends before all is at rest."""
     unit = "A" if quantity in {"command", "current"} else "m/s^2" if quantity == "acceleration" else "SI"
     values = x.values
     if np.ptp(values) == 0:
@@ -270,7 +276,8 @@ def check_gravity(
 
     Parameters
     ----------
-    expected : (m,) magnitudes of a nominal model or of other files. against : what those are, for the message.
+    expected : (m,) magnitudes of a nominal model or of other files.
+    against : what those are, for the message.
     tolerance : relative, of the ratio.
     """
     good = (estimate.coherence >= COHERENT) & (expected > 0)

@@ -1,4 +1,4 @@
-"""Thermal resistances and time constants of a coil from a heating and cooling record (DESIGN 3.3).
+"""Thermal resistances and time constants of a coil from a heating and cooling record.
 
 The two-node model of `transopt.plant.coil`, copper's resistance rise and the ripple of seed Eq. 7 included, is driven
 by the recorded current and compared with the recorded temperatures: nonlinear least squares in the logarithms of the
@@ -16,7 +16,6 @@ from scipy import optimize, stats
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.coil_units import unbelievable
 from transopt.identify.measurement import Measurement
 from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel, effective_square
 
@@ -31,7 +30,9 @@ COARSEST = 0.2  # of the winding's time constant, between two rows
 DRIFT_K = 2.0  # of the ambient, unaccounted for
 _SENSING = 0.2  # of the largest current, below which voltage over current tells no temperature
 _CREDIBLE_C = (-50.0, 400.0)  # of a winding
-_TOLD = 10.0  # times the value; what is wider is open
+_CREDIBLE_K_W = (0.2, 500.0)  # of coil to ambient; motors of 6 mm and of 60 mm lie within
+_CREDIBLE_S = (5.0, 2e4)  # of a housing's time constant
+_WIDEST = 10.0  # times the value: the most that is stated of the half width of an interval
 _GROWTH = 0.03  # of the time since the current last changed: how long one step of the simulation may be
 _CHANGE = 0.1  # of the largest heating
 _LEAST_NOISE_K = 1e-3
@@ -42,7 +43,14 @@ _WIDE_K = 50.0  # around the first reading, for start temperatures
 
 @dataclass(frozen=True)
 class Channel:
-    """One recorded temperature: rows (n,) [C], what each weighs (0 where unknown), rms noise of a row of weight 1."""
+    """One recorded temperature.
+
+    Attributes
+    ----------
+    values_C : (n,) a value per row.
+    weight : (n,) what each row weighs, 0 where the temperature is not known.
+    noise_K : rms noise of a row of weight 1.
+    """
 
     values_C: FloatArray
     weight: FloatArray
@@ -55,8 +63,11 @@ class HeatRecord:
 
     Attributes
     ----------
-    dt_s : between rows. heating_A2 : (n,) i_eff^2 from each row to the next.
-    winding, housing : what was recorded of them. ambient_C : mean, None if not recorded. ambient_drift_K : its range.
+    dt_s : between rows.
+    heating_A2 : (n,) i_eff^2 from each row to the next.
+    winding, housing : what was recorded of them.
+    ambient_C : mean, None if not recorded.
+    ambient_drift_K : its range.
     R_ohm : at 25 C.
     """
 
@@ -87,7 +98,10 @@ class CoilFit:
 
     Attributes
     ----------
-    coil : the model with its start temperatures as fitted. intervals : (4, 2) 95 % of `NAMES`; covariance : (4, 4).
+    record : what was fitted.
+    coil : the model with its start temperatures as fitted.
+    intervals : (4, 2) 95 % of `NAMES`.
+    covariance : (4, 4) of `NAMES`.
     misfit : rms of residuals over the sensors' noise, 1 where the model explains all.
     starts : costs from each start, the best first.
     winding_C, housing_C : (n,) of the model at the record's rows.
@@ -104,10 +118,10 @@ class CoilFit:
 
     def shortfalls(self) -> list[str]:
         """Why these parameters are not to be relied upon, and what to record again; none if they are."""
-        coil, record, found = self.coil, self.record, unbelievable(self.coil)
+        coil, record, found = self.coil, self.record, _incredible(self.coil)
         half = (self.intervals[:, 1] - self.intervals[:, 0]) / 2
         wide = [
-            f"{name} to {100 * min(h / getattr(coil, name), _TOLD):.0f} %"
+            f"{name} to {100 * min(h / getattr(coil, name), _WIDEST):.0f} %"
             for name, h in zip(NAMES, half, strict=True)
             if h > MOST_UNCERTAIN * getattr(coil, name)
         ]
@@ -147,6 +161,19 @@ class CoilFit:
                 f"the ambient drifts by {record.ambient_drift_K:.1f} K (at most {DRIFT_K:g} K): shield the motor"
             )
         return found
+
+
+def _incredible(coil: CoilModel) -> list[str]:
+    """What no motor of a haptic device has, and the unit to look at: a wrong unit fits without any misfit."""
+    bounded = (
+        ("R_wh + R_ha", coil.R_wh_K_W + coil.R_ha_K_W, "K/W", _CREDIBLE_K_W, "current_A in A, the resistance in ohm"),
+        ("tau_h", coil.tau_h_s, "s", _CREDIBLE_S, "time_s in s"),
+    )
+    return [
+        f"{name} of {value:.3g} {unit} is that of no such motor ({least:g} to {most:g} {unit}): is {column}?"
+        for name, value, unit, (least, most), column in bounded
+        if not least <= value <= most
+    ]
 
 
 def heat_record(run: Measurement, R_ohm: float) -> HeatRecord:
@@ -238,7 +265,8 @@ class _Steps:
 
     Attributes
     ----------
-    heating_A2, lengths_s : (K,). first : (K + 1,) row at which each begins.
+    heating_A2, lengths_s : (K,).
+    first : (K + 1,) row at which each begins.
     """
 
     heating_A2: FloatArray
@@ -247,6 +275,7 @@ class _Steps:
 
     @classmethod
     def of(cls, record: HeatRecord) -> "_Steps":
+        """The steps of a record."""
         heat = record.heating_A2[:-1]
         threshold = _CHANGE * heat.max()
         first, changed, level = [0], 0, heat[0]
@@ -286,6 +315,7 @@ class _Misfit:
         )
 
     def coil(self, theta: FloatArray) -> CoilModel:
+        """The model of theta, its limit left open."""
         R_wh, R_ha, tau_w, tau_h = np.exp(theta[:4]).tolist()
         ambient, winding, housing = self._temperatures(theta)
         return CoilModel(
@@ -316,6 +346,7 @@ class _Misfit:
         return np.concatenate(parts)
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
+        """Derivatives of the residuals by theta, by forward differences."""
         centre = self(theta)
         columns = []
         for j in range(theta.size):
@@ -334,8 +365,10 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
 
     Parameters
     ----------
-    limit_C : of the winding, for the continuous current of the model. starts : log-uniform within a factor of 3
-        around a guess from the record. seed : of their draw.
+    record : see `heat_record`.
+    limit_C : of the winding, for the continuous current of the model.
+    starts : how many, log-uniform within a factor of 3 around a guess from the record.
+    seed : of their draw.
     """
     misfit = _Misfit(record)
     guess = _guess(record)
@@ -383,7 +416,10 @@ def fit_coil(record: HeatRecord, *, limit_C: float = np.inf, starts: int = START
 
 
 def _guess(record: HeatRecord) -> FloatArray:
-    """Within a factor of ten: most of the rise is the housing's, and most of the heating time its time constant."""
+    """(5,) or (6,) where to start, right to a factor of ten.
+
+    Most of the rise is taken for the housing's, and a quarter of the heating time for its time constant.
+    """
     known = record.winding.weight > 0
     cold = float(record.winding.values_C[known][:3].mean())
     hot = cold + record.rise_K

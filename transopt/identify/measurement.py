@@ -48,11 +48,14 @@ class Measurement:
     Attributes
     ----------
     name : what messages and reports call it: the file's name.
-    source : path. sha256 : of the file's bytes.
+    source : path.
+    sha256 : of the file's bytes.
     command : sample k is issued at its instant and held to the next one [A].
-    current : in the coil [A]. voltage : across it [V].
+    current : in the coil [A].
+    voltage : across it [V].
     acceleration : of the stylus, positive out of the object [m/s^2], behind one pole at `accelerometer_Hz` if stated.
-    position : of the motor at the tip [m]. force : of the surface on the stylus, pushing out [N].
+    position : of the motor at the tip [m].
+    force : of the surface on the stylus, pushing out [N].
     winding, housing, ambient : temperatures [C].
     grip_N : >= 0, 0 for a device that nobody holds; None if the file does not state it.
     speed_m_s : incoming speed of a tap.

@@ -14,8 +14,8 @@ ComplexArray = NDArray[np.complex128]
 
 BINS_PER_OCTAVE = 24
 MOST_ORDER = 2  # of the local polynomial: curvature across a bin is followed, not averaged
-LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1  # of each trial in a bin: where one can tell its transient
-LEAST_SURPLUS = 3  # samples in a bin beyond the polynomial's coefficients, to judge the noise by
+LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1  # of each trial in a bin, from where its transient can be fitted
+LEAST_SURPLUS = 3  # samples in a bin beyond the polynomial's coefficients, to estimate the noise from
 EXCITED = 0.03  # of the strongest energy per octave: below, a bin counts as not excited
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
 OCTAVES_OF_NOISE = 0.25  # the same, for the noise within them
@@ -30,7 +30,8 @@ class Trial:
 
     Attributes
     ----------
-    name : what messages call it. input, output : (n,) samples each, from rest to rest; units are the owner's.
+    name : what messages call it.
+    input, output : (n,) samples each, from rest to rest; units are the owner's.
 
     Raises
     ------
@@ -81,6 +82,7 @@ class TransferEstimate:
 
     @property
     def trials(self) -> int:
+        """K, number of trials."""
         return int(self.trial_responses.shape[0])
 
     def radius(self, level: float = LEVEL) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Current amplifier: one pole and a pure delay (DESIGN 3.2)."""
+"""Current amplifier: one pole and a pure delay, and the prefilter that inverts the pole (seed Sec. 4.1)."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,17 @@ from transopt.base.signals import FloatArray
 
 @dataclass(frozen=True)
 class Amplifier:
-    """di/dt = w (c(t - delay) - i) with w = 2 pi pole.
+    """di/dt = w (c(t - delay) - i) with w = 2 pi pole, from the command c to the motor current i.
 
     Attributes
     ----------
     pole_Hz : > 0.
-    delay_s : beyond the hold of the command, >= 0.
-    command_limit_A : range of the command, +- [A].
+    delay_s : >= 0; it comes on top of the hold of the command over a servo period.
+    command_limit_A : the command may lie between minus and plus this [A], > 0.
+
+    Raises
+    ------
+    InputError : one of them is out of its range.
     """
 
     pole_Hz: float
@@ -33,20 +37,29 @@ class Amplifier:
 
     @property
     def rate_rad_s(self) -> float:
+        """w [rad/s]."""
         return 2 * np.pi * self.pole_Hz
 
 
 def prefilter_coefficients(amplifier: Amplifier, dt_s: float) -> tuple[float, float]:
-    """1 / (1 - p) and -p / (1 - p), p = exp(-w dt): weights of the wanted current now and one tick earlier."""
+    """1 / (1 - p) and -p / (1 - p), p = exp(-w dt): weights of the wanted current at a tick and one tick earlier."""
     p = float(np.exp(-amplifier.rate_rad_s * dt_s))
     return 1 / (1 - p), -p / (1 - p)
 
 
 def prefilter(current_A: FloatArray, amplifier: Amplifier, dt_s: float) -> FloatArray:
-    """Commands (..., N) that make the current reach `current_A` one servo period later.
+    """Commands that make the current reach `current_A` one servo period later.
 
     c_k = (i_k - p i_(k-1)) / (1 - p), p = exp(-w dt), i_(-1) = 0: the exact inverse of the pole between two
     switching instants (seed Sec. 4.1).
+
+    Parameters
+    ----------
+    current_A : (..., N) wanted current i_k [A].
+
+    Returns
+    -------
+    (..., N) commands c_k [A].
     """
     now, earlier = prefilter_coefficients(amplifier, dt_s)
     command = now * current_A

@@ -1,4 +1,9 @@
-"""Spring-mass-damper chains from motor current to stylus acceleration (DESIGN 3.1)."""
+"""Spring-mass-damper chains from motor current to stylus acceleration.
+
+Every model of a device is such a chain, assembled by `chain`: the hand as one mass (`second_order`, seed Fig. 4a),
+the stylus before a hand (`fourth_order`, seed Fig. 4b), and a motor that drives the stylus through a transmission
+(`drive`). All masses are positive, all stiffnesses and dampings at least zero, so that a chain is passive.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +23,15 @@ class StateSpace:
 
     Attributes
     ----------
-    A : (n, n). B : (n, 1) [.../A]. C : (1, n) [m/s^2/...]. D : (1, 1) [m/s^2/A]. Ce : (1, n) [m/...].
+    A : (n, n) [1/s].
+    B : (n, 1) [unit of the state/s/A].
+    C : (1, n) [m/s^2 per unit of the state].
+    D : (1, 1) [m/s^2/A].
+    Ce : (1, n) [m per unit of the state].
+
+    Raises
+    ------
+    InputError : a matrix of another shape, or with a number that is not finite.
     """
 
     A: FloatArray
@@ -41,6 +54,7 @@ class StateSpace:
 
     @property
     def order(self) -> int:
+        """Number of states n."""
         return int(self.A.shape[0])
 
     def response(self, frequencies_Hz: FloatArray) -> FloatArray:
@@ -83,7 +97,7 @@ def chain(
 ) -> StateSpace:
     """Assemble a chain of masses; link j joins mass j and mass j + 1, the last one mass and ground.
 
-    The ground is the hand's intended motion (DESIGN 2), so every displacement is relative to it.
+    The ground is the motion that the hand intends, so every displacement is relative to it.
     States: the n elongations e_j = z_j - z_(j+1) (e_n = z_n), then the n velocities. Elongations instead
     of positions keep a stiff transmission well conditioned; the encoder position is a sum of elongations.
     With n - 1 links the chain is free; the last elongation then only integrates the position.
@@ -92,8 +106,10 @@ def chain(
     ----------
     masses_kg : n masses, > 0.
     links : n or n - 1 links, stiffness and damping >= 0.
-    driven, stylus, encoder : indices of the mass that the motor force acts on, whose acceleration is the
-        output, and whose position the encoder sees.
+    force_per_current_N_A : force on the driven mass per ampere.
+    driven : index of the mass that the motor's force acts on.
+    stylus : index of the mass whose acceleration is the output.
+    encoder : index of the mass whose position the encoder sees.
 
     Raises
     ------
@@ -130,12 +146,13 @@ def chain(
 
 @dataclass(frozen=True)
 class LinearInGrip:
-    """A hand parameter `constant + per_newton * grip`."""
+    """A parameter of the hand, `constant + per_newton * grip`, in the parameter's own SI unit."""
 
     constant: float
     per_newton: float
 
     def at(self, grip_N: float) -> float:
+        """Its value at a grip force."""
         return self.constant + self.per_newton * grip_N
 
 
@@ -150,9 +167,11 @@ class Hand:
     arm_damping_N_s_m: LinearInGrip
 
     def skin(self, grip_N: float) -> Link:
+        """Between stylus and hand mass."""
         return Link(self.skin_stiffness_N_m.at(grip_N), self.skin_damping_N_s_m.at(grip_N))
 
     def arm(self, grip_N: float) -> Link:
+        """Between hand mass and the hand's intention."""
         return Link(self.arm_stiffness_N_m.at(grip_N), self.arm_damping_N_s_m.at(grip_N))
 
 
@@ -169,9 +188,13 @@ def second_order(
     damping_N_s_m: LinearInGrip = SEED_HAND_DAMPING_N_S_M,
     stiffness_N_m: LinearInGrip = SEED_HAND_STIFFNESS_N_M,
 ) -> StateSpace:
-    """Seed Fig. 4a, by default with the fits of Eqs. 3-5: stylus and hand as one mass on one spring and damper.
+    """Stylus and hand as one mass on one spring and damper (seed Fig. 4a), by default with the fits of Eqs. 3-5.
 
-    The fits describe the whole hand during real taps; the seed's fall to zero mass at 65 N.
+    The fits describe the whole hand during real taps. The mass of Eq. 3 falls to zero at a grip of 65 N.
+
+    Raises
+    ------
+    InputError : parameters that are not passive at this grip.
     """
     link = Link(stiffness_N_m.at(grip_N), damping_N_s_m.at(grip_N))
     return chain([mass_kg.at(grip_N)], [link], force_per_current_N_A=force_per_current_N_A, stylus=0)
@@ -187,7 +210,12 @@ def _held(masses_kg: list[float], links: list[Link], hand: Hand, grip_N: float) 
 def fourth_order(
     grip_N: float, *, hand: Hand, stylus_mass_kg: float, moving_mass_kg: float, force_per_current_N_A: float
 ) -> StateSpace:
-    """Seed Fig. 4b: stylus (with the drive rigidly on it) - skin - hand mass - arm."""
+    """Stylus (with the drive rigidly on it) - skin - hand mass - arm (seed Fig. 4b); a free mass at grip 0.
+
+    Raises
+    ------
+    InputError : parameters that are not passive at this grip.
+    """
     masses, links = _held([stylus_mass_kg + moving_mass_kg], [], hand, grip_N)
     return chain(masses, links, force_per_current_N_A=force_per_current_N_A, stylus=0)
 
@@ -204,7 +232,15 @@ def drive(
 ) -> StateSpace:
     """Motor mass - transmission - stylus - skin - hand mass - arm; encoder on the motor mass.
 
-    The force acts on the motor mass, or with `driven` = 1 on the stylus.
+    At grip 0 nobody holds the stylus, and the chain ends with it.
+
+    Parameters
+    ----------
+    driven : 0 for a force on the motor mass, 1 for one on the stylus.
+
+    Raises
+    ------
+    InputError : parameters that are not passive at this grip.
     """
     masses, links = _held([moving_mass_kg, stylus_mass_kg], [transmission], hand, grip_N)
     return chain(masses, links, force_per_current_N_A=force_per_current_N_A, driven=driven, stylus=1)

@@ -1,4 +1,4 @@
-"""The supply rail: the voltage that the motor takes may not pass it (DESIGN 3.2)."""
+"""The motor's terminal voltage, and the supply rail that it may not pass."""
 
 from dataclasses import dataclass
 
@@ -13,6 +13,8 @@ class Circuit:
 
     Attributes
     ----------
+    R_ohm : resistance of the winding.
+    L_H : its inductance.
     emf_V_s_m : k_e times the transmission's ratio: volt per m/s of the stylus tip; in SI also the force per ampere.
     """
 

@@ -1,4 +1,8 @@
-"""Coil temperature: winding over housing over ambient (DESIGN 3.3, seed Eqs. 6-7)."""
+"""Coil temperature: winding over housing over ambient (seed Eqs. 6-7).
+
+Seed Eq. 6 has one node and is printed with (1 + exp(-dt / tau)) where (1 - exp(-dt / tau)) is meant: as printed, one
+tick of 1 A would heat the coil by 75 K. Here there are two nodes, because over a tap only the winding warms.
+"""
 
 from dataclasses import dataclass
 
@@ -11,7 +15,7 @@ from transopt.base.signals import FloatArray
 COPPER_PER_K = 0.0039  # temperature coefficient of resistance
 RESISTANCE_REFERENCE_C = 25.0  # datasheets state R here
 PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
-PAUSE_STEPS = 100
+PAUSE_STEPS = 100  # into which the pause between two taps is divided
 
 
 def effective_square(current_A: FloatArray) -> FloatArray:
@@ -20,13 +24,20 @@ def effective_square(current_A: FloatArray) -> FloatArray:
 
 
 def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: FloatArray) -> FloatArray:
-    """Mean of i_eff^2 over a step in which the current follows a held command through one pole, exactly [A^2].
+    """Mean of i_eff^2 over steps in which the current follows a held command through one pole [A^2].
 
-    i(t) = c + (i_0 - c) exp(-w t): however fast the pole beside the step, and through a change of sign.
+    The current is i(t) = c + (i_0 - c) exp(-w t), and i_eff = |i| + 0.02 A (seed Eq. 7). The mean is exact, however
+    fast the pole is beside the step, and also where the current changes its sign within it.
 
     Parameters
     ----------
-    before_A, command_A : (..., K) i_0 and c. decays : (K,) w times the length of the step, >= 0.
+    before_A : (..., K) i_0, current at the start of each step.
+    command_A : (..., K) c, held over the step.
+    decays : (K,) w times the length of the step, >= 0.
+
+    Returns
+    -------
+    (..., K).
     """
     x = np.maximum(decays, np.finfo(float).tiny)
     away = before_A - command_A
@@ -50,6 +61,20 @@ class CoilModel:
     C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_ambient) / R_ha
     with C_w = tau_w / R_wh and C_h = tau_h / R_ha. With one node the housing keeps its start temperature, which is
     what it does over a tap; the lumped sum of both resistances would overstate short heating several times.
+
+    Attributes
+    ----------
+    R_ohm : resistance at 25 C.
+    R_wh_K_W, R_ha_K_W : thermal resistances winding to housing and housing to ambient.
+    tau_w_s, tau_h_s : time constants of winding and housing.
+    limit_C : highest temperature that the winding may have.
+    ambient_C : temperature around the housing.
+    start_winding_C, start_housing_C : temperatures at the start, the winding's at most `limit_C`.
+    nodes : 1 (winding) or 2 (winding and housing).
+
+    Raises
+    ------
+    InputError : one of them is out of its range.
     """
 
     R_ohm: float
@@ -86,7 +111,7 @@ class CoilModel:
 
     @property
     def rest_C(self) -> float:
-        """Where all nodes go without current."""
+        """Temperature that all nodes approach without current."""
         return self.ambient_C if self.nodes == 2 else self.start_housing_C
 
     def continuous_current_A(self) -> float:
@@ -114,22 +139,23 @@ class CoilModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Winding and housing temperature, exact for heating that is constant over each step.
 
-        However short the time constants beside the steps; the matrix exponential of two nodes in closed form.
+        The matrix exponential of two nodes is taken in closed form, so the time constants may be as short beside the
+        steps as they like.
 
         Parameters
         ----------
         effective_square_A2 : (M, K) mean of i_eff^2 over each of K steps for M waveforms [A^2].
         steps_s : (K,) step lengths [s].
-        start_C : (M, 2) winding and housing at the start; the model's own start temperatures without it.
+        start_C : (M, 2) winding and housing at the start; without it the model's own start temperatures.
 
         Returns
         -------
-        (M, K + 1) winding and housing temperatures [C], from the start temperatures on.
+        winding_C, housing_C : (M, K + 1) each, the start temperatures first; infinite from where they overflow.
         """
         M, K = effective_square_A2.shape
         start = np.array([self.start_winding_C, self.start_housing_C])
         start = np.broadcast_to(start if start_C is None else start_C, (M, 2))
-        with np.errstate(over="ignore", invalid="ignore"):  # currents of a wall that grows by itself
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable wall lets the current grow without bound
             p, s = self._steps(effective_square_A2, steps_s)
             change, forced = np.stack(p, axis=-1).reshape(M, K, 2, 2), np.stack(s, axis=-1)
             # Of the rise d above the start: d+ = (1 + p) d + (p T_0 + s), which keeps what is small from drowning.
@@ -147,10 +173,14 @@ class CoilModel:
     def _steps(
         self, effective_square_A2: FloatArray, steps_s: FloatArray
     ) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-        """What each step adds: T+ - T = p T + s, four and two arrays (M, K).
+        """What each step adds to the temperatures T of both nodes: T+ - T = p T + s.
 
         dT/dt = m T + c has the increment h phi(h m) (m T + c) with phi(x) = (e^x - 1) / x. A function of a
         2 x 2 matrix m with eigenvalues a +- d is its mean over both plus its slope between them times (m - a).
+
+        Returns
+        -------
+        The entries p11, p12, p21, p22 and s1, s2, (M, K) each.
         """
         C_w = self.tau_w_s / self.R_wh_K_W
         C_h = self.tau_h_s / self.R_ha_K_W if self.nodes == 2 else np.inf
@@ -179,14 +209,21 @@ class CoilModel:
     def steady_course(
         self, effective_square_A2: FloatArray, steps_s: FloatArray, pause_s: float, idle_A: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Winding and housing over a tap that has repeated itself for ever, as `simulate` gives them, (M, K + 1).
+        """Winding and housing over a tap that has repeated itself for ever.
 
-        The temperatures after one period are affine in those before it; their fixed point is the start. Infinite
-        where every tap leaves the coil hotter than it found it (thermal runaway).
+        The temperatures after one period are affine in those before it; their fixed point is the start. They are
+        infinite where every tap leaves the coil hotter than it found it (thermal runaway).
 
         Parameters
         ----------
-        pause_s : from the tap's end to the next. idle_A : (M,) currents in the pause, without ripple.
+        effective_square_A2 : (M, K) mean of i_eff^2 over each step of the tap, for M waveforms [A^2].
+        steps_s : (K,) step lengths [s].
+        pause_s : from the tap's end to the start of the next.
+        idle_A : (M,) currents in the pause, without ripple.
+
+        Returns
+        -------
+        winding_C, housing_C : (M, K + 1) each, as `simulate` gives them.
         """
         M = effective_square_A2.shape[0]
         pause_steps = np.full(PAUSE_STEPS, pause_s / PAUSE_STEPS)
@@ -199,7 +236,7 @@ class CoilModel:
             return np.stack([course[:, -1] for course in self.simulate(heat, steps, start)], axis=1)
 
         origin, m = after_period(0.0, 0.0), self.nodes
-        with np.errstate(invalid="ignore"):  # where a coil runs away within one period, inf - inf
+        with np.errstate(invalid="ignore"):  # inf - inf where a coil runs away within one period
             transition = np.stack([after_period(1.0, 0.0) - origin, after_period(0.0, 1.0) - origin], axis=2)
             own, from_housing = transition[:, :m, :m], transition[:, :m, m:]
             # With one node the housing stays where it is, and the winding settles above it.

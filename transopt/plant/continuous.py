@@ -1,8 +1,9 @@
-"""Continuous-time simulation of a device under held commands, for the replay and for nothing else (DESIGN 4).
+"""Continuous-time simulation of a device under held commands, for the replay and for nothing else.
 
-Nothing but the plant's matrices is shared with the design model: the time axis is the true one (commands issued at
-t_k, felt a delay later), and the integrator is an implicit Runge-Kutta method on a finer step, where the design has a
-matrix exponential. For commands that are held a Runge-Kutta step is a linear map, the same in every period.
+The replay checks the design by other means, so nothing but the plant's matrices is shared with the design model
+(`transopt.plant.discretise`). The time axis is the true one: commands are issued at t_k and felt a delay later. The
+integrator is an implicit Runge-Kutta method on a finer step, where the design has a matrix exponential. For commands
+that are held a Runge-Kutta step is a linear map, the same in every period.
 """
 
 from collections.abc import Sequence
@@ -59,15 +60,19 @@ def _step_map(A: FloatArray, B: FloatArray, h_s: float) -> tuple[FloatArray, Flo
 
 @dataclass(frozen=True)
 class Segment:
-    """The part of a servo period in which one command is felt: maps from its start to each kept sample.
+    """The share of a servo period in which one command c is felt: maps from its start to each kept sample.
 
-    `behind` is how many ticks that command was issued before the period's own.
+    Attributes
+    ----------
+    behind : how many ticks before the period's own command c was issued.
+    offsets_s : (m + 1,) times of the kept samples from the start of the period, the segment's start first.
+    P : (m + 1, n, n), Q : (m + 1, n, 1) of x_j = P_j x_0 + Q_j c.
     """
 
     behind: int
-    offsets_s: FloatArray  # (m + 1,) from the start of the period, the segment's start first
-    P: FloatArray  # (m + 1, n, n)
-    Q: FloatArray  # (m + 1, n, 1)
+    offsets_s: FloatArray
+    P: FloatArray
+    Q: FloatArray
 
 
 def _segment(A: FloatArray, B: FloatArray, start_s: float, end_s: float, behind: int, halvings: int) -> Segment:
@@ -99,19 +104,39 @@ def _segments(A: FloatArray, B: FloatArray, grid: TimeGrid, halvings: int) -> li
 
 @dataclass(frozen=True)
 class Trajectory:
-    times_s: FloatArray  # (K,)
-    acceleration_m_s2: FloatArray  # (M, K)
-    current_A: FloatArray  # (M, K)
-    felt_A: FloatArray  # (M, K) command that the amplifier follows
-    velocity_m_s: FloatArray  # (M, K) of the motor mass, what the current adds
-    outputs: dict[str, FloatArray]  # (M, K) each, further outputs of the stage by name
-    at_switching: NDArray[np.intp]  # (N,) indices of the fine samples just after each switching instant
-    segment_starts: NDArray[np.intp]  # (S,) indices of the first sample of each segment
+    """The kept samples of M taps, K of each.
+
+    Attributes
+    ----------
+    times_s : (K,) contact at 0.
+    acceleration_m_s2 : (M, K) y'' of the stylus.
+    current_A : (M, K) in the motor.
+    felt_A : (M, K) command that the amplifier follows.
+    velocity_m_s : (M, K) dy/dt of the motor mass.
+    outputs : name -> (M, K) of a further output of the stage.
+    at_switching : (N,) indices of the samples just after each switching instant.
+    segment_starts : (S,) indices of the first sample of each segment.
+    """
+
+    times_s: FloatArray
+    acceleration_m_s2: FloatArray
+    current_A: FloatArray
+    felt_A: FloatArray
+    velocity_m_s: FloatArray
+    outputs: dict[str, FloatArray]
+    at_switching: NDArray[np.intp]
+    segment_starts: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class Loop:
-    """The walls of M taps, closed over the replay's own motion; `count_m` rounds the encoder, 0 does not."""
+    """The walls of M taps, closed over the replay's own motion.
+
+    Attributes
+    ----------
+    walls : M hand-overs with the same wall.
+    count_m : the encoder is rounded to whole multiples of this; 0 does not round.
+    """
 
     walls: Sequence[HandOver]
     count_m: float
@@ -123,10 +148,12 @@ class Loop:
         return np.asarray(z[k] if k <= last else z[last] + (k - last) * (z[last] - z[last - 1]))
 
     def read(self, k: int, deviation_m: FloatArray) -> FloatArray:
+        """(M,) what the encoder reads at tick k for the deviations y (M,) from the nominal motion."""
         z = self.nominal(k) + deviation_m
         return np.asarray(np.round(z / self.count_m) * self.count_m) if self.count_m else z
 
     def start(self, stage: StageModel, dt_s: float) -> FeedbackLoop:
+        """The wall's law before its first tick."""
         wall = self.walls[0].wall
         approach = np.array([wall.approach_m_s for wall in self.walls])
         first = self.read(0, np.zeros(approach.size))
@@ -135,14 +162,19 @@ class Loop:
 
 @dataclass(frozen=True)
 class Flow:
-    """Plant and amplifier in balanced units: dx/dt = A x + B c, the current the last state unless c is it.
+    """Plant and amplifier in balanced units: dx/dt = A x + B c.
+
+    The current is the last state, unless the amplifier is ideal and the current is the command c itself.
 
     Attributes
     ----------
-    rows : (3 + further outputs, n) y'', current, motor velocity and further outputs of the states.
-    direct : (3 + further outputs,) of the command felt.
+    A : (n, n).
+    B : (n, 1).
+    rows : (3 + further, n) what the states add to y'', the current, the velocity of the motor mass and the further
+        outputs of the stage.
+    direct : (3 + further,) what the command that is felt adds to them.
     names : of the further outputs.
-    encoder : (n,) its position.
+    encoder : (n,) position of the motor mass, of the states.
     """
 
     A: FloatArray
@@ -154,6 +186,7 @@ class Flow:
 
     @classmethod
     def of(cls, stage: StageModel) -> "Flow":
+        """From the continuous-time plant and the amplifier of a stage; its discrete matrices are not used."""
         plant, amplifier = stage.plant, stage.amplifier
         n, velocity = plant.order, (plant.Ce @ plant.A)[0]
         if amplifier is None:
@@ -188,8 +221,11 @@ class Course:
 
     Attributes
     ----------
-    states : per segment of a period (M, periods, n). felt_A : per segment (M, periods) the command felt in it.
-    command_A : (M, N) as issued. arriving : index of the segment in which a tick's own command is felt first.
+    segments : of a period, two.
+    states : (M, periods, n) per segment, at its start.
+    felt_A : (M, periods) per segment, the command that is felt in it.
+    command_A : (M, N) as issued.
+    arriving : index of the segment in which a tick's own command is felt first.
     """
 
     segments: list[Segment]
@@ -211,7 +247,7 @@ class Course:
         return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
 
     def rounding(self, flow: Flow) -> FloatArray:
-        """(M,) `ROUNDING` of the terms that add up to y'' there, the force of link and current each by itself."""
+        """(M,) `ROUNDING` times the largest sum of the sizes of the terms that add up to y'' there [m/s^2]."""
         states = np.abs(self.states[self.arriving][:, self.at_switching])
         felt = np.abs(self.felt_A[self.arriving][:, self.at_switching])
         terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
@@ -226,7 +262,8 @@ def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: 
 
     Parameters
     ----------
-    by_command : (n, w). issued_A : (M, at least periods + w - 1).
+    by_command : (n, w).
+    issued_A : (M, at least periods + w - 1).
     """
     (n, w), M = by_command.shape, issued_A.shape[0]
     powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
@@ -257,7 +294,10 @@ def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: 
 def _play(
     stage: StageModel, flow: Flow, grid: TimeGrid, commands_A: FloatArray, halvings: int, loop: Loop | None
 ) -> Course:
-    """Play M commands (M, N), period by period."""
+    """The states of M taps under the commands (M, N) [A], period by period.
+
+    `halvings` is how often the Runge-Kutta step is halved; `loop` adds the wall's feedback to the commands.
+    """
     segments = _segments(flow.A, flow.B, grid, halvings)
     first, second = segments
     # With a whole delay the command arrives with the tick, else with the second segment.
@@ -287,7 +327,7 @@ def _play(
 
 
 def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
-    """The kept samples between the starts of the segments."""
+    """All kept samples of a course: `SAMPLES_PER_PERIOD` a period, and the start of each segment besides."""
     M, periods, _ = course.states[0].shape
     samples = course.segments[0].offsets_s.size
     # Segment after segment within each period, all of it along one axis in the end.
@@ -318,7 +358,16 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
 
 @dataclass(frozen=True)
 class Accurate:
-    """The course whose step is fine enough, y'' (M, N) at its switching instants, and how far half the step was."""
+    """A course whose Runge-Kutta step is fine enough.
+
+    Attributes
+    ----------
+    flow : what was integrated.
+    course : states at the starts of the segments.
+    acceleration_m_s2 : (M, N) y'' just after the switching instants.
+    rounding_m_s2 : (M,) size of what rounding may do to them.
+    step_error : (M,) largest difference of y'' to the course of twice the step, relative to its peak.
+    """
 
     flow: Flow
     course: Course
@@ -328,6 +377,14 @@ class Accurate:
 
 
 def accurate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, loop: Loop | None) -> Accurate:
+    """Play commands (M, N) [A], halving the step until halving changes y'' by no more than `STEP_ERROR`.
+
+    After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is.
+
+    Parameters
+    ----------
+    loop : the walls whose feedback is added to the commands; None for none.
+    """
     flow = Flow.of(stage)
     coarse = _play(stage, flow, grid, commands_A, 0, loop).accelerations(flow)
     for halvings in range(1, MOST_HALVINGS + 1):

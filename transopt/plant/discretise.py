@@ -1,4 +1,10 @@
-"""Exact discretisation of plant and amplifier on the switching instants (DESIGN 2 and 4)."""
+"""Exact discretisation of plant and amplifier on the switching instants.
+
+The servo issues command c_k at its tick t_k = -lead + k dt and holds it; after the amplifier's delay the motor feels
+it from the switching instant tau_k = t_k + delay on. Predictions and the reference are sampled at the switching
+instants. So a delay only shifts the time axis and costs no state. And since the current is monotone between two
+switching instants, a bound on i(tau_k) bounds |i(t)| for all t; a bound at the ticks would not.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +26,19 @@ AFTER = " after the period"  # behind the name of an output: its value at the ne
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, contact at t = 0."""
+    """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, k = 0..N-1, contact at t = 0.
+
+    Attributes
+    ----------
+    dt_s : servo period, > 0.
+    stages : N, number of commands, >= 1.
+    lead_s : how long before contact the first command is issued, >= 0.
+    delay_s : of the amplifier, >= 0.
+
+    Raises
+    ------
+    InputError : one of them is out of its range.
+    """
 
     dt_s: float
     stages: int
@@ -54,11 +72,12 @@ class TimeGrid:
 
 @dataclass(frozen=True)
 class Motion:
-    """What a command does at the switching instants, or gradients by it; all (..., N).
+    """What a command does at the switching instants, or gradients by these quantities; all (..., N).
 
     Attributes
     ----------
-    acceleration_m_s2 : y'' of the stylus. current_A : i.
+    acceleration_m_s2 : y'' of the stylus.
+    current_A : i in the motor.
     velocity_m_s : dy/dt of the motor mass, which the back-EMF follows.
     encoder_m : y of the motor mass where the encoder is read while c_k is felt, at tick t_(k + 1 + whole delay);
         zero where the model has no position.
@@ -75,6 +94,7 @@ class Motion:
 
     @classmethod
     def zero(cls, stages: int) -> "Motion":
+        """No motion, (stages,) of each."""
         nothing = np.zeros(stages)
         return cls(nothing, nothing, nothing, nothing)
 
@@ -88,10 +108,15 @@ class StageModel:
 
     Attributes
     ----------
-    plant, amplifier, dt_s : what was discretised; amplifier None is ideal, i = c.
-    A : (n, n). B : (n, 1).
-    C, D : (1, n), (1, 1) of y''. Ci, Di : of the current. Cv : (1, n) of the motor mass's velocity.
-    Cp, Dp : of the encoder position at the tick within the period; None where position is left out.
+    plant : the continuous-time model.
+    amplifier : None is ideal, i = c.
+    dt_s : servo period.
+    A : (n, n).
+    B : (n, 1).
+    C, D : (1, n), (1, 1) of y''.
+    Ci, Di : (1, n), (1, 1) of the current.
+    Cv : (1, n) of the motor mass's velocity.
+    Cp, Dp : (1, n), (1, 1) of the encoder position at the tick within the period; None where it is left out.
     outputs : name -> (n,) row of a further output at the switching instants, one that the command moves only later;
         with `AFTER` behind its name the same output one period later, which the command has moved by then.
     """
@@ -271,7 +296,7 @@ def acting_states(
 
 
 def exponential(matrix: FloatArray) -> FloatArray:
-    """expm of a matrix whose states are balanced first, by powers of two: exact whatever units they are in.
+    """expm of a matrix (n, n) whose states are balanced first, by powers of two: exact whatever units they are in.
 
     Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
     drown the small ones.
@@ -290,11 +315,14 @@ def discretise(
 ) -> StageModel:
     """Exact zero-order hold of plant and amplifier by one matrix exponential.
 
-    The amplifier's delay does not appear: it only shifts the time axis (DESIGN 2), except that the encoder is read
-    at ticks, somewhere between two switching instants. States that nothing depends on are left out.
+    The amplifier's delay does not appear: it only shifts the time axis, except that the encoder is read at ticks,
+    somewhere between two switching instants. States that nothing depends on are left out.
 
     Parameters
     ----------
+    plant : from motor current to stylus acceleration.
+    amplifier : None is ideal.
+    dt_s : servo period.
     position : also give the encoder position, for a wall.
     outputs : further outputs of the plant to be named, see `plant_outputs`.
 
@@ -338,7 +366,10 @@ def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: in
 
     Parameters
     ----------
-    A : (n, n). B : (n,).
+    A : (n, n).
+    B : (n,).
+    current_limit_A : size of the square wave.
+    stages : N of the problem; at most 400 periods are simulated.
     """
     period, n = 20, B.size
     halves = -(-min(stages, 20 * period) // period)

@@ -1,4 +1,10 @@
-"""The virtual wall: feedback from the encoder at the servo ticks (DESIGN 3.5, seed Eq. 9)."""
+"""The virtual wall: feedback from the encoder at the servo ticks (seed Eq. 9).
+
+Current from the wall and from the transient add up, and the motor knows only their sum. The optimal-control problem
+therefore works on the total command and does not see the wall but at the end of the horizon, where the transient has
+to be zero: there the total command is what the feedback asks for. In the signs of this package Eq. 9 reads
+i_tr = y'' / G + (K_p z + K_d dz/dt) / k_f while z < 0; the seed's minus is its other sign of the current.
+"""
 
 from dataclasses import dataclass
 
@@ -14,7 +20,7 @@ from transopt.plant.discretise import TimeGrid
 
 
 def earlier_by(ticks: int, values: FloatArray) -> FloatArray:
-    """(N,) values moved to the front, zeros behind: the transpose of a delay, which may exceed the horizon."""
+    """(N,) values moved `ticks` to the front, zeros behind: the transpose of a delay, which may exceed N."""
     kept = values[ticks:]
     return np.append(kept, np.zeros(values.size - kept.size))
 
@@ -28,10 +34,15 @@ class Wall:
 
     Attributes
     ----------
-    stiffness_N_m, damping_N_s_m : K_p, K_d >= 0.
+    stiffness_N_m : K_p >= 0.
+    damping_N_s_m : K_d >= 0.
     force_per_current_N_A : k_f > 0.
     latency_ticks : whole ticks from the reading of the encoder to the command that answers it, >= 0.
     derivative_filter_Hz : f > 0.
+
+    Raises
+    ------
+    InputError : one of them is out of its range.
     """
 
     stiffness_N_m: float
@@ -54,9 +65,13 @@ class Wall:
         return float(np.exp(-2 * np.pi * self.derivative_filter_Hz * dt_s))
 
     def measured(self, encoder_m: FloatArray, dt_s: float, approach_m_s: float) -> tuple[FloatArray, FloatArray]:
-        """Position and filtered velocity that the law of each tick acts on, from encoder readings (..., N).
+        """Position [m] and filtered velocity [m/s] that the law of each tick acts on, (..., N) each.
 
         Before the first tick the stylus came in straight, at `approach_m_s`, and the filter had settled on it.
+
+        Parameters
+        ----------
+        encoder_m : (..., N) readings at the ticks.
         """
         late = self.latency_ticks
         steps = np.arange(late + 1, 0, -1)
@@ -98,7 +113,9 @@ class HandOver:
 
     Attributes
     ----------
-    nominal_m : (N,) z_nom at the ticks t_k. approach_m_s : incoming speed.
+    wall : its law.
+    nominal_m : (N,) z_nom at the ticks t_k.
+    approach_m_s : incoming speed.
     pressing : (N,) whether the law pushes at tick k; fixed for one solve, checked against the answer.
     """
 
@@ -128,7 +145,7 @@ class HandOver:
 
 
 def feedback_command(feedback_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
-    """(..., N) command that makes the amplifier deliver the feedback current (DESIGN 3.2)."""
+    """(..., N) command that makes the amplifier deliver the feedback current (`prefilter`)."""
     return feedback_A if amplifier is None else prefilter(feedback_A, amplifier, dt_s)
 
 
@@ -154,7 +171,11 @@ class FeedbackLoop:
 
     Parameters
     ----------
-    first_m : (M,) encoder position at the first tick. approach_m_s : (M,) incoming speeds.
+    wall : the same for all taps.
+    amplifier : whose pole the prefilter inverts; None is ideal.
+    dt_s : servo period.
+    first_m : (M,) encoder position at the first tick.
+    approach_m_s : (M,) incoming speeds.
     """
 
     def __init__(

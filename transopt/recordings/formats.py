@@ -1,7 +1,8 @@
-"""The formats of tables of signals: CSV, text, NPZ, MAT and WAV, each read as it stands in the file.
+"""The file formats of signals: CSV, text, NPZ, MAT and WAV, each read as it stands in the file.
 
 Each format has one function that returns the file's columns in the file's own units; nothing is checked but the
-columns' names, for which the reader has a `Vocabulary`. `tabular` checks and converts all of them alike.
+columns' names, for which the reader has a `Vocabulary`. `transopt.recordings.table` checks and converts all of them
+alike.
 """
 
 import io
@@ -32,7 +33,15 @@ _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Scalar:
-    """A number in the file's head: its quantity, factor to SI, unit as written, and whether it may be zero."""
+    """A number in the file's head.
+
+    Attributes
+    ----------
+    quantity : what it is, "speed" for example.
+    factor : from the file's unit to SI.
+    unit : the file's unit, as messages write it.
+    zero : whether it may be zero.
+    """
 
     quantity: str
     factor: float
@@ -49,7 +58,8 @@ class Vocabulary:
     columns : name in the file -> (quantity, factor to SI); "time" is one of the quantities.
     header : name in the file -> scalar.
     required : quantities that every file has.
-    how_to_name : remedy where columns have no names. rename : where a name is unknown.
+    how_to_name : what to do where columns have no names.
+    rename : what to do where a name is unknown.
     step_s : shortest and longest median time step [s].
     unit_suffix : how names end that are meant for a quantity, known or misspelt; others are the user's own.
     """
@@ -65,7 +75,14 @@ class Vocabulary:
 
 @dataclass(frozen=True)
 class RawTable:
-    """A file in its own units. `place` says of a sample index where its reader finds it in the file."""
+    """What a file holds, in the file's own units.
+
+    Attributes
+    ----------
+    columns : name in the file -> (n,) numbers.
+    header : name in the file -> what stands there, unchecked.
+    place : where in the file a user finds the sample of an index, for messages.
+    """
 
     columns: Mapping[str, FloatArray]
     header: Mapping[str, object]
@@ -73,6 +90,12 @@ class RawTable:
 
 
 def read_bytes(path: Path) -> bytes:
+    """The content of a file.
+
+    Raises
+    ------
+    InputError : it cannot be read, is no file, or is empty.
+    """
     try:
         if path.exists() and not path.is_file():  # a pipe or device would block or never end
             raise InputError("is a folder or a device; name the files themselves")
@@ -87,6 +110,19 @@ def read_bytes(path: Path) -> bytes:
 def read_raw(
     suffix: str, data: bytes, columns: Sequence[str], full_scale_m_s2: float | None, words: Vocabulary
 ) -> RawTable:
+    """Read the bytes of a file in the format that its suffix names.
+
+    Parameters
+    ----------
+    suffix : with its dot, in any case.
+    data : the file's bytes.
+    columns, full_scale_m_s2 : see `transopt.recordings.table.read_table`.
+    words : names of columns and scalars.
+
+    Raises
+    ------
+    InputError : an unknown format or column, or content that is not of the format.
+    """
     match suffix.lower():
         case ".txt" | ".dat" if not columns:
             raise InputError(f"columns have no names; {words.how_to_name}")
@@ -222,7 +258,7 @@ def _from_variables(
 
 
 def _column(named: Mapping[str, object], name: str) -> FloatArray:
-    with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable only now
+    with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable when it is asked for
         array = np.asarray(named[name])
     if array.dtype.kind not in "iuf" or array.size != max(array.shape, default=1):
         found = f"{quote(str(array.dtype))} of shape {array.shape}"

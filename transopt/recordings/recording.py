@@ -1,17 +1,51 @@
-"""One recorded contact, as it came from the file."""
+"""One recorded contact, and reading it from a file.
 
+A file is read in three steps: `formats` returns its columns as they stand in it, `table` checks and converts them to
+SI signals on one uniform time grid, and `load_recording` makes a `Recording` of them. g, mm, mm/s and ms exist in the
+vocabularies of readers and on the axes of figures, and nowhere else in the project.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import Signal
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.recordings.formats import Scalar, Vocabulary
+from transopt.recordings.table import read_table
+
+VOCABULARY = Vocabulary(
+    columns={
+        "time_s": ("time", 1.0),
+        "time_ms": ("time", 1e-3),
+        "acceleration_m_s2": ("acceleration", 1.0),
+        "acceleration_g": ("acceleration", STANDARD_GRAVITY_M_S2),
+        "position_m": ("position", 1.0),
+        "position_mm": ("position", 1e-3),
+        "force_N": ("force", 1.0),
+        "current_A": ("current", 1.0),
+        "command_A": ("command", 1.0),  # as the simulator records it; a tap on a real object has none
+    },
+    header={
+        "speed_m_s": Scalar("speed", 1.0, "m/s"),
+        "speed_mm_s": Scalar("speed", 1e-3, "mm/s"),
+        "grip_N": Scalar("grip", 1.0, "N", zero=True),
+    },
+    required=("time", "acceleration"),
+    how_to_name='name them in the scene: recordings.columns = ["time_s", "acceleration_g"] ("-" skips one)',
+    rename="rename it, or list what to read in recordings.columns",
+    step_s=(1e-9, 0.05),  # slower than 20 Hz nothing of a tap's band (10 Hz to 1 kHz) is left
+)
 
 
 @dataclass(frozen=True)
 class Recording:
     """Acceleration of one tap over time, and what else was recorded with it.
 
-    Signs and units as recorded, converted to SI; offset, polarity and onset are found in `reference`.
+    Units are SI, signs and time as recorded: offset, polarity and onset are found by `transopt.recordings.tap`.
 
     Attributes
     ----------
@@ -24,6 +58,10 @@ class Recording:
     current : motor current [A].
     speed_m_s : incoming speed if the recording states it, > 0.
     grip_N : grip force if the recording states it, >= 0.
+
+    Raises
+    ------
+    InputError : a speed outside 1e-4 to 100 m/s, a negative or infinite grip force.
     """
 
     name: str
@@ -43,3 +81,48 @@ class Recording:
             raise InputError(f"{self.name}: speed_m_s = {self.speed_m_s:g} m/s: must be between 1e-4 and 100 m/s")
         if self.grip_N is not None and not 0 <= self.grip_N < float("inf"):
             raise InputError(f"{self.name}: grip_N = {self.grip_N:g} N: must be >= 0 and finite")
+
+
+def load_recording(
+    path: Path,
+    *,
+    columns: Sequence[str] = (),
+    full_scale_m_s2: float | None = None,
+    speed_m_s: float | None = None,
+    grip_N: float | None = None,
+) -> Recording:
+    """Read one recorded tap; the format follows from the suffix.
+
+    Parameters
+    ----------
+    path : .csv, .txt, .dat, .npz, .mat (-v6 or -v7) or .wav.
+    columns : names of the file's columns, "-" for one to skip. Text needs them, in CSV they replace the
+        header row, in NPZ and MAT they choose the variables; WAV ignores them.
+    full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
+    speed_m_s, grip_N : override what the file states.
+
+    Returns
+    -------
+    The recording on the uniform grid of the mean time step, resampled to it by a cubic spline if a time stamp lies
+    off that grid by more than 1 % of a step.
+
+    Raises
+    ------
+    InputError : one line, whatever is wrong with the file.
+    """
+    stated = {"speed_m_s": speed_m_s, "grip_N": grip_N}
+    table = read_table(path, VOCABULARY, columns=columns, full_scale_m_s2=full_scale_m_s2, stated=stated)
+    acceleration = table.signals["acceleration"].values
+    if np.all(acceleration == acceleration[0]):
+        raise InputError(
+            f"{path}: recording is constant at {acceleration[0]:g} m/s^2 throughout: is the sensor connected?"
+        )
+    return Recording(
+        name=path.name,
+        source=str(path),
+        sha256=table.sha256,
+        speed_m_s=table.scalars.get("speed"),
+        grip_N=table.scalars.get("grip"),
+        # A command, which a simulated tap may have, is not part of a recording: nobody drives a real object.
+        **{name: signal for name, signal in table.signals.items() if name != "command"},
+    )

@@ -1,4 +1,10 @@
-"""From recordings to references: what the motor has to make the stylus do (DESIGN 2 and 5)."""
+"""From recordings to references: what the motor has to make the stylus do.
+
+The recorded acceleration r_raw has two makers. Below some 8 Hz it is the user, whose hand moves and yields. Above, it
+is the object that was struck, and its share r = H r_raw is what the motor has to make; H is a causal second-order
+high-pass. The user's share r_raw - r, integrated twice from the incoming speed, is the nominal motion z_nom: where
+the stylus would be without the motor. Both are sampled at the switching instants of the problem's time grid.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +18,7 @@ from transopt.base.signals import FloatArray, Signal, highpass, nrmse, sampled
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import Tap, prepare
+from transopt.recordings.tap import PreparedTap, prepare
 
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
@@ -24,12 +30,18 @@ class Reference:
 
     Attributes
     ----------
-    raw_m_s2 : (N,) r_raw, the recorded acceleration. motor_m_s2 : (N,) r = H r_raw.
-    nominal_position_m, nominal_velocity_m_s : (N,) z_nom and its derivative.
+    speed_m_s : incoming speed.
+    raw_m_s2 : (N,) r_raw, the recorded acceleration.
+    motor_m_s2 : (N,) r = H r_raw.
+    nominal_position_m : (N,) z_nom.
+    nominal_velocity_m_s : (N,) its derivative.
     nominal_position_at_ticks_m : (N,) z_nom at the servo ticks t_k, where the encoder is read.
-    repeatability, repeatability_unaligned : mean NRMSE of the repeats against their mean; NaN for one tap.
-    taps : the recordings used. factors : (n,) by which each was scaled to the grid speed.
-    times_s, repeats_m_s2 : (K,), (n, K) the aligned repeats, for figures.
+    repeatability : mean NRMSE of the aligned repeats against their mean; NaN for one tap.
+    repeatability_unaligned : the same before they were aligned.
+    taps : the n recordings used.
+    factors : (n,) by which each was scaled to the grid speed.
+    times_s : (K,) of the repeats.
+    repeats_m_s2 : (n, K) the aligned repeats, for figures.
     between_m_s : the two recorded speeds it was derived from by `between`; None if it was recorded itself.
     """
 
@@ -41,7 +53,7 @@ class Reference:
     nominal_position_at_ticks_m: FloatArray
     repeatability: float
     repeatability_unaligned: float
-    taps: tuple[Tap, ...]
+    taps: tuple[PreparedTap, ...]
     factors: FloatArray
     times_s: FloatArray
     repeats_m_s2: FloatArray
@@ -72,7 +84,7 @@ def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
     """(n,) shift [s] by which each repeat is later than the mean, to a fraction of the step."""
     reach = round(ALIGNMENT_S / step_s)
     length = scipy.fft.next_fast_len(mean.size + reach, real=True)
-    # Cyclic, with room behind for the lags looked at; those before zero stand at the end.
+    # The correlation is cyclic, with room behind the signals for the lags looked at; negative lags stand at the end.
     matches = scipy.fft.irfft(scipy.fft.rfft(repeats, length) * scipy.fft.rfft(mean, length).conj(), length)
     lags = []
     for window in np.roll(matches, reach, axis=1)[:, : 2 * reach + 1]:
@@ -87,6 +99,7 @@ def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
 
 
 def _spread(repeats: FloatArray) -> float:
+    """Mean NRMSE of repeats (n, K) against their mean; NaN for one."""
     if repeats.shape[0] < 2:
         return float("nan")
     mean = repeats.mean(axis=0)
@@ -101,12 +114,20 @@ def _integral(values: FloatArray, step_s: float) -> FloatArray:
 
 
 def build_reference(
-    speed_m_s: float, taps: Sequence[Tap], factors: FloatArray, grid: TimeGrid, settings: Recordings
+    speed_m_s: float, taps: Sequence[PreparedTap], factors: FloatArray, grid: TimeGrid, settings: Recordings
 ) -> Reference:
     """Scale, align and average the taps of one grid speed, and split off the user's share.
 
     r_raw is the mean; r = H r_raw with H a causal second-order high-pass; z_nom integrates r_raw - r twice from
     z = 0, dz/dt = -speed at contact.
+
+    Parameters
+    ----------
+    speed_m_s : the grid speed.
+    taps : n taps.
+    factors : (n,) by which their accelerations are multiplied to be of that speed.
+    grid : where the reference is sampled.
+    settings : cut-off of H.
 
     Raises
     ------
@@ -139,7 +160,7 @@ def build_reference(
     velocity += -speed_m_s - velocity[contact]
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    # All within the fine times.
+    # The instants all lie within the fine times, so that `sampled` sets none of them to zero.
     courses = scipy.interpolate.CubicSpline(
         raw.times_s, np.stack([raw.values, motor.values, position, velocity], axis=1)
     )
@@ -160,7 +181,9 @@ def build_reference(
     )
 
 
-def assign(taps: Sequence[Tap], speeds_m_s: Sequence[float], settings: Recordings) -> list[list[tuple[Tap, float]]]:
+def assign(
+    taps: Sequence[PreparedTap], speeds_m_s: Sequence[float], settings: Recordings
+) -> list[list[tuple[PreparedTap, float]]]:
     """For each grid speed its taps, each with the factor that scales it to that speed.
 
     A tap belongs to the nearest grid speed, if it lies within `speed_tolerance` of it; taps that serve every
@@ -171,7 +194,7 @@ def assign(taps: Sequence[Tap], speeds_m_s: Sequence[float], settings: Recording
     InputError : a tap too far from every grid speed; a grid speed without a tap.
     """
     nodes = np.asarray(speeds_m_s, dtype=float)
-    groups: list[list[tuple[Tap, float]]] = [[] for _ in nodes]
+    groups: list[list[tuple[PreparedTap, float]]] = [[] for _ in nodes]
     for tap in taps:
         if np.isnan(tap.speed_m_s):
             for group, node in zip(groups, nodes, strict=True):

@@ -8,7 +8,7 @@ from transopt.base.section import Finite, NonNegative, Positive, Section, Speed
 
 
 class SimulatedTaps(Section):
-    """A real object that the undriven device strikes (DESIGN 5): the built-in recordings.
+    """A real object that the undriven device strikes: the built-in recordings.
 
     Contact force on the stylus: k delta^n (1 + c d delta/dt) >= 0, delta the indentation.
     """

@@ -1,6 +1,8 @@
-"""Tables of signals from files: CSV, text, NPZ, MAT and WAV in, SI signals on one uniform grid out.
+"""The columns of a file, checked and converted: SI signals on one uniform time grid.
 
-Errors are raised without the file's name; `read_table` puts it in front of all of them.
+Taps on real objects (`transopt.recordings.recording`) and runs of a device (`transopt.identify.measurement`) are both
+read by `read_table`, each with its own vocabulary. Errors are raised without the file's name; `read_table` puts it in
+front of all of them.
 """
 
 import hashlib
@@ -142,7 +144,7 @@ def _time_grid(
         remedy = f"must be {_BUNCHED:g} to {_GAP:g} medians; cut the file there or record again"
         raise InputError(f"{what} after {place(at)} ({times[at]:.15g} s): {found}; {remedy}")
     mean = float(times[-1] - times[0]) / steps.size
-    # The stamps are judged, not the steps: steps 1 % too long and later 1 % too short would each pass, yet
+    # The stamps are compared, not the steps: steps 1 % too long and later 1 % too short would each pass, yet
     # shift the middle of 1000 samples by five.
     off_grid_s = np.abs(times - (times[0] + mean * np.arange(times.size)))
     return mean, float(off_grid_s.max()) / median

@@ -1,4 +1,8 @@
-"""Recordings made ready: offset, polarity, onset, speed, similarity scaling, low-pass (DESIGN 5)."""
+"""Recordings made ready for a reference: offset, polarity, onset, speed, similarity scaling, low-pass.
+
+An accelerometer shows gravity as a static offset, may be mounted upside down, and does not know when the contact is.
+All of it is found in the recording, unless the scene states it.
+"""
 
 import glob
 from dataclasses import dataclass, replace
@@ -10,15 +14,14 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, lowpass
-from transopt.recordings.importers import load_recording
-from transopt.recordings.recording import Recording
+from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 BASELINE_SAMPLES = 8  # fewer are no baseline
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
-LEAST_PEAK_TO_NOISE = 6.0  # below, nothing stands out
-CLEAR_PEAK_TO_NOISE = 20.0  # below, noise alone may pass the 30 % of the peak by which the onset is found
+LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
+CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
 
 
 def _paths(settings: Recordings) -> list[Path]:
@@ -67,15 +70,18 @@ def read_recordings(settings: Recordings) -> list[Recording]:
 
 
 @dataclass(frozen=True)
-class Tap:
+class PreparedTap:
     """A recording made ready: SI, contact at t = 0, positive where the tap decelerates the stylus.
 
     Attributes
     ----------
+    recording : as it came from the file.
     acceleration : low-passed, similarity-scaled, not yet scaled to a grid speed [m/s^2].
     speed_m_s : incoming speed after similarity scaling; NaN where the recording serves every grid speed.
-    speed_source : how the speed is known.
-    offset_m_s2, polarity, onset_s : found in the recording, in its own time and sign.
+    speed_source : how the speed is known, in words.
+    offset_m_s2 : static offset of the sensor, as found in the recording or stated.
+    polarity : 1, or -1 where the sensor was upside down.
+    onset_s : contact in the recording's own time.
     peak_m_s2 : of the low-passed acceleration.
     amplitude : similarity factor that `acceleration` has been multiplied by.
     clipped_samples : samples that sit at the sensor's end stop.
@@ -122,7 +128,10 @@ def find_onset(x: Signal) -> float:
 
 
 def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
-    """Static offset of the sensor, from the samples before the tap; a bump while the hand moves does not count."""
+    """Static offset of the sensor and notes.
+
+    It is the trimmed mean of the samples before the tap, so that a bump while the hand moves does not count.
+    """
     if settings.offset_m_s2 != "baseline":
         return float(settings.offset_m_s2), []
     centred = x.values - np.median(x.values)
@@ -134,6 +143,7 @@ def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
 
 
 def _polarity(values: FloatArray, settings: Recordings) -> tuple[int, list[str]]:
+    """Sign of the larger peak and notes."""
     high, low = float(values.max()), float(-values.min())
     if settings.polarity != "auto":
         return (1 if settings.polarity == "positive" else -1), []
@@ -187,7 +197,7 @@ def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
 
 
 def _noise(x: Signal) -> float:
-    """Size (rms) of the white noise in a recording, from its steps: a tap is smooth, whatever part of it it fills."""
+    """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
     return float(scipy.stats.median_abs_deviation(np.diff(x.values), scale="normal") / np.sqrt(2))
 
 
@@ -205,7 +215,7 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
     return notes
 
 
-def prepare(recording: Recording, settings: Recordings) -> Tap:
+def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     """Offset, polarity, onset, speed, similarity scaling and low-pass of one recording.
 
     Raises
@@ -246,4 +256,6 @@ def prepare(recording: Recording, settings: Recordings) -> Tap:
     filtered = lowpass(scaled, settings.lowpass_Hz)
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
     more += _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
-    return Tap(recording, filtered, speed, source, offset, polarity, onset, peak, factor, clipped, (*notes, *more))
+    return PreparedTap(
+        recording, filtered, speed, source, offset, polarity, onset, peak, factor, clipped, (*notes, *more)
+    )

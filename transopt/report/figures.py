@@ -22,7 +22,7 @@ from transopt.problem.answer import AMPLITUDE_THRESHOLD, Status
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.design.build import Build
     from transopt.design.entry import Entry
-    from transopt.recordings.tap import Tap
+    from transopt.recordings.tap import PreparedTap
 
 LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5, 1, 1.5)), (0, (8, 2)))
 
@@ -174,13 +174,13 @@ def bode_figure(library: Library) -> Figure:
 # ---------------------------------------------------------------------------------------------------- recordings
 
 
-def _tap_label(tap: "Tap") -> str:
+def _tap_label(tap: "PreparedTap") -> str:
     name = tap.recording.name
     name = name if len(name) <= 30 else f"{name[:14]}…{name[-15:]}"
     return f"{name}, scaled to 1 m/s" if np.isnan(tap.speed_m_s) else f"{name}, {tap.speed_m_s:.3g} m/s"
 
 
-def taps_figure(taps: Sequence["Tap"]) -> Figure:
+def taps_figure(taps: Sequence["PreparedTap"]) -> Figure:
     """Prepared recordings over each other, contact at 0, slow to fast: acceleration [g] over time [ms].
 
     The figure ends where all of them have died away; the axis says how much of the longest that is.

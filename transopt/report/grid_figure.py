@@ -83,6 +83,7 @@ def _map(axes: Axes, at: FloatArray, excess: FloatArray, grid: Grid, top: float,
 
 
 def _curve(axes: Axes, where: FloatArray, excess: FloatArray, grid: Grid, single: int, tolerance: float) -> None:
+    """Excess over the one axis (0 speed, 1 grip) that is not `single`, with nodes and tolerance."""
     order = np.argsort(where)
     axes.grid(color="0.9", linewidth=0.6)
     axes.axhline(tolerance, color=TOLERANCE, linewidth=1.5)

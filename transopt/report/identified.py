@@ -9,15 +9,15 @@ from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.problem.answer import Status
 from transopt.report.tables import percent
-from transopt.scene.fitted import Fitted
-from transopt.scene.identified import Identified
-from transopt.scene.model_file import PARTS, DriveDevice
+from transopt.scene.fitted import FittedPart
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_parts import MODEL_PARTS, DriveDevice
 from transopt.scene.scene import Scene
 
 GAIN_TOLERANCE = 0.02  # of the amplifier; the design takes a commanded ampere for an ampere
 
 
-def _use(scene: Scene, model: Identified, name: str) -> str:
+def _use(scene: Scene, model: IdentifiedModel, name: str) -> str:
     """What the design takes from a part, in words."""
     match name:
         case "amplifier":
@@ -40,7 +40,8 @@ def _use(scene: Scene, model: Identified, name: str) -> str:
             )
 
 
-def _value_rows(name: str, part: Fitted) -> list[str]:
+def _value_rows(name: str, part: FittedPart) -> list[str]:
+    """Rows of a Markdown table: parameter, value, interval, deviation."""
     rows = []
     for j, (parameter, value) in enumerate(zip(part.parameters, part.values(), strict=True)):
         interval = part.intervals.get(parameter)
@@ -50,6 +51,7 @@ def _value_rows(name: str, part: Fitted) -> list[str]:
 
 
 def _spread_words(scene: Scene) -> list[str]:
+    """Which devices each command of a robust scene serves."""
     robust = scene.robust
     if robust is None:
         return []
@@ -67,7 +69,7 @@ def _spread_words(scene: Scene) -> list[str]:
 def below_the_model(build: Build) -> list[Entry]:
     """Entries whose error by design is smaller than what their model was found to be off by."""
     model = build.scene.model
-    if not isinstance(model, Identified):
+    if not isinstance(model, IdentifiedModel):
         return []
     admitted = [entry for entry in build.all_entries() if entry.status is Status.OPTIMAL]
     return [entry for entry in admitted if entry.nrmse < model.error_at(entry.grip_N)]
@@ -76,7 +78,7 @@ def below_the_model(build: Build) -> list[Entry]:
 def model_warning(build: Build) -> str:
     """One line where the design promises more than the model can know; empty if nowhere."""
     entries, model = below_the_model(build), build.scene.model
-    if not entries or not isinstance(model, Identified):
+    if not entries or not isinstance(model, IdentifiedModel):
         return ""
     worst = max(entries, key=lambda entry: model.error_at(entry.grip_N) - entry.nrmse)
     return (
@@ -86,7 +88,8 @@ def model_warning(build: Build) -> str:
     )
 
 
-def _outside(scene: Scene, model: Identified) -> list[str]:
+def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
+    """A note on grips that the scene plays outside the recorded ones."""
     recorded = [grip for grip in model.moving.grips_N if grip > 0]
     beyond = [f"{grip:g}" for grip in scene.grid.grips_N if grip > 0 and not recorded[0] <= grip <= recorded[-1]]
     if not beyond:
@@ -94,23 +97,24 @@ def _outside(scene: Scene, model: Identified) -> list[str]:
     return [
         "",
         f"Outside the recorded grips, {recorded[0]:g} to {recorded[-1]:g} N, but within the tenth that is allowed: "
-        f"{', '.join(beyond)} N. The model is {'extended' if isinstance(model.moving, Fitted) else 'held'} there.",
+        f"{', '.join(beyond)} N. The model is {'extended' if isinstance(model.moving, FittedPart) else 'held'} "
+        "there.",
     ]
 
 
 def identified_lines(build: Build) -> list[str]:
     """The section of report.md; empty for a model that the scene states itself."""
     scene, model = build.scene, build.scene.model
-    if not isinstance(model, Identified):
+    if not isinstance(model, IdentifiedModel):
         return []
     lines = ["", "## Identified", "", f"From {model.file} (sha256 {model.sha256[:12]}):", ""]
     rows: list[str] = []
-    for name in PARTS:
+    for name in MODEL_PARTS:
         part = getattr(model, name)
         if part is None:
             continue
         lines.append(f"- {name}: {_use(scene, model, name)}. {part.verdict}")
-        if isinstance(part, Fitted) and not (name == "hand" and model.device is not None):
+        if isinstance(part, FittedPart) and not (name == "hand" and model.device is not None):
             rows += _value_rows(name, part)
     stated = [name for name in ("amplifier", "coil") if getattr(model, name) is None]
     lines += [
@@ -127,9 +131,9 @@ def identified_lines(build: Build) -> list[str]:
 
 
 def identified_rows(build: Build) -> dict[str, Any] | None:
-    """The same for report.json."""
+    """What `identified_lines` says, for report.json; None for a model that the scene states itself."""
     model = build.scene.model
-    if not isinstance(model, Identified):
+    if not isinstance(model, IdentifiedModel):
         return None
     return {
         "file": model.file,
@@ -138,9 +142,9 @@ def identified_rows(build: Build) -> dict[str, Any] | None:
             name: {
                 "used": _use(build.scene, model, name),
                 "verdict": part.verdict,
-                **(_values(part) if isinstance(part, Fitted) else {}),
+                **(_values(part) if isinstance(part, FittedPart) else {}),
             }
-            for name in PARTS
+            for name in MODEL_PARTS
             if (part := getattr(model, name)) is not None
         },
         "model_nrmse": None if model.device is None else model.device.nrmse,
@@ -148,6 +152,7 @@ def identified_rows(build: Build) -> dict[str, Any] | None:
     }
 
 
-def _values(part: Fitted) -> dict[str, Any]:
+def _values(part: FittedPart) -> dict[str, Any]:
+    """Values and intervals by name of the parameter."""
     values: Sequence[float] = part.values().tolist()
     return {"values": dict(zip(part.parameters, values, strict=True)), "intervals": part.intervals}

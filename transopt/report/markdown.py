@@ -1,4 +1,4 @@
-"""The files that a build leaves: report.md and report.json."""
+"""The text of the two report files that a build leaves: report.md to read, report.json with the same numbers."""
 
 import json
 from collections.abc import Sequence
@@ -27,6 +27,7 @@ CERTIFICATE_LEGEND = (
 
 
 def _between_lines(refinement: Refinement) -> list[str]:
+    """The section on what the blend between the nodes loses."""
     lines = ["## Between the nodes", "", refinement_summary(refinement), ""]
     if refinement.entries == 1:
         return lines
@@ -56,6 +57,7 @@ def _between_lines(refinement: Refinement) -> list[str]:
 
 
 def _recorded_lines(references: Sequence[Reference]) -> list[str]:
+    """The table of references and the notes on their taps."""
     derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
     references = [r for r in references if r.between_m_s is None]
     lines = [
@@ -80,6 +82,7 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
 
 
 def _origin(build: Build) -> str:
+    """Where the recordings come from, in words."""
     simulated = build.scene.recordings.simulated
     if simulated is not None:
         return (
@@ -95,7 +98,7 @@ def _origin(build: Build) -> str:
 
 
 def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
-    """Each reason once; what differs from entry to entry behind its colon stands in report.json."""
+    """Why parts of the problem were left out, each reason once; numbers that differ by entry are in report.json."""
     holders: dict[tuple[str, str], int] = {}
     for entry in entries:
         for part, reason in entry.left_out.items():
@@ -108,12 +111,14 @@ def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _size_cells(entry: Entry) -> str:
+    """States, rows and nonzeros of the program that an entry was solved by; dashes where there was none."""
     if entry.size is None:
         return "- | - | -"
     return f"{entry.size.states} | {entry.size.rows} | {entry.size.nonzeros}"
 
 
 def _price_lines(entries: Sequence[Entry]) -> list[str]:
+    """The section on which limits bind, and what a wider one would buy."""
     priced = [(entry, price) for entry in entries for price in entry.prices]
     if not priced:
         return []
@@ -135,6 +140,7 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _weighted_lines(entries: Sequence[Entry]) -> list[str]:
+    """The section on the error as the filter of the weights sees it; empty without a filter."""
     if all(entry.problem.error_filter is None for entry in entries):
         return []
     lines = ["", "## Weighted error", "", "| speed m/s | grip N | NRMSE % | weighted % |", "|---|---|---|---|"]
@@ -145,6 +151,7 @@ def _weighted_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def _spread_lines(entries: Sequence[Entry]) -> list[str]:
+    """The section on the error over the spread of devices; empty where the scene is not robust."""
     spreads = [(entry, entry.spread) for entry in entries if entry.spread is not None]
     if not spreads:
         return []
@@ -172,7 +179,7 @@ def _spread_lines(entries: Sequence[Entry]) -> list[str]:
 
 
 def build_markdown(build: Build) -> str:
-    """report.md."""
+    """The text of report.md."""
     entries = list(build.all_entries())
     columns = columns_of(build)
     lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
@@ -223,7 +230,7 @@ def _raw_over_motor(reference: Reference) -> float:
 
 
 def build_json(build: Build) -> str:
-    """report.json: the report's numbers, with units in their names; NaN becomes null."""
+    """The text of report.json: the report's numbers, with units in their names; NaN becomes null."""
     shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
     rows = [
         {

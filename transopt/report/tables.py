@@ -22,7 +22,7 @@ def percent(value: float) -> str:
     return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
-FELT_g = 1.0  # after the tap
+FELT_g = 1.0  # peak acceleration after the waveform, from which on a user is warned of it
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
 ESSENTIAL = (0, 1, 2, 3, 7, 9, 10)  # columns of the entry table that a narrow terminal keeps
 LEGEND = (
@@ -34,6 +34,7 @@ LEGEND = (
 
 
 def entry_cells(entry: Entry) -> list[str]:
+    """The cells of an entry under `columns_of`; dashes and the reason for one that is refused."""
     b = entry.baselines
     if entry.status is not Status.OPTIMAL:
         return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, refusal(entry), entry.verdict]
@@ -58,6 +59,7 @@ def refusal(entry: Entry) -> str:
 
 
 def columns_of(build: Build) -> list[str]:
+    """Heads of the table of entries."""
     limit, steady = build.scene.limits.transient_current_A, build.scene.limits.steady_current_A
     return [
         "speed m/s",
@@ -84,7 +86,7 @@ def build_table(build: Build, width: int) -> Table:
     for row in build.entries:
         for entry in row:
             cells = entry_cells(entry)
-            # As they are: text to be read as Rich reads it takes longer.
+            # `Text` is printed as it is; a string would be searched for markup, which takes longer.
             table.add_row(
                 *(Text(cells[j]) for j in shown), style="red" if entry.status is not Status.OPTIMAL else None
             )

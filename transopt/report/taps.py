@@ -1,4 +1,4 @@
-"""Looking at recordings before anything is solved: `transopt taps`."""
+"""A look at recordings before anything is solved, for `transopt taps`: a table, and lines for a scene file."""
 
 import json
 import os
@@ -10,12 +10,12 @@ from rich.table import Table
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import Tap
+from transopt.recordings.tap import PreparedTap
 
 CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
 
 
-def taps_table(taps: Sequence[Tap]) -> Table:
+def taps_table(taps: Sequence[PreparedTap]) -> Table:
     """Per file: rate, onset, offset, polarity, speed and its source, peak, clipping, notes."""
     table = Table(title=f"{len(taps)} recordings")
     names = (
@@ -61,7 +61,7 @@ def _grid_speeds(speeds_m_s: Sequence[float]) -> list[float]:
     return [float(f"{np.mean(cluster):.3g}") for cluster in clusters]
 
 
-def scene_lines(taps: Sequence[Tap], paths: Sequence[Path], settings: Recordings) -> str:
+def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:
     """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
     speeds = _grid_speeds([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
     stated = settings.model_dump(exclude_defaults=True, exclude={"folder", "files", "simulated"})

@@ -1,4 +1,4 @@
-"""Reading scene files, with errors in the words of the file."""
+"""Reading scene files, with errors in the words of the file: table, key, value, limit."""
 
 import hashlib
 import re
@@ -12,7 +12,8 @@ from pydantic_core import ErrorDetails
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
-from transopt.scene.model_file import PARTS, parse_model, read_model
+from transopt.scene.model_file import parse_model, read_model
+from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.scene import Scene
 
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
@@ -20,6 +21,12 @@ _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file, unchecked.
+
+    Raises
+    ------
+    InputError : no such file, no text, or no TOML.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -40,11 +47,11 @@ def read_toml(path: Path) -> dict[str, Any]:
 def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
     """The location as the file spells it: pydantic also lists the names of union members on the way."""
     keys: list[str | int] = []
-    for part in complaint["loc"]:
-        inside = part in content if isinstance(content, dict) else isinstance(part, int)
+    for step in complaint["loc"]:
+        inside = step in content if isinstance(content, dict) else isinstance(step, int)
         if inside:
-            content = content[part]
-            keys.append(part)
+            content = content[step]
+            keys.append(step)
     if complaint["type"] == "missing":
         keys.append(complaint["loc"][-1])
     return tuple(keys)
@@ -53,9 +60,9 @@ def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
 def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
     """The keys that the table around the last of `keys` takes."""
     tables: list[Any] = [Scene]
-    for part in keys[:-1]:
-        content = content[part]
-        annotations = [t.model_fields[part].annotation for t in tables if part in t.model_fields]
+    for key in keys[:-1]:
+        content = content[key]
+        annotations = [t.model_fields[key].annotation for t in tables if key in t.model_fields]
         members = [member for a in annotations for member in (a, *get_args(a))]
         tables = [member for member in members if isinstance(member, type) and issubclass(member, Section)]
         of_kind = [
@@ -64,15 +71,22 @@ def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
             if "kind" in t.model_fields and content.get("kind") in get_args(t.model_fields["kind"].annotation)
         ]
         tables = of_kind or tables
-    return ", ".join(dict.fromkeys(key for table in tables for key in table.model_fields))
+    return ", ".join(dict.fromkeys(name for table in tables for name in table.model_fields))
 
 
 def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
-    """The first complaint about a scene's content in one line, and how many more keys there are complaints about."""
+    """The first complaint about a scene's content in one line, and how many more keys there are complaints about.
+
+    Parameters
+    ----------
+    source : the file or the scene's name, first in the line.
+    error : what pydantic found.
+    content : the tables that it was given.
+    """
     # A misspelt key comes before the one that is missing for it.
     first = min(error.errors(), key=lambda complaint: complaint["type"] != "extra_forbidden")
     keys = _keys_only(first, content)
-    where = ".".join(str(part) for part in keys)
+    where = ".".join(str(key) for key in keys)
     if first["type"] == "extra_forbidden":
         text = f"{where}: unknown key; known here: {_known_keys(keys, content)}"
         if len(keys) > 1 and keys[-1] in Scene.model_fields:
@@ -93,12 +107,12 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
 
 
 def _identified(scene: Path, named: str) -> dict[str, Any]:
-    """The table that stands for a model file: all that it holds, so that nobody needs the file again."""
+    """The table that stands for a model file: all that it holds, so that a library does not need the file."""
     try:
         raw = read_model(scene.parent / named)
     except InputError as error:
         raise InputError(f"{scene}: model = {named!r}: {error}") from None
-    found = parse_model(scene.parent / named, raw).model_dump(include=set(PARTS), exclude_none=True)
+    found = parse_model(scene.parent / named, raw).model_dump(include=set(MODEL_PARTS), exclude_none=True)
     return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
 
 
@@ -114,16 +128,16 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """
     content = read_toml(path)
     content.setdefault("name", path.stem)
-    for part in ("motor", "transmission"):
-        named = content.get(part)
+    for table in ("motor", "transmission"):
+        named = content.get(table)
         if not isinstance(named, str):
             continue
         places = [folder / named for folder in (path.parent, *search)]
         found = next((place for place in places if place.is_file()), None)
         if found is None:
             folders = ", ".join(str(place.parent) for place in places)
-            raise InputError(f"{path}: {part} = {named!r}: no such file in {folders}")
-        content[part] = read_toml(found)
+            raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
+        content[table] = read_toml(found)
     if isinstance(content.get("model"), str):
         content["model"] = _identified(path, content["model"])
     recordings = content.get("recordings")

@@ -1,4 +1,8 @@
-"""Parts of a model file that were fitted: values with covariance, intervals and the files they come from."""
+"""Numbers that were fitted: the parts of a model file with their covariance, intervals, and the files they come from.
+
+`transopt.scene.model_parts` says which parts there are. This file has what they share, and draws other values that
+the covariance allows.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Self
@@ -22,19 +26,20 @@ class Source(Section):
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
-class Part(Section):
+class ModelPart(Section):
     """What every part states besides its values."""
 
     verdict: str
     sources: list[Source]
 
 
-class Fitted(Part):
+class FittedPart(ModelPart):
     """A part with numbers that were fitted.
 
     Attributes
     ----------
-    intervals : name -> (lower, upper), 95 %. parameters : dotted names of the values that were fitted.
+    intervals : name -> (lower, upper) end of its 95 % interval.
+    parameters : dotted names of the p values that were fitted.
     covariance : (p, p) of `parameters`, in their order, raw SI units.
     """
 
@@ -110,7 +115,7 @@ class Fitted(Part):
 
 
 def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """The numbers of a part by dotted name; what describes the fit is none of them."""
+    """The numbers of a part by dotted name, without those that describe the fit (intervals, NRMSE, other fits)."""
     found: dict[str, float] = {}
     for name, value in content.items():
         if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "fourth_order"):
@@ -121,7 +126,7 @@ def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
 
 
 def complaint(error: ValidationError) -> str:
-    """The first complaint: field, value, what is wrong."""
+    """The first of pydantic's complaints about a part in one line: field, value, what is wrong, how many more."""
     errors = error.errors()
     first = min(errors, key=lambda found: found["type"] != "extra_forbidden")
     # Pydantic lists the kind of a device as a step on the way.

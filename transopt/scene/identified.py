@@ -1,4 +1,4 @@
-"""A scene's model where it comes from a model file, and the devices that its uncertainty allows."""
+"""A scene's model where it comes from a model file, and other devices that the uncertainty of the fit allows."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal, Self
@@ -8,15 +8,15 @@ from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
 from transopt.plant import chain
-from transopt.scene.fitted import Fitted
-from transopt.scene.model_file import DriveDevice, HandPart, Parts, StateSpaceDevice, check_grip
+from transopt.scene.fitted import FittedPart
+from transopt.scene.model_parts import DriveDevice, HandPart, ModelParts, StateSpaceDevice, check_grip
 from transopt.scene.sections import Tip
 
-SEED = 7  # of the draws: one library, one spread
+SEED = 7  # of the draws, always the same, so that a library can be made again
 TRIES = 200  # for one draw or pair of draws
 
 
-class Identified(Parts):
+class IdentifiedModel(ModelParts):
     """The content of a model file (`model = "MODEL.json"`), so that a library needs the file no more."""
 
     kind: Literal["identified"]
@@ -40,7 +40,7 @@ class Identified(Parts):
         return part
 
     def tip(self) -> Tip | None:
-        """The drive at the tip; None where the file does not tell it."""
+        """The drive at the tip; None where the file has no drive chain."""
         device = self.device
         if not isinstance(device, DriveDevice):
             return None
@@ -96,7 +96,7 @@ class Identified(Parts):
         InputError : a model without covariance, or so uncertain that hardly any draw is passive.
         """
         part = self.moving
-        if not isinstance(part, Fitted) or not part.parameters:
+        if not isinstance(part, FittedPart) or not part.parameters:
             raise InputError(f"{self.file}: the model has no covariance to draw from")
         random, values, factor = np.random.default_rng(SEED), part.values(), part.factor()
         found: list[Self] = []
@@ -115,6 +115,7 @@ class Identified(Parts):
         )
 
     def _with(self, part: DriveDevice | HandPart, grips_N: Sequence[float]) -> Self:
+        """The model with another device or hand, refused by an InputError where that is not passive at a grip."""
         for grip_N in grips_N:
             if isinstance(part, DriveDevice):
                 part.plant(grip_N)

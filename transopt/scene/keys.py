@@ -1,6 +1,6 @@
 """Keys of a scene by dotted path: unit, bounds, default, value; and scenes with some of them changed.
 
-Everything is read from the models of `scene_sections`: a new key of a scene is known here without further ado.
+Everything is read from the tables in `transopt.scene.sections`, so that a key that is added there is known here.
 """
 
 import difflib
@@ -51,9 +51,15 @@ class Key:
 
     Attributes
     ----------
-    path : dotted. unit : from the ending of the name, empty without one.
-    default : of the model, None for none; `required` if it has no default. value : in this scene, None if not stated.
-    bounds : in words. choices : the words it takes. number : whether it takes numbers. integer : only whole ones.
+    path : dotted.
+    unit : from the ending of the name, empty without one.
+    default : where the scene does not state it; None for none.
+    required : whether every scene has to state it.
+    value : in this scene, None if not stated.
+    bounds : in words.
+    choices : the words it takes.
+    number : whether it takes numbers.
+    integer : whether it takes only whole ones.
     optional : whether it may be left out.
     description : of the table it stands in.
     """
@@ -83,8 +89,8 @@ def _flat(annotation: Any) -> Iterator[Any]:
     """The members of a union and what stands inside Annotated, metadata included."""
     yield annotation
     if get_origin(annotation) is not Literal:
-        for part in get_args(annotation):
-            yield from _flat(part)
+        for member in get_args(annotation):
+            yield from _flat(member)
     yield from getattr(annotation, "metadata", ())
 
 
@@ -105,6 +111,7 @@ def _bounds(parts: list[Any]) -> str:
 
 
 def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[Key]:
+    """The keys of a table and of the tables in it; `value` is the table as the scene states it, if it does."""
     about = " ".join((table.__doc__ or "").split("\n\n")[0].split())
     for name, field in table.model_fields.items():
         path, stated = f"{prefix}{name}", getattr(value, name, None)

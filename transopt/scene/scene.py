@@ -1,4 +1,9 @@
-"""What a scene holds: everything that defines one library (DESIGN 3, 5, 8)."""
+"""What a scene holds: everything that defines one library, and the models that follow from it.
+
+`Scene` checks what its tables say about each other; what a single table may say is checked in
+`transopt.scene.sections`. Its methods turn the tables into the objects of the rooms below: plant, amplifier, coil,
+wall, time grid, limits.
+"""
 
 from typing import Annotated, Literal, Self
 
@@ -8,7 +13,7 @@ from pydantic import Field, model_validator
 from transopt.base.errors import InputError
 from transopt.base.section import Section
 from transopt.base.shown import cut, span, wrapped
-from transopt.plant import chain as models
+from transopt.plant import chain
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
@@ -19,8 +24,8 @@ from transopt.problem.limits import KINDS
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
-from transopt.scene.identified import Identified
-from transopt.scene.model_file import StateSpaceDevice
+from transopt.scene.identified import IdentifiedModel
+from transopt.scene.model_parts import StateSpaceDevice
 from transopt.scene.sections import (
     AmplifierSection,
     Drive,
@@ -49,7 +54,7 @@ class Scene(Section):
     grid: Grid
     time: Time = Time()
     recordings: Recordings
-    model: Annotated[SecondOrder | FourthOrder | Drive | Identified, Field(discriminator="kind")]
+    model: Annotated[SecondOrder | FourthOrder | Drive | IdentifiedModel, Field(discriminator="kind")]
     motor: Motor | None = None
     transmission: Transmission | None = None
     tip: Tip | None = None
@@ -73,7 +78,7 @@ class Scene(Section):
     def _one_drive(self) -> Self:
         if (self.motor is None) != (self.transmission is None):
             raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
-        if isinstance(self.model, Identified):
+        if isinstance(self.model, IdentifiedModel):
             self._check_identified(self.model)
         if not self._drive_in_file and (self.motor is None) == (self.tip is None):
             raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
@@ -93,7 +98,7 @@ class Scene(Section):
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
             )
         self._check_amplifier()
-        self._check_parts()
+        self._check_what_needs_what()
         if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
             raise ValueError(
                 f"recordings.highpass_Hz = {self.recordings.highpass_Hz:g}: must not exceed a tenth of the servo "
@@ -105,8 +110,8 @@ class Scene(Section):
             )
         return self
 
-    def _check_parts(self) -> None:
-        """Parts of the problem that need each other or exclude each other."""
+    def _check_what_needs_what(self) -> None:
+        """Keys that need or exclude keys of other tables."""
         if self.limits.supply_V is not None and (self.motor is None or self.amplifier == "ideal"):
             raise ValueError(
                 "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
@@ -132,20 +137,20 @@ class Scene(Section):
             )
         if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
             raise ValueError("robust.grip_spread: the free device has no grip to spread")
-        if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, Identified):
+        if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, IdentifiedModel):
             raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
 
     @property
     def _drive_in_file(self) -> bool:
         """Whether a model file tells what the motor moves, so that motor and transmission are not needed for it."""
-        return isinstance(self.model, Identified) and self.model.device is not None
+        return isinstance(self.model, IdentifiedModel) and self.model.device is not None
 
     def _one_device(self) -> list[str]:
         """Keys of the limits asked for that depend on the motion of one device."""
         asked = self.limits.asked()
         return [kind.key for kind in KINDS if kind.of_one_device and asked.get(kind.key) is not None]
 
-    def _check_identified(self, model: Identified) -> None:
+    def _check_identified(self, model: IdentifiedModel) -> None:
         """What the scene states beside a model file must not contradict it."""
         for grip in self.grid.grips_N:
             for served in (grip, *self.spread_grips_N(grip)):
@@ -165,13 +170,13 @@ class Scene(Section):
                     "correct one of them, or identify again with this motor"
                 )
         if isinstance(model.device, StateSpaceDevice):
-            for part, stated_in_scene in (
+            for key, stated_in_scene in (
                 ("feedback", self.feedback is not None),
                 *((f"limits.{key}", True) for key in self._one_device()),
             ):
                 if stated_in_scene:
                     raise ValueError(
-                        f"{part}: needs the motor's motion, and the device in {model.file} is a state space, which "
+                        f"{key}: needs the motor's motion, and the device in {model.file} is a state space, which "
                         "knows none: identify a drive chain, or leave it out"
                     )
             if self.recordings.simulated is not None:
@@ -187,13 +192,13 @@ class Scene(Section):
 
     def _check_amplifier(self) -> None:
         """Pole and delay are stated once: in the scene, or in its model file."""
-        identified = self.model.amplifier if isinstance(self.model, Identified) else None
+        identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
         if identified is None:
             for name in ("pole_Hz", "delay_s"):
                 if isinstance(self.amplifier, AmplifierSection) and getattr(self.amplifier, name) is None:
                     raise ValueError(f"amplifier.{name}: missing; add it to the scene")
             return
-        assert isinstance(self.model, Identified)
+        assert isinstance(self.model, IdentifiedModel)
         if self.amplifier == "ideal":
             raise ValueError(f"amplifier = 'ideal': {self.model.file} has an amplifier part: state [amplifier]")
         assert isinstance(self.amplifier, AmplifierSection)
@@ -211,7 +216,7 @@ class Scene(Section):
         k_f = k_t ratio, m = J ratio^2 + m_link, with the ratio in shaft radian per metre of tip travel; or as it was
         identified.
         """
-        identified = self.model.tip() if isinstance(self.model, Identified) else None
+        identified = self.model.tip() if isinstance(self.model, IdentifiedModel) else None
         if identified is not None:
             return identified
         if self.motor is None or self.transmission is None:
@@ -225,7 +230,7 @@ class Scene(Section):
             damping_N_s_m=self.transmission.damping_N_s_m,
         )
 
-    def plant(self, grip_N: float, *, struck: bool = False) -> models.StateSpace:
+    def plant(self, grip_N: float, *, struck: bool = False) -> chain.StateSpace:
         """Model from motor current to stylus acceleration at one grip.
 
         With `struck` the input is a force on the stylus [N] instead: the same device tapping a real object.
@@ -239,17 +244,17 @@ class Scene(Section):
         except InputError as error:
             raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
 
-    def _chain(self, grip_N: float, struck: bool) -> models.StateSpace:
-        if isinstance(self.model, Identified):
+    def _chain(self, grip_N: float, struck: bool) -> chain.StateSpace:
+        if isinstance(self.model, IdentifiedModel):
             force = None if self._drive_in_file else self.drive_at_tip().force_per_current_N_A
             return self.model.plant(grip_N, force, struck=struck)
         tip = self.drive_at_tip()
         gain = 1.0 if struck else tip.force_per_current_N_A
         match self.model:
             case SecondOrder():
-                return models.second_order(grip_N, force_per_current_N_A=gain)
+                return chain.second_order(grip_N, force_per_current_N_A=gain)
             case FourthOrder(stylus_mass_kg=stylus, hand=hand):
-                return models.fourth_order(
+                return chain.fourth_order(
                     grip_N,
                     hand=hand.hand(),
                     stylus_mass_kg=stylus,
@@ -259,12 +264,12 @@ class Scene(Section):
             case Drive(stylus_mass_kg=stylus, hand=hand):
                 assert tip.stiffness_N_m is not None
                 assert tip.damping_N_s_m is not None
-                return models.drive(
+                return chain.drive(
                     grip_N,
                     hand=hand.hand(),
                     stylus_mass_kg=stylus,
                     moving_mass_kg=tip.moving_mass_kg,
-                    transmission=models.Link(tip.stiffness_N_m, tip.damping_N_s_m),
+                    transmission=chain.Link(tip.stiffness_N_m, tip.damping_N_s_m),
                     force_per_current_N_A=gain,
                     driven=1 if struck else 0,
                 )
@@ -274,13 +279,14 @@ class Scene(Section):
         if self.amplifier == "ideal":
             return None
         assert isinstance(self.amplifier, AmplifierSection)
-        identified = self.model.amplifier if isinstance(self.model, Identified) else None
+        identified = self.model.amplifier if isinstance(self.model, IdentifiedModel) else None
         stated = self.amplifier if identified is None else identified
         assert stated.pole_Hz is not None
         assert stated.delay_s is not None
         return Amplifier(stated.pole_Hz, stated.delay_s, self.amplifier.command_limit_A)
 
     def time_grid(self) -> TimeGrid:
+        """Servo ticks and switching instants of every entry."""
         amplifier = self.amplifier_model()
         delay = 0.0 if amplifier is None else amplifier.delay_s
         return TimeGrid(self.time.dt_s, self.time.stages, self.time.lead_s, delay)
@@ -303,6 +309,7 @@ class Scene(Section):
         )
 
     def budget(self) -> Budget:
+        """What the winding's temperature may do."""
         thermal = self.thermal
         return Budget(thermal.headroom_K, thermal.tap_rate_Hz, thermal.idle_A)
 
@@ -319,6 +326,7 @@ class Scene(Section):
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
     def error_filter(self) -> ErrorFilter | None:
+        """The filter by which the tracking error is weighed; None for none."""
         return error_filter(self.weights.error_filter, self.time.dt_s)
 
     def spread_grips_N(self, grip_N: float) -> list[float]:
@@ -336,7 +344,7 @@ class Scene(Section):
         """
         devices: list[tuple[Self, float]] = [(self, grip) for grip in self.spread_grips_N(grip_N)]
         if self.robust is not None and self.robust.model_uncertainty:
-            assert isinstance(self.model, Identified)
+            assert isinstance(self.model, IdentifiedModel)
             drawn = self.model.drawn(self.robust.samples, self.grid.grips_N)
             devices += [(self.model_copy(update={"model": model}), grip_N) for model in drawn]
         return devices
@@ -346,7 +354,7 @@ class Scene(Section):
         if self.motor is None:
             return None
         motor = self.motor
-        identified = self.model.coil if isinstance(self.model, Identified) else None
+        identified = self.model.coil if isinstance(self.model, IdentifiedModel) else None
         heat = motor if identified is None else identified
         return CoilModel(
             R_ohm=motor.R_ohm,

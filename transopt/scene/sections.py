@@ -1,4 +1,7 @@
-"""Tables of a scene file: keys, types, bounds (DESIGN 3, 5, 8)."""
+"""Tables of a scene file: keys, types, bounds.
+
+The first paragraph of a table's docstring is shown to users beside its keys.
+"""
 
 import itertools
 from typing import Annotated, Literal, Self
@@ -52,6 +55,7 @@ class LinearParameter(Section):
     per_newton: Finite = 0.0
 
     def linear(self) -> chain.LinearInGrip:
+        """The parameter of `transopt.plant.chain`."""
         return chain.LinearInGrip(self.constant, self.per_newton)
 
 
@@ -74,6 +78,7 @@ class HandSection(Section):
     arm_damping_N_s_m: Parameter
 
     def hand(self) -> chain.Hand:
+        """The hand of `transopt.plant.chain`."""
         return chain.Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})
 
 
@@ -167,6 +172,7 @@ class LimitsSection(Section):
 
     @property
     def transient_current_A(self) -> float:
+        """The limit that holds over a transient: as stated, or beta (3.2 by default) times the steady current."""
         if self.current_A is not None:
             return self.current_A
         return (3.2 if self.beta is None else self.beta) * self.steady_current_A

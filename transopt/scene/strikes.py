@@ -18,6 +18,7 @@ ENCODER_COUNT_M = 24.5e-6
 
 
 def rk4_step(rate: Callable[[FloatArray], FloatArray], state: FloatArray, h_s: float) -> FloatArray:
+    """The state after one step of the classical Runge-Kutta method of fourth order."""
     k1 = rate(state)
     k2 = rate(state + h_s / 2 * k1)
     k3 = rate(state + h_s / 2 * k2)
@@ -87,9 +88,12 @@ def strike(
 
     Parameters
     ----------
-    plant : from force on the stylus [N] to stylus acceleration; its chain states are elongations, then
-        velocities, so the stylus is the second mass from the front.
+    plant : from force on the stylus [N] to stylus acceleration; a chain, whose states are elongations, then
+        velocities.
+    target : the object.
     speeds_m_s : (V,).
+    duration_s : from contact on.
+    step_s : of the integration.
 
     Returns
     -------

@@ -35,7 +35,7 @@ def _cell(value: Any) -> str:
 
 def row_of(outcome: Outcome, point: int, labels: Mapping[str, str]) -> Row:
     """The row of an outcome: its number, the number of its point, the varied values, and what came out."""
-    values = {**asdict(outcome), **{column: np.nan for column in MULTIPLIERS.values()}, **outcome.multipliers}
+    values = {**asdict(outcome), **dict.fromkeys(MULTIPLIERS.values(), np.nan), **outcome.multipliers}
     cells = {name: _cell(values[name]) for name in OUTCOME}
     varied = {key: " ".join(text.split()) for key, text in labels.items()}
     return {"index": str(outcome.index), "point": str(point), **varied, **cells}

@@ -13,7 +13,7 @@ from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
 from transopt.library.library import Library
-from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import load_recording
 from transopt.recordings.tap import prepare
 
 

@@ -225,7 +225,7 @@ def test_a_hand_that_lets_go_is_refused() -> None:
 
 
 def test_the_default_device_is_that_of_the_built_in_scenes(scene: Scene) -> None:
-    """Up to the rounding with which DESIGN states what follows from the motor's datasheet."""
+    """Up to the rounding with which `DEFAULT_DEVICE` states what follows from the motor's datasheet."""
     device = device_of(scene)
     np.testing.assert_allclose(DEFAULT_DEVICE.force_per_current_N_A, device.force_per_current_N_A, rtol=1e-3)
     for grip in (0.0, 2.0, 5.0):

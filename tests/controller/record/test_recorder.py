@@ -23,7 +23,7 @@ from controller.sim.sensors import SEED_SENSORS
 from controller.waveforms.prediction import predict
 from transopt.base.errors import InputError
 from transopt.library.library import Library
-from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import load_recording
 
 DT_S, COUNT_M = 1e-4, 24.5e-6
 CONTACT_TICK = 3000

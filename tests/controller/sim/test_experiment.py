@@ -206,7 +206,7 @@ class TestUsersAndImperfections:
         assert play(library, 0.3, 3.0, habit=Habit.RECORDED).metrics.nrmse < 1e-3
 
     def test_a_hand_that_departs_from_the_assumption_costs(self, library: Library) -> None:
-        """EVIDENCE: an intention that ends at 30 ms costs tens of percent."""
+        """An intention that ends at 30 ms costs tens of percent."""
         yielding = play(library, 0.3, 3.0, habit=Habit.YIELDING)
         stopping = play(library, 0.3, 3.0, habit=Habit.STOPPING)
         assert 0.05 < yielding.metrics.nrmse < 0.4 < stopping.metrics.nrmse
@@ -229,7 +229,7 @@ class TestUsersAndImperfections:
         assert 1e-4 < m.nrmse < 0.1
 
     def test_unmodelled_friction_costs_what_was_measured_before_building(self, library: Library) -> None:
-        """EVIDENCE: 2 N s/m of viscous friction to ground that the model lacks, 10 %."""
+        """2 N s/m of viscous friction to ground that the model lacks cost 10 %."""
         imperfections = Imperfections(crossover_A=0.0, ground=Ground(damping_N_s_m=2.0))
         assert play(library, 0.3, 3.0, imperfections=imperfections).metrics.nrmse == pytest.approx(0.1, abs=0.04)
 

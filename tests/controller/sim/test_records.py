@@ -22,7 +22,7 @@ from transopt.base.signals import FloatArray
 from transopt.identify.measurement import load_measurement
 from transopt.library.library import Library
 from transopt.plant.coil import effective_square
-from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import load_recording
 from transopt.scene.scene import Scene
 
 DT = 1e-4

@@ -87,7 +87,10 @@ def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
 
 
 def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
-    """EVIDENCE, Physics: floors, and 0.4 m/s at 4 A; the recordings here are noisy and scaled, hence the margins."""
+    """Floors, and 0.4 m/s at 4 A, as an independent calculation without noise found them.
+
+    The recordings here are noisy and scaled to the grid's speeds, hence the margins.
+    """
     for entry in build.all_entries():
         assert entry.floor == pytest.approx({1.0: 0.0041, 3.0: 0.0049, 5.0: 0.0053}[entry.grip_N], abs=5e-4)
     fast = [entry.nrmse for entry in build.entries[3]]
@@ -118,7 +121,7 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
     assert_entries_are_proven(build)
     assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
     assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
-    # EVIDENCE: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
+    # Found independently: optimum / clipped inversion 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
     first, _, last = build.entries[3]
     assert (first.nrmse, last.nrmse) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
     assert (first.baselines.clipped, last.baselines.clipped) == (

@@ -36,14 +36,14 @@ from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.report.markdown import build_markdown
-from transopt.scene.identified import Identified
+from transopt.scene.identified import IdentifiedModel
 from transopt.scene.scene import Scene
 
 
 class TestRobust:
     def test_draws_are_one_set_of_devices_around_the_identified_one(self, make: Make) -> None:
         scene = make(ON_FILE, {"device": drive_device(0.1)}, more=ROBUST)
-        assert isinstance(scene.model, Identified)
+        assert isinstance(scene.model, IdentifiedModel)
         nominal = scene.model.moving.values()
         for grip in (1.0, 5.0):
             drawn = [(of.model, at) for of, at in scene.spread(grip)]
@@ -57,14 +57,14 @@ class TestRobust:
 
     def test_draws_have_the_spread_of_the_covariance(self, make: Make) -> None:
         model = make(ON_FILE, {"device": drive_device(0.02)}).model
-        assert isinstance(model, Identified)
+        assert isinstance(model, IdentifiedModel)
         values = np.array([one.moving.values() for one in model.drawn(2001, [3.0])])
         relative = values / model.moving.values() - 1
         assert np.allclose(np.cov(relative.T), 0.02**2 * np.eye(relative.shape[1]), atol=0.15 * 0.02**2)
 
     def test_draws_that_are_not_passive_are_drawn_again(self, make: Make) -> None:
         model = make(ON_FILE, {"device": drive_device(0.5)}).model
-        assert isinstance(model, Identified)
+        assert isinstance(model, IdentifiedModel)
         drawn = model.drawn(15, [1.0, 5.4])
         assert len(drawn) == 15
         for one in drawn:

@@ -184,8 +184,8 @@ def test_an_amplifier_that_is_no_single_pole_is_told() -> None:
     resonant = amplifier_trial(1, crossover_A=0.0)
     echo = resonant.output.values + 0.4 * np.roll(resonant.output.values, 20)
     fit = fit_amplifier([Trial("echo", resonant.input, Signal(0.0, DT_S, echo))])
-    told = fit.shortcomings()
-    assert any("the amplifier has further dynamics" in line for line in told)
+    found = fit.shortcomings()
+    assert any("the amplifier has further dynamics" in line for line in found)
     assert fit.verdict().startswith("not fit to design with: ")
 
 

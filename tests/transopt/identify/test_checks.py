@@ -212,16 +212,16 @@ def test_noise_has_no_polarity(columns: dict) -> None:
     assert checks.check_passive("grip", transfer(blind)) == []
 
 
-@pytest.mark.parametrize(("factor", "told"), [(STANDARD_GRAVITY_M_S2, "9.8"), (1 / STANDARD_GRAVITY_M_S2, "0.102")])
+@pytest.mark.parametrize(("factor", "ratio"), [(STANDARD_GRAVITY_M_S2, "9.8"), (1 / STANDARD_GRAVITY_M_S2, "0.102")])
 @pytest.mark.parametrize("device", [0.85, 1.0, 1.15])
-def test_units_off_by_gravity(columns: dict, factor: float, told: str, device: float) -> None:
+def test_units_off_by_gravity(columns: dict, factor: float, ratio: str, device: float) -> None:
     estimate = transfer(columns[1.0])
     found = checks.check_gravity("grip", estimate, device * np.abs(estimate.response) / factor, "the model")
     message = only(found, Fault.UNITS, fatal=True)
     assert "times that of the model, 9.81" in message
     assert "Correct its name" in message
     if device == 1.0:
-        assert told in message
+        assert ratio in message
 
 
 # --------------------------------------------------------------------------------------------------------- grips
@@ -263,8 +263,8 @@ def test_low_coherence_names_the_stretch(columns: dict) -> None:
 
 
 def test_refusal_shows_the_first_fatal_finding_and_keeps_the_others() -> None:
-    told = Finding(Fault.JITTER, "a", "a little", False)
+    mild = Finding(Fault.JITTER, "a", "a little", False)
     worse = Finding(Fault.CLIPPED, "b", "much", True)
-    assert checks.refuse([told]) == [told]
+    assert checks.refuse([mild]) == [mild]
     with pytest.raises(InputError, match=r"^b: clipped sensor: much \(and 1 more such findings\)$"):
-        checks.refuse([told, worse, worse])
+        checks.refuse([mild, worse, worse])

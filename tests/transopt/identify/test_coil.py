@@ -134,8 +134,8 @@ def test_intervals_cover_the_truth() -> None:
     ],
 )
 def test_records_that_fall_short_say_what_to_record(kind: dict[str, Any], message: str) -> None:
-    told = fitted(measured(3, **kind)).shortfalls()
-    assert any(re.search(message, text) for text in told), told
+    found = fitted(measured(3, **kind)).shortfalls()
+    assert any(re.search(message, text) for text in found), found
 
 
 def test_a_unit_that_is_wrong_is_asked_for() -> None:
@@ -152,8 +152,8 @@ def test_an_ambient_that_drifts_is_told() -> None:
     run = measured(ambient=True)
     assert run.ambient is not None
     rising = replace(run.ambient, values=run.ambient.values + np.linspace(0, 6, run.ambient.values.size))
-    told = fitted(replace(run, ambient=rising)).shortfalls()
-    assert any("the ambient drifts by" in text for text in told)
+    found = fitted(replace(run, ambient=rising)).shortfalls()
+    assert any("the ambient drifts by" in text for text in found)
 
 
 def test_records_that_tell_nothing_are_refused() -> None:

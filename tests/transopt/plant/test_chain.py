@@ -1,4 +1,4 @@
-"""Chains: the seed's formulas, DESIGN 3.1's figures, passivity."""
+"""Chains: the seed's formulas, the default device's measured figures, passivity."""
 
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from problems.stress.cases import Current, Demand, Device, Horizon, StressCase
+from problems.stress.cases import Current, Demand, DrawnDevice, Horizon, StressCase
 from problems.stress.families import SMALL_A
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import optimum
@@ -68,7 +68,7 @@ def test_the_recordings_integrator_has_order_four() -> None:
 @pytest.mark.parametrize(("phase", "order"), [(0.0, 1.0), (0.5, 2.0)])
 def test_a_held_input_converges_to_the_continuous_one(phase: float, order: float) -> None:
     """Order one for samples taken when the hold begins, two for those of its middle; the hold itself is exact."""
-    device, amplifier = Device(), Amplifier(1050.0, 0.0, 6.0)
+    device, amplifier = DrawnDevice(), Amplifier(1050.0, 0.0, 6.0)
     rate, end_s = 2 * np.pi * 150.0, 8e-3
     plant = device.plant()
     n, w = plant.order, amplifier.rate_rad_s
@@ -94,21 +94,21 @@ def test_a_delay_costs_no_order(samples: float) -> None:
     command = np.random.default_rng(2).uniform(-1, 1, 60)
     for dt in (1e-4, 5e-5):
         amplifier = Amplifier(1050.0, samples * dt, 6.0)
-        stage, grid = discretise(Device().plant(), amplifier, dt), TimeGrid(dt, 60, 3e-4, samples * dt)
+        stage, grid = discretise(DrawnDevice().plant(), amplifier, dt), TimeGrid(dt, 60, 3e-4, samples * dt)
         predicted, _ = stage.rollout(command)
         (played,) = replay(stage, grid, command[None], predicted[None], None)
         assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-10 * np.abs(predicted).max()
 
 
 HARD = {
-    "35 kHz, damping 1e-4": (Device(mode_Hz=35e3, damping_ratio=1e-4), 1050.0, 1e-3),
-    "pole 1 MHz": (Device(), 1e6, 1e-3),
-    "1 mg": (Device(moving_kg=1e-6, stylus_kg=1e-6, mode_Hz=35e3), 1e6, 1e-4),
-    "100 kg": (Device(moving_kg=100.0, stylus_kg=100.0, mode_Hz=50.0), 10.0, 1e-6),
-    "1 mg on 100 kg": (Device(moving_kg=1e-6, stylus_kg=100.0, mode_Hz=35e3, damping_ratio=1e-4), 1e6, 1e-4),
-    "defective": (Device("defective", mode_Hz=35e3), None, 1e-4),
-    "defective with the amplifier": (Device("defective", mode_Hz=1050.0), 1050.0, 1e-4),
-    "free, other units": (Device(grip_N=0.0, units=1e6), 1050.0, 1e-3),
+    "35 kHz, damping 1e-4": (DrawnDevice(mode_Hz=35e3, damping_ratio=1e-4), 1050.0, 1e-3),
+    "pole 1 MHz": (DrawnDevice(), 1e6, 1e-3),
+    "1 mg": (DrawnDevice(moving_kg=1e-6, stylus_kg=1e-6, mode_Hz=35e3), 1e6, 1e-4),
+    "100 kg": (DrawnDevice(moving_kg=100.0, stylus_kg=100.0, mode_Hz=50.0), 10.0, 1e-6),
+    "1 mg on 100 kg": (DrawnDevice(moving_kg=1e-6, stylus_kg=100.0, mode_Hz=35e3, damping_ratio=1e-4), 1e6, 1e-4),
+    "defective": (DrawnDevice("defective", mode_Hz=35e3), None, 1e-4),
+    "defective with the amplifier": (DrawnDevice("defective", mode_Hz=1050.0), 1050.0, 1e-4),
+    "free, other units": (DrawnDevice(grip_N=0.0, units=1e6), 1050.0, 1e-3),
 }
 
 
@@ -144,7 +144,7 @@ def _exact(matrix: FloatArray) -> np.ndarray:
 
 
 def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipliers) -> tuple[float, float]:
-    """J and gap of a problem with current and command limits only, in extended precision, as DESIGN 4 writes them."""
+    """J and gap of a problem with current and command limits only, written out in extended precision."""
     stage, N, free = problem.stage, problem.grid.stages, problem.free_stages
     A, B, C, Ci = (_exact(getattr(stage, name)) for name in ("A", "B", "C", "Ci"))
     D, Di = mpmath.mpf(stage.D[0, 0]), mpmath.mpf(stage.Di[0, 0])
@@ -176,9 +176,9 @@ def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipli
 
 
 PROVEN: dict[str, Callable[[], StressCase]] = {
-    "35 kHz": lambda: StressCase("o", Device(mode_Hz=35e3, damping_ratio=1e-4), Current(limit_A=SMALL_A)),
-    "1 mg": lambda: StressCase("o", Device(moving_kg=1e-6, stylus_kg=1e-6), Current(limit_A=1e-4)),
-    "100 kg": lambda: StressCase("o", Device(moving_kg=100.0, stylus_kg=100.0), Current(pole_Hz=1e6)),
+    "35 kHz": lambda: StressCase("o", DrawnDevice(mode_Hz=35e3, damping_ratio=1e-4), Current(limit_A=SMALL_A)),
+    "1 mg": lambda: StressCase("o", DrawnDevice(moving_kg=1e-6, stylus_kg=1e-6), Current(limit_A=1e-4)),
+    "100 kg": lambda: StressCase("o", DrawnDevice(moving_kg=100.0, stylus_kg=100.0), Current(pole_Hz=1e6)),
     "microampere": lambda: StressCase("o", current=Current(limit_A=1e-6), demand=Demand("noise")),
     "ideal, rho 0": lambda: StressCase("o", current=Current(SMALL_A, pole_Hz=None), demand=Demand(rho=0.0)),
     "slow amplifier": lambda: StressCase("o", current=Current(pole_Hz=10.0, command=10.0)),
@@ -201,7 +201,7 @@ def test_the_certificate_agrees_with_extended_precision(name: str) -> None:
 
 
 def test_extended_matrices_are_the_same_matrices() -> None:
-    stage = discretise(Device().plant(), Amplifier(1050.0, 0.0, 6.0), 1e-4)
+    stage = discretise(DrawnDevice().plant(), Amplifier(1050.0, 0.0, 6.0), 1e-4)
     wide: StageModel = stage.extended()
     command = np.random.default_rng(1).uniform(-1, 1, 50)
     exact = wide.rollout(command.astype(np.longdouble))[0]

@@ -32,7 +32,7 @@ WALL = Wall(
 
 
 def plain_feedback(wall: Wall, z_m: np.ndarray, approach_m_s: float) -> np.ndarray:
-    """(N,) i_fb at the ticks, written out as DESIGN 3.5 and the wall's own words say."""
+    """(N,) i_fb at the ticks, tick by tick as the docstring of `Wall` states the law."""
     a = np.exp(-2 * np.pi * wall.derivative_filter_Hz * DT_S)
     before, velocity, readings = z_m[0] + approach_m_s * DT_S, -approach_m_s, []
     for z in z_m:

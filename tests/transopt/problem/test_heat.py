@@ -123,7 +123,7 @@ class TestHeating:
 
 
 def ode(coil: CoilModel, command_A: np.ndarray, *, housing_held: bool = False) -> np.ndarray:
-    """(N + 1, 2) winding and housing at tau_0 to tau_N, DOP853 on the equations as DESIGN 3.3 states them."""
+    """(N + 1, 2) winding and housing at tau_0 to tau_N, DOP853 on the equations of `CoilModel`'s docstring."""
     w = 2 * np.pi * AMPLIFIER.pole_Hz
     C_w, C_h = coil.tau_w_s / coil.R_wh_K_W, coil.tau_h_s / coil.R_ha_K_W
     course = [np.array([coil.start_winding_C, coil.start_housing_C])]

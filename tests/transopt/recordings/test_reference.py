@@ -86,7 +86,7 @@ class TestPrepare:
 
     def test_speed_from_position_despite_the_hands_acceleration(self) -> None:
         t = np.arange(0, 0.08, 1e-4)
-        z = -0.1 * (t - 0.02) + 0.5 * 2.0 * (t - 0.02) ** 2  # 2 m/s^2, as EVIDENCE assumes
+        z = -0.1 * (t - 0.02) + 0.5 * 2.0 * (t - 0.02) ** 2  # a hand that brakes with 2 m/s^2
         counts = np.round(z / 24.5e-6) * 24.5e-6
         tap = prepare(pulse(speed=None, position=Signal(0.0, 1e-4, counts)), SETTINGS)
         assert tap.speed_m_s == pytest.approx(0.1, rel=0.02)

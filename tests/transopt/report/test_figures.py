@@ -23,7 +23,7 @@ from transopt.problem.answer import Status
 from transopt.problem.limits.limit import Limits
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
-from transopt.recordings.tap import Tap
+from transopt.recordings.tap import PreparedTap
 from transopt.report.figures import bode_figure, method_figure, taps_figure
 
 G = STANDARD_GRAVITY_M_S2
@@ -111,12 +111,12 @@ def make_build(entries: list[list[Entry]]) -> Build:
     return Build(cast(Any, scene), [], entries, None, "riccati", 0.0)
 
 
-def make_tap(name: str, speed_m_s: float, end_s: float = 0.07) -> Tap:
+def make_tap(name: str, speed_m_s: float, end_s: float = 0.07) -> PreparedTap:
     t = np.arange(-0.03, end_s, 1e-4)
     pulse = 100.0 * np.where(t < 0, 0.0, np.exp(-np.abs(t) / 3e-3) * np.sin(2 * np.pi * 120 * t))
     signal = Signal(-0.03, 1e-4, pulse)
     recording = Recording(name, "made here", "", signal)
-    return Tap(recording, signal, speed_m_s, "stated", 0.0, 1, 0.0, float(pulse.max()), 1.0, 0, ())
+    return PreparedTap(recording, signal, speed_m_s, "stated", 0.0, 1, 0.0, float(pulse.max()), 1.0, 0, ())
 
 
 def legend_texts(figure: Figure) -> list[str]:

@@ -36,7 +36,7 @@ from transopt.plant.chain import second_order
 from transopt.recordings.recording import Recording
 from transopt.report.identified import below_the_model, model_warning
 from transopt.report.markdown import build_json, build_markdown
-from transopt.scene.identified import Identified
+from transopt.scene.identified import IdentifiedModel
 from transopt.scene.keys import find_key, keys, with_values
 from transopt.scene.model_file import load_model
 from transopt.scene.scene import Scene
@@ -218,7 +218,7 @@ def test_keys_of_a_scene_on_a_model_file(make: Make) -> None:
     assert not [path for path in paths if "covariance" in path or "nrmse" in path or "sources" in path]
     assert with_values(scene, {"limits.beta": 2.0}).limits.transient_current_A == 2.5
     heavier = with_values(scene, {"model.device.stylus_mass_kg": 0.05})
-    assert isinstance(heavier.model, Identified)
+    assert isinstance(heavier.model, IdentifiedModel)
     assert heavier.plant(3.0).A[4, 4] == pytest.approx(scene.plant(3.0).A[4, 4] * 0.026 / 0.05)
     assert find_key(scene, "amplifier.pole_Hz").value == 1050.0
     with pytest.raises(InputError, match=r"grid\.grips_N: 9 N: outside"):

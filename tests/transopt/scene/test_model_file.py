@@ -10,10 +10,11 @@ import pytest
 
 from tests.benches.model_parts import amplifier_part, coil_part, drive_device, hand_part, state_space_device
 from transopt.base.errors import InputError
-from transopt.scene.model_file import AnyPart, PartName, load_model, save_part
+from transopt.scene.model_file import load_model, save_part
+from transopt.scene.model_parts import AnyModelPart, ModelPartName
 
 Content = dict[str, Any]
-ALL: list[tuple[PartName, AnyPart]] = [
+ALL: list[tuple[ModelPartName, AnyModelPart]] = [
     ("amplifier", amplifier_part()),
     ("device", drive_device()),
     ("hand", hand_part()),

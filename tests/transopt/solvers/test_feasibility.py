@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
+from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
 from problems.stress.judge import played
 from transopt.base.errors import InputError
@@ -98,7 +98,7 @@ class TestWhatCancelsAtTheSwitchingInstants:
 
     CASE = StressCase(
         "defective",
-        Device("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3),
+        DrawnDevice("defective", stylus_kg=1.4e-6, mode_Hz=18.4e3),
         Current(limit_A=1.8, command=1.0, pole_Hz=12.4e3, delay_samples=2.999),
         Horizon(dt_s=7.4e-4, stages=40, lead_s=1e-4),
     )
@@ -124,7 +124,7 @@ class TestWhatCancelsAtTheSwitchingInstants:
 
 
 def test_a_wall_that_grows_by_itself_is_named() -> None:
-    shaky = StressCase("wall", Device(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
+    shaky = StressCase("wall", DrawnDevice(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
     assert wall_growth(shaky) > 1
     assert "latency_ticks (5)" in unstable_wall(shaky)
     for surface, lower in (
@@ -137,7 +137,7 @@ def test_a_wall_that_grows_by_itself_is_named() -> None:
             "lower feedback.damping_N_s_m (50 N s/m) or feedback.latency_ticks (5)",
         ),
     ):
-        remark = unstable_wall(StressCase("wall", Device(moving_kg=1e-4), surface=surface).problem())
+        remark = unstable_wall(StressCase("wall", DrawnDevice(moving_kg=1e-4), surface=surface).problem())
         assert remark.endswith(lower)
     calm = StressCase("wall", surface=Surface(200.0)).problem()
     assert wall_growth(calm) < 1

@@ -45,8 +45,10 @@ class BlackBox:
 
     Attributes
     ----------
-    grips_N : increasing. plants : one per grip, of one order; the encoder's row is zero, nothing tells of it.
-    scatter : (grips,) mean square of the residuals. criterion : Bayesian information criterion of all grips.
+    grips_N : increasing.
+    plants : one per grip, of one order; the encoder's row is zero, since its signal was not fitted.
+    scatter : (grips,) mean square of the residuals.
+    criterion : Bayesian information criterion of all grips.
     """
 
     grips_N: tuple[float, ...]
@@ -56,6 +58,7 @@ class BlackBox:
 
     @property
     def order(self) -> int:
+        """Number of states of each plant."""
         return self.plants[0].order
 
     def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
@@ -94,6 +97,7 @@ class _Sections:
         self.outputs = order - 1 if held else order + 1
 
     def matrices(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A and B of the sections."""
         A, B = np.zeros((self.order, self.order)), np.zeros((self.order, 1))
         for j, (w, a) in enumerate(np.exp(unknowns[: self.poles].reshape(-1, 2))):
             A[2 * j : 2 * j + 2, 2 * j : 2 * j + 2] = [[0.0, w], [-w, -a]]
@@ -122,6 +126,7 @@ class _Sections:
         return np.array(rows)
 
     def plant(self, unknowns: FloatArray) -> StateSpace:
+        """The state space of poles and outputs."""
         A, B = self.matrices(unknowns)
         rows, direct = self._outputs(A, B)
         output = unknowns[self.poles :]
@@ -225,8 +230,8 @@ class _Projected:
             _, basis = self._stacked(unknowns, sections.output_slopes(unknowns))
             norm = np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
             axes, size, along = np.linalg.svd(basis / norm, full_matrices=False)
-            told = size > RANK * size[0]
-            axes, size, along = axes[:, told], size[told], along[told]
+            resolved = size > RANK * size[0]
+            axes, size, along = axes[:, resolved], size[resolved], along[resolved]
             unknowns[sections.poles :] = along.T @ (axes.T @ measured / size) / norm
             value, slopes = self._stacked(unknowns, sections.pole_slopes(unknowns))
             self._at = poles.copy()

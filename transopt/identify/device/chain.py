@@ -1,4 +1,8 @@
-"""The drive chain as numbers: nine parameters at a grip, four for the free device, and their slopes (DESIGN 3.1)."""
+"""The drive chain as numbers: nine parameters at a grip, four for the free device, and their derivatives.
+
+The chain is that of `transopt.plant.chain.drive`: motor mass, transmission, stylus, and the seed's Fig. 4b for the
+hand.
+"""
 
 from dataclasses import dataclass
 
@@ -26,7 +30,8 @@ class DriveChain:
     Attributes
     ----------
     force_per_current_N_A : known, not identified: with it all masses, stiffnesses and dampings scale alike.
-    shared : (4,) values of `SHARED`. hand : (5, 2) constant and per newton of `HAND`; (0, 2) without any.
+    shared : (4,) values of `SHARED`.
+    hand : (5, 2) constant and per newton of `HAND`; (0, 2) without any.
     """
 
     force_per_current_N_A: float
@@ -118,10 +123,12 @@ class Coordinates:
 
     @property
     def ends_N(self) -> tuple[float, ...]:
+        """Lowest and highest held grip; fewer where fewer were recorded."""
         return self.held_N if len(self.held_N) < 2 else (self.held_N[0], self.held_N[-1])
 
     @property
     def size(self) -> int:
+        """Number of unknowns."""
         return len(SHARED) + len(HAND) * len(self.ends_N)
 
     @property
@@ -150,6 +157,7 @@ class Coordinates:
         return np.array([[high, -low], [-1.0, 1.0]]) / (high - low)
 
     def device(self, unknowns: FloatArray, force_per_current_N_A: float) -> DriveChain:
+        """The chain of unknowns (size,)."""
         values = np.exp(unknowns)
         ends = values[len(SHARED) :].reshape(-1, len(HAND))
         hand = (self._hand() @ ends).T if self.ends_N else np.zeros((0, 2))

@@ -1,4 +1,4 @@
-"""Parameters of the drive chain from the responses of all grips together: bounded, passive, weighted (DESIGN 3.1)."""
+"""Parameters of the drive chain from the responses of all grips together: bounded, passive, weighted."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -42,9 +42,12 @@ class ChainFit:
 
     Attributes
     ----------
-    device : the parameters. coordinates, unknowns : how they were sought, (size,).
+    device : the parameters.
+    coordinates, unknowns : how they were sought, (size,).
     covariance : (size, size) of the unknowns by Gauss-Newton, times `scatter` where that is above 1.
-    grips_N : of the responses. chi_square : (grips,) sums of squared residuals. points : (grips,) their numbers.
+    grips_N : of the responses.
+    chi_square : (grips,) sums of squared residuals.
+    points : (grips,) their numbers.
     at_bounds : unknowns that ended at a bound; their deviation is half the range searched.
     starts, agreeing : how many starts there were, and how many of them led to the best device.
     """
@@ -128,6 +131,7 @@ class _Residuals:
 
     @property
     def points(self) -> NDArray[np.int_]:
+        """(grips,) number of residuals."""
         return np.array([2 * response.size for _, _, response, _ in self._data])
 
     def _evaluate(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -143,9 +147,11 @@ class _Residuals:
         return self._last
 
     def value(self, unknowns: FloatArray) -> FloatArray:
+        """Residuals of all grips."""
         return self._evaluate(unknowns)[0]
 
     def jacobian(self, unknowns: FloatArray) -> FloatArray:
+        """Their derivatives by the unknowns."""
         return self._evaluate(unknowns)[1]
 
     def minimise(self, start: FloatArray, free: NDArray[np.bool_], most: int) -> tuple[FloatArray, float]:
@@ -217,12 +223,14 @@ def fit_chain(
 
     Parameters
     ----------
-    responses : one per grip, 0 for the free device. nominal : where to start, with the known force per ampere.
-    random_starts : beside the nominal device, as it is and scaled to the data. tick : called after each start.
+    responses : one per grip, 0 for the free device.
+    nominal : where to start, with the known force per ampere.
+    random_starts : beside the nominal device, as it is and scaled to the data.
+    tick : called after each start.
 
     Raises
     ------
-    InputError : only the free device was recorded: its response does not tell its two masses apart.
+    InputError : only the free device was recorded, whose response does not separate its two masses.
     """
     held = tuple(sorted(one.grip_N for one in responses if one.grip_N > 0))
     if not held:
@@ -300,8 +308,10 @@ class GripFit:
 
     Attributes
     ----------
-    grip_N : of the response. scatter, own_scatter : mean square of its residuals with the smooth functions, and with
-    the hand of this grip alone. difference_dB : largest ratio of the two models' magnitudes where coherence is high.
+    grip_N : of the response.
+    scatter : mean square of its residuals with the functions linear in grip.
+    own_scatter : the same with the hand of this grip alone.
+    difference_dB : largest ratio of the two models' magnitudes where coherence is high.
     """
 
     grip_N: float

@@ -26,16 +26,18 @@ from transopt.identify.device.validation import Model, Transient, called, compar
 from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import StateSpace
-from transopt.scene.model_file import DriveDevice, StateSpaceDevice
+from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
 PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something
-MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where a lack of fit is told
+MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
-NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where that is told
+NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
 SIGMAS = 1.959964  # 95 %
 
 
 class Kind(StrEnum):
+    """Which model to fit; AUTO fits both and keeps the better one."""
+
     AUTO = "auto"
     DRIVE = "drive"
     STATE_SPACE = "state_space"
@@ -43,11 +45,13 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class Candidate:
-    """One kind of model, fitted and judged.
+    """One kind of model, fitted and validated.
 
     Attributes
     ----------
-    model : gives plants. transients : of each recorded grip, those kept out of the fit.
+    kind : of model.
+    model : gives the plants of a grip.
+    transients : grip -> those of its transients that were kept out of the fit.
     between : NRMSE at grips that the model does not know: those with transients only, and inner held ones by the
         same kind of model fitted without them.
     """
@@ -76,9 +80,16 @@ class DeviceResult:
 
     Attributes
     ----------
-    chosen, other : candidates; the other is None where only one kind was asked for or possible.
-    chain : the fit behind the drive chain, if there is one. own_hands : its lack of fit by grip.
-    findings : of the records. advice : what to record again, where. short : why the result is not good enough.
+    grips : with their responses.
+    instrument : what stood between the device and the recorded numbers.
+    chosen : the better candidate.
+    other : the other one; None where only one kind was asked for or possible.
+    chain : the fit behind the drive chain, if there is one.
+    own_hands : its lack of fit by grip.
+    black_box : the fit behind the state space, if there is one.
+    findings : of the records.
+    advice : what to record again, where.
+    short : why the result is not good enough.
     """
 
     grips: list[Grip]
@@ -103,6 +114,7 @@ class DeviceResult:
 
     @property
     def verdict(self) -> str:
+        """One sentence for the model file and for the user: how far the chosen model can be relied upon."""
         words = [verdict(self.chosen.recorded, self.chosen.between)]
         if self.chosen.kind is Kind.DRIVE and self.chain is not None:
             words += _not_the_devices(self.chain)
@@ -115,9 +127,12 @@ class Settings:
 
     Attributes
     ----------
-    nominal : device to start from, with the known force per ampere. scene_plant : to check units by; None for none.
-    amplifier : identified or known; None is ideal. kind, order : of the model; order None finds one.
-    played_N : grips that the scene plays. random_starts : of the chain's fit.
+    nominal : device to start from, with the known force per ampere.
+    scene_plant : to check units by; None for none.
+    amplifier : identified or known; None is ideal.
+    kind, order : of the model; order None finds one.
+    played_N : grips that the scene plays.
+    random_starts : of the chain's fit.
     """
 
     nominal: DriveChain
@@ -140,7 +155,10 @@ def identify(
 
     Parameters
     ----------
-    runs : sweeps. transients : for validation only. tick : called with what was just done.
+    runs : sweeps.
+    transients : for validation only.
+    settings : what is known or asked for.
+    tick : called with what was just done.
 
     Raises
     ------
@@ -164,10 +182,10 @@ def identify(
         box = fit_black_box(responses, instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []
     if chain is not None:
-        candidates.append(_judge_chain(chain, records))
+        candidates.append(_validated_chain(chain, records))
         tick("validation")
     if box is not None:
-        candidates.append(_judge(Kind.STATE_SPACE, box, box.without, records))
+        candidates.append(_validated(Kind.STATE_SPACE, box, box.without, records))
         tick("validation")
     chosen, *others = candidates
     if others and others[0].error < PREFERENCE * chosen.error:
@@ -190,7 +208,7 @@ def identify(
     )
 
 
-def _judge(kind: Kind, model: Model, without: Callable[[float], Model], records: Records) -> Candidate:
+def _validated(kind: Kind, model: Model, without: Callable[[float], Model], records: Records) -> Candidate:
     """Errors at recorded grips, at inner ones by the model `without` them, and at grips that have transients only."""
     grips, instrument = records.grips, records.instrument
     between = {
@@ -210,12 +228,14 @@ def _judge(kind: Kind, model: Model, without: Callable[[float], Model], records:
     )
 
 
-def _judge_chain(fit: ChainFit, records: Records) -> Candidate:
+def _validated_chain(fit: ChainFit, records: Records) -> Candidate:
+    """The drive chain, at inner grips by a fit without them that begins where this one ended."""
+
     def without(grip_N: float) -> Model:
         responses = [grip.response for grip in records.grips if grip.grip_N != grip_N]
         return refit(fit, responses, records.instrument).device
 
-    return _judge(Kind.DRIVE, fit.device, without, records)
+    return _validated(Kind.DRIVE, fit.device, without, records)
 
 
 def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:

@@ -173,7 +173,8 @@ def sampled_response(
 
     Parameters
     ----------
-    frequencies_Hz : (m,) above 0, up to half the rate. slopes : p derivatives of the plant.
+    frequencies_Hz : (m,) above 0, up to half the rate.
+    slopes : p derivatives of the plant.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Records of a device sorted for identification: by grip, checked, split into what is fitted and what is kept out."""
+"""Records of a device made ready for identification: sorted by grip, checked, some kept out of the fit."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ from transopt.plant.discretise import split_delay
 
 QUANTITIES = ("command", "current", "acceleration")
 LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validation
-LEAST_BINS = 30  # of a response: every fourth of them still outnumbers the unknowns of a grip
+LEAST_BINS = 30  # of a response: a fourth of them, which the first stage of a fit takes, outnumbers a grip's unknowns
 ALIKE = 0.5  # correlation of measured and expected acceleration from which on sign and size mean something
 MOST_GAIN = 2.0  # by which current and command may differ either way
 MOST_LAG = 20  # ticks searched for a shift between them
@@ -48,8 +48,10 @@ class Grip:
 
     Attributes
     ----------
-    grip_N : their mean, 0 for the free device. response : from the fitted ones.
-    fitted, kept : what the model is fitted to, and what it is judged by; the latter may be empty.
+    grip_N : their mean, 0 for the free device.
+    response : from the fitted ones.
+    fitted : runs that the model is fitted to.
+    kept : runs that it is validated with; there may be none.
     """
 
     grip_N: float
@@ -64,7 +66,10 @@ class Records:
 
     Attributes
     ----------
-    grips : increasing. between : transients at grips without sweeps, between those with. findings : not fatal.
+    grips : increasing.
+    instrument : what stands between the device and the recorded numbers.
+    between : transients at grips without sweeps, between those with.
+    findings : not fatal.
     """
 
     grips: list[Grip]
@@ -213,14 +218,16 @@ def sort_trials(
     *,
     tick: Callable[[], None] = lambda: None,
 ) -> Records:
-    """Grips with their responses, what the model is judged by, and what is wrong but not fatal.
+    """Grips with their responses, the runs to validate a model with, and what is wrong but not fatal.
 
     Without `transients` the last trial of a grip that has three or more is kept for validation.
 
     Parameters
     ----------
-    runs : sweeps. transients : recorded apart, for validation only.
-    nominal : plant at a grip to compare the unit of acceleration with; None without any. tick : after each grip.
+    runs : sweeps.
+    transients : recorded apart, for validation only.
+    nominal : plant at a grip to compare the unit of acceleration with; None without any.
+    tick : after each grip.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Identified models against transients that were not used in the fit, in the time domain (DESIGN 2).
+"""Identified models against transients that were not used in the fit, in the time domain.
 
-Measured and predicted acceleration both pass the causal 8 Hz high-pass of the design: what is slower is the user's
-own motion and no model's business. The error is what a design with this model would mistake for success.
+Measured and predicted acceleration both pass the causal 8 Hz high-pass of the design
+(`transopt.recordings.reference`), since what is slower is the user's own motion. The error that is left is what a
+design with this model would not know of.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from transopt.identify.measurement import Measurement
 from transopt.plant.chain import StateSpace
 
 HIGHPASS_HZ = 8.0
-PADDING_S = 0.5  # after a record, for what still rings when it ends
+PADDING_S = 0.5  # after a record, for the ringing that its end cuts off
 RECORDED_LIMIT, BETWEEN_LIMIT = 0.05, 0.08  # NRMSE that a model is to keep at recorded grips, and between them
 WORTHLESS = 0.5  # NRMSE from which on a model says nothing of use
 NEAR_ZERO = 1e-3  # of a spectrum's line: a free device has no finite state at exactly 0 Hz, but a response beside it
@@ -36,7 +37,8 @@ class Transient:
 
     Attributes
     ----------
-    run : what was recorded. nrmse : after the high-pass.
+    run : what was recorded.
+    nrmse : of the prediction, after the high-pass.
     measured, predicted : (n,) acceleration after the high-pass [m/s^2], the measured one less its static offset.
     """
 
@@ -97,21 +99,21 @@ def verdict(recorded: Mapping[float, float], between: Mapping[float, float]) -> 
     recorded : at recorded grips, NaN where nothing was kept for validation.
     between : at grips that the model does not know.
     """
-    judged = {grip: error for grip, error in recorded.items() if np.isfinite(error)}
-    if not judged:
+    known = {grip: error for grip, error in recorded.items() if np.isfinite(error)}
+    if not known:
         return (
             "not validated: no transient was kept out of the fit; record three trials per grip or give --validate "
             "FILES before trusting a design"
         )
-    worst = max(judged, key=lambda grip: judged[grip])
-    if judged[worst] >= WORTHLESS:
-        missed = f"{100 * judged[worst]:.0f} % of what was kept out of the fit"
+    worst = max(known, key=lambda grip: known[grip])
+    if known[worst] >= WORTHLESS:
+        missed = f"{100 * known[worst]:.0f} % of what was kept out of the fit"
         return f"supports no design: at {called(worst)} it misses {missed}"
     text = (
-        f"supports design errors down to {100 * judged[worst]:.2g} % (worst held-out NRMSE, {called(worst)}); "
+        f"supports design errors down to {100 * known[worst]:.2g} % (worst held-out NRMSE, {called(worst)}); "
         "below that you design the model's error"
     )
-    missing = [called(grip) for grip in recorded if grip not in judged]
+    missing = [called(grip) for grip in recorded if grip not in known]
     if missing:
         text += f"; not validated: {', '.join(missing)}"
     if between:
@@ -123,6 +125,7 @@ def verdict(recorded: Mapping[float, float], between: Mapping[float, float]) -> 
 
 
 def called(grip_N: float) -> str:
+    """How messages call a grip."""
     return "free device" if grip_N == 0 else f"{grip_N:.3g} N"
 
 

@@ -54,7 +54,7 @@ def amplifier_figure(fit: AmplifierFit) -> Figure:
 
 
 def prefilter_response(fit: AmplifierFit, frequencies_Hz: FloatArray) -> ComplexArray:
-    """(m,) of the prefilter of DESIGN 3.2 made for the fitted pole."""
+    """(m,) complex response of the prefilter that inverts the fitted pole (`transopt.plant.amplifier.prefilter`)."""
     pole = Amplifier(fit.pole_Hz, fit.delay_s, 1.0)  # the range of the command has no part in it
     now, before = prefilter_coefficients(pole, fit.dt_s)
     return np.asarray(now + before * np.exp(-2j * np.pi * frequencies_Hz * fit.dt_s))

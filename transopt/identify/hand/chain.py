@@ -18,7 +18,7 @@ from scipy import linalg, optimize, signal, stats
 
 from transopt.base.signals import FloatArray
 from transopt.identify.hand.lines import LEVEL, HandFit
-from transopt.identify.hand.tap import LOWPASS_HZ, Tap
+from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
 from transopt.plant.chain import LinearInGrip
 
 OF_HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
@@ -43,7 +43,8 @@ class ChainFit:
 
     Attributes
     ----------
-    stylus_mass_kg : of whatever moves rigidly with the accelerometer. lines : of `OF_HAND`.
+    stylus_mass_kg : of whatever moves rigidly with the accelerometer.
+    lines : name of `OF_HAND` -> its line over grip.
     grips_N : lowest and highest recorded.
     intervals : (11, 2) 95 %, covariance : (11, 11), both of `NAMES`.
     uncertain : name of the stylus mass and of each line -> half width of its interval at the middle grip, relative.
@@ -64,6 +65,7 @@ class ChainFit:
 
     @property
     def undetermined(self) -> list[str]:
+        """Names of the parameters whose interval at the middle grip is wider than `DETERMINED`, either way."""
         return [name for name, share in self.uncertain.items() if not share <= DETERMINED]
 
     def word(self) -> str:
@@ -89,17 +91,27 @@ class ChainFit:
 
 @dataclass(frozen=True)
 class _Session:
-    """Taps side by side, shorter ones filled up with zeros that weigh nothing."""
+    """T taps side by side, shorter ones filled up with zeros that weigh nothing.
 
-    force: FloatArray  # (T, n)
-    acceleration: FloatArray  # (T, n)
-    weight: FloatArray  # (T, n), so that each tap counts by its relative error
-    dt_s: FloatArray  # (T,)
-    grips_N: FloatArray  # (T,)
+    Attributes
+    ----------
+    force, acceleration : (T, n) of the taps, SI.
+    weight : (T, n) such that each tap counts by its relative error.
+    dt_s : (T,) sampling periods.
+    grips_N : (T,).
+    ends_N : lowest and highest grip, at which the lines are stated.
+    """
+
+    force: FloatArray
+    acceleration: FloatArray
+    weight: FloatArray
+    dt_s: FloatArray
+    grips_N: FloatArray
     ends_N: tuple[float, float]
 
     @classmethod
-    def of(cls, taps: Sequence[Tap], ends_N: tuple[float, float]) -> "_Session":
+    def of(cls, taps: Sequence[HandTap], ends_N: tuple[float, float]) -> "_Session":
+        """The taps of a session, with lines stated at both `ends_N`."""
         n = max(tap.force_N.size for tap in taps)
         force, acceleration, weight = (np.zeros((len(taps), n)) for _ in range(3))
         for j, tap in enumerate(taps):
@@ -111,13 +123,13 @@ class _Session:
 
     @cached_property
     def share(self) -> FloatArray:
-        """(T,) of the way from the lowest to the highest grip."""
+        """(T,) how far each grip is from the lowest (0) to the highest (1)."""
         low, high = self.ends_N
         return (self.grips_N - low) / (high - low)
 
     @cached_property
     def every(self) -> int:
-        """What lies between is known from its neighbours, both sides being low-passed."""
+        """Only each sample of this many is compared: both sides are low-passed, so its neighbours say the same."""
         return max(1, int(1 / (float(self.dt_s.max()) * _OVERSAMPLED * LOWPASS_HZ)))
 
     def residuals(self, theta: FloatArray) -> FloatArray:
@@ -146,7 +158,9 @@ def _simulate(stylus: FloatArray, hand: FloatArray, dt_s: FloatArray, force: Flo
 
     Parameters
     ----------
-    stylus : (L,) mass. hand : (5, L) in the order of `OF_HAND`. dt_s : (L,).
+    stylus : (L,) mass.
+    hand : (5, L) in the order of `OF_HAND`.
+    dt_s : (L,).
     """
     mass, skin_k, skin_b, arm_k, arm_b = hand
     L, n = force.shape
@@ -192,13 +206,15 @@ def _exponentials(flow: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def fit_chain(taps: Sequence[Tap], hand: HandFit, *, starts: int = STARTS, seed: int = 0) -> ChainFit:
+def fit_chain(taps: Sequence[HandTap], hand: HandFit, *, starts: int = STARTS, seed: int = 0) -> ChainFit:
     """Stylus mass and five lines over grip from all taps together.
 
     Parameters
     ----------
+    taps : the session's.
     hand : the second-order fit of the same taps; the starts are drawn around it, log-uniform within a factor of 3.
-    starts : tried on a few taps; the best goes on with all of them. seed : of their draw.
+    starts : tried on a few taps; the best goes on with all of them.
+    seed : of their draw.
     """
     ends = (float(hand.grips_N.min()), float(hand.grips_N.max()))
     session = _Session.of(taps, ends)
@@ -210,10 +226,11 @@ def fit_chain(taps: Sequence[Tap], hand: HandFit, *, starts: int = STARTS, seed:
     factors = np.vstack([np.ones(guess.size), 3.0 ** random.uniform(-1, 1, (starts - 1, guess.size))])
     tried = sorted((_solve(part, guess * factor, guess) for factor in factors), key=lambda found: float(found.cost))
     best = _solve(session, tried[0].x, guess)
-    return _judged(session, best.x, guess, tuple(float(found.cost) for found in tried))
+    return _with_uncertainty(session, best.x, guess, tuple(float(found.cost) for found in tried))
 
 
 def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
+    """(11,) stylus mass and each line at both ends, from mass, damper and spring of the second-order hand."""
     mass, damping, stiffness = (
         np.array([max(line.line.at(grip), 0.1 * float(np.median(line.at_taps)), least) for grip in ends])
         for line, least in zip(hand.lines, _LEAST_GUESS, strict=True)
@@ -226,6 +243,7 @@ def _guess(hand: HandFit, ends: tuple[float, float]) -> FloatArray:
 
 
 def _solve(session: _Session, start: FloatArray, scale: FloatArray) -> optimize.OptimizeResult:
+    """Least squares from one start, no parameter negative at either end."""
     least = np.zeros(start.size)
     least[:3] = _LEAST_KG
 
@@ -247,7 +265,8 @@ def _solve(session: _Session, start: FloatArray, scale: FloatArray) -> optimize.
     )
 
 
-def _judged(session: _Session, theta: FloatArray, scale: FloatArray, costs: tuple[float, ...]) -> ChainFit:
+def _with_uncertainty(session: _Session, theta: FloatArray, scale: FloatArray, costs: tuple[float, ...]) -> ChainFit:
+    """The fit of an optimum theta (11,), with covariance, intervals, and what the taps leave open."""
     T, p = session.grips_N.size, theta.size
     residuals = session.residuals(theta[None])[0]
     J = session.jacobian(theta, scale) * scale

@@ -8,7 +8,7 @@ from scipy import stats
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.identify.hand.tap import Tap, TapFit, fit_tap
+from transopt.identify.hand.tap import HandTap, TapFit, fit_tap
 from transopt.plant.chain import LinearInGrip
 
 QUANTITIES = ("mass_kg", "damping_N_s_m", "stiffness_N_m")
@@ -31,9 +31,11 @@ class GripLine:
 
     Attributes
     ----------
+    quantity : which of `QUANTITIES`.
     at_taps : (T,) of the single taps.
-    line : least squares through them. intervals : 95 % of its constant and of its slope, (2, 2).
-    band : 95 % at `grips_N` (p, 3) grip, lower, upper.
+    line : least squares through them.
+    intervals : (2, 2) 95 % of its constant and of its slope.
+    band : (p, 3) grips, and lower and upper end of the 95 % interval of the line there.
     lack_of_fit_p : how likely taps would stray this far from a line if it were one; NaN without repeats.
     """
 
@@ -51,7 +53,9 @@ class HandFit:
 
     Attributes
     ----------
-    grips_N : (T,). fits : one per tap. lines : of `QUANTITIES`.
+    grips_N : (T,).
+    fits : one per tap.
+    lines : of `QUANTITIES`.
     covariance : (6, 6) of `COEFFICIENTS`, of the bootstrap, SI.
     shifted : median unexplained part with the force a sample earlier, and a sample later, than it was recorded.
     """
@@ -118,7 +122,7 @@ class HandFit:
         return float(self.grips_N[groups[int(np.argmax(off))]].mean())
 
 
-def fit_hand(taps: Sequence[Tap], *, resamples: int = RESAMPLES, seed: int = 0) -> HandFit:
+def fit_hand(taps: Sequence[HandTap], *, resamples: int = RESAMPLES, seed: int = 0) -> HandFit:
     """Each tap by itself, then lines over grip; intervals by resampling trials.
 
     Trials, not residuals, are resampled: hands vary more than sensors err, and not alike at every grip. The intervals
@@ -126,7 +130,8 @@ def fit_hand(taps: Sequence[Tap], *, resamples: int = RESAMPLES, seed: int = 0) 
 
     Parameters
     ----------
-    resamples : bootstrap samples. seed : of their draw.
+    resamples : bootstrap samples.
+    seed : of their draw.
 
     Raises
     ------
@@ -177,7 +182,7 @@ def fit_hand(taps: Sequence[Tap], *, resamples: int = RESAMPLES, seed: int = 0) 
     return HandFit(grips, fits, (lines[0], lines[1], lines[2]), np.cov(drawn, rowvar=False), (shifted[0], shifted[1]))
 
 
-def _shifted(tap: Tap, by: int) -> Tap:
+def _shifted(tap: HandTap, by: int) -> HandTap:
     """The tap with its force `by` samples earlier."""
     if by > 0:
         return replace(tap, force_N=tap.force_N[by:], acceleration_m_s2=tap.acceleration_m_s2[:-by])
@@ -200,8 +205,11 @@ def grip_groups(grips_N: FloatArray) -> list[np.ndarray]:
 class _Lines:
     """Least squares lines of 3 quantities, each with B resamples or without that axis.
 
-    coefficients : 3 times (B, 2) constant and slope. covariances : 3 times (B, 2, 2), consistent whatever the
-    scatter does over grip (White 1980, with the leverages of MacKinnon and White's HC2).
+    Attributes
+    ----------
+    coefficients : 3 times (B, 2) constant and slope.
+    covariances : 3 times (B, 2, 2), consistent whatever the scatter does over grip (White 1980, with the leverages
+        of MacKinnon and White's HC2).
     """
 
     coefficients: list[FloatArray]

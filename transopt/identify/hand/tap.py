@@ -1,8 +1,9 @@
 """One tap on a real surface: where it begins, what spoils it, and the mass on spring and damper that it shows.
 
-Seed Eqs. 1-2, with y the stylus' deviation from the motion that the hand intends (DESIGN 2: straight on):
-F_surface = m y'' + b y' + k y. Before contact y = 0, so y' and y are integrals of the acceleration from contact on,
-and neither the incoming speed nor an encoder is needed. A hand cannot answer a tap within 30 ms: there the fit ends.
+Seed Eqs. 1-2, with y the stylus' deviation from the motion that the hand intends, which is to go straight on at the
+incoming speed: F_surface = m y'' + b y' + k y. Before contact y = 0, so y' and y are integrals of the acceleration
+from contact on, and neither the incoming speed nor an encoder is needed. A hand cannot answer a tap within 30 ms:
+there the fit ends.
 
 What biases such a fit, and what is done about it (figures: `scripts/hand_coverage.py --bias`):
 
@@ -33,16 +34,18 @@ _STUCK = 4  # samples at one extreme value: an end stop
 _JITTER = 0.2  # steps off the uniform grid
 _CALIBRATION = 0.2  # relative difference of displacements by encoder and by accelerometer
 MOST_LEFT_OUT = 0.2  # of the trials
-_NEAR_G = 1.3  # factor around 9.81 that still means 9.81
+_NEAR_G = 1.3  # a ratio within this factor of 9.81 is taken for 9.81
 
 
 @dataclass(frozen=True)
-class Tap:
-    """The part of a trial that is fitted, from shortly before contact to `REACTION_S` after it.
+class HandTap:
+    """The samples of a trial that are fitted, from shortly before contact to `REACTION_S` after it.
 
     Attributes
     ----------
-    grip_N, speed_m_s : as stated; speed None if the file has none.
+    name : of the trial, for messages.
+    grip_N : as stated.
+    speed_m_s : incoming speed as stated; None if the file has none.
     dt_s : sampling period.
     force_N, acceleration_m_s2 : (n,) without offsets, alike delayed and low-passed.
     """
@@ -80,7 +83,7 @@ class TapFit:
     unexplained: float
 
 
-def fit_tap(tap: Tap) -> TapFit:
+def fit_tap(tap: HandTap) -> TapFit:
     """Least squares of F = m y'' + b y' + k y over the tap, none of the three negative (passive)."""
     regressors = np.stack([tap.acceleration_m_s2, tap.velocity_m_s, tap.displacement_m], axis=1)
     scale = np.linalg.norm(regressors, axis=0)
@@ -99,12 +102,14 @@ def cut_tap(
     speed_m_s: float | None = None,
     accelerometer_Hz: float | None = None,
     window_s: float = REACTION_S,
-) -> Tap:
+) -> HandTap:
     """Find the contact, take the offsets away, delay force like acceleration, low-pass both, cut.
 
     Parameters
     ----------
+    name, grip_N, speed_m_s : see `HandTap`.
     force_N, acceleration_m_s2 : (n,) as recorded, on one time grid.
+    dt_s : sampling period.
     accelerometer_Hz : pole of the accelerometer, None for one to be taken as ideal.
     window_s : from contact to the end of what is fitted.
 
@@ -128,8 +133,8 @@ def cut_tap(
     if 0.45 / dt_s > LOWPASS_HZ:
         sos = signal.butter(2, LOWPASS_HZ, fs=1 / dt_s, output="sos")
         force, acceleration = signal.sosfilt(sos, np.stack([force, acceleration]), axis=1)
-    part = slice(begin, begin + count)
-    return Tap(name, grip_N, speed_m_s, dt_s, np.asarray(force[part]), np.asarray(acceleration[part]))
+    kept = slice(begin, begin + count)
+    return HandTap(name, grip_N, speed_m_s, dt_s, np.asarray(force[kept]), np.asarray(acceleration[kept]))
 
 
 def _one_pole(x: FloatArray, rate: float) -> FloatArray:
@@ -155,7 +160,7 @@ def onset(force_N: FloatArray, dt_s: float) -> int:
     return at
 
 
-def tap_of(trial: Measurement, window_s: float = REACTION_S) -> Tap:
+def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
     """The tap of a recorded trial.
 
     Raises
@@ -186,7 +191,7 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> Tap:
     return tap
 
 
-def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[Tap], list[str]]:
+def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[HandTap], list[str]]:
     """The taps of a session, and why which trials are left out.
 
     Raises
@@ -206,6 +211,7 @@ def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> 
 
 
 def _check_recording(trial: Measurement) -> None:
+    """Refuse a trial with jittered time stamps or a sensor at its end stop."""
     if trial.off_grid > _JITTER:
         found = f"time stamps lie up to {trial.off_grid:.2g} steps off a uniform grid"
         raise InputError(f"{found}: at most {_JITTER:g}; sample by a timer and record again")
@@ -219,7 +225,7 @@ def _check_recording(trial: Measurement) -> None:
                 raise InputError(f"{at}: clipped; tap more slowly or use a sensor of larger range, and record again")
 
 
-def _check_signs_and_units(trial: Measurement, tap: Tap) -> None:
+def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
     """Force against acceleration, and acceleration against position where there is one."""
     ratio = None if trial.position is None else _displacement_ratio(trial, tap)
     opposite = float(tap.force_N @ tap.acceleration_m_s2) < 0
@@ -243,7 +249,7 @@ def _check_signs_and_units(trial: Measurement, tap: Tap) -> None:
     )
 
 
-def _displacement_ratio(trial: Measurement, tap: Tap) -> float:
+def _displacement_ratio(trial: Measurement, tap: HandTap) -> float:
     """Deviation by the encoder over deviation by the accelerometer."""
     position = trial.require("position", "position_m")
     force = trial.require("force", "force_N")

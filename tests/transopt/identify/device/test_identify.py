@@ -283,12 +283,12 @@ def test_a_transient_that_is_reversed_is_no_error_of_the_model(rig: Rig, held: l
         identify(held, [scaled(burst, -1.0)], SETTINGS)
 
 
-@pytest.mark.parametrize(("shift", "told"), [(1, "1 samples later"), (-1, "1 samples earlier")])
-def test_a_current_that_is_read_at_another_tick_is_told(held: list[Measurement], shift: int, told: str) -> None:
+@pytest.mark.parametrize(("shift", "words"), [(1, "1 samples later"), (-1, "1 samples earlier")])
+def test_a_current_that_is_read_at_another_tick_is_reported(held: list[Measurement], shift: int, words: str) -> None:
     result = identify([driven(run, lambda x: np.roll(x, shift)) for run in held], [], SETTINGS)
     findings = [str(finding) for finding in result.findings if finding.fault is Fault.SHIFTED]
     assert len(findings) == len(held)
-    assert told in findings[0]
+    assert words in findings[0]
     assert "their intervals do not hold" in result.verdict
     assert "their intervals do not hold" in device_part(result).verdict
 
@@ -298,16 +298,16 @@ def test_good_records_raise_no_doubt(found: DeviceResult) -> None:
     assert [f for f in found.findings if f.fault in {Fault.SHIFTED, Fault.CURRENT_SCALE, Fault.BANDWIDTH}] == []
 
 
-def test_an_accelerometer_of_unknown_bandwidth_is_told(held: list[Measurement]) -> None:
+def test_an_accelerometer_of_unknown_bandwidth_is_reported(held: list[Measurement]) -> None:
     result = identify([replace(run, accelerometer_Hz=None) for run in held], [], SETTINGS)
     assert any(finding.fault is Fault.BANDWIDTH for finding in result.findings)
 
 
-def test_too_few_cycles_are_told(rig: Rig) -> None:
+def test_too_few_cycles_are_reported(rig: Rig) -> None:
     command = sweep_command(1.0, 2000.0, 1.0, 0.75, DT_S)
     hasty = [rig.record(f"hasty_{j}", 3.0, (-1) ** j * command, j) for j in range(3)]
-    told = [str(finding) for finding in identify(hasty, [], SETTINGS).findings]
-    assert any(text.startswith("3 N: too few cycles") for text in told)
+    findings = [str(finding) for finding in identify(hasty, [], SETTINGS).findings]
+    assert any(text.startswith("3 N: too few cycles") for text in findings)
 
 
 def test_where_nothing_was_excited_the_band_and_the_grip_are_named(rig: Rig) -> None:

@@ -26,7 +26,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify.hand.chain import NAMES, OF_HAND, _simulate, fit_chain
 from transopt.identify.hand.lines import COEFFICIENTS, LEAST_TRIALS, HandFit, fit_hand, grip_groups
-from transopt.identify.hand.tap import Tap, cut_tap, fit_tap, onset, tap_of, usable_taps
+from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement, load_measurement
 from transopt.plant.chain import Link, chain
 from transopt.scene.strikes import strike
@@ -34,7 +34,7 @@ from transopt.scene.strikes import strike
 DT_S = 1e-4
 
 
-def cut(trials: Trials) -> list[Tap]:
+def cut(trials: Trials) -> list[HandTap]:
     return [
         cut_tap(
             f"trial {j}",
@@ -54,12 +54,12 @@ def trials() -> Trials:
 
 
 @pytest.fixture(scope="module")
-def cut_taps(trials: Trials) -> list[Tap]:
+def cut_taps(trials: Trials) -> list[HandTap]:
     return cut(trials)
 
 
 @pytest.fixture(scope="module")
-def hand(cut_taps: list[Tap]) -> HandFit:
+def hand(cut_taps: list[HandTap]) -> HandFit:
     return fit_hand(cut_taps)
 
 
@@ -137,7 +137,7 @@ def test_a_quiet_tap_shows_its_hand() -> None:
         assert fit.unexplained < 1e-3
 
 
-def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cut_taps: list[Tap]) -> None:
+def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cut_taps: list[HandTap]) -> None:
     """Without the accelerometer's own pole on the force the fit is biased: the reason for the pole."""
     with_pole = [fit_tap(tap) for tap in cut_taps]
     without = [fit_tap(tap) for tap in cut(replace(trials, accelerometer_Hz=1e9))]
@@ -145,14 +145,14 @@ def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cu
     assert bias > 1.08
 
 
-@pytest.mark.parametrize(("by", "told"), [(1, "later"), (-1, "earlier")])
-def test_a_force_that_is_read_a_sample_apart_is_told(trials: Trials, hand: HandFit, by: int, told: str) -> None:
+@pytest.mark.parametrize(("by", "word"), [(1, "later"), (-1, "earlier")])
+def test_a_force_that_is_read_a_sample_apart_is_reported(trials: Trials, hand: HandFit, by: int, word: str) -> None:
     """It takes half of the spring's constant away, or adds as much, and is no hand."""
     assert not any("read about a sample" in text for text in hand.shortfalls())
     force = np.roll(trials.force_N, by, axis=1)
     force[:, [0, -1]] = trials.force_N[:, [0, -1]]
     apart = fit_hand(cut(replace(trials, force_N=force)), resamples=200)
-    assert any(f"the force is read about a sample {told} than" in text for text in apart.shortfalls())
+    assert any(f"the force is read about a sample {word} than" in text for text in apart.shortfalls())
 
 
 def test_a_bandwidth_that_is_not_stated_is_seen(trials: Trials) -> None:
@@ -160,8 +160,8 @@ def test_a_bandwidth_that_is_not_stated_is_seen(trials: Trials) -> None:
         cut_tap(f"{j}", trials.force_N[j], trials.acceleration_m_s2[j], 1e-4, grip_N=float(trials.grip_N[j]))
         for j in range(81)
     ]
-    told = fit_hand(taps, resamples=200).shortfalls()
-    assert any("read about a sample earlier" in text and "state accelerometer_Hz" in text for text in told)
+    shortfalls = fit_hand(taps, resamples=200).shortfalls()
+    assert any("read about a sample earlier" in text and "state accelerometer_Hz" in text for text in shortfalls)
 
 
 def test_onset_is_where_the_force_rises(trials: Trials) -> None:
@@ -209,13 +209,13 @@ def test_intervals_cover_the_truth(scripts: Any) -> None:
     assert [row[0] for row in rows] == list(COEFFICIENTS)
 
 
-def test_a_bent_dependence_is_no_line(cut_taps: list[Tap]) -> None:
+def test_a_bent_dependence_is_no_line(cut_taps: list[HandTap]) -> None:
     bent = [replace(tap, force_N=tap.force_N * (1 + 0.01 * (tap.grip_N - 5.5) ** 2)) for tap in cut_taps]
-    told = fit_hand(bent).shortfalls()
-    assert any("mass_kg is no line over grip" in text and "record more taps around" in text for text in told)
+    shortfalls = fit_hand(bent).shortfalls()
+    assert any("mass_kg is no line over grip" in text and "record more taps around" in text for text in shortfalls)
 
 
-def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[Tap]) -> None:
+def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[HandTap]) -> None:
     random = np.random.default_rng(1)
     loud = [
         replace(tap, force_N=tap.force_N + random.normal(0, 0.4) * tap.displacement_m * 500)
@@ -224,7 +224,7 @@ def test_few_taps_are_uncertain_and_said_to_be(cut_taps: list[Tap]) -> None:
     assert any("known to" in text and "times as many taps" in text for text in fit_hand(loud).shortfalls())
 
 
-def test_too_few_trials_or_grips_are_refused(cut_taps: list[Tap]) -> None:
+def test_too_few_trials_or_grips_are_refused(cut_taps: list[HandTap]) -> None:
     with pytest.raises(InputError, match=r"5 taps: at least 12 are needed"):
         fit_hand(cut_taps[:5])
     with pytest.raises(InputError, match=r"only 2 different grips \(1, 10 N\): at least 3"):
@@ -232,7 +232,7 @@ def test_too_few_trials_or_grips_are_refused(cut_taps: list[Tap]) -> None:
 
 
 @pytest.mark.parametrize(("factor", "remedy"), [(1 / STANDARD_GRAVITY_M_S2, "kgf"), (STANDARD_GRAVITY_M_S2, "twice")])
-def test_forces_off_by_gravity_are_named(cut_taps: list[Tap], factor: float, remedy: str) -> None:
+def test_forces_off_by_gravity_are_named(cut_taps: list[HandTap], factor: float, remedy: str) -> None:
     with pytest.raises(InputError, match=rf"the taps show a mass of .*{remedy}.*[Uu]nits of force"):
         fit_hand([replace(tap, force_N=factor * tap.force_N) for tap in cut_taps])
 
@@ -258,9 +258,9 @@ def test_simulation_of_the_chain_against_scipy() -> None:
 def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     found = cut(tapping_trials(1, hand="fourth_order", spread=Spread(0, 0, 0)))[::3]
     second = fit_hand(found)
-    told = second.shortfalls()
-    assert len(told) == 1
-    assert "see the fourth order" in told[0]
+    shortfalls = second.shortfalls()
+    assert len(shortfalls) == 1
+    assert "see the fourth order" in shortfalls[0]
     fit = fit_chain(found, second, starts=3)
     assert fit.stylus_mass_kg == pytest.approx(FOURTH_ORDER_STYLUS_KG, rel=0.01)
     for name, tolerance in zip(OF_HAND, (0.02, 0.02, 0.02, 0.1, 0.03), strict=True):
@@ -276,7 +276,7 @@ def test_the_fourth_order_hand_comes_back_where_hands_do_not_scatter() -> None:
     assert inside.sum() >= len(NAMES) - 2
 
 
-def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[Tap], hand: HandFit) -> None:
+def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[HandTap], hand: HandFit) -> None:
     fit = fit_chain(cut_taps[::4], fit_hand(cut_taps[::4]), starts=1)
     assert "hand.skin_stiffness_N_m" in fit.undetermined
     assert "not determined by these taps" in fit.word()

@@ -26,8 +26,7 @@ from tests.benches.recording_files import (
 )
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
-from transopt.recordings.importers import load_recording
-from transopt.recordings.recording import Recording
+from transopt.recordings.recording import Recording, load_recording
 
 # ---- what is read ----------------------------------------------------------------------------------------
 

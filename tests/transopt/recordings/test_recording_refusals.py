@@ -29,7 +29,7 @@ from tests.benches.recording_files import (
 )
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
-from transopt.recordings.importers import load_recording
+from transopt.recordings.recording import load_recording
 
 FUZZED = settings(
     max_examples=150, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture]

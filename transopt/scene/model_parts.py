@@ -1,0 +1,296 @@
+"""What a model file may hold: amplifier, device, hand and coil of a haptic device, each identified by itself.
+
+`transopt identify` fills these parts one by one, from records of their own, and a scene builds its models on them.
+Each part states its values in SI, what the fit knows about them, a verdict in plain words, and the files it was
+fitted to.
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, JsonValue, field_validator, model_validator
+
+from transopt.base.errors import InputError
+from transopt.base.section import Finite, NonNegative, Positive, Section
+from transopt.plant import chain
+from transopt.scene.fitted import FittedPart, ModelPart
+from transopt.scene.sections import LinearParameter
+
+MODEL_PARTS = ("amplifier", "device", "hand", "coil")
+ModelPartName = Literal["amplifier", "device", "hand", "coil"]
+OUTSIDE = 0.1  # a grip may leave the recorded ones by this share of the nearest of them
+
+Matrix = Annotated[list[list[Finite]], Field(min_length=1)]
+
+
+class AmplifierPart(FittedPart):
+    """Current amplifier: one pole and a pure delay, without the hold's half sample and with it."""
+
+    pole_Hz: Positive
+    delay_s: NonNegative
+    delay_with_hold_s: NonNegative
+    gain: Positive
+
+
+class ChainHand(Section):
+    """Skin and arm of the `drive` chain, linear in grip."""
+
+    mass_kg: LinearParameter
+    skin_stiffness_N_m: LinearParameter
+    skin_damping_N_s_m: LinearParameter
+    arm_stiffness_N_m: LinearParameter
+    arm_damping_N_s_m: LinearParameter
+
+    def hand(self) -> chain.Hand:
+        """The hand of `transopt.plant.chain`."""
+        return chain.Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
+
+
+Grips = Annotated[list[NonNegative], Field(min_length=1)]
+NrmseByGrip = dict[str, NonNegative]
+
+
+def _increasing(grips_N: list[float]) -> list[float]:
+    if sorted(set(grips_N)) != grips_N:
+        raise ValueError("must be strictly increasing, without duplicates")
+    return grips_N
+
+
+def _of_grips(nrmse: NrmseByGrip) -> NrmseByGrip:
+    for name in nrmse:
+        try:
+            grip_N = float(name)
+        except ValueError:
+            grip_N = np.nan
+        if not 0 <= grip_N < np.inf:
+            raise ValueError(f"{name!r} is no grip in newton")
+    return nrmse
+
+
+def check_grip(grips_N: list[float], grip_N: float) -> None:
+    """Refuse a grip that was not recorded: no model is known there.
+
+    Raises
+    ------
+    InputError : with the recorded range.
+    """
+    held = [grip for grip in grips_N if grip > 0]
+    if grip_N == 0:
+        if grips_N[0] > 0:
+            raise InputError("the model file knows no free device: record one at grip 0 and identify with it")
+        return
+    if not held:
+        raise InputError("the model file knows only the free device: record held grips and identify with them")
+    lowest, highest = held[0], held[-1]
+    if not lowest * (1 - OUTSIDE) <= grip_N * (1 + 1e-12) or not grip_N <= highest * (1 + OUTSIDE) * (1 + 1e-12):
+        raise InputError(
+            f"outside the recorded grips of the model file, {lowest:g} to {highest:g} N (and {OUTSIDE:.0%} beyond): "
+            "record there and identify again, or keep grid.grips_N (and robust.grip_spread) inside"
+        )
+
+
+def _error_at(nrmse: NrmseByGrip, grip_N: float) -> float:
+    """Held-out NRMSE of the model at a grip, NaN without validation.
+
+    It is linear between the grips where the model was validated.
+    """
+    by_grip = sorted((float(name), value) for name, value in nrmse.items())
+    if grip_N > 0:
+        by_grip = [(grip, value) for grip, value in by_grip if grip > 0] or by_grip
+    if not by_grip:
+        return np.nan
+    return float(np.interp(grip_N, [grip for grip, _ in by_grip], [value for _, value in by_grip]))
+
+
+class DriveDevice(FittedPart):
+    """The `drive` chain: device parameters shared by all grips, those of the hand linear in grip.
+
+    Attributes
+    ----------
+    force_per_current_N_A : known, not fitted: the response does not change if it and all masses, stiffnesses and
+        dampings are scaled alike.
+    moving_mass_kg : of the motor, at the tip.
+    stylus_mass_kg : of the stylus.
+    transmission_stiffness_N_m, transmission_damping_N_s_m : between the two.
+    hand : skin, hand mass and arm.
+    grips_N : recorded, 0 for the free device.
+    nrmse : grip -> held-out NRMSE on trials outside the fit.
+    """
+
+    kind: Literal["drive"]
+    force_per_current_N_A: Positive
+    moving_mass_kg: Positive
+    stylus_mass_kg: Positive
+    transmission_stiffness_N_m: Positive
+    transmission_damping_N_s_m: NonNegative
+    hand: ChainHand
+    grips_N: Grips
+    nrmse: NrmseByGrip
+
+    _grips_ordered = field_validator("grips_N")(_increasing)
+    _nrmse_by_grip = field_validator("nrmse")(_of_grips)
+
+    @model_validator(mode="after")
+    def _passive(self) -> Self:
+        for grip_N in self.grips_N:
+            try:
+                self.plant(grip_N)
+            except InputError as error:
+                raise ValueError(f"at {grip_N:g} N: {error}") from None
+        return self
+
+    def plant(self, grip_N: float, *, struck: bool = False) -> chain.StateSpace:
+        """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.
+
+        Raises
+        ------
+        InputError : a grip that was not recorded, parameters that are not passive there.
+        """
+        check_grip(self.grips_N, grip_N)
+        return chain.drive(
+            grip_N,
+            hand=self.hand.hand(),
+            stylus_mass_kg=self.stylus_mass_kg,
+            moving_mass_kg=self.moving_mass_kg,
+            transmission=chain.Link(self.transmission_stiffness_N_m, self.transmission_damping_N_s_m),
+            force_per_current_N_A=1.0 if struck else self.force_per_current_N_A,
+            driven=1 if struck else 0,
+        )
+
+    def error_at(self, grip_N: float) -> float:
+        """Held-out NRMSE at a grip, NaN without validation."""
+        return _error_at(self.nrmse, grip_N)
+
+
+class StateSpaceDevice(ModelPart):
+    """A black box: one continuous-time state space per grip, from current [A] to stylus acceleration [m/s^2].
+
+    Attributes
+    ----------
+    order : n, number of states.
+    grips_N : (ng,) recorded, increasing; 0 for the free device.
+    A, B, C, D : (ng, n, n), (ng, n, 1), (ng, 1, n), (ng, 1, 1), real and stable.
+    nrmse : grip -> held-out NRMSE on trials outside the fit.
+    """
+
+    kind: Literal["state_space"]
+    order: Annotated[int, Field(ge=1)]
+    grips_N: Grips
+    A: Annotated[list[Matrix], Field(min_length=1)]
+    B: Annotated[list[Matrix], Field(min_length=1)]
+    C: Annotated[list[Matrix], Field(min_length=1)]
+    D: Annotated[list[Matrix], Field(min_length=1)]
+    nrmse: NrmseByGrip
+
+    _grips_ordered = field_validator("grips_N")(_increasing)
+    _nrmse_by_grip = field_validator("nrmse")(_of_grips)
+
+    @model_validator(mode="after")
+    def _stable(self) -> Self:
+        n, ng = self.order, len(self.grips_N)
+        for name, rows, columns in (("A", n, n), ("B", n, 1), ("C", 1, n), ("D", 1, 1)):
+            matrices = getattr(self, name)
+            if len(matrices) != ng:
+                raise ValueError(f"{name}: {len(matrices)} matrices for {ng} grips")
+            for grip_N, matrix in zip(self.grips_N, matrices, strict=True):
+                if len(matrix) != rows or any(len(row) != columns for row in matrix):
+                    raise ValueError(f"{name} at {grip_N:g} N: must be {rows} by {columns} at order = {n}")
+        for grip_N, matrix in zip(self.grips_N, self.A, strict=True):
+            worst = float(np.linalg.eigvals(np.array(matrix)).real.max())
+            if worst >= 0:
+                raise ValueError(f"A at {grip_N:g} N: not stable, a pole at {worst:g} 1/s")
+        return self
+
+    def node(self, j: int) -> chain.StateSpace:
+        """The model of a recorded grip. A black box knows no encoder: its row is zero."""
+        A, B, C, D = (np.array(getattr(self, name)[j]) for name in "ABCD")
+        return chain.StateSpace(A, B, C, D, np.zeros((1, self.order)))
+
+    def plant(self, grip_N: float) -> chain.StateSpace:
+        """Motor current to stylus acceleration; between recorded grips their outputs are blended, linearly.
+
+        Of order 2 n wherever there are two held grips to blend, also at a node, so that all grips share one order.
+
+        Raises
+        ------
+        InputError : a grip that was not recorded.
+        """
+        check_grip(self.grips_N, grip_N)
+        first = 1 if self.grips_N[0] == 0 else 0
+        held = self.grips_N[first:]
+        if grip_N == 0:
+            return self.node(0)
+        if len(held) == 1:
+            return self.node(first)
+        grip = min(max(grip_N, held[0]), held[-1])
+        j = min(int(np.searchsorted(held, grip, side="right")) - 1, len(held) - 2)
+        share = (grip - held[j]) / (held[j + 1] - held[j])
+        return chain.blended(self.node(first + j), self.node(first + j + 1), share)
+
+    def error_at(self, grip_N: float) -> float:
+        """Held-out NRMSE at a grip, NaN without validation."""
+        return _error_at(self.nrmse, grip_N)
+
+
+class HandPart(FittedPart):
+    """The whole hand as one mass, spring and damper, linear in grip (seed Eqs. 3-5).
+
+    `fourth_order` is the other fit, with the hand's unmeasured state (seed Fig. 4b), as its author found it.
+    """
+
+    mass_kg: LinearParameter
+    damping_N_s_m: LinearParameter
+    stiffness_N_m: LinearParameter
+    grips_N: Grips
+    fourth_order: dict[str, JsonValue] | None = None
+
+    _grips_ordered = field_validator("grips_N")(_increasing)
+
+    @model_validator(mode="after")
+    def _passive(self) -> Self:
+        if self.grips_N[0] == 0:
+            raise ValueError("grips_N: a hand that does not hold the stylus cannot be identified at 0 N")
+        for grip_N in self.grips_N:
+            try:
+                self.plant(grip_N, force_per_current_N_A=1.0)
+            except InputError as error:
+                raise ValueError(f"at {grip_N:g} N: {error}") from None
+        return self
+
+    def plant(self, grip_N: float, *, force_per_current_N_A: float) -> chain.StateSpace:
+        """Motor current to stylus acceleration.
+
+        Raises
+        ------
+        InputError : a grip that was not recorded, parameters that are not passive there.
+        """
+        check_grip(self.grips_N, grip_N)
+        return chain.second_order(
+            grip_N,
+            force_per_current_N_A=force_per_current_N_A,
+            mass_kg=self.mass_kg.linear(),
+            damping_N_s_m=self.damping_N_s_m.linear(),
+            stiffness_N_m=self.stiffness_N_m.linear(),
+        )
+
+
+class CoilPart(FittedPart):
+    """Thermal resistances winding to housing to ambient, and the time constants of both."""
+
+    R_wh_K_W: Positive
+    R_ha_K_W: Positive
+    tau_w_s: Positive
+    tau_h_s: Positive
+
+
+DevicePart = Annotated[DriveDevice | StateSpaceDevice, Field(discriminator="kind")]
+AnyModelPart = AmplifierPart | DriveDevice | StateSpaceDevice | HandPart | CoilPart
+
+
+class ModelParts(Section):
+    """What was identified; None for what was not."""
+
+    amplifier: AmplifierPart | None = None
+    device: DevicePart | None = None
+    hand: HandPart | None = None
+    coil: CoilPart | None = None
