@@ -143,7 +143,7 @@ def test_damaged_messages_fail_neither_end() -> None:
     ends = Ends()
     counts = fuzz(4_000, 2, random_frame, (ends,))
     assert counts["wrong"] == counts["lost"] == ends.driven == 0
-    assert ends.device.dropped_frames > 0
+    assert ends.device.look().dropped_frames > 0
 
 
 def test_random_messages_of_any_session_fail_neither_end() -> None:
