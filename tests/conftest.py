@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import problems
+from controller.host.payload import payload
 from controller.servo.interface import State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, bank
@@ -261,7 +262,7 @@ def desk(library: Library, monkeypatch: pytest.MonkeyPatch) -> Desk:
 def ready(play: Run, desk: Desk) -> Iterator[Desk]:
     """With the library, its check taken for passed."""
     assert play("upload", "library.npz", *PORT).code == 0
-    desk.firmware.checked_sha256 = desk.firmware.store.configuration_sha256
+    desk.pass_check(payload(Path("library.npz")).configuration)
     yield desk
     # Whatever happened, nothing is left armed once the lease is over.
     for _ in range(2500):
