@@ -38,15 +38,6 @@ from transopt.scene.strikes import recordings
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--long", action="store_true", help="repeated experiments in full number")
-
-
-@pytest.fixture(scope="session")
-def long(pytestconfig: pytest.Config) -> bool:
-    return bool(pytestconfig.getoption("--long"))
-
-
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command_A, answer.multipliers)
