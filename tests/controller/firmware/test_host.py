@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from controller.cli.device import simulated
-from controller.firmware.build import CORE, FIRMWARE, STRICT, NoCompilerError, build, compiler, sources
+from controller.firmware.build import CORE, FIRMWARE, STRICT, NoCompilerError, build, sources
 from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device
 from controller.host.payload import excitation, excitation_settings
@@ -42,19 +42,13 @@ from transopt.base.errors import InputError
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
 
+pytestmark = pytest.mark.usefixtures("c_compiler")
+
 DT_S = 1e-4
 QUIET = Sensors(accelerometer_noise_g_rtHz=0.0, grip_noise_N=0.0, current_noise_A=0.0)
 CHECKS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 FILES = [*sources(CORE), *sources(FIRMWARE / "host")]
 WAIT_S = 60.0  # for a process on a busy machine; nothing is judged by it
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    try:
-        compiler()
-    except NoCompilerError as missing:
-        pytest.skip(str(missing))
 
 
 @pytest.fixture(scope="module")
