@@ -86,7 +86,7 @@ def answered(answer: Packed, why: ConfigurationError | ImageError | None) -> Rea
         return None
     assert isinstance(answer, m.Refused)
     assert REASONS[answer.reason] is why.reason
-    assert answer.value == why.value or (np.isnan(answer.value) and np.isnan(why.value))
+    assert answer.value == pytest.approx(why.value, rel=1e-12, nan_ok=True)
     return why.reason
 
 
