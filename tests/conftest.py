@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 import problems
+from controller.host.payload import payload
 from controller.servo.interface import State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, bank
 from tests.benches.commands import Run, Terminal
 from tests.benches.desk import PORT, Desk
+from tests.benches.device import need_compiler
 from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.places import SCRIPTS
@@ -45,6 +47,12 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command_A, answer.multipliers)
     return answer.status is Status.OPTIMAL and proof.is_stationary
+
+
+@pytest.fixture(scope="session")
+def c_compiler() -> None:
+    """Without one, a test that asks for it is skipped."""
+    need_compiler()
 
 
 @pytest.fixture(scope="session")
@@ -249,7 +257,7 @@ def desk(library: Library, monkeypatch: pytest.MonkeyPatch) -> Desk:
 def ready(play: Run, desk: Desk) -> Iterator[Desk]:
     """With the library, its check taken for passed."""
     assert play("upload", "library.npz", *PORT).code == 0
-    desk.firmware.checked_sha256 = desk.firmware.store.configuration_sha256
+    desk.pass_check(payload(Path("library.npz")).configuration)
     yield desk
     # Whatever happened, nothing is left armed once the lease is over.
     for _ in range(2500):

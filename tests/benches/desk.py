@@ -1,4 +1,4 @@
-"""A device on a desk in virtual time: Python firmware, simulated stylus, and a hand that does as it is asked."""
+"""A device on a desk in virtual time: compiled core, simulated stylus, and a hand that does as it is asked."""
 
 from bisect import bisect_right
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from itertools import count
 import pytest
 
 from controller.cli import port as port_commands
-from controller.device.endpoint import Device as Firmware
+from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device
 from controller.host.session import Session
 from controller.host.transport import UnpluggedError
-from controller.protocol.capacity import Capacity, Hardware
+from controller.protocol.capacity import Hardware
 from controller.servo.interface import Readings
 from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
 from controller.sim.virtual_link import Link
 from controller.waveforms.prediction import scene_of
-from tests.benches.device import tokens
+from tests.benches.device import started, tokens
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.recordings.settings import SimulatedTaps
@@ -94,12 +94,12 @@ class Desk:
         self,
         library: Library,
         *,
-        capacity: Capacity | None = None,
+        samples: int | None = None,
         hardware: Hardware | None = None,
         target: SimulatedTaps | None = None,
     ) -> None:
         self._tokens, self._boots = tokens(), count(500)
-        self._capacity, self._hardware = capacity, hardware
+        self._samples, self._hardware = samples, hardware
         self.firmware = self._started()
         self.hand, self.link = Hand(), Link()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
@@ -118,8 +118,8 @@ class Desk:
             "tap": lambda: self.hand.tap(self.now_s, 0.2),
         }
 
-    def _started(self) -> Firmware:
-        return Firmware(next(self._boots), self._capacity, self._hardware)
+    def _started(self) -> CoreDevice:
+        return started(next(self._boots), self._hardware, self._samples)
 
     def _press(self, pressed: bool) -> None:
         self.hand.pressed = pressed
@@ -171,6 +171,12 @@ class Desk:
 
     def connect(self, port: str = "desk") -> Device:
         return Device(self, clock=lambda: self.now_s, session=Session(self._tokens))
+
+    def pass_check(self, configuration: bytes) -> None:
+        """As if this configuration, which comes into force, had passed the bring-up check."""
+        with self.connect() as device:
+            device.configure(configuration)
+            device.checked()
 
     def put(self, monkeypatch: pytest.MonkeyPatch) -> "Desk":
         """Where the commands find it, under any name of a port."""

@@ -11,10 +11,9 @@ from controller.cli import port as port_commands
 from controller.firmware.build import NoCompilerError
 from controller.host.driver import Device
 from controller.host.payload import trial_sweep
-from controller.protocol.capacity import Capacity, Hardware
+from controller.protocol.capacity import Hardware
 from controller.protocol.codes import STATES, Kind
 from controller.protocol.events import Samples, Told
-from controller.protocol.image import sha256
 from controller.record.excitation import sweep_command
 from controller.servo.interface import State
 from controller.sim.default_device import DEFAULT_DEVICE
@@ -39,7 +38,8 @@ def checked(desk: Desk) -> Desk:
     """Held, and past the check."""
     desk.asked("hold")
     with desk.connect() as device:
-        desk.firmware.checked_sha256 = sha256(trial_sweep(device.hello, None).configuration)
+        given = trial_sweep(device.hello, None)
+    desk.pass_check(given.configuration)
     return desk
 
 
@@ -135,7 +135,7 @@ def test_not_before_the_check_of_these_limits(play: Run, desk: Desk) -> None:
 def test_what_the_device_cannot_hold_or_the_limits_forbid(
     play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Desk(library, capacity=Capacity(samples=1500)).put(monkeypatch)
+    Desk(library, samples=1500).put(monkeypatch)
     assert_refused(play(*SHORT), "sweep: 0.2 s at 10 kHz are 2000 samples, the device holds 1500", "--seconds 0.15")
     Desk(library).put(monkeypatch)
     for options, words in (
@@ -250,15 +250,14 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(play: 
 
 def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Run, checked: Desk) -> None:
     def look() -> None:
-        servo = checked.firmware.servo
-        if servo is not None and servo.guard is not None and checked.firmware.state is State.ARMED:
-            servo.guard.winding_C = servo.guard.play_limit_C - 1e-6
+        if checked.firmware.state is State.ARMED:
+            checked.firmware.heat(95.0 - 1e-6, 25.0)
 
     checked.each_ms = look
     outcome = play(*SHORT)
     assert outcome.code == 1
     assert "start refused: the coil is too hot to play: let it cool (device saw 95)" in outcome.out
-    assert (checked.firmware.state, checked.firmware.fault) == (State.IDLE, None)
+    assert (checked.firmware.state, checked.firmware.look().fault) == (State.IDLE, None)
     assert not files()
 
 
@@ -269,7 +268,7 @@ def test_ctrl_c_disarms(play: Run, checked: Desk) -> None:
     assert outcome.code == 130, outcome.out + outcome.err
     assert "stopped; the device is disarmed" in outcome.err
     assert checked.firmware.state is State.IDLE
-    assert checked.firmware.fault is None
+    assert checked.firmware.look().fault is None
     assert not [name for name in files() if not name.startswith("sweep_")]
 
 

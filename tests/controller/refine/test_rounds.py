@@ -346,8 +346,8 @@ class TestCommand:
         ready.plant = Simulator(device, ready.hand, DT_S, seed=4, steps=1)
         ready.ticks, ready.now_s = 0, 0.0
         given = payload(Path("library.npz"))
-        ready.firmware.checked_sha256 = sha256(given.configuration)
-        remember(ready.firmware.boot, sha256(given.configuration))
+        ready.pass_check(given.configuration)
+        remember(ready.firmware.look().boot, sha256(given.configuration))
         next_s = 0.0
 
         def look() -> None:
