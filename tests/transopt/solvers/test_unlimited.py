@@ -165,7 +165,8 @@ def device(
 
 
 def limited(problem: TransientProblem, current_A: float) -> TransientProblem:
-    return replace(problem, limits=Limits(current_A, None if problem.limits.command_A is None else 1.5 * current_A))
+    range_A = 1.5 * current_A if "command" in problem.limits else None
+    return with_numbers(problem, current_A=current_A, command_A=range_A)
 
 
 def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
