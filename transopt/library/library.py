@@ -161,6 +161,12 @@ class Library:
     spread_Ce: Annotated[FloatArray, Array("gs1n", "", "their Ce", needs="spread")]
     meta: dict[str, Any]
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
+        """From all arrays of `ARRAYS` by their names in the file."""
+        own = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
+        return cls(**own, multipliers_of={name: arrays[name] for name in MULTIPLIERS}, meta=meta)
+
     def __repr__(self) -> str:
         stages, dt_s = self.command_A.shape[2], self.meta["dt_s"]
         return wrapped(
