@@ -193,10 +193,10 @@ class TestShown:
         assert "stage=StageModel(...)" in repr(build.entries[3][2].problem)
 
     def test_equality_and_hash_are_those_of_the_fields(self, build: to.Build) -> None:
-        problem = build.entries[0][0].problem
-        limits = replace(problem.limits)
-        assert limits == problem.limits
-        assert hash(limits) == hash(problem.limits)
+        amplifier = build.entries[0][0].problem.stage.amplifier
+        assert amplifier is not None
+        assert replace(amplifier) == amplifier
+        assert hash(replace(amplifier)) == hash(amplifier)
         assert build.scene == to.load_scene("wood_on_foam")
 
 
@@ -218,13 +218,13 @@ class TestInANotebook:
 
         arrays = {}
         for name, stated in ARRAYS.items():
-            array = np.asarray(getattr(library, name))
+            array = library.array(name)
             for axis, letter in enumerate(stated.shape):
                 times = {"v": 5, "g": 4}.get(letter, 1)
                 array = np.repeat(array, times, axis=axis)
             arrays[name] = array
         arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 12)
-        large = to.Library(**arrays, meta=library.meta)
+        large = to.Library.of(arrays, library.meta)
         html = large._repr_html_()
         assert len(html) < LARGEST_HTML
         assert "and 200 more" in html

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import ARRAYS, MULTIPLIERS, SCHEMA, Library, own_arrays
+from transopt.library.library import ARRAYS, SCHEMA, Library
 from transopt.library.meta import META_KEYS
 from transopt.problem.limits.temperature import TemperatureLimit
 
@@ -106,10 +106,7 @@ def load_library(path: str | Path) -> Library:
     _check_arrays(path, arrays, sizes)
     for name in optional:
         arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
-    multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *own_arrays(meta["limits"]))}
-    library = Library(
-        **{name: arrays[name] for name in ARRAYS if name in arrays}, multipliers_of=multipliers, meta=meta
-    )
+    library = Library.of(arrays, meta)
     _check_problem(path, library)
     return library
 

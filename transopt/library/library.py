@@ -162,6 +162,13 @@ class Library:
     spread_Ce: Annotated[FloatArray, Array("gs1n", "", "their Ce", needs="spread")]
     meta: dict[str, Any]
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
+        """From all arrays of `ARRAYS`, and of the user's own limits in `meta`, by their names in the file."""
+        own = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
+        multipliers = {name: arrays[name] for name in (*MULTIPLIERS, *own_arrays(meta["limits"]))}
+        return cls(**own, multipliers_of=multipliers, meta=meta)
+
     def __repr__(self) -> str:
         stages, dt_s = self.command_A.shape[2], self.meta["dt_s"]
         return wrapped(

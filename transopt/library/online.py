@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from transopt.plant.discretise import StageModel
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.leave_out import encoder_course, leave_out, pressing
+from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
@@ -116,7 +117,7 @@ class Online:
             scene = library.scene()
             plant, spread = scene.plant, spread or partial(_spread, scene)
         self._plant, self._spread = plant, spread or _none
-        self._stages: dict[float, tuple[StageModel, ...]] = {}
+        self._stages: dict[tuple[Any, ...], tuple[StageModel, ...]] = {}
         self._posing, self._corrected = library.posing(), bool(np.any(library.correction_m_s2))
         self._buffers: dict[tuple[int, ...], Buffers] = {}
         fastest, firmest = float(library.speeds_m_s[-1]), float(library.grips_N[-1])
@@ -129,20 +130,21 @@ class Online:
     def __repr__(self) -> str:
         return f"Online({self._library!r})"
 
-    def _devices(self, grip_N: float) -> tuple[StageModel, ...]:
-        """The device of a grip and those of its spread, discretised."""
-        found = self._stages.get(grip_N)
+    def _devices(self, posing: Posing, grip_N: float) -> tuple[StageModel, ...]:
+        """The device of a grip and those of its spread, discretised with the amplifier and the outputs it takes."""
+        key = (grip_N, posing.amplifier, needed_outputs(posing.asked))
+        found = self._stages.get(key)
         if found is None:
-            posing, plants = self._posing, (self._plant(grip_N), *self._spread(grip_N))
+            plants = (self._plant(grip_N), *self._spread(grip_N))
             found = tuple(posing.stage(plant) for plant in plants)
             if len(self._stages) >= FAMILIES:
                 del self._stages[next(iter(self._stages))]
-            self._stages[grip_N] = found
+            self._stages[key] = found
         return found
 
     def _posed(self, posing: Posing, speed_m_s: float, grip_N: float, coil: CoilModel | None) -> TransientProblem:
         library = self._library
-        stage, *spread = self._devices(grip_N)
+        stage, *spread = self._devices(posing, grip_N)
         wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s))
         if self._corrected:
             # What the device was found to need at the nodes, blended as it is between them.

@@ -42,7 +42,7 @@ def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Li
     """Some of its nodes."""
     arrays = {}
     for name, stated in ARRAYS.items():
-        array = np.asarray(getattr(library, name))
+        array = library.array(name)
         for axis, letter in enumerate(stated.shape):
             array = np.take(array, {"v": speeds, "g": grips}.get(letter, range(array.shape[axis])), axis=axis)
         arrays[name] = array
@@ -51,7 +51,7 @@ def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Li
         for part, said in library.meta["left_out"].items()
     }
     repeatability = [library.meta["repeatability"][iv] for iv in speeds]
-    return Library(**arrays, meta={**library.meta, "left_out": left_out, "repeatability": repeatability})
+    return Library.of(arrays, {**library.meta, "left_out": left_out, "repeatability": repeatability})
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,16 @@ from scipy.io import loadmat
 from transopt.base.signals import FloatArray
 from transopt.library.arrays import Array, absent, content_hash, declared
 from transopt.library.export import export_library
-from transopt.library.library import ARRAYS, Library
+from transopt.library.library import ARRAYS, MULTIPLIERS, Library
+from transopt.problem.limits import KINDS
 
 UNITS = {"m_s2": "m/s^2", "m_s": "m/s", "m": "m", "A": "A", "N": "N", "C": "C", "s": "s"}
 
 
-def test_every_field_but_meta_is_declared_once() -> None:
-    assert list(ARRAYS) == [field.name for field in fields(Library) if field.name != "meta"]
+def test_every_field_but_meta_and_the_multipliers_is_declared_once() -> None:
+    named = [field.name for field in fields(Library) if field.name not in ("meta", "multipliers_of")]
+    assert list(declared(Library)) == named
+    assert list(ARRAYS) == [*named, *MULTIPLIERS]
 
 
 def test_a_unit_in_the_name_is_the_unit_declared() -> None:
@@ -36,7 +39,7 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
     for name, stated in ARRAYS.items():
         assert set(stated.shape) <= set("vgNhns12"), name
         assert stated.meaning, name
-        assert stated.needs in ("", "slew_A_per_s", "supply_V", "temperature_C", "spread", "refinement")
+        assert stated.needs in ("", "spread", "refinement", *(kind.key for kind in KINDS))
 
 
 def test_an_array_is_added_in_one_place() -> None:

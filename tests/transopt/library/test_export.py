@@ -82,7 +82,7 @@ def make_library(
         "scene": {"name": name, "description": "made for tests"},
     }
     status = np.full((nv, ng), Status.OPTIMAL.value)
-    return Library(**derived, **others, status=status, binding=binding, meta=meta)
+    return Library.of({**derived, **others, "status": status, "binding": binding}, meta)
 
 
 def content_hash(library: Library, folder: Path) -> str:
