@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benches.limits import with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import ROUNDED
