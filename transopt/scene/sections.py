@@ -173,6 +173,7 @@ class LimitsSection(Section):
     current_A: Positive | None = None
     slew_A_per_s: Positive | None = None
     supply_V: Positive | None = None
+    stroke_m: Positive | None = None
     own: list[OwnLimitTable] = Field(default_factory=list)
 
     @model_validator(mode="after")

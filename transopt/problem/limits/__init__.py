@@ -12,6 +12,7 @@ from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.own import LawOf, OwnLimit, outputs_needed, own_limits
 from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 
@@ -20,6 +21,7 @@ KINDS: tuple[type[Limit], ...] = (
     CommandLimit,
     SlewLimit,
     SupplyLimit,
+    StrokeLimit,
     TemperatureLimit,
 )
 

@@ -1,0 +1,83 @@
+"""An optimal-control problem of one entry solved another way: condensed, dense, from the plant's matrices alone.
+
+Nothing of `transopt` but the numbers of the problem is used: the device is discretised here, every output is the sum
+of its responses to the commands, and the quadratic program goes to an active-set method.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy import linalg
+
+from transopt.base.signals import FloatArray
+from transopt.problem.problem import TransientProblem
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Outputs at tau_0 to tau_N as matrices (N + 1, N) by the commands.
+
+    Attributes
+    ----------
+    acceleration : y'' of the stylus.
+    current : i.
+    position, velocity : y and dy/dt of the motor mass.
+    """
+
+    acceleration: FloatArray
+    current: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+
+def responses(problem: TransientProblem) -> Responses:
+    """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses."""
+    plant, amplifier, N = problem.stage.plant, problem.stage.amplifier, problem.grid.stages
+    assert amplifier is not None
+    n, w = plant.order, 2 * np.pi * amplifier.pole_Hz
+    flow = np.zeros((n + 2, n + 2))
+    flow[:n, :n], flow[:n, n : n + 1] = plant.A, plant.B
+    flow[n, n], flow[n, n + 1] = -w, w
+    step = linalg.expm(flow * problem.grid.dt_s)
+    A, b = step[: n + 1, : n + 1], step[: n + 1, n + 1]
+    states = np.zeros((N + 1, n + 1))
+    for k in range(1, N + 1):
+        states[k] = A @ states[k - 1] + (b if k == 1 else 0.0)
+
+    def of(row: FloatArray) -> FloatArray:
+        return linalg.toeplitz(states @ row, np.zeros(N))
+
+    return Responses(
+        acceleration=of(np.append(plant.C[0], plant.D[0])),
+        current=of(np.eye(n + 1)[n]),
+        position=of(np.append(plant.Ce[0], 0.0)),
+        velocity=of(np.append((plant.Ce @ plant.A)[0], 0.0)),
+    )
+
+
+def optimum(
+    problem: TransientProblem, rows: FloatArray, lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, float]:
+    """Command (N,) and J of the problem within its current and command limits and lower <= rows c <= upper."""
+    found, r, N = responses(problem), problem.reference_m_s2, problem.grid.stages
+    free, E = problem.free_stages, float(r @ r)
+    limit, most = problem.limits["current"].stated, problem.limits["command"].stated
+    moves = np.eye(N) - np.eye(N, k=-1)
+    by_movement = problem.rho * (1e-4 / problem.grid.dt_s) ** 2 / (N * limit**2)
+    a = found.acceleration[:N]
+    H = 2 * (a.T @ a / E + by_movement * moves.T @ moves)[:free, :free]
+    g = -2 * (a.T @ r / E)[:free]
+    constraints = np.concatenate([found.current[:N, :free], rows[:, :free]])
+    low = np.concatenate([np.full(N, -limit), lower])
+    high = np.concatenate([np.full(N, limit), upper])
+    solver = ca.conic(
+        "dense",
+        "qpoases",
+        {"h": ca.DM(H).sparsity(), "a": ca.DM(constraints).sparsity()},
+        {"printLevel": "none", "nWSR": 20000, "error_on_fail": True},
+    )
+    answer = solver(h=H, g=g, a=constraints, lba=low, uba=high, lbx=-most, ubx=most)
+    command = np.append(np.asarray(answer["x"]).ravel(), np.zeros(N - free))
+    error, movement = a @ command - r, moves @ command
+    return command, float(error @ error / E + by_movement * movement @ movement)

@@ -1,0 +1,28 @@
+"""|z| <= stroke: how far the motor mass may be from the surface, in either direction, before it meets a stop."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from transopt.base.signals import FloatArray
+from transopt.problem.limits.limit import Setting
+from transopt.problem.limits.output import OutputLimit
+
+
+@dataclass(frozen=True, repr=False)
+class StrokeLimit(OutputLimit):
+    """The displacement z of the motor mass, the one that the encoder sees, from contact [m]."""
+
+    name: ClassVar[str] = "stroke"
+    label: ClassVar[str] = "stroke"
+    unit: ClassVar[str] = "m"
+    step_unit: ClassVar[str] = "m"
+    key: ClassVar[str] = "stroke_m"
+    row_names: ClassVar[tuple[str, ...]] = ("stroke",)
+    needs: ClassVar[tuple[str, ...]] = ("position",)
+    of_one_device: ClassVar[bool] = True
+    said_without: ClassVar[str] = "the scene states no stroke limit"
+    output: ClassVar[str] = "position"
+
+    @staticmethod
+    def nominal_part(setting: Setting) -> FloatArray:
+        return setting.nominal_m
