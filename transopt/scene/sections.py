@@ -174,6 +174,7 @@ class LimitsSection(Section):
     slew_A_per_s: Positive | None = None
     supply_V: Positive | None = None
     stroke_m: Positive | None = None
+    velocity_m_s: Positive | None = None
     own: list[OwnLimitTable] = Field(default_factory=list)
 
     @model_validator(mode="after")

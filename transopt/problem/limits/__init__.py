@@ -15,6 +15,7 @@ from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.limits.velocity import VelocityLimit
 
 KINDS: tuple[type[Limit], ...] = (
     CurrentLimit,
@@ -22,6 +23,7 @@ KINDS: tuple[type[Limit], ...] = (
     SlewLimit,
     SupplyLimit,
     StrokeLimit,
+    VelocityLimit,
     TemperatureLimit,
 )
 
