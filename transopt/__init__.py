@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from transopt.scene.scene import Scene
     from transopt.solvers.choose import solve as solve_problem
     from transopt.solvers.options import SolverOptions
+    from transopt.solvers.own import own_limit
 
 __all__ = [
     "Build",
@@ -71,6 +72,7 @@ __all__ = [
     "export_library",
     "load_library",
     "load_scene",
+    "own_limit",
     "prepare",
     "read_recordings",
     "recordings_of",
@@ -108,6 +110,7 @@ _HOME = {
     "export_library": "library.export",
     "load_library": "library.file",
     "load_scene": "scene.builtin",
+    "own_limit": "solvers.own",
     "prepare": "recordings.tap",
     "read_recordings": "recordings.tap",
     "recordings_of": "scene.recordings",

@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
-from transopt.problem.limits import limits_of
+import numpy as np
+
+from transopt.problem.answer import Multipliers
+from transopt.problem.limits import KINDS, limits_of
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import Limit, Limits
 from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
 
 MADE = {"current_A": CurrentLimit, "command_A": CommandLimit}
@@ -26,6 +30,33 @@ def numbers_of(limits: Limits, dt_s: float, **numbers: float | None) -> Limits:
 def with_numbers(problem: TransientProblem, **numbers: float | None) -> TransientProblem:
     """The problem with `numbers_of`."""
     return replace(problem, limits=numbers_of(problem.limits, problem.grid.dt_s, **numbers))
+
+
+def command_limit_A(problem: TransientProblem) -> float:
+    """The amplifier's range; of a problem whose amplifier is not ideal."""
+    return problem.limits["command"].stated
+
+
+def supply_of(problem: TransientProblem) -> SupplyLimit:
+    """The rail of a problem that has one."""
+    found = problem.limits["supply"]
+    assert isinstance(found, SupplyLimit)
+    return found
+
+
+def with_rail(problem: TransientProblem, limit_V: float) -> TransientProblem:
+    """The problem with its rail at another voltage."""
+    return problem.replaced(replace(supply_of(problem), limit_V=limit_V))
+
+
+def drawn_ray(problem: TransientProblem, random: np.random.Generator, scale: float = 1.0) -> Multipliers:
+    """Multipliers by lot on a twentieth of all bounds that any kind of limit may have, in force or not."""
+    N = problem.grid.stages
+    ray = Multipliers.zero(problem)
+    for row in (row for kind in KINDS for row in kind.row_names):
+        lower, upper = (scale * random.exponential(size=N) * (random.random(N) < 0.05) for _ in range(2))
+        ray = ray.with_pair(row, lower, upper)
+    return ray
 
 
 def with_limit(problem: TransientProblem, limit: Limit | None) -> TransientProblem:

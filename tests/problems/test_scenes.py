@@ -178,7 +178,7 @@ class TestWhatEachSceneShows:
         build = built("low_supply")
         for entry in build.entries[1]:
             assert "supply +9 V" in entry.binding
-            assert entry.played.peak_voltage_V == pytest.approx(9, abs=9e-3)
+            assert entry.played.reached["supply"] == pytest.approx(9, abs=9e-3)
         for entry in build.entries[0]:
             assert entry.binding == "none"
 

@@ -114,7 +114,7 @@ class TestJudge:
 
     def test_a_flipped_multiplier_is_bad(self, designed: Designed) -> None:
         m = designed.solution.multipliers
-        flipped = replace(m, current_lower=m.upper("current"), current_upper=m.lower("current"))
+        flipped = m.with_pair("current", m.upper("current"), m.lower("current"))
         solution = replace(designed.solution, multipliers=flipped)
         proof = prove(designed.problem, solution.command_A, flipped, SolverOptions())
         outcome = judge_design(

@@ -13,7 +13,7 @@ from transopt.base.shown import cut, html_figure, html_table, span, wrapped
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
-from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays
+from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
 from transopt.problem.limits.temperature import TemperatureLimit
@@ -178,7 +178,9 @@ def _assemble(
         solve_time_s=over_grid(lambda e: e.solution.solve_time_s),
         status=over_grid(lambda e: e.status.value),
         binding=over_grid(lambda e: e.binding),
-        multipliers_of=multiplier_arrays([[entry.solution.multipliers for entry in row] for row in entries]),
+        multipliers_of=multiplier_arrays(
+            [[entry.solution.multipliers for entry in row] for row in entries], own_arrays(scene.limits.asked())
+        ),
         current_sign=over_grid(lambda e: e.solution.multipliers.slope),
         mu_end=over_grid(lambda e: e.solution.multipliers.hand_over),
         correction_m_s2=np.zeros((len(references), len(plants), scene.time.stages)),

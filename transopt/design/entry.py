@@ -24,6 +24,7 @@ from transopt.proof.replay import Replay, replay, replayed_errors
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.own import law
 from transopt.solvers.program import Size
 
 if TYPE_CHECKING:  # nothing is drawn while a library is solved
@@ -177,7 +178,7 @@ def entry_problem(
     scene: Scene, stage: StageModel, reference: Reference, spread: tuple[StageModel, ...] = ()
 ) -> TransientProblem:
     """What one entry has to meet: the stage model of its grip, the reference of its speed."""
-    return scene.posing().problem(wanted_of(reference), stage, spread)
+    return replace(scene.posing(), law_of=law).problem(wanted_of(reference), stage, spread)
 
 
 def wanted_of(reference: Reference) -> Wanted:

@@ -63,7 +63,7 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     met it is the temperature, whose least limit is found by bisection. The command that just meets the wider limit
     tells by how much and when the stated one is missed.
     """
-    linear = [limit for limit in reversed(problem.limits.members) if limit is not problem.thermal]
+    linear = [limit for limit in reversed(problem.limits.members) if limit.linear]
     together = least_widening(problem, [limit.name for limit in linear])
     if together is None:
         return []
@@ -81,13 +81,14 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
             wide = wide.replaced(limit.wider(factor))
         missed = [limit for limit in linear if _worst(problem, limit, command)[1] > 0]
         return [f"{_sentence(problem, wide, limit, command)}, all limits wider at once" for limit in missed]
-    thermal = problem.thermal
-    if thermal is None:
-        return []
-    warmer = _least(lambda factor: problem.replaced(thermal.wider(factor)), options)
-    return (
-        [] if warmer is None else [_sentence(problem, problem.replaced(thermal.wider(warmer[0])), thermal, warmer[1])]
-    )
+    for limit in problem.limits:
+        if limit.linear:
+            continue
+        found_least = _least(lambda factor, limit=limit: problem.replaced(limit.wider(factor)), options)  # type: ignore[misc]
+        if found_least is not None:
+            wide = problem.replaced(limit.wider(found_least[0]))
+            return [_sentence(problem, wide, limit, found_least[1])]
+    return []
 
 
 def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> tuple[float, FloatArray] | None:

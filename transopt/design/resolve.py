@@ -1,6 +1,6 @@
 """A library's entries solved again for corrected references, under the limits that they had (DESIGN 4)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from transopt.base.signals import FloatArray, nrmse
 from transopt.design.entry import left_out_by_scene, replayed
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit, unlimited_nrmse
-from transopt.library.library import MULTIPLIERS, Library, multiplier_arrays
+from transopt.library.library import MULTIPLIERS, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
 from transopt.proof.certify import binding_limits
@@ -47,7 +47,8 @@ def resolve(
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options
     scene = Scene.model_validate(library.meta["scene"])
-    arrays = {name: np.array(getattr(library, name)) for name in _CHANGED}
+    own = own_arrays(library.meta["limits"])
+    arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *own)}
     nv, ng, _ = library.command_A.shape
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
     kept: dict[tuple[int, int], str] = {}
@@ -71,7 +72,7 @@ def resolve(
             _put(
                 arrays,
                 (iv, ig),
-                _multipliers(answer)
+                _multipliers(answer, own)
                 | {
                     "command_A": command,
                     "transient_command_A": answer.problem.transient_command(command),
@@ -101,7 +102,7 @@ def resolve(
         "solver": asdict(options),
         "refinement": refinement,
     }
-    multipliers = {name: arrays.pop(name) for name in MULTIPLIERS}
+    multipliers = {name: arrays.pop(name) for name in (*MULTIPLIERS, *own)}
     return replace(library, **arrays, multipliers_of=multipliers, meta=meta), kept
 
 
@@ -128,16 +129,16 @@ _CHANGED = (
 )
 
 
-def _multipliers(answer: Designed) -> dict[str, Any]:
+def _multipliers(answer: Designed, own: Sequence[str]) -> dict[str, Any]:
     found = answer.solution.multipliers
-    own = {name: array[0, 0] for name, array in multiplier_arrays([[found]]).items()}
-    return {**own, "current_sign": found.slope, "mu_end": found.hand_over}
+    arrays = {name: array[0, 0] for name, array in multiplier_arrays([[found]], own).items()}
+    return {**arrays, "current_sign": found.slope, "mu_end": found.hand_over}
 
 
 def _put(arrays: dict[str, Any], place: tuple[int, int], values: dict[str, Any]) -> None:
-    for name in _CHANGED:
+    for name, array in arrays.items():
         value = values[name]
-        if isinstance(value, str) and len(value) > arrays[name].dtype.itemsize // 4:
+        if isinstance(value, str) and len(value) > array.dtype.itemsize // 4:
             # An array of text has the width of its longest.
-            arrays[name] = arrays[name].astype(f"U{len(value)}")
+            arrays[name] = array.astype(f"U{len(value)}")
         arrays[name][place] = value

@@ -11,6 +11,7 @@ from transopt.library.library import Library
 from transopt.plant.continuous import AFTER_S
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Status
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits
 from transopt.proof.replay import Replay, replay
@@ -38,7 +39,9 @@ def admit(
     """
     if status is not Status.OPTIMAL:
         return status, [status.value]
-    if not certificate.accepted:
+    # Of a limit of a user's own that is not convex nobody can promise more than a stationary point.
+    bent = certificate.is_stationary and any(name != TemperatureLimit.name for name in problem.nonlinear)
+    if not (certificate.accepted or bent):
         c = certificate
         if c.is_stationary and c.relative_bound > c.BOUND_TOLERANCE:
             return Status.NOT_GLOBAL, [

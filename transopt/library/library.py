@@ -24,6 +24,7 @@ from transopt.problem.answer import Multipliers
 from transopt.problem.leave_out import pressing
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
+from transopt.problem.limits.own import OwnLimit
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
 
@@ -163,9 +164,10 @@ class Library:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]], meta: dict[str, Any]) -> "Library":
-        """From all arrays of `ARRAYS` by their names in the file."""
+        """From all arrays of `ARRAYS`, and of the user's own limits in `meta`, by their names in the file."""
         own = {name: array for name, array in arrays.items() if name in ARRAYS and name not in MULTIPLIERS}
-        return cls(**own, multipliers_of={name: arrays[name] for name in MULTIPLIERS}, meta=meta)
+        multipliers = {name: arrays[name] for name in (*MULTIPLIERS, *own_arrays(meta["limits"]))}
+        return cls(**own, multipliers_of=multipliers, meta=meta)
 
     def __repr__(self) -> str:
         stages, dt_s = self.command_A.shape[2], self.meta["dt_s"]
@@ -251,7 +253,18 @@ class Library:
 
     def posing(self) -> Posing:
         """What the problems of all taps with these limits share."""
-        return Posing.of(self.meta, self.command_A.shape[2])
+        posing = Posing.of(self.meta, self.command_A.shape[2])
+        if all(table["function"] is None for table in self._own):
+            return posing
+        # Only a limit of the user's own that is not linear needs CasADi.
+        from transopt.solvers.own import law
+
+        return replace(posing, law_of=law)
+
+    @property
+    def _own(self) -> list[dict[str, Any]]:
+        """Tables of the limits of a user's own."""
+        return list(self.meta["limits"].get(OwnLimit.key) or [])
 
     def wanted(self, speed_m_s: float, by_speed: FloatArray) -> Wanted:
         """Reference and nominal motion, from weights (nv,) of the nodes' own, see `speed_weights`."""
@@ -266,7 +279,8 @@ class Library:
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""
         stages, pairs = self.command_A.shape[2], {}
-        for row in dict.fromkeys(row for row, _ in MULTIPLIERS.values()):
+        rows = [row for row, _ in MULTIPLIERS.values()] + [table["name"] for table in self._own]
+        for row in dict.fromkeys(rows):
             lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
             if lower is not None or upper is not None:
                 nothing = np.zeros(stages)
@@ -319,13 +333,14 @@ class Library:
         arrays = {name: np.asarray(self.array(name)) for name in ARRAYS}
         for name in absent(ARRAYS, self.meta):
             del arrays[name]
+        arrays |= {name: self.multipliers_of[name] for name in own_arrays(self.meta["limits"])}
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
         return arrays
 
     def array(self, name: str) -> NDArray[Any]:
         """One array of the file by its name; zeros for multipliers of a limit that is not in force."""
-        if name in MULTIPLIERS:
+        if name.startswith("mu_") and name != "mu_end":
             found = self.multipliers_of.get(name)
             return np.zeros_like(self.command_A) if found is None else found
         return np.asarray(getattr(self, name))
@@ -368,11 +383,20 @@ MULTIPLIERS = _multiplier_arrays()
 ARRAYS = {**declared(Library), **{name: array for name, (_, array) in MULTIPLIERS.items()}}
 
 
-def multiplier_arrays(of_entries: Sequence[Sequence[Multipliers]]) -> dict[str, FloatArray]:
-    """`Library.multipliers_of` from the multipliers of all entries, speeds outermost."""
-    return {
-        name: np.array(
-            [[getattr(entry, name.rsplit("_", 1)[1])(row) for entry in of_speed] for of_speed in of_entries]
-        )
-        for name, (row, _) in MULTIPLIERS.items()
-    }
+def multiplier_arrays(of_entries: Sequence[Sequence[Multipliers]], own: Sequence[str] = ()) -> dict[str, FloatArray]:
+    """`Library.multipliers_of` from the multipliers of all entries, speeds outermost.
+
+    Parameters
+    ----------
+    own : arrays of a user's own limits, see `own_arrays`.
+    """
+    found = {}
+    for name in (*MULTIPLIERS, *own):
+        row, side = name.removeprefix("mu_").rsplit("_", 1)
+        found[name] = np.array([[getattr(entry, side)(row) for entry in of_speed] for of_speed in of_entries])
+    return found
+
+
+def own_arrays(limits: Mapping[str, Any]) -> list[str]:
+    """Names of the multipliers of a user's own limits, from what a scene or a library says of its limits."""
+    return [f"mu_{table['name']}_{side}" for table in limits.get(OwnLimit.key) or [] for side in SIDES]

@@ -17,6 +17,7 @@ from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
+from transopt.problem.limits.own import LawOf
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 from transopt.problem.problem import TransientProblem
 
@@ -50,6 +51,7 @@ class Posing:
     ----------
     asked : key of the scene's `limits` -> number, or None where it is not asked for.
     circuit, coil, wall, error_filter : None where the scene has none.
+    law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
     grid: TimeGrid
@@ -63,6 +65,7 @@ class Posing:
     coil: CoilModel | None
     wall: Wall | None
     budget: Budget
+    law_of: LawOf | None = None
 
     __repr__ = brief
 
@@ -134,7 +137,7 @@ class Posing:
             reference_m_s2=wanted.reference_m_s2,
             tracking_weights=self.tracking_weights,
             rho=self.rho,
-            limits=posed(self.asked, setting),
+            limits=posed(self.asked, setting, self.law_of),
             hand_over_samples=self.hand_over_samples,
             wall=hand_over,
             error_filter=self.error_filter,

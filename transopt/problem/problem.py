@@ -92,6 +92,11 @@ class TransientProblem:
         return replace(self, limits=self.limits.replaced(limit))
 
     @property
+    def nonlinear(self) -> tuple[str, ...]:
+        """Names of the limits that a quadratic program cannot have."""
+        return tuple(limit.name for limit in self.limits if not limit.linear)
+
+    @property
     def thermal(self) -> TemperatureLimit | None:
         """The limit that has states of its own; None in a quadratic problem."""
         found = self.limits.get(TemperatureLimit.name)

@@ -94,6 +94,8 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
     """Every row of every limit, in units of what its limit states."""
     N, found = problem.grid.stages, list[StatedRow]()
     for limit, row in problem.rows():
+        if not row.linear:
+            continue
         G, d = stage.row(row)
         lower, upper = np.full(N, -np.inf), np.full(N, np.inf)
         # At tau_0 the device rests and nothing is held. A plain hand-over's commands are zero.
@@ -213,6 +215,8 @@ class Stages:
         scaled = dict(zip(self.limits.kinds, (by_row / self.limits.unit).T, strict=True))
         pairs, slope = {}, np.zeros(N)
         for limit, row in problem.rows():
+            if not row.linear:
+                continue
             mu = scaled[row.name][:N] * (OBJECTIVE_SCALE / limit.stated)
             pairs[row.name] = (-mu, mu)
         if problem.thermal is not None:

@@ -13,6 +13,7 @@ from transopt.plant.discretise import Motion
 from transopt.plant.wall import earlier_by, feedback_command_transpose
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.limits.limit import Limit, tolerated, transposed
+from transopt.problem.limits.own import LawRow
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 
@@ -169,7 +170,7 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
         return weighted if problem.error_filter is None else problem.error_filter.transpose(weighted)
 
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
-    through, by_command = transposed(by_row, command_A.size)
+    through, by_command = transposed(by_row, motion, command_A)
     by_current, by_encoder = through.current_A, through.encoder_m
     if problem.thermal is not None and by_heating.any():
         heating = problem.thermal.model.heating
@@ -306,11 +307,20 @@ def certify(
     gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
     gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.upper(TEMPERATURE).any()
+    convex = convex and not _bent(problem, clipped)
     return replace(
         found,
         dual_residual=float(np.abs(g).max()),
         duality_gap=gap,
         lower_bound=max(objective - gap, lower_bound) if convex else lower_bound,
+    )
+
+
+def _bent(problem: TransientProblem, multipliers: Multipliers) -> bool:
+    """Whether a limit bears a multiplier that leaves no convex set: the tangents then bound nothing."""
+    return any(
+        isinstance(row, LawRow) and not row.convex and any(side.any() for side in multipliers.pairs.get(row.name, ()))
+        for _, row in problem.rows()
     )
 
 
@@ -358,13 +368,11 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
     rows: dict[str, NDArray[np.bool_]] = {}
     for box in boxes(problem, command_A, problem.stage.motion(command_A), multipliers):
         near = BINDING_SLACK * abs(box.limit.stated)
-        two_sided = np.isfinite(box.lower).any()
-        sides = [("+" if two_sided else "", box.by_upper, box.upper - box.value)]
-        if two_sided:
-            sides.append(("-", box.by_lower, box.value - box.lower))
-        for sign, mu, slack in sides:
+        two_sided = bool(np.isfinite(box.lower).any())
+        sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]
+        for side, mu, slack in sides:
             active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
-            label = f"{box.name} {sign}{box.limit.stated:.8g} {box.unit}"
+            label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}"
             rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
     found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

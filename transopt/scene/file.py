@@ -14,7 +14,9 @@ from transopt.base.errors import InputError
 from transopt.base.section import Section
 from transopt.scene.model_file import parse_model, read_model
 from transopt.scene.model_parts import MODEL_PARTS
+from transopt.scene.own_file import own_tables
 from transopt.scene.scene import Scene
+from transopt.scene.sections import Time
 
 _MODEL_LINE = re.compile(r"^\s*model\s*=", re.MULTILINE)
 _MODEL_TABLE = re.compile(r"^\s*\[model[.\]]", re.MULTILINE)
@@ -120,7 +122,8 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """Read and check a scene file.
 
     Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
-    not tables, are also looked for in the `search` folders. A model that is a file name is a model file.
+    not tables, are also looked for in the `search` folders. A model that is a file name is a model file. The files
+    below `limits.own` are run.
 
     Raises
     ------
@@ -140,6 +143,10 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
         content[table] = read_toml(found)
     if isinstance(content.get("model"), str):
         content["model"] = _identified(path, content["model"])
+    limits, time = content.get("limits"), content.get("time", {})
+    if isinstance(limits, dict) and "own" in limits:
+        stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0
+        limits["own"] = own_tables(path, limits["own"], stages)
     recordings = content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())

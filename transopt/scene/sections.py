@@ -4,7 +4,7 @@ The first paragraph of a table's docstring is shown to users beside its keys.
 """
 
 import itertools
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -151,6 +151,20 @@ class AmplifierSection(Section):
     command_limit_A: Positive = 6.0
 
 
+class OwnLimitTable(Section):
+    """A limit of a user's own, as its file was read (`limits.own` names files, which are read with the scene)."""
+
+    name: str
+    unit: str
+    outputs: list[str]
+    lower: Finite | None
+    upper: Finite | None
+    coefficients: list[Finite] | None
+    offsets: list[Finite] | None
+    function: str | None
+    convex: list[bool]
+
+
 class LimitsSection(Section):
     """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place."""
 
@@ -159,6 +173,7 @@ class LimitsSection(Section):
     current_A: Positive | None = None
     slew_A_per_s: Positive | None = None
     supply_V: Positive | None = None
+    own: list[OwnLimitTable] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _one_statement(self) -> Self:
@@ -166,9 +181,10 @@ class LimitsSection(Section):
             raise ValueError("give beta or current_A, not both")
         return self
 
-    def asked(self) -> dict[str, float | None]:
-        """Key -> number of every limit, the current's as the one number that it comes to."""
-        return {**self.model_dump(exclude={"beta"}), "current_A": self.transient_current_A}
+    def asked(self) -> dict[str, Any]:
+        """Key -> number of every limit, the current's as the number that it comes to; `own` where there are any."""
+        exclude = {"beta"} if self.own else {"beta", "own"}
+        return {**self.model_dump(exclude=exclude), "current_A": self.transient_current_A}
 
     @property
     def transient_current_A(self) -> float:

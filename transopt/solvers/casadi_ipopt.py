@@ -52,7 +52,7 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
                 "bound_relax_factor": 0.0,
                 # The statement is in physical scale.
                 "nlp_scaling_method": "none",
-                **(quadratic if shape.nodes == 0 else {}),
+                **(quadratic if shape.nodes == 0 and not shape.laws else {}),
             },
         },
     )

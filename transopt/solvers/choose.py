@@ -8,6 +8,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
@@ -54,7 +55,7 @@ def capable(problem: TransientProblem) -> list[str]:
     The project's own method where it is built, then PIQP where the problem is a QP, then IPOPT, which takes all.
     """
     own = ["riccati"] if riccati.can_solve(problem) else []
-    quadratic = ["casadi-piqp"] if problem.thermal is None else []
+    quadratic = [] if problem.nonlinear else ["casadi-piqp"]
     return [*own, *quadratic, "casadi-ipopt"]
 
 
@@ -84,18 +85,20 @@ def prove(
 ) -> Certificate:
     """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
     certificate = certify(problem, command_A, multipliers)
-    if np.isfinite(certificate.lower_bound) or not certificate.finite or problem.thermal is None:
+    if np.isfinite(certificate.lower_bound) or not certificate.finite or not problem.nonlinear:
         return certificate
     return replace(certificate, lower_bound=global_bound(problem, options))
 
 
 def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
-    """Rigorous lower bound on J where the warming copper makes the problem nonconvex (DESIGN 4).
+    """Rigorous lower bound on J where the warming copper, or a limit of a user's own, makes the problem nonconvex.
 
-    The convex relaxation is solved and its own certificate subtracted; minus infinity if that fails.
+    The convex relaxation is solved and its own certificate subtracted; minus infinity if that fails. The copper is
+    replaced by a convex limit that every admissible command meets, a limit that is not linear by none.
     """
-    assert problem.thermal is not None
-    relaxed = problem.replaced(problem.thermal.relaxed(problem.limits.current_A))
+    thermal = problem.thermal
+    relaxed = problem if thermal is None else problem.replaced(thermal.relaxed(problem.limits.current_A))
+    relaxed = relaxed.without(*(name for name in problem.nonlinear if name != TemperatureLimit.name))
     return max(
         (proof.lower_bound for _, proof in _answers(relaxed, options)),
         default=-np.inf,
@@ -128,7 +131,7 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
 
 def feasible(problem: TransientProblem) -> bool:
     """Whether some command meets all limits but the temperature; True as well if that was not found out in time."""
-    found = least_widening(problem, [limit.name for limit in problem.limits if limit is not problem.thermal])
+    found = least_widening(problem, [limit.name for limit in problem.limits if limit.linear])
     return found is None or found[0] == 1.0
 
 

@@ -12,7 +12,6 @@ import scipy
 
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import Row
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.solvers import program as transcribe
 from transopt.solvers.sparse_kkt import pattern
@@ -28,7 +27,7 @@ DECIDED = (0, 2)  # an optimum, or proof that there is none
 def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
     """Least factor >= 1 by which the named limits have to be wider together, and a command (N,) that then meets all.
 
-    The temperature is left out. None if no factor is enough, or none was found in time.
+    What is not linear is left out. None if no factor is enough, or none was found in time.
 
     Parameters
     ----------
@@ -37,12 +36,12 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     # Before the first command is felt nothing that a limit bounds can be helped: no row of the program has it.
     least = 0.0
     for limit, row in problem.rows():
-        if row.waits:
+        if row.linear and row.waits:
             over = _first_excess(row) / limit.stated
             if over > SLACK and limit.name not in limits:
                 return None
             least = max(least, over)
-    statement = state(problem.without(TemperatureLimit.name))
+    statement = state(problem.without(*problem.nonlinear))
     shape, program = statement.shape, transcribe.state_program(statement.shape)
     data = program.qp_data(p=statement.p)
     A = scipy.sparse.csc_array((np.asarray(data["A"].nonzeros()), *pattern(shape, "A")), shape=data["A"].shape)

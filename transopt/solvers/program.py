@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.heat import mean_current, mean_square, next_rise
+from transopt.problem.limits.own import LawRow
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
 from transopt.problem.stage_data import stated_rows
@@ -38,6 +39,15 @@ class RowShape:
 
 
 @dataclass(frozen=True)
+class LawShape:
+    """What of a limit that is not linear fixes the program: its function, of so many outputs, as text."""
+
+    name: str
+    text: str
+    outputs: int
+
+
+@dataclass(frozen=True)
 class Shape:
     """What fixes the sparsity of the program; problems of one shape share one solver object.
 
@@ -45,6 +55,7 @@ class Shape:
     ----------
     rows : sums of several outputs that are bounded, each by its name, the states that it depends on, and its first
         stage; what bounds one variable alone is a box on it and no row.
+    laws : functions of outputs that are bounded.
     nodes : thermal states, 0 without.
     repeated : taps repeat for ever.
     """
@@ -53,6 +64,7 @@ class Shape:
     layout: Layout
     hand_over_samples: int
     rows: tuple["RowShape", ...]
+    laws: tuple["LawShape", ...]
     nodes: int
     repeated: bool
 
@@ -271,6 +283,14 @@ def state_program(shape: Shape) -> Program:
         rows["hand_over"] = ca.vec(asked)
     for row in shape.rows:
         rows[row.name] = ca.vec(stage.value(row.name, before[:, row.first :], movement[:, row.first :]))
+    for law in shape.laws:
+        m = law.outputs
+        G, d = ca.MX.sym(f"G_{law.name}", m, n), ca.MX.sym(f"d_{law.name}", m)
+        nominal, unit = ca.MX.sym(f"nominal_{law.name}", m, N), ca.MX.sym(f"unit_{law.name}")
+        symbols |= {f"G_{law.name}": G, f"d_{law.name}": d, f"nominal_{law.name}": nominal, f"unit_{law.name}": unit}
+        function = ca.Function.deserialize(law.text).map(N)
+        value = function(G @ before + d @ movement + nominal, ca.DM(np.arange(N)[None]))
+        rows[law.name] = ca.vec(value) / unit
 
     ends = np.cumsum([0, *(kind.numel() for kind in rows.values())])
     x = ca.veccat(first, variables)
@@ -278,7 +298,7 @@ def state_program(shape: Shape) -> Program:
     g = ca.vertcat(*rows.values())
     p = ca.veccat(*symbols.values())
     qp_data = None
-    if not m:
+    if not m and not shape.laws:
         hessian, gradient = ca.hessian(f, x)
         at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
         qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
@@ -299,6 +319,9 @@ def program_shape(problem: TransientProblem, stage: LinearStage | None = None) -
         layout=layout(problem),
         hand_over_samples=problem.hand_over_samples,
         rows=tuple(RowShape(row.name, tuple((row.G != 0).tolist()), 0 if row.d else 1) for row in rows),
+        laws=tuple(
+            LawShape(row.name, row.law.text, len(row.outputs)) for _, row in problem.rows() if isinstance(row, LawRow)
+        ),
         nodes=0 if thermal is None else thermal.model.nodes,
         repeated=thermal is not None and thermal.model.closure is not None,
     )

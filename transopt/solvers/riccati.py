@@ -6,6 +6,7 @@ The extension is optional. Where it could not be built, `available` is False and
 import time
 
 from transopt.problem.answer import Solution, Status
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout
 from transopt.problem.stage_data import stages
@@ -33,6 +34,9 @@ STATUS = (
 def can_solve(problem: TransientProblem) -> bool:
     """Whether the extension is there and the problem small enough: many devices in a spread are too many states."""
     nodes = 0 if problem.thermal is None else problem.thermal.model.nodes
+    # Of what is not linear the compiled recursion knows the temperature alone.
+    if set(problem.nonlinear) - {TemperatureLimit.name}:
+        return False
     return available and layout(problem).states + nodes <= MOST_STATES
 
 

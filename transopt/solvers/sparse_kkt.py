@@ -7,7 +7,6 @@ import scipy
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.problem.stage_data import stated_rows
@@ -29,7 +28,7 @@ def movement(problem: TransientProblem) -> FloatArray:
     # What is no box would be an inequality among the rows.
     sums = {row.name for row in stated_rows(problem, linear_stage(problem)) if not row.single}
     no_boxes = [limit.name for limit in problem.limits if sums & set(limit.row_names)]
-    statement = state(problem.without(TemperatureLimit.name, *no_boxes))
+    statement = state(problem.without(*problem.nonlinear, *no_boxes))
     shape = statement.shape
     data = transcribe.state_program(shape).qp_data(p=statement.p)
     H, A = (

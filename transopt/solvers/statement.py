@@ -7,7 +7,8 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
-from transopt.problem.limits.limit import COMMAND, CURRENT
+from transopt.problem.limits.limit import COMMAND, CURRENT, Limit
+from transopt.problem.limits.own import LawRow
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, hand_over_rows, linear_stage
 from transopt.problem.stage_data import (
@@ -51,6 +52,11 @@ class Statement:
         """The program's parameter vector."""
         return np.concatenate([self.values[name] for name in state_program(self.shape).parameters])
 
+    @property
+    def laws(self) -> list[tuple[Limit, LawRow]]:
+        """Rows that are not linear, with the limits they belong to."""
+        return [(limit, row) for limit, row in self.problem.rows() if isinstance(row, LawRow)]
+
     def _by_stage(self, x: FloatArray) -> FloatArray:
         """(N, variables) of a program point."""
         return x[self.shape.first :].reshape(self.shape.stages, self.shape.variables)
@@ -77,6 +83,9 @@ class Statement:
                 first = N - (rows[row.name].stop - rows[row.name].start)
                 mu = np.append(np.zeros(first), lam_g[rows[row.name]]) * (OBJECTIVE_SCALE / row.unit)
             pairs[row.name] = (-mu, mu)
+        for limit, law in self.laws:
+            mu = lam_g[rows[law.name]] * (OBJECTIVE_SCALE / limit.stated)
+            pairs[law.name] = (-mu, mu)
         if problem.thermal is not None:
             slope = slope_of(-lam_g[rows["size_above"]], -lam_g[rows["size_below"]])
             mu = boxes[:, shape.command + 1] * OBJECTIVE_SCALE / self.kelvin
@@ -111,6 +120,15 @@ def _parameters(
     for row in shape.rows:
         values[f"G_{row.name}"] = nonzeros(given[row.name].G[None], row.mask)
         values[f"d_{row.name}"] = [given[row.name].d]
+    for limit, law in problem.rows():
+        if isinstance(law, LawRow):
+            seen = [stage.outputs[name] for name in law.outputs]
+            # CasADi reads matrices column by column.
+            values[f"G_{law.name}"] = np.array([G for G, _ in seen]).T.ravel()
+            values[f"d_{law.name}"] = [d for _, d in seen]
+            nominal = [np.broadcast_to(law.nominal[name], problem.grid.stages) for name in law.outputs]
+            values[f"nominal_{law.name}"] = np.array(nominal).T.ravel()
+            values[f"unit_{law.name}"] = [limit.stated]
     return {name: np.asarray(value, dtype=float).ravel() for name, value in values.items()}
 
 
@@ -156,6 +174,12 @@ def _row_bounds(
             at = program.rows[row.name]
             first = shape.stages - (at.stop - at.start)
             lower[at], upper[at] = row.lower[first:], row.upper[first:]
+    for limit, law in problem.rows():
+        if isinstance(law, LawRow):
+            lower[program.rows[law.name]], upper[program.rows[law.name]] = (
+                law.lower / limit.stated,
+                law.upper / limit.stated,
+            )
     return lower, upper
 
 

@@ -26,8 +26,11 @@ class Axis:
 
     Attributes
     ----------
-    values : as the scene takes them. labels : as tables and CSV files show them.
-    limits : the ends of a range, between which a sample may lie; None for listed values. log : the range's spacing.
+    key : dotted path of the scene; "motor" or "transmission" for a whole table.
+    values : as the scene takes them.
+    labels : as tables and CSV files show them.
+    limits : the ends of a range, between which a sample may lie; None for listed values.
+    log : whether the range is spaced by equal factors.
     """
 
     key: str

@@ -9,8 +9,8 @@ import queue
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, Executor, Future
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.process import BaseProcess
@@ -95,17 +95,15 @@ def _work(line: "connection.Connection[Any, Any]") -> None:
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    while True:
-        try:
-            call, arguments = line.recv()
-        except EOFError:  # the other end was closed
-            return
-        answer: tuple[Any, Exception | None]
-        try:
-            answer = (call(*arguments), None)
-        except Exception as error:
-            answer = (None, error)
-        line.send(answer)
+    with suppress(EOFError, OSError):  # the other end was closed
+        while True:
+            call, args, kwargs = line.recv()
+            answer: tuple[Any, Exception | None]
+            try:
+                answer = (call(*args, **kwargs), None)
+            except Exception as error:
+                answer = (None, error)
+            line.send(answer)
 
 
 def _process() -> Callable[..., BaseProcess]:
@@ -120,7 +118,7 @@ def _process() -> Callable[..., BaseProcess]:
 
     forks = multiprocessing.get_context("forkserver")
     forks.set_forkserver_preload(list(LOADED))
-    resource_tracker.ensure_running()  # which would unblock Ctrl-C again if it were started with the server
+    resource_tracker.ensure_running()  # if it were started with the server, it would unblock Ctrl-C for it
     with _starting():
         forkserver.ensure_running()
     return forks.Process
@@ -134,7 +132,7 @@ class _Worker:
     line: "connection.Connection[Any, Any]"
 
 
-class Processes(ThreadPoolExecutor):
+class Processes(Executor):
     """Worker processes, each served by a thread of this process that sends it a call and waits for the answer.
 
     When a worker dies, its call ends in BrokenExecutor, the other workers go on, and a new one takes its place with
@@ -143,58 +141,73 @@ class Processes(ThreadPoolExecutor):
     """
 
     def __init__(self, workers: int) -> None:
-        super().__init__(workers)
-        self._lock = threading.Lock()
+        self._workers = workers
+        self._calls: queue.SimpleQueue[tuple[Future[Any], Any] | None] = queue.SimpleQueue()
+        self._threads: list[threading.Thread] = []
         self._live: set[_Worker] = set()
+        self._one_at_a_time = threading.Lock()
         self._ended = False
-        # As many as there are threads. The last one put back is taken first, so that a new one starts only if all
-        # others are busy.
-        self._idle: queue.LifoQueue[_Worker | None] = queue.LifoQueue()
-        for _ in range(workers):
-            self._idle.put(None)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
-        return super().submit(self._call, fn, *args)
+        future: Future[T] = Future()
+        self._calls.put((future, (fn, args, kwargs)))
+        if len(self._threads) < self._workers:
+            # A daemon: a thread that waits for a worker to start, or for its answer, does not keep this process up.
+            thread = threading.Thread(target=self._serve, daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Wait for all calls, or with `wait=False` cancel those that have not started and end the workers."""
+        if cancel_futures or not wait:
+            with suppress(queue.Empty):
+                while (waiting := self._calls.get_nowait()) is not None:
+                    waiting[0].cancel()
+        for _ in self._threads:
+            self._calls.put(None)
         if wait:
-            super().shutdown(wait=True, cancel_futures=cancel_futures)
-        with self._lock:
-            self._ended = True
-            live, self._live = self._live, set()
-        for worker in live:
+            for thread in self._threads:
+                thread.join()
+        self._ended = True
+        for worker in self._live.copy():
             worker.process.kill()
-        super().shutdown(wait=False, cancel_futures=True)
+
+    def _serve(self) -> None:
+        """What a thread does: one call after the other, each by the worker process of this thread."""
+        worker: _Worker | None = None
+        while (waiting := self._calls.get()) is not None:
+            future, call = waiting
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                worker = self._start() if worker is None else worker
+                worker.line.send(call)
+                result, error = worker.line.recv()
+            except (EOFError, OSError):
+                if worker is not None:
+                    self._live.discard(worker)
+                worker = None
+                future.set_exception(BrokenExecutor("a worker process died"))
+            except Exception as unsent:  # a call or a result that cannot be sent
+                future.set_exception(unsent)
+            else:
+                if error is None:
+                    future.set_result(result)
+                else:
+                    future.set_exception(error)
 
     def _start(self) -> _Worker:
-        with self._lock:
-            if self._ended:
-                raise BrokenExecutor("shut down")
+        with self._one_at_a_time:
             start, (ours, theirs) = _process(), multiprocessing.Pipe()
             with _starting(), theirs:
                 process = start(target=_work, args=(theirs,), daemon=True)
                 process.start()
-            worker = _Worker(process, ours)
-            self._live.add(worker)
-            return worker
-
-    def _call(self, fn: Callable[..., Any], *args: Any) -> Any:
-        """Run a call in a worker process, from a thread of this one."""
-        worker = self._idle.get()
-        try:
-            if worker is None:
-                worker = self._start()
-            worker.line.send((fn, args))
-            result, error = worker.line.recv()
-        except (EOFError, OSError) as gone:
-            self._live.discard(worker)
-            worker = None
-            raise BrokenExecutor("a worker process died") from gone
-        finally:
-            self._idle.put(worker)
-        if error is not None:
-            raise error
-        return result
+        worker = _Worker(process, ours)
+        self._live.add(worker)
+        if self._ended:
+            process.kill()
+        return worker
 
 
 def processes(workers: int) -> Pool:

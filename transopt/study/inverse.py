@@ -68,7 +68,11 @@ class Question:
 
     Attributes
     ----------
+    key : the key that is solved for.
+    low, high : ends of the range that is searched, in the key's unit.
     tolerance : width of the interval at the end, in the key's unit.
+    greatest : whether the greatest value is asked for.
+    requirements : all of them are to be met at every entry.
     """
 
     key: Key
@@ -148,7 +152,8 @@ class Answer:
 
     Attributes
     ----------
-    question : with its bounds. tried : every value, in order.
+    question : with its range and requirements.
+    tried : every value, in order.
     met : the answer, None if nothing in the scan meets the requirements.
     missed : the nearest value beyond it that does not; None if the end of the range itself meets them.
     crossings : how often the scan passed from met to missed or back.

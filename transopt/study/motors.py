@@ -53,6 +53,15 @@ class Choice:
     """A motor at its best ratio: the least one that meets the goal at every entry, or else the one with least error.
 
     The error speaks for ever higher ratios, but the hand moves the rotor's reflected mass in every free motion.
+
+    Attributes
+    ----------
+    stem : name of the motor's file, without its ending.
+    ratio_1_m : transmission ratio, rotor angle per displacement of the tip [1/m].
+    worst : NRMSE of the worst entry, as a share of 1.
+    force_N_A : force at the tip per current [N/A].
+    mass_kg : the rotor's inertia as a mass at the tip, with that of the link [kg].
+    row : of the worst entry.
     """
 
     stem: str
@@ -60,7 +69,7 @@ class Choice:
     worst: float
     force_N_A: float
     mass_kg: float
-    row: Row  # the worst entry
+    row: Row
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class StudyRecordings:
         self._longer_s = end_s - scene.time.dt_s * scene.time.stages
 
     def of(self, changes: Changes) -> tuple[tuple[Recording, ...], str]:
-        """The recordings for a point of the plan, and their SHA-256, by which they are told from all others."""
+        """The recordings for a point of the plan, and their SHA-256, which names them."""
         own = {key: value for key, value in changes.items() if key.startswith("recordings.")}
         if repr(own) == self._last[0]:
             return self._last[1], self._last[2]

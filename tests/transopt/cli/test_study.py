@@ -25,7 +25,7 @@ from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
 from transopt.study.named import write
-from transopt.study.plan import Plan
+from transopt.study.plan import TOGETHER, Plan
 from transopt.study.session import run_plan
 from transopt.study.swept import SWEPT
 
@@ -235,7 +235,7 @@ class TestCommandLine:
             stderr=subprocess.PIPE,
             text=True,
         ) as running:
-            while not file.exists() or file.read_bytes().count(b"OPTIMAL") < 3:
+            while not file.exists() or file.read_bytes().count(b"OPTIMAL") <= TOGETHER:  # one task is kept
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     running.wait(timeout=0.02)
                     pytest.fail("ended before anything was written")
@@ -250,7 +250,7 @@ class TestCommandLine:
             assert f"stopped: {kept} of 128 entries are in {file}; the same command goes on from there" in said
         with closing(sqlite3.connect(file)) as there:
             before = there.execute('SELECT "index", total_ms FROM rows').fetchall()
-        assert 3 <= len(before) < 128
+        assert TOGETHER <= len(before) < 128
         assert run(*words, "--executor", "serial", "--out", out).code == 0
         assert plain(out / "rows.csv") == plain(unstopped / "rows.csv")
         rows = read(out / "rows.csv")

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.benches.limits import with_limit, with_numbers
+from tests.benches.limits import with_limit, with_numbers, with_rail
 from transopt.base.signals import nrmse
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import Designed, optimum
@@ -44,8 +44,7 @@ def moved_slew(problem: TransientProblem, bound: float) -> TransientProblem:
 
 
 def moved_supply(problem: TransientProblem, bound: float) -> TransientProblem:
-    assert problem.supply is not None
-    return replace(problem, supply=replace(problem.supply, limit_V=bound))
+    return with_rail(problem, bound)
 
 
 def moved_coil(problem: TransientProblem, bound: float) -> TransientProblem:
@@ -71,8 +70,8 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     return {
         "current 4 A": Case("current", wide.without("temperature"), 4.0, moved_current),
         "current 2 A": Case("current", wide.without("temperature"), 2.0, moved_current),
-        "supply 9 V": Case("supply", replace(wide, thermal=None, supply=rail), 9.0, moved_supply),
-        "supply 6 V": Case("supply", replace(wide, thermal=None, supply=rail), 6.0, moved_supply),
+        "supply 9 V": Case("supply", with_limit(wide.without("temperature"), rail), 9.0, moved_supply),
+        "supply 6 V": Case("supply", with_limit(wide.without("temperature"), rail), 6.0, moved_supply),
         "coil 60.05 C": Case("coil", wide, HOT_C + 0.05, moved_coil),
         "slew 0.5 A/tick": Case("slew", wide.without("temperature"), 0.5, moved_slew),
     }

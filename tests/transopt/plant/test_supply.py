@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from tests.benches.limits import supply_of, with_rail
 from tests.conftest import is_stationary
 from transopt.design.entry import design_grip, entry_problem, scene_stage
 from transopt.design.explain import infeasibility
 from transopt.design.optimum import Designed, optimum
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
+from transopt.problem.limits.limit import transposed
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
 from transopt.proof.replay import replay
@@ -49,7 +51,10 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
 
 def cut(problem: TransientProblem, stages: int) -> TransientProblem:
     """The first stages of a problem, without its temperature."""
-    supply, wall = problem.supply, problem.wall
+    wall, limits = problem.wall, problem.limits.without("temperature")
+    if "supply" in limits:
+        supply = supply_of(problem)
+        limits = limits.replaced(replace(supply, nominal_m_s=supply.nominal_m_s[:stages]))
     if wall is not None:
         wall = replace(wall, nominal_m=wall.nominal_m[:stages], pressing=wall.pressing[:stages])
     return replace(
@@ -57,9 +62,8 @@ def cut(problem: TransientProblem, stages: int) -> TransientProblem:
         grid=replace(problem.grid, stages=stages),
         reference_m_s2=problem.reference_m_s2[:stages],
         tracking_weights=np.ones(stages),
-        thermal=None,
+        limits=limits,
         wall=wall,
-        supply=None if supply is None else replace(supply, nominal_m_s=supply.nominal_m_s[:stages]),
     )
 
 
@@ -78,9 +82,8 @@ def voltages(problem: TransientProblem, command_A: np.ndarray, scene: Scene) -> 
     motor, transmission = scene.motor, scene.transmission
     assert motor is not None
     assert transmission is not None
-    assert problem.supply is not None
     plant, flow, h = problem.stage.plant, flow_of(problem), 1e-7
-    n = plant.order
+    n, nominal_m_s = plant.order, supply_of(problem).nominal_m_s
     period, onward, back = expm(flow * 1e-4), expm(flow * h), expm(-flow * h)
     # Shaft speed in rad/s times V s/rad, and k_e = k_t in SI.
     emf = motor.kt_Nm_A * transmission.ratio_1_m
@@ -92,19 +95,23 @@ def voltages(problem: TransientProblem, command_A: np.ndarray, scene: Scene) -> 
             near = step @ x
             i = [x[n], near[n], (step @ near)[n]]
             rate = sign * (-3 * i[0] + 4 * i[1] - i[2]) / (2 * h)
-            speed = float((plant.Ce @ plant.A)[0] @ x[:n]) + problem.supply.nominal_m_s[k]
+            speed = float((plant.Ce @ plant.A)[0] @ x[:n]) + nominal_m_s[k]
             side[k] = motor.R_ohm * i[0] + motor.L_H * rate + emf * speed
         x = period @ x
     return before, after
+
+
+def stated(problem: TransientProblem, motion: Motion, command_A: np.ndarray) -> list[np.ndarray]:
+    """(N,) voltages just before and just after the switching instants, as the limit states them."""
+    return [row.value(motion, command_A) for row in supply_of(problem).rows(problem)]
 
 
 class TestVoltage:
     def test_against_differences_of_an_integrated_current(self, entry: Maker, scene: Scene) -> None:
         """Measured 1.9e-6 V, which is what the differences are good for."""
         problem = entry(supply_V=9.0)
-        assert problem.supply is not None
         command = np.random.default_rng(1).uniform(-5, 5, problem.grid.stages)
-        before, after = problem.supply.voltages_V(problem.stage.motion(command), command)
+        before, after = stated(problem, problem.stage.motion(command), command)
         expected_before, expected_after = voltages(problem, command, scene)
         assert np.abs(expected_after).max() > 9
         np.testing.assert_allclose(before, expected_before, rtol=0, atol=1e-5)
@@ -112,39 +119,34 @@ class TestVoltage:
 
     def test_nominal_motion_comes_in_at_the_stated_speed(self, entry: Maker) -> None:
         for speed in (0.1, 0.4):
-            supply = entry(speed, supply_V=9.0).supply
-            assert supply is not None
+            supply = supply_of(entry(speed, supply_V=9.0))
             assert supply.nominal_m_s[0] == pytest.approx(-speed, rel=1e-2)
             assert supply.nominal_V[0] == pytest.approx(-1.25 * speed, rel=1e-2)
 
     def test_transpose(self, entry: Maker) -> None:
         problem = entry(supply_V=9.0)
-        supply, N = problem.supply, problem.grid.stages
-        assert supply is not None
+        rows, N = supply_of(problem).rows(problem), problem.grid.stages
         random = np.random.default_rng(2)
         current, velocity, command, by_before, by_after = random.standard_normal((5, N))
         motion = replace(Motion.zero(N), current_A=current, velocity_m_s=velocity)
-        zero = supply.voltages_V(Motion.zero(N), np.zeros(N))
-        before, after = (v - z for v, z in zip(supply.voltages_V(motion, command), zero, strict=True))
-        through_current, through_velocity, directly = supply.transpose(by_before, by_after)
+        zero = stated(problem, Motion.zero(N), np.zeros(N))
+        before, after = (v - z for v, z in zip(stated(problem, motion, command), zero, strict=True))
+        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), N)
         forwards = before @ by_before + after @ by_after
         assert forwards == pytest.approx(
-            current @ through_current + velocity @ through_velocity + command @ directly, rel=1e-12
+            current @ through.current_A + velocity @ through.velocity_m_s + command @ directly, rel=1e-12
         )
 
     def test_the_whole_chain_backwards(self, entry: Maker) -> None:
         """Commands to voltages and back, through the motion's adjoint."""
         problem = entry(supply_V=9.0)
-        supply, N = problem.supply, problem.grid.stages
-        assert supply is not None
+        rows, N = supply_of(problem).rows(problem), problem.grid.stages
         random = np.random.default_rng(3)
         command, by_before, by_after = random.standard_normal((3, N))
-        zero = supply.voltages_V(Motion.zero(N), np.zeros(N))
-        found = supply.voltages_V(problem.stage.motion(command), command)
-        by_current, by_velocity, directly = supply.transpose(by_before, by_after)
-        gradient = directly + problem.stage.adjoint(
-            replace(Motion.zero(N), current_A=by_current, velocity_m_s=by_velocity)
-        )
+        zero = stated(problem, Motion.zero(N), np.zeros(N))
+        found = stated(problem, problem.stage.motion(command), command)
+        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), N)
+        gradient = directly + problem.stage.adjoint(through)
         forwards = (found[0] - zero[0]) @ by_before + (found[1] - zero[1]) @ by_after
         assert forwards == pytest.approx(command @ gradient, rel=1e-11)
 
@@ -158,7 +160,7 @@ class TestBinding:
     @pytest.mark.parametrize("limit", [{"supply_V": 9.0}, {"supply_V": 5.0}, {"slew_A_per_s": 5000.0}])
     def test_three_methods_agree_and_are_certified(self, entry: Maker, limit: dict[str, float]) -> None:
         """Measured 2e-11 at most."""
-        problem = replace(entry(**limit), thermal=None)
+        problem = entry(**limit).without("temperature")
         proofs = []
         for solver in SOLVERS:
             answer = solve(problem, SolverOptions(solver))
@@ -166,7 +168,7 @@ class TestBinding:
             proofs.append(certify(problem, answer.command_A, answer.multipliers))
         assert all(proof.accepted for proof in proofs)
         assert np.ptp([proof.objective for proof in proofs]) <= 1e-8 * proofs[0].objective
-        free = replace(problem, supply=None, limits=replace(problem.limits, slew_A_per_s=None))
+        free = problem.without("supply", "slew")
         without = solve(free)
         assert not inside(problem, without.command_A), "it does not bind: the test shows nothing"
         unbound = certify(free, without.command_A, without.multipliers).objective
@@ -180,22 +182,20 @@ class TestBinding:
         before, after = voltages(problem, command, scene)
         peak = max(np.abs(before).max(), np.abs(after).max())
         assert peak == pytest.approx(9, abs=1e-5)
-        assert problem.supply is not None
         (played,) = replay(
-            problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None, supplies=[problem.supply]
+            problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None, limits=[problem.limits]
         )
-        assert played.peak_voltage_V == pytest.approx(9, abs=1e-9)
+        assert played.reached["supply"] == pytest.approx(9, abs=1e-9)
 
     @pytest.mark.parametrize("supply_V", [5.0, 7.0])
     def test_lower_rails_are_kept_between_the_instants_too(self, entry: Maker, supply_V: float) -> None:
         """There the back-EMF is left to itself, 1e-3 of the limit being allowed; measured less than 1e-9."""
         problem = entry(supply_V=supply_V)
         command = optimum(problem, SolverOptions()).solution.command_A
-        assert problem.supply is not None
         (played,) = replay(
-            problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None, supplies=[problem.supply]
+            problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None, limits=[problem.limits]
         )
-        assert supply_V * (1 - 1e-6) <= played.peak_voltage_V <= supply_V * (1 + 1e-6)
+        assert supply_V * (1 - 1e-6) <= played.reached["supply"] <= supply_V * (1 + 1e-6)
 
     def test_binding_says_so(self, nine_volts: Designed) -> None:
         text = binding_limits(nine_volts.problem, nine_volts.solution.command_A, nine_volts.solution.multipliers)
@@ -204,9 +204,9 @@ class TestBinding:
     @pytest.mark.parametrize("factor", [0.0, -1.0, 1.05])
     def test_wrong_multipliers_are_rejected(self, nine_volts: Designed, factor: float) -> None:
         m = nine_volts.solution.multipliers
-        name = max(("supply_before_upper", "supply_after_upper"), key=lambda field: getattr(m, field).max())
-        assert getattr(m, name).max() > 1e-6
-        wrong = replace(m, **{name: factor * getattr(m, name)})
+        name = max(("supply_before", "supply_after"), key=lambda row: m.upper(row).max())
+        assert m.upper(name).max() > 1e-6
+        wrong = m.with_pair(name, m.lower(name), factor * m.upper(name))
         assert not certify(nine_volts.problem, nine_volts.solution.command_A, wrong).accepted
 
     def test_too_much_voltage_is_a_violation_in_volts(self, nine_volts: Designed, entry: Maker) -> None:
@@ -251,10 +251,9 @@ class TestInfeasible:
         assert reason.startswith("supply ")
         assert " V over its 0.02 V at " in reason
         assert " ms at the least; " in reason
-        assert problem.supply is not None
         enough = float(reason.split("; ")[1].split(" V would do")[0])
         for limit, status in ((enough, True), (0.98 * enough, False)):
-            moved = replace(problem, supply=replace(problem.supply, limit_V=limit))
+            moved = with_rail(problem, limit)
             assert is_stationary(moved, solve(moved, SHORT)) is status
 
     def test_a_slew_that_cannot_follow_the_wall_is_refused_by_name(self, entry: Maker) -> None:

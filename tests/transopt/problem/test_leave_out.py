@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import problems
+from tests.benches.limits import command_limit_A, supply_of, with_limit, with_numbers, with_rail
 from tests.conftest import ProblemMaker, is_stationary
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import optimum
 from transopt.plant.discretise import discretise
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.answer import Status
-from transopt.problem.leave_out import leave_out, pressing, temperature_bound_C, voltage_bound_V, without_position
+from transopt.problem.leave_out import leave_out, pressing, without_position
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, inside
@@ -62,7 +63,7 @@ class TestForcedIn:
         """A box on a variable that is there anyway: no row more, but a bound per stage and side."""
         whole = make_problem(0.4, 5.0, slew_A_per_s=12.0 / DT_S)
         reduced = leave_out(whole)
-        assert reduced.problem.limits.slew_A_per_s is None
+        assert "slew" not in reduced.problem.limits
         assert "no command inside +-6 A moves by more than 12 A per tick, limit 12 A" in reduced.left_out["slew"]
         check_same(whole, reduced.problem)
         assert transcribe.size(whole) == transcribe.size(reduced.problem)
@@ -71,19 +72,19 @@ class TestForcedIn:
     def test_slew_is_kept_where_it_can_matter(self, make_problem: ProblemMaker) -> None:
         kept = leave_out(make_problem(0.4, 5.0, slew_A_per_s=11.9 / DT_S))
         assert "slew" not in kept.left_out
-        assert kept.problem.limits.slew_A_per_s is not None
+        assert "slew" in kept.problem.limits
 
     def test_supply(self, scene: Scene, references: list[Reference]) -> None:
-        whole = replace(entry(scene, references[-1], 5.0, limits={"supply_V": 13.0}), thermal=None)
+        whole = entry(scene, references[-1], 5.0, limits={"supply_V": 13.0}).without("temperature")
         reduced = leave_out(whole)
-        assert reduced.problem.supply is None
+        assert "supply" not in reduced.problem.limits
         assert "takes more than 12.9 V, limit 13 V" in reduced.left_out["supply"]
         check_same(whole, reduced.problem)
         larger, smaller = transcribe.size(whole), transcribe.size(reduced.problem)
         assert larger.rows == smaller.rows + 2 * whole.grid.stages - 1
         assert larger.nonzeros > smaller.nonzeros
-        kept = leave_out(replace(entry(scene, references[-1], 5.0, limits={"supply_V": 12.5}), thermal=None))
-        assert kept.problem.supply is not None
+        kept = leave_out(entry(scene, references[-1], 5.0, limits={"supply_V": 12.5}).without("temperature"))
+        assert "supply" in kept.problem.limits
 
     def test_temperature(self, scene: Scene, references: list[Reference]) -> None:
         whole = entry(scene, references[-1], 5.0)
@@ -112,7 +113,7 @@ class TestForcedIn:
         assert walled.wall is not None
         nominal = walled.wall.nominal_m.copy()
         nominal[-60:] = 5e-3
-        walled = replace(walled, thermal=None, wall=replace(walled.wall, nominal_m=nominal))
+        walled = replace(walled.without("temperature"), wall=replace(walled.wall, nominal_m=nominal))
         whole = pressing(walled, np.zeros(nominal.size))
         assert whole.wall is not None
         assert whole.wall.pressing[100:500].all()
@@ -135,7 +136,7 @@ class TestForcedIn:
         free = problems.load("free_stylus")
         held = make_problem(0.4, 5.0)
         stage = discretise(free.plant(0.0), held.stage.amplifier, DT_S, position=True)
-        whole = replace(held, stage=stage, limits=replace(held.limits, current_A=1.0))
+        whole = replace(with_numbers(held, current_A=1.0), stage=stage)
         small = replace(whole, stage=without_position(stage))
         assert small.stage.A.shape[0] == stage.A.shape[0] - 1
         check_same(whole, small)
@@ -170,14 +171,13 @@ class TestForcedIn:
 
 def admissible(problem: TransientProblem, wanted_A: np.ndarray) -> np.ndarray:
     """(M, N) commands whose currents go for the wanted ones (M, N) as fast as |c| allows, inside both limits."""
-    limits, amplifier = problem.limits, problem.stage.amplifier
-    assert limits.command_A is not None
+    limits, range_A, amplifier = problem.limits, command_limit_A(problem), problem.stage.amplifier
     assert amplifier is not None
     p = np.exp(-amplifier.rate_rad_s * problem.grid.dt_s)
     command, current = np.zeros(wanted_A.shape), np.zeros(wanted_A.shape[0])
     for k in range(wanted_A.shape[1]):
         target = np.clip(wanted_A[:, k], -limits.current_A, limits.current_A)
-        command[:, k] = np.clip((target - p * current) / (1 - p), -limits.command_A, limits.command_A)
+        command[:, k] = np.clip((target - p * current) / (1 - p), -range_A, range_A)
         current = p * current + (1 - p) * command[:, k]
     return command
 
@@ -211,7 +211,7 @@ class TestBounds:
         commands = admissible(problem, square_waves(4.0, 600, 1))
         currents = problem.stage.rollout(commands)[1]
         assert np.abs(currents).max() <= 4 + 1e-12
-        bound = temperature_bound_C(problem)
+        bound = problem.thermal.bound_C(problem)
         stated = [problem.thermal.temperatures_C(i, c).max() for i, c in zip(currents, commands, strict=True)]
         assert max(stated) <= bound
         played = replay(
@@ -231,7 +231,8 @@ class TestBounds:
     def test_past_runaway_there_is_no_bound(self, scene: Scene, references: list[Reference]) -> None:
         """4 A most of the time has no equilibrium above 2.6 A: the fixed point lies below the ambient."""
         problem = entry(scene, references[-1], 5.0, thermal={"tap_rate_Hz": 14.0})
-        assert temperature_bound_C(problem) == float("inf")
+        assert problem.thermal is not None
+        assert problem.thermal.bound_C(problem) == float("inf")
         assert "temperature" not in leave_out(problem).left_out
 
     @pytest.mark.parametrize(("speed", "grip_N"), [(0, 1.0), (3, 1.0), (3, 5.0)])
@@ -240,7 +241,6 @@ class TestBounds:
     ) -> None:
         """Also not the one that drives the motor mass to its highest speed, nor between the switching instants."""
         problem = entry(scene, references[speed], grip_N, limits={"supply_V": 100.0})
-        assert problem.supply is not None
         impulse = problem.stage.motion(np.eye(600)[0]).velocity_m_s
         fastest = [np.append(4.0 * np.sign(impulse[1 : k + 1][::-1]), np.zeros(600 - k)) for k in (40, 200, 599)]
         turned = [
@@ -249,32 +249,28 @@ class TestBounds:
         ]
         waves = np.stack([*square_waves(4.0, 600, 2), *fastest, *turned])
         commands = admissible(problem, np.concatenate([waves, -waves]))
-        bound = voltage_bound_V(problem)
+        bound = supply_of(problem).bound_V(problem)
         played = replay(
             problem.stage,
             problem.grid,
             commands,
             np.tile(problem.reference_m_s2, (len(commands), 1)),
             None,
-            supplies=[problem.supply] * len(commands),
+            limits=[problem.limits] * len(commands),
         )
-        highest = max(run.peak_voltage_V for run in played)
+        highest = max(run.reached["supply"] for run in played)
         assert 0.75 * bound < highest <= bound
 
     def test_left_out_is_what_lies_below_its_bound(self, scene: Scene, references: list[Reference]) -> None:
         """A limit a hair above the bound goes, a hair below it stays."""
         problem = entry(scene, references[-1], 5.0, limits={"supply_V": 24.0})
-        assert problem.supply is not None
         assert problem.thermal is not None
-        volts, celsius = voltage_bound_V(problem), temperature_bound_C(problem)
+        volts, celsius = supply_of(problem).bound_V(problem), problem.thermal.bound_C(problem)
         amplifier, budget = problem.stage.amplifier, problem.thermal.budget
         for shift, gone in ((1e-6, True), (-1e-6, False)):
             coil = replace(problem.thermal.coil, limit_C=celsius + shift)
-            moved = replace(
-                problem,
-                supply=replace(problem.supply, limit_V=volts + shift),
-                thermal=temperature_limit(coil, amplifier, problem.grid, budget),
-            )
+            hot = temperature_limit(coil, amplifier, problem.grid, budget)
+            moved = with_limit(with_rail(problem, volts + shift), hot)
             left_out = leave_out(moved).left_out
             assert ("supply" in left_out) is gone
             assert ("temperature" in left_out) is gone

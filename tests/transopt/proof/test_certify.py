@@ -1,6 +1,6 @@
 """Solvers against each other, the certificate against them and against tampering."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -9,7 +9,10 @@ import pytest
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
-from transopt.problem.limits.limit import Limits
+from transopt.problem.limits import KINDS
+from transopt.problem.limits.command import CommandLimit
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.limits.limit import SIDES
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, reduced_gradient
 from transopt.solvers import program as transcribe
@@ -142,6 +145,25 @@ def test_gradient_of_the_objective_by_differences(make_problem: ProblemMaker) ->
         assert gradient[k] == pytest.approx((up - down) / 2, rel=1e-9, abs=1e-13)
 
 
+# Every array that multipliers may have, of limits that the problem does not have too.
+ALL_PARTS = [f"{row} {side}" for kind in KINDS for row in kind.row_names for side in SIDES] + ["hand_over", "slope"]
+PARTS = ["current upper", "command upper", "command lower", "hand_over"]
+
+
+def multipliers_at(m: Multipliers, part: str) -> np.ndarray:
+    """One array of the multipliers: "hand_over", "slope", or a row and its side."""
+    row, _, side = part.partition(" ")
+    return getattr(m, side)(row) if side else getattr(m, part)
+
+
+def with_multipliers(m: Multipliers, part: str, array: np.ndarray) -> Multipliers:
+    """The same with another array in the place of `multipliers_at`."""
+    row, _, side = part.partition(" ")
+    if not side:
+        return replace(m, **{part: array})
+    return m.with_pair(row, *((array, m.upper(row)) if side == "lower" else (m.lower(row), array)))
+
+
 class TestTampering:
     """What the certificate is for: answers that are not what they claim to be."""
 
@@ -161,31 +183,33 @@ class TestTampering:
         problem, solution = saturated
         assert not certify(problem, -solution.command_A, solution.multipliers).accepted
 
-    @pytest.mark.parametrize("name", ["current_upper", "command_upper", "command_lower", "hand_over"])
-    def test_missing_multiplier(self, saturated: tuple[TransientProblem, Solution], name: str) -> None:
+    @pytest.mark.parametrize("part", PARTS)
+    def test_missing_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
-        assert np.any(getattr(solution.multipliers, name) != 0), "the limit does not bind: the test shows nothing"
-        missing = replace(solution.multipliers, **{name: np.zeros_like(getattr(solution.multipliers, name))})
+        array = multipliers_at(solution.multipliers, part)
+        assert np.any(array != 0), "the limit does not bind: the test shows nothing"
+        missing = with_multipliers(solution.multipliers, part, np.zeros_like(array))
         assert not certify(problem, solution.command_A, missing).accepted
 
-    @pytest.mark.parametrize("name", ["current_upper", "command_upper", "hand_over"])
-    def test_negated_multiplier(self, saturated: tuple[TransientProblem, Solution], name: str) -> None:
+    @pytest.mark.parametrize("part", ["current upper", "command upper", "hand_over"])
+    def test_negated_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
-        negated = replace(solution.multipliers, **{name: -getattr(solution.multipliers, name)})
+        negated = with_multipliers(solution.multipliers, part, -multipliers_at(solution.multipliers, part))
         assert not certify(problem, solution.command_A, negated).accepted
 
     def test_swapped_multipliers(self, saturated: tuple[TransientProblem, Solution]) -> None:
         problem, solution = saturated
         m = solution.multipliers
-        swapped = replace(m, current_lower=m.upper("current"), current_upper=m.lower("current"))
+        swapped = m.with_pair("current", m.upper("current"), m.lower("current"))
         assert not certify(problem, solution.command_A, swapped).accepted
 
-    @pytest.mark.parametrize("field", [f.name for f in fields(Multipliers)])
-    def test_nan_in_a_multiplier(self, saturated: tuple[TransientProblem, Solution], field: str) -> None:
+    @pytest.mark.parametrize("part", ALL_PARTS)
+    def test_nan_in_a_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
-        array = getattr(solution.multipliers, field).copy()
+        array = multipliers_at(solution.multipliers, part).copy()
         array[-1] = np.nan
-        assert not certify(problem, solution.command_A, replace(solution.multipliers, **{field: array})).accepted
+        wrong = with_multipliers(solution.multipliers, part, array)
+        assert not certify(problem, solution.command_A, wrong).accepted
 
     def test_nan_in_the_command(self, saturated: tuple[TransientProblem, Solution]) -> None:
         problem, solution = saturated
@@ -248,7 +272,9 @@ def test_options_and_limits_are_checked() -> None:
     with pytest.raises(InputError, match=r"--solver-tolerance 2: must be between 0 and 1"):
         SolverOptions(tolerance=2.0)
     with pytest.raises(InputError, match=r"limits.current_A = 0: must be > 0"):
-        Limits(0.0, 6.0)
+        CurrentLimit(0.0)
+    with pytest.raises(InputError, match=r"limits.command_A = inf: must be > 0 and finite"):
+        CommandLimit(np.inf)
 
 
 def test_bad_problem_data_is_refused(make_problem: ProblemMaker) -> None:

@@ -17,6 +17,7 @@ from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.wall import earlier_by
 from transopt.problem.answer import Status
 from transopt.problem.leave_out import encoder_course, silence
+from transopt.problem.limits import limits_of
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import wall_growth
 from transopt.proof.certify import certify
@@ -38,21 +39,14 @@ def test_the_least_widening_is_the_least() -> None:
     found = least_widening(problem, everything)
     assert found is not None
     assert found[0] > 1.1
-    limits = problem.limits
-    assert limits.command_A is not None
-    assert limits.slew_A_per_s is not None
     for factor, feasible in ((1.001 * found[0], True), (0.999 * found[0], False)):
-        wide = replace(
-            limits,
-            current_A=factor * limits.current_A,
-            command_A=factor * limits.command_A,
-            slew_A_per_s=factor * limits.slew_A_per_s,
-        )
-        again = least_widening(replace(problem, limits=wide), everything)
+        wide = replace(problem, limits=limits_of(*(limit.wider(factor) for limit in problem.limits)))
+        assert [limit.name for limit in wide.limits] == list(everything)
+        again = least_widening(wide, everything)
         assert again is not None
         assert (again[0] == 1.0) == feasible
-        answer = solve(replace(problem, limits=wide), SolverOptions())
-        assert (certify(replace(problem, limits=wide), answer.command_A, answer.multipliers).excess <= 1) == feasible
+        answer = solve(wide, SolverOptions())
+        assert (certify(wide, answer.command_A, answer.multipliers).excess <= 1) == feasible
 
 
 def test_a_feasible_problem_needs_no_wider_limits() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,18 +12,18 @@ import pytest
 from numpy.typing import NDArray
 
 import problems
+from tests.benches.limits import drawn_ray, with_limit, with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.build import Build
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
-from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
+from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.heat import Budget
 from transopt.problem.leave_out import pressing
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import layout, linear_stage
-from transopt.problem.stage_data import Derivatives, Stages, derivatives, runtime_stages
+from transopt.problem.stage_data import Stages, stages
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.recordings.reference import build_references
@@ -71,9 +71,8 @@ def hot(scene: Scene) -> Callable[..., TransientProblem]:
     def make(problem: TransientProblem, **budget: float) -> TransientProblem:
         coil = scene.coil()
         assert coil is not None
-        return replace(
-            problem, thermal=temperature_limit(coil, problem.stage.amplifier, problem.grid, Budget(**budget))
-        )
+        limit = temperature_limit(coil, problem.stage.amplifier, problem.grid, Budget(**budget))
+        return with_limit(problem, limit)
 
     return make
 
@@ -105,13 +104,10 @@ def places(given: Stages, shape: Shape) -> tuple[NDArray[np.intp], NDArray[np.in
 
 class TestStageData:
     @pytest.mark.parametrize("name", SCENES)
-    @pytest.mark.parametrize("read", [riccati.stages, runtime_stages])
-    def test_agrees_with_the_casadi_statement(
-        self, hardest: Callable[[str], TransientProblem], name: str, read: Callable[[TransientProblem], Stages]
-    ) -> None:
-        """Objective and every limit at a random point, to 1e-12 of their size; what the runtime has as well."""
+    def test_agrees_with_the_casadi_statement(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
+        """Objective and every limit at a random point, to 1e-12 of their size."""
         problem = hardest(name)
-        given, statement = read(problem), state(problem)
+        given, statement = stages(problem), state(problem)
         limits, a = given.limits, given.arrays
         shape, program = statement.shape, state_program(statement.shape)
         N, n, m = shape.stages, shape.layout.states, shape.nodes
@@ -146,25 +142,12 @@ class TestStageData:
             )
 
     @pytest.mark.parametrize("name", SCENES)
-    def test_the_runtime_has_the_derivatives_of_the_statement(
-        self, hardest: Callable[[str], TransientProblem], name: str
-    ) -> None:
-        """Written out by hand, they are those that CasADi takes, to 1e-12 of the largest of each."""
-        problem = hardest(name)
-        stage = linear_stage(problem)
-        stated, by_hand = riccati.derivatives(problem, stage), derivatives(problem, stage, layout(problem))
-        for field in fields(Derivatives):
-            wanted = getattr(stated, field.name)
-            tolerance = 1e-12 * max(np.abs(wanted).max(), 1.0)
-            np.testing.assert_allclose(getattr(by_hand, field.name), wanted, rtol=0, atol=tolerance)
-
-    @pytest.mark.parametrize("name", SCENES)
     def test_every_limit_of_the_statement_stands_in_one_row(
         self, hardest: Callable[[str], TransientProblem], name: str
     ) -> None:
         """With its bounds; but for those of a plain hand-over, which is a rule."""
         problem = hardest(name)
-        given, statement = riccati.stages(problem), state(problem)
+        given, statement = stages(problem), state(problem)
         shape, limits = statement.shape, given.limits
         variables, constraints = places(given, shape)
         bounded = np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x)
@@ -268,24 +251,18 @@ class TestInfeasible:
         """The hand-over asks for what the wall wants; a slew limit keeps the command far from it."""
         problem = walled(4000.0, 0.4, 5.0)
         problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
-        limits = replace(problem.limits, current_A=0.05)
-        answer = solve(replace(problem, limits=limits, thermal=None), OWN)
+        answer = solve(with_numbers(problem, current_A=0.05).without("temperature"), OWN)
         assert answer.status is Status.INFEASIBLE
         assert "ray" in answer.message
 
     def test_nothing_proves_a_feasible_problem_infeasible(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
         answer = solve(problem, OWN)
-        random, N = np.random.default_rng(5), problem.grid.stages
+        random = np.random.default_rng(5)
         assert not is_infeasible(problem, answer.command_A, answer.multipliers)
         for scale in (1.0, 1e8):
-            drawn = {
-                field.name: scale * random.exponential(size=N) * (random.random(N) < 0.05)
-                for field in fields(Multipliers)
-                if field.name not in ("hand_over", "current_sign")
-            }
-            made = replace(Multipliers.zero(problem), **drawn)
-            assert not is_infeasible(problem, answer.command_A, made)
+            ray = drawn_ray(problem, random, scale)
+            assert not is_infeasible(problem, answer.command_A, ray)
 
 
 class TestAbsence:

@@ -62,6 +62,15 @@ class Row:
             total = total + by * output_values(output, motion, command_A)
         return np.asarray(total)
 
+    def by_outputs(self, motion: Motion, command_A: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
+        """Output -> gradient (N,) by it, for a gradient (N,) by the value."""
+        return {output: coefficient * gradient for output, coefficient in self.outputs.items()}
+
+    @property
+    def linear(self) -> bool:
+        """Whether the value is a sum of outputs."""
+        return True
+
     @property
     def waits(self) -> bool:
         """Whether the command c_k has no say in the value of stage k: in that of the first nobody has."""
@@ -81,18 +90,24 @@ def output_values(name: str, motion: Motion, command_A: FloatArray) -> FloatArra
     return motion.velocity_m_s if name == VELOCITY else motion.outputs[name]
 
 
-def transposed(by_value: Iterable[tuple[Row, FloatArray]], stages: int) -> tuple[Motion, FloatArray]:
-    """Gradients by the motion and, directly, by the commands (N,) for gradients (N,) by the values of rows."""
+def transposed(
+    by_value: Iterable[tuple[Row, FloatArray]], motion: Motion, command_A: FloatArray
+) -> tuple[Motion, FloatArray]:
+    """Gradients by the motion and, directly, by the commands (N,) for gradients (N,) by the values of rows.
+
+    Parameters
+    ----------
+    motion, command_A : where the gradients are taken; only a row that is not linear looks at them.
+    """
     by: dict[str, FloatArray] = {}
-    nothing = np.zeros(stages)
+    nothing = np.zeros(command_A.size)
     for row, gradient in by_value:
-        for output, coefficient in row.outputs.items():
-            by[output] = by.get(output, nothing) + coefficient * gradient
+        for output, part in row.by_outputs(motion, command_A, gradient).items():
+            by[output] = by.get(output, nothing) + part
     by_command = by.pop(COMMAND, nothing)
     if (by_held := by.pop(HELD, None)) is not None:
         by_command = by_command + np.append(by_held[1:], 0.0)
-    motion = Motion(nothing, by.pop(CURRENT, nothing), by.pop(VELOCITY, nothing), nothing, by)
-    return motion, by_command
+    return Motion(nothing, by.pop(CURRENT, nothing), by.pop(VELOCITY, nothing), nothing, by), by_command
 
 
 class Posed(Protocol):
@@ -190,6 +205,16 @@ class Limit(ABC):
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         """What it bounds; nothing for a limit that has a state of its own."""
         return ()
+
+    @property
+    def linear(self) -> bool:
+        """Whether all that it bounds are sums of outputs, so that a quadratic program can have it."""
+        return True
+
+    def said(self, side: str, *, two_sided: bool) -> str:
+        """The bound of a side where it binds."""
+        sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]
+        return f"{sign}{self.stated:.8g}"
 
     @classmethod
     def base_unit(cls) -> str:

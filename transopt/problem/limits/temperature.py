@@ -78,6 +78,10 @@ class TemperatureLimit(Limit):
         return replace(self, model=replace(self.model, headroom_K=self.model.headroom_K + rise))
 
     @property
+    def linear(self) -> bool:
+        return False
+
+    @property
     def room(self) -> float:
         """Largest headroom over the unpowered course [K]."""
         headroom = self.model.headroom_K

@@ -1,0 +1,168 @@
+"""A limit of a user's own, between two bounds: what is known of it once `solvers.own` has read its expression.
+
+An expression that is linear in its outputs, with coefficients that do not change along the horizon, is a row like any
+other. What else it may be is a law: a function of the outputs whose values and derivatives somebody else computes,
+since nothing in this room loads CasADi. A problem with a law is no quadratic program.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import AFTER, Motion
+from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, Limit, Posed, Row, Setting, output_values
+
+OF_EVERY_STAGE = (CURRENT, COMMAND, HELD)
+
+
+class Law(Protocol):
+    """A function of outputs (m, N), stage by stage.
+
+    Attributes
+    ----------
+    text : the function as CasADi writes it, by which two laws are the same.
+    """
+
+    @property
+    def text(self) -> str: ...
+
+    def value(self, outputs: FloatArray) -> FloatArray:
+        """(N,)."""
+
+    def slopes(self, outputs: FloatArray) -> FloatArray:
+        """(m, N) derivatives by the outputs."""
+
+
+LawOf = Callable[[str], Law]
+
+
+@dataclass(frozen=True)
+class LawRow(Row):
+    """A row whose value is a law of its outputs.
+
+    Attributes
+    ----------
+    nominal : output -> (N,) or 0: what the nominal motion adds to it.
+    law : of the outputs in their order, the nominal motion included.
+    convex : whether the law is convex for its upper and concave for its lower bound, proven.
+    """
+
+    nominal: Mapping[str, FloatArray | float] = None  # type: ignore[assignment]
+    law: Law = None  # type: ignore[assignment]
+    convex: bool = False
+
+    @property
+    def linear(self) -> bool:
+        return False
+
+    def arguments(self, motion: Motion, command_A: FloatArray) -> FloatArray:
+        """(m, N) the outputs, the nominal motion included."""
+        return np.stack([output_values(name, motion, command_A) + self.nominal[name] for name in self.outputs])
+
+    def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
+        return self.law.value(self.arguments(motion, command_A))
+
+    def by_outputs(self, motion: Motion, command_A: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
+        slopes = self.law.slopes(self.arguments(motion, command_A))
+        return {name: slope * gradient for name, slope in zip(self.outputs, slopes, strict=True)}
+
+
+@dataclass(frozen=True, repr=False)
+class OwnLimit(Limit):
+    """lower <= expression <= upper at the switching instants.
+
+    Attributes
+    ----------
+    lower, upper : infinite where there is no bound.
+    row : what it bounds.
+    """
+
+    key: ClassVar[str] = "own"
+
+    lower: float
+    upper: float
+    row: Row
+
+    @property
+    def stated(self) -> float:
+        return max(abs(bound) for bound in (self.lower, self.upper) if np.isfinite(bound)) or 1.0
+
+    @classmethod
+    def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
+        raise NotImplementedError("made by own_limits")
+
+    @property
+    def linear(self) -> bool:
+        return self.row.linear
+
+    def rows(self, problem: Posed) -> tuple[Row, ...]:
+        return (replace(self.row, lower=self.lower, upper=self.upper),)
+
+    def watched(self, problem: Posed) -> tuple[Row, ...]:
+        # Stated at the switching instants, and known to nobody between them.
+        return ()
+
+    def wider(self, factor: float) -> Self:
+        by = (factor - 1) * self.stated
+        return type(self)(self.lower - by, self.upper + by, self.row)
+
+    def said(self, side: str, *, two_sided: bool) -> str:
+        return f"{self.lower if side == 'lower' else self.upper:.8g}"
+
+
+def outputs_needed(tables: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Outputs that a stage has to name for these limits."""
+    named = [name.removesuffix(AFTER) for table in tables for name in table["outputs"]]
+    return [name for name in dict.fromkeys(named) if name not in OF_EVERY_STAGE]
+
+
+def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: LawOf | None) -> tuple[OwnLimit, ...]:
+    """The limits that these tables state, as `solvers.own` writes them.
+
+    Raises
+    ------
+    InputError : offsets for another number of stages, or an expression that is not linear where nothing computes it.
+    """
+    nominal = {"position": setting.nominal_m, "velocity": setting.nominal_m_s}
+    found = []
+    for table in tables:
+        lower = -np.inf if table["lower"] is None else float(table["lower"])
+        upper = np.inf if table["upper"] is None else float(table["upper"])
+        part: dict[str, FloatArray | float] = {name: nominal.get(name, 0.0) for name in table["outputs"]}
+        kind = _kind(table["name"], table["unit"])
+        row: Row
+        if table["coefficients"] is not None:
+            offset = np.asarray(table["offsets"], dtype=float)
+            if offset.size not in (1, setting.grid.stages):
+                raise InputError(
+                    f"limits.own: {table['name']} was read for {offset.size} stages, the problem has "
+                    f"{setting.grid.stages}: load the scene again"
+                )
+            outputs = dict(zip(table["outputs"], table["coefficients"], strict=True))
+            moved = sum((coefficient * part[name] for name, coefficient in outputs.items()), start=offset)
+            row = Row(table["name"], outputs, lower, upper, np.broadcast_to(moved, setting.grid.stages))
+        else:
+            if law_of is None:
+                raise InputError(f"limits.own: {table['name']} is not linear, and nothing here evaluates it")
+            outputs = dict.fromkeys(table["outputs"], 1.0)
+            row = LawRow(
+                table["name"],
+                outputs,
+                lower,
+                upper,
+                nominal=part,
+                law=law_of(table["function"]),
+                convex=(upper == np.inf or table["convex"][1]) and (lower == -np.inf or table["convex"][0]),
+            )
+        found.append(kind(lower, upper, row))
+    return tuple(found)
+
+
+def _kind(name: str, unit: str) -> type[OwnLimit]:
+    """The kind of limit that bears this name."""
+    words = {"name": name, "label": name, "unit": unit, "step_unit": unit, "row_names": (name,)}
+    return type(f"OwnLimit_{name}", (OwnLimit,), words)

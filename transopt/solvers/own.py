@@ -1,0 +1,206 @@
+"""Limits of a user's own: a CasADi expression of outputs, states, command and stage, read and taken apart.
+
+    # my_limits.py
+    import transopt as to
+
+    LIMITS = [to.own_limit("joint_force", "N", lambda s: 6e4 * s.state(1), lower=-12.0, upper=12.0)]
+
+A scene names the file, `limits.own = ["my_limits.py"]`, and holds from then on what was read from it: who has the
+scene or a library solved from it needs neither the file nor, where all is linear, CasADi.
+"""
+
+import keyword
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.discretise import AFTER
+from transopt.problem.limits import KINDS
+from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY
+
+CURVED = 1e-12  # of the largest curvature: what rounding leaves of none
+TAKEN = {row for kind in KINDS for row in kind.row_names} | {"end"}
+
+
+class StageSymbols:
+    """What an expression may be made of, at the switching instant tau_k of stage k; each is a CasADi symbol.
+
+    Attributes
+    ----------
+    stage : k, from 0.
+    """
+
+    def __init__(self) -> None:
+        self.stage = ca.SX.sym("stage")
+        self.used: dict[str, ca.SX] = {}
+
+    def _output(self, name: str) -> ca.SX:
+        return self.used.setdefault(name, ca.SX.sym(f"output_{len(self.used)}"))
+
+    @property
+    def current(self) -> ca.SX:
+        """i(tau_k) [A]."""
+        return self._output(CURRENT)
+
+    @property
+    def command(self) -> ca.SX:
+        """c_k, felt from tau_k on [A]."""
+        return self._output(COMMAND)
+
+    @property
+    def previous_command(self) -> ca.SX:
+        """c_(k-1), felt until tau_k [A]."""
+        return self._output(HELD)
+
+    @property
+    def position(self) -> ca.SX:
+        """z of the motor mass, the nominal motion included [m]."""
+        return self._output("position")
+
+    @property
+    def velocity(self) -> ca.SX:
+        """dz/dt of the motor mass, the nominal motion included [m/s]."""
+        return self._output(VELOCITY)
+
+    def state(self, number: int) -> ca.SX:
+        """State `number`, from 1, of the plant: of a chain first its elongations, then its velocities."""
+        return self._output(f"state {number}")
+
+    def state_after(self, number: int) -> ca.SX:
+        """The same state one period later, which c_k has moved by then."""
+        return self._output(f"state {number}{AFTER}")
+
+
+@dataclass(frozen=True)
+class StatedLimit:
+    """A limit as its file states it, taken apart.
+
+    Attributes
+    ----------
+    name, unit : what it is called, and the unit of its bounds.
+    outputs : that the expression depends on, in the order of its arguments.
+    lower, upper : bounds; None for none.
+    coefficients : by the outputs, of a linear expression; None of another.
+    expression : Function (outputs (m,), k) -> value.
+    convex : whether a lower and an upper bound leave a convex set, proven from a constant second derivative.
+    """
+
+    name: str
+    unit: str
+    outputs: tuple[str, ...]
+    lower: float | None
+    upper: float | None
+    coefficients: tuple[float, ...] | None
+    expression: ca.Function
+    convex: tuple[bool, bool]
+
+    def table(self, stages: int) -> dict[str, Any]:
+        """What a scene and a library hold of it, in numbers and text."""
+        offsets = None
+        if self.coefficients is not None:
+            nothing = np.zeros((len(self.outputs), stages))
+            found = np.asarray(self.expression.map(stages)(nothing, np.arange(stages)[None])).ravel()
+            offsets = [float(found[0])] if np.ptp(found) == 0 else found.tolist()
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "outputs": list(self.outputs),
+            "lower": self.lower,
+            "upper": self.upper,
+            "coefficients": None if self.coefficients is None else list(self.coefficients),
+            "offsets": offsets,
+            "function": None if self.coefficients is not None else str(self.expression.serialize()),
+            "convex": list(self.convex),
+        }
+
+
+def own_limit(
+    name: str,
+    unit: str,
+    expression: Callable[[StageSymbols], Any],
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+) -> StatedLimit:
+    """State a limit lower <= expression <= upper at every switching instant.
+
+    Parameters
+    ----------
+    name : of the limit, where it binds and in the library's arrays: letters, digits and underscores.
+    unit : of the expression.
+    expression : from a `StageSymbols` to a CasADi expression of its symbols.
+    lower, upper : bounds in that unit, one at least.
+
+    Raises
+    ------
+    InputError : a name that cannot be one, no bound, bounds that cross, or no scalar expression.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name) or name in TAKEN:
+        raise InputError(f"limit {name!r}: the name must be a word of letters, digits and _ that no other limit has")
+    if lower is None and upper is None:
+        raise InputError(f"limit {name}: state lower, upper or both")
+    if not (-np.inf if lower is None else lower) < (np.inf if upper is None else upper):
+        raise InputError(f"limit {name}: lower = {lower} must be below upper = {upper}")
+    symbols = StageSymbols()
+    value = ca.SX(expression(symbols))
+    if value.shape != (1, 1) or not symbols.used:
+        raise InputError(f"limit {name}: the expression must be one number that depends on an output")
+    u, k = ca.vertcat(*symbols.used.values()), symbols.stage
+    stray = [str(each) for each in ca.symvar(value) if not ca.depends_on(ca.vertcat(u, k), each)]
+    if stray:
+        raise InputError(f"limit {name}: the expression has a symbol of its own, {stray[0]}")
+    slope, curvature = ca.jacobian(value, u), ca.hessian(value, u)[0]
+    coefficients = None
+    if not ca.depends_on(slope, ca.vertcat(u, k)):
+        coefficients = tuple(float(each) for each in np.asarray(ca.evalf(ca.densify(slope))).ravel())
+    return StatedLimit(
+        name=name,
+        unit=unit,
+        outputs=tuple(symbols.used),
+        lower=None if lower is None else float(lower),
+        upper=None if upper is None else float(upper),
+        coefficients=coefficients,
+        expression=ca.Function(name, [u, k], [value], ["outputs", "stage"], ["value"]),
+        convex=_convex(curvature, ca.vertcat(u, k)),
+    )
+
+
+def _convex(curvature: ca.SX, arguments: ca.SX) -> tuple[bool, bool]:
+    if ca.depends_on(curvature, arguments):
+        return False, False
+    values = np.linalg.eigvalsh(np.asarray(ca.evalf(ca.densify(curvature))))
+    least = CURVED * float(np.abs(values).max(initial=0.0))
+    return bool(values.max(initial=0.0) <= least), bool(values.min(initial=0.0) >= -least)
+
+
+class CasadiLaw:
+    """The law of an expression, from its text."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self._value = ca.Function.deserialize(text)
+        m = self._value.size1_in(0)
+        u, k = ca.SX.sym("u", m), ca.SX.sym("k")
+        self._slopes = ca.Function("slopes", [u, k], [ca.jacobian(self._value(u, k), u).T])
+
+    def value(self, outputs: FloatArray) -> FloatArray:
+        """(N,) of outputs (m, N)."""
+        N = outputs.shape[1]
+        return np.asarray(self._value.map(N)(outputs, np.arange(N)[None])).ravel()
+
+    def slopes(self, outputs: FloatArray) -> FloatArray:
+        """(m, N) derivatives by the outputs."""
+        N = outputs.shape[1]
+        return np.asarray(self._slopes.map(N)(outputs, np.arange(N)[None]))
+
+
+@lru_cache(maxsize=64)
+def law(text: str) -> CasadiLaw:
+    """The law that a table's `function` holds."""
+    return CasadiLaw(text)
