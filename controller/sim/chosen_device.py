@@ -17,9 +17,9 @@ def find_scene(scene: str) -> Scene:
     ------
     InputError : there is none, or it cannot be used.
     """
-    import problems
+    from transopt.scene import builtin
 
-    return problems.load(scene)
+    return builtin.load_scene(scene)
 
 
 def scene_like(named: str | Path) -> Scene:

@@ -1,1 +1,1 @@
-"""The command `transopt`, one file per command; the only room that knows the built-in problems."""
+"""The command `transopt`, one file per command."""

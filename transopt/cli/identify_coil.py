@@ -69,9 +69,9 @@ def identify_coil(
 
 
 def _coil_of(scene: str) -> "CoilModel":
-    import problems
+    from transopt.scene import builtin
 
-    coil = problems.load(scene).coil()
+    coil = builtin.load_scene(scene).coil()
     if coil is None:
         raise InputError(f"--scene {scene}: states no motor, so no coil; give a scene with [motor]")
     return coil

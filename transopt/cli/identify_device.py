@@ -120,9 +120,9 @@ def _settings(
     ------
     InputError : options that exclude each other, a value out of range, a scene or a model file that cannot be read.
     """
-    import problems
     from transopt.identify.device.identify import Kind, Settings
     from transopt.plant.amplifier import Amplifier
+    from transopt.scene import builtin
     from transopt.scene.model_file import load_model
 
     if scene_name is not None and force_per_current_N_A is not None:
@@ -133,8 +133,8 @@ def _settings(
         raise InputError(f"--kind {kind}: unknown; choose {', '.join(Kind)}")
     if kind == Kind.DRIVE and order is not None:
         raise InputError("--order is that of a state space: leave it out with --kind drive")
-    known = problems.load(scene_name or DEFAULT_SCENE)
-    nominal = _nominal(known) or _nominal(problems.load(DEFAULT_SCENE))
+    known = builtin.load_scene(scene_name or DEFAULT_SCENE)
+    nominal = _nominal(known) or _nominal(builtin.load_scene(DEFAULT_SCENE))
     assert nominal is not None
     force = force_per_current_N_A or known.drive_at_tip().force_per_current_N_A
     amplifier = known.amplifier_model()

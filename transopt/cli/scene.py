@@ -24,19 +24,19 @@ def scene_list() -> None:
     """Name the built-in scenes and what each shows."""
     import tomllib
 
-    import problems
+    from transopt.scene import builtin
 
-    for name in problems.scene_names():
-        text = problems.scene_path(name).read_text(encoding="utf-8")
+    for name in builtin.scene_names():
+        text = builtin.scene_path(name).read_text(encoding="utf-8")
         typer.echo(f"{name:20} {tomllib.loads(text)['description']}")
 
 
 @app.command("show")
 def scene_show(name: str) -> None:
     """Print a built-in scene, comments included."""
-    import problems
+    from transopt.scene import builtin
 
-    typer.echo(problems.scene_path(name).read_text(encoding="utf-8"), nl=False)
+    typer.echo(builtin.scene_path(name).read_text(encoding="utf-8"), nl=False)
 
 
 @app.command("new")
@@ -44,12 +44,12 @@ def scene_new(
     file: Path, source: Annotated[str, typer.Option("--from", help="Built-in scene to copy.")] = DEFAULT_SCENE
 ) -> None:
     """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
-    import problems
+    from transopt.scene import builtin
 
     if file.suffix != ".toml":
         raise InputError(f"{file}: a scene file ends in .toml")
     # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
-    text = problems.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')
+    text = builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')
     try:
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
@@ -65,9 +65,9 @@ def scene_keys(
     scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
 ) -> None:
     """Print every number and choice that a scene may state: unit, default, value here, what is allowed."""
-    import problems
+    from transopt.scene import builtin
 
-    loaded = problems.load(scene)
+    loaded = builtin.load_scene(scene)
     terminal.console().print(key_table(loaded, f"{loaded.name}: keys of a scene"))
 
 

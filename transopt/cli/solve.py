@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from transopt.design.build import Build
-    from transopt.recordings.recording import Recording
     from transopt.scene.scene import Scene
     from transopt.solvers.options import SolverOptions
 
@@ -88,26 +87,15 @@ def solve(
 
 def _load(scene: str, recordings: Path | None) -> "Scene":
     """A scene by built-in name or by path, with the recordings folder replaced if one is given."""
-    import problems
+    from transopt.scene import builtin
 
-    loaded = problems.load(scene)
+    loaded = builtin.load_scene(scene)
     if recordings is None:
         return loaded
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: no such folder")
     settings = loaded.recordings.model_copy(update={"folder": str(recordings.resolve())})
     return loaded.model_copy(update={"recordings": settings})
-
-
-def _recordings(scene: "Scene") -> "list[Recording]":
-    """Simulated or read, as the scene states."""
-    if scene.recordings.simulated is not None:
-        from transopt.scene.strikes import recordings
-
-        return recordings(scene)
-    from transopt.recordings.tap import read_recordings
-
-    return read_recordings(scene.recordings)
 
 
 def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
@@ -123,6 +111,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     from transopt.design.build import build_library
     from transopt.design.refine_grid import refine_grid
     from transopt.report.write import write_report
+    from transopt.scene.recordings import recordings_of
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     watched = sys.stderr.isatty()
@@ -132,7 +121,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
         def tell(text: str, done: int, total: int) -> None:
             bar.update(task, description=text, completed=done, total=total)
 
-        scene, taps, refinement = wanted.scene, _recordings(wanted.scene), None
+        scene, taps, refinement = wanted.scene, recordings_of(wanted.scene), None
         if wanted.grid_tolerance is not None:
             refinement = refine_grid(
                 scene,

@@ -83,10 +83,10 @@ def study(
     One row per solve in rows.csv, report.md and a figure beside it. Exit 1: nothing certified, a row that is neither
     certified nor refused for a stated cause, or no value that meets --require.
     """
-    import problems
+    from transopt.scene import builtin
 
     if list_keys:
-        terminal.console().print(key_table(problems.load(scene)))
+        terminal.console().print(key_table(builtin.load_scene(scene)))
         return
     if out is None:
         raise InputError("--out: give a folder")
@@ -153,14 +153,14 @@ def check_together(request: Request) -> None:
 
 def run(request: Request, scene: str) -> int:
     """Solve and write what is asked for; the exit code."""
-    import problems
+    from transopt.scene import builtin
     from transopt.study.axes import apply_settings, parse_axis, parse_numbers
     from transopt.study.executors import executor_pool
     from transopt.study.named import STUDIES, write
     from transopt.study.plan import Plan
 
-    files = [problems.FOLDER]
-    loaded = apply_settings(problems.load(scene), request.settings, files)
+    files = [builtin.FOLDER]
+    loaded = apply_settings(builtin.load_scene(scene), request.settings, files)
     jobs = (os.cpu_count() or 1) if request.jobs is None else request.jobs
     with closing(executor_pool(request.executor or "processes", jobs)) as pool:
         terminal.make_folder(request.out)
