@@ -2,12 +2,13 @@
 
 import json
 import zipfile
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.benches.libraries import library_of
 from transopt.base.errors import InputError
 from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.library.file import load_library
@@ -41,6 +42,10 @@ def test_round_trip(library: Library, saved: Path) -> None:
     for field in fields(Library):
         if field.name == "meta":
             assert again.meta == library.meta
+        elif field.name == "multipliers_of":
+            assert set(again.multipliers_of) == set(library.multipliers_of)
+            for name, array in library.multipliers_of.items():
+                np.testing.assert_array_equal(again.multipliers_of[name], array)
         else:
             np.testing.assert_array_equal(getattr(again, field.name), getattr(library, field.name))
 
@@ -79,7 +84,7 @@ def test_hand_over_is_zero_and_transient_is_the_command(library: Library) -> Non
 
 @pytest.mark.parametrize("field", ["command_A", "mu_current_upper", "plant_A", "nrmse"])
 def test_any_changed_number_is_noticed(saved: Path, library: Library, field: str) -> None:
-    array = getattr(library, field).copy()
+    array = library.array(field).copy()
     array.flat[-1] += 1e-12
     rewrite(saved, **{field: array})
     with pytest.raises(InputError, match="does not match its hash"):
@@ -270,6 +275,6 @@ class TestBlend:
         cut = {}
         for name, stated in ARRAYS.items():
             index = tuple(slice(1, 2) if letter in "vg" else slice(None) for letter in stated.shape)
-            cut[name] = getattr(library, name)[index]
-        small = replace(library, **cut)
+            cut[name] = library.array(name)[index]
+        small = library_of(cut, library.meta)
         np.testing.assert_array_equal(small.at(0.9, 0.6).command_A, library.command_A[1, 1])

@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from tests.benches.libraries import library_of
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
 from transopt.design.build import Build
 from transopt.design.entry import Baselines, Entry
@@ -58,7 +59,7 @@ def make_library(nv: int = 2, ng: int = 2, stages: int = 300, decay_s: float = 2
         "limits": {"current_A": LIMIT_A},
         "hand_over_samples": 10,
     }
-    return Library(**arrays, meta=meta)
+    return library_of(arrays, meta)
 
 
 def make_entry(speed_m_s: float = 0.1, grip_N: float = 3.0, nrmse: float = 0.1, **changes: Any) -> Entry:
@@ -72,7 +73,7 @@ def make_entry(speed_m_s: float = 0.1, grip_N: float = 3.0, nrmse: float = 0.1, 
         peak_command_A=0.0,
         after_peak_m_s2=0.0,
         after_peak_A=0.0,
-        peak_voltage_V=float("nan"),
+        reached={},
         winding_C=0.0,
         housing_C=0.0,
         command_A=empty,
@@ -184,11 +185,11 @@ def test_the_free_device_is_named_so() -> None:
 def test_the_limit_is_shaded_where_it_binds_and_nowhere_else() -> None:
     library = make_library()
     library.current_A[1, 1, 20:31] = LIMIT_A
-    library.mu_current_upper[1, 1, 20:31] = 1e-4
+    library.array("mu_current_upper")[1, 1, 20:31] = 1e-4
     library.current_A[0, 1, 28:41] = -LIMIT_A
-    library.mu_current_lower[0, 1, 28:41] = 1e-4
+    library.array("mu_current_lower")[0, 1, 28:41] = 1e-4
     library.current_A[0, 0, 50] = LIMIT_A  # touches the limit without pushing against it
-    library.mu_current_upper[0, 0, 60] = 1e-4  # a multiplier inside the limit is rounding
+    library.array("mu_current_upper")[0, 0, 60] = 1e-4  # a multiplier inside the limit is rounding
     figure = library_figure(library)
     times_ms = 1e3 * library.time_grid().switching_times_s
     for axes in (figure.axes[1], figure.axes[3]):

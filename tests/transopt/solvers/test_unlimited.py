@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.benches.limits import with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.signals import FloatArray
 from transopt.design.optimum import ROUNDED
@@ -13,7 +14,6 @@ from transopt.plant.discretise import Motion, discretise
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.leave_out import pressing
-from transopt.problem.limits.limit import Limits
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
