@@ -160,7 +160,7 @@ def known_truth(library: Library, device: Device) -> Stage:
     for iv, ig in nodes_of(library):
         stage = discretise(plant_of(device, float(library.grips_N[ig])), device.amplifier, library.meta["dt_s"])
         grid = replace(library.time_grid(), delay_s=device.delay_s)
-        problem = replace(library.problem(iv, ig), stage=stage, grid=grid, thermal=None)
+        problem = replace(library.problem(iv, ig).without("temperature"), stage=stage, grid=grid)
         found = optimum(problem, SolverOptions())
         if not found.is_proven:
             raise InputError(f"optimum of the true device: {found.solution.status.value}")

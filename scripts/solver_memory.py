@@ -23,9 +23,10 @@ import numpy as np
 import problems
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
+from transopt.problem import stage_data
 from transopt.problem.leave_out import pressing
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import Stages, runtime_stages, without_limits
+from transopt.problem.stage_data import Stages, without_limits
 from transopt.recordings.reference import build_references
 from transopt.scene.strikes import recordings
 from transopt.solvers.native import extension as native
@@ -61,18 +62,18 @@ def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
 
 def cases() -> Iterator[Stages]:
     found = {name: hardest(name) for name in SCENES}
-    plain = replace(found["wood_on_foam"], thermal=None)
+    plain = found["wood_on_foam"].without("temperature")
     for problem in found.values():
-        yield runtime_stages(problem)
+        yield stage_data.stages(problem)
         yield without_limits(problem)
-    yield runtime_stages(replace(plain, spread=(plain.stage, plain.stage)))
+    yield stage_data.stages(replace(plain, spread=(plain.stage, plain.stage)))
     for stages in (1, 2, 12):
-        yield runtime_stages(shortened(plain, stages))
+        yield stage_data.stages(shortened(plain, stages))
         yield without_limits(shortened(plain, stages))
-    tight = runtime_stages(found["walled"])
+    tight = stage_data.stages(found["walled"])
     yield replace(tight, arrays=tight.arrays | {"upper": tight.arrays["upper"] - 2.0})  # below the lower limits
     nothing = np.full_like(plain.reference_m_s2, np.nan)
-    given = runtime_stages(plain)
+    given = stage_data.stages(plain)
     yield replace(given, arrays=given.arrays | {"reference": nothing})
     yield without_limits(replace(plain, rho=0.0, tracking_weights=np.zeros(plain.grid.stages)))
 

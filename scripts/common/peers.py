@@ -15,7 +15,7 @@ def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
     current as it stands in the seed's Eq. 7.
     """
     stage, limits, N = problem.stage, problem.limits, problem.grid.stages
-    assert limits.command_A is not None
+    range_A = limits["command"].stated
     r, n = problem.reference_m_s2, stage.A.shape[0]
     state, movement = ca.MX.sym("z", n + 1), ca.MX.sym("dc")
     command = state[n] + movement
@@ -28,7 +28,7 @@ def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
     for k in range(N):
         opti.subject_to(z[:, k + 1] == advance(z[:, k], dc[k]))
         opti.subject_to(opti.bounded(-limits.current_A, z[n - 1, k], limits.current_A))
-        opti.subject_to(opti.bounded(-limits.command_A, z[n, k + 1], limits.command_A))
+        opti.subject_to(opti.bounded(-range_A, z[n, k + 1], range_A))
         cost += (stage.C @ z[:n, k] - wanted[k]) ** 2 / float(r @ r) + problem.movement_weight * dc[k] ** 2
         if k >= problem.free_stages:
             opti.subject_to(z[n, k + 1] == 0)

@@ -123,10 +123,8 @@ def judge(problem: TransientProblem, command_A: FloatArray, reference_objective:
     motion = problem.stage.motion(command_A)
     excess = []
     for box in boxes(problem, command_A, motion, Multipliers.zero(problem)):
-        size = box.bound
-        if box.lower is None:
-            assert problem.thermal is not None
-            size = problem.thermal.model.headroom_K
+        # The room that a limit leaves is the bound itself, but for the temperature what it may rise.
+        size = box.upper if problem.thermal is not box.limit else problem.thermal.model.headroom_K
         stated = np.isfinite(size)
         excess.append(float((box.excess[stated] / size[stated]).max(initial=0.0)))
     tail = np.abs(command_A - problem.hand_over_command(motion))[problem.free_stages :]

@@ -121,17 +121,16 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
     """
     parts = {
         "a temperature limit": problem.thermal is not None,
-        "a supply limit": problem.supply is not None,
-        "a slew limit": problem.limits.slew_A_per_s is not None,
+        "a supply limit": "supply" in problem.limits,
+        "a slew limit": "slew" in problem.limits,
         "a wall": problem.wall is not None,
         "an error filter": problem.error_filter is not None,
         "a spread of devices": bool(problem.spread),
-        "an ideal amplifier": problem.limits.command_A is None,
+        "an ideal amplifier": "command" not in problem.limits,
     }
     for part, present in parts.items():
         if present:
             raise InputError(f"{name}: has {part}, which the plain QP of current and command limits does not state")
-    assert problem.limits.command_A is not None
     statement, stage = state(problem), linear_stage(problem)
     data = transcribe.state_program(statement.shape).qp_data(p=statement.p)
     boxed = np.flatnonzero(np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x))
@@ -156,7 +155,7 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         units=stage.units,
         current_unit_A=stage.current_A,
         current_limit_A=problem.limits.current_A,
-        command_limit_A=problem.limits.command_A,
+        command_limit_A=problem.limits["command"].stated,
         hand_over_samples=problem.hand_over_samples,
         reference_m_s2=r,
         tracking_weights=problem.tracking_weights,

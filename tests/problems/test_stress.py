@@ -19,7 +19,9 @@ from problems.stress.oracle import Verdict, admits_a_command
 from transopt.base import console
 from transopt.design.optimum import Designed, optimum
 from transopt.problem.answer import Certificate, Status
-from transopt.problem.limits.limit import Limits
+from transopt.problem.limits.command import CommandLimit
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.limits.slew import SlewLimit
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -292,7 +294,10 @@ def test_one_case_alone_is_told_in_full(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:
-    for name in ("current_A", "command_A", "slew_A_per_s"):
-        make = partial(Limits, **{"current_A": 1.0, "command_A": 1.0, name: float("nan")})
+    for name, make in (
+        ("current_A", CurrentLimit),
+        ("command_A", CommandLimit),
+        ("slew_A_per_s", partial(SlewLimit, dt_s=1e-4)),
+    ):
         with pytest.raises(ValueError, match=f"limits.{name} = nan"):
-            make()
+            make(float("nan"))

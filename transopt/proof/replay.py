@@ -33,7 +33,8 @@ class Replay:
     peak_current_A, peak_command_A : over all t.
     after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
     after_peak_A : largest |i| there, all of it the wall's feedback.
-    reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in.
+    reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in; 0
+        where nothing of it can be seen between the ticks.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
     command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
@@ -63,8 +64,8 @@ class Replay:
         return float(peak_scale(np.abs(self.acceleration_m_s2).max(), self.rounding_m_s2))
 
     def peak(self, limit: Limit) -> float:
-        """Largest size over all t of what a limit bounds; 0 where nothing can be seen of it between the ticks."""
-        return self.winding_C if limit.name == TemperatureLimit.name else self.reached.get(limit.name, 0.0)
+        """Largest size over all t of what a limit bounds; NaN where the replay was not asked about it."""
+        return self.winding_C if limit.name == TemperatureLimit.name else self.reached.get(limit.name, float("nan"))
 
     def shortfalls(self, problem: TransientProblem, command_A: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
         """What speaks against admitting this command (N,), one sentence each; empty if clean."""
@@ -102,7 +103,7 @@ def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid:
     playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
     found = []
     for m, of_entry in enumerate(limits):
-        posed, peaks = _Posed(stage, grid, of_entry), dict[str, float]()
+        posed, peaks = _Posed(stage, grid, of_entry), {limit.name: 0.0 for limit in of_entry}
         for limit in of_entry:
             at = slice(None) if limit.after_the_waveform else playing
             motion = Motion(
@@ -117,7 +118,7 @@ def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid:
                 if isinstance(offset, np.ndarray):
                     offset = np.interp(run.times_s[at], instants[: offset.size], offset)
                 value = replace(row, offset=offset).value(motion, run.felt_A[m, at])
-                peaks[limit.name] = max(peaks.get(limit.name, 0.0), float(np.abs(value).max()))
+                peaks[limit.name] = np.maximum(peaks[limit.name], np.abs(value).max()).item()
         found.append(peaks)
     return found
 

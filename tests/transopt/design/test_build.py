@@ -261,7 +261,14 @@ class TestAdmission:
         limit = temperature_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
         problem = with_limit(problem, limit)
         predicted, _ = problem.stage.rollout(solution.command_A)
-        (played,) = replay(problem.stage, problem.grid, solution.command_A[None], problem.reference_m_s2[None], coil)
+        (played,) = replay(
+            problem.stage,
+            problem.grid,
+            solution.command_A[None],
+            problem.reference_m_s2[None],
+            coil,
+            limits=[problem.limits],
+        )
         return {
             "status": solution.status,
             "certificate": certify(problem, solution.command_A, solution.multipliers),
@@ -306,12 +313,13 @@ class TestAdmission:
     @pytest.mark.parametrize(
         ("change", "text"),
         [
-            ({"peak_current_A": 4.00001}, "replayed current 4.000010 A, limit 4 A"),
-            ({"peak_current_A": np.nan}, "replayed current nan A"),
-            ({"peak_command_A": 6.1}, "command 6.100000 A, limit 6 A"),
+            ({"reached": {"current": 4.00001}}, "replayed current 4.000010 A, limit 4 A"),
+            ({"reached": {"current": np.nan}}, "replayed current nan A"),
+            ({"reached": {"command": 6.1}}, "command 6.100000 A, limit 6 A"),
             ({"winding_C": 100.5}, "winding 100.500 C, limit 100 C"),
             ({"winding_C": 100.002}, "winding 100.002 C, limit 100 C"),
             ({"winding_C": np.nan}, "winding nan C"),
+            ({"reached": {}}, "replayed current nan A"),
             ({"step_error": 1e-3}, "replay did not converge"),
         ],
     )

@@ -34,7 +34,7 @@ def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) 
         assert outcome.binding == entry.binding
         assert outcome.relative_gap <= 1e-6
     mu = own[3].solution.multipliers
-    assert found[3].mu_current_1_A == pytest.approx(
+    assert found[3].multipliers["mu_current_1_A"] == pytest.approx(
         max(mu.lower("current").max(), mu.upper("current").max()), rel=1e-6
     )
 

@@ -131,7 +131,7 @@ class TestVoltage:
         motion = replace(Motion.zero(N), current_A=current, velocity_m_s=velocity)
         zero = stated(problem, Motion.zero(N), np.zeros(N))
         before, after = (v - z for v, z in zip(stated(problem, motion, command), zero, strict=True))
-        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), N)
+        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), motion, command)
         forwards = before @ by_before + after @ by_after
         assert forwards == pytest.approx(
             current @ through.current_A + velocity @ through.velocity_m_s + command @ directly, rel=1e-12
@@ -144,8 +144,9 @@ class TestVoltage:
         random = np.random.default_rng(3)
         command, by_before, by_after = random.standard_normal((3, N))
         zero = stated(problem, Motion.zero(N), np.zeros(N))
-        found = stated(problem, problem.stage.motion(command), command)
-        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), N)
+        motion = problem.stage.motion(command)
+        found = stated(problem, motion, command)
+        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), motion, command)
         gradient = directly + problem.stage.adjoint(through)
         forwards = (found[0] - zero[0]) @ by_before + (found[1] - zero[1]) @ by_after
         assert forwards == pytest.approx(command @ gradient, rel=1e-11)

@@ -133,7 +133,7 @@ def rebuilt(problem: TransientProblem, amplifier: Amplifier | None) -> Transient
     """The same walled entry through another amplifier."""
     stage = discretise(problem.stage.plant, amplifier, DT_S, position=True)
     grid = replace(problem.grid, delay_s=0.0 if amplifier is None else amplifier.delay_s)
-    limits = problem.limits if amplifier is not None else replace(problem.limits, command_A=None)
+    limits = problem.limits if amplifier is not None else problem.limits.without("command")
     return replace(problem, stage=stage, grid=grid, limits=limits)
 
 

@@ -51,7 +51,7 @@ class TestFarkas:
         sign = np.sign(warm.stage.motion(full).current_A)
         last = np.eye(40)[-1]
         for slope in (np.zeros(40), sign, -sign, *np.random.default_rng(1).uniform(-1, 1, (20, 40))):
-            ray = replace(Multipliers.zero(warm), temperature_upper=last, current_sign=slope)
+            ray = replace(Multipliers.zero(warm), slope=slope).with_pair("temperature", np.zeros(40), last)
             assert not is_infeasible(warm, full, ray)
 
     def test_a_coil_that_nothing_keeps_cool_is_proven(self, warm: TransientProblem) -> None:

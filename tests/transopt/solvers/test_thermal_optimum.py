@@ -150,7 +150,7 @@ class TestOptimum:
         # Any multipliers bound, wrong ones worse: too high, too low, at the wrong time, of the wrong sign.
         mu = answer.multipliers.upper("temperature")
         for wrong in (1.5 * mu, 0.5 * mu, np.roll(mu, 100), -mu, np.zeros_like(mu)):
-            weaker = relaxed_bound(effect, replace(answer.multipliers, temperature_upper=wrong))
+            weaker = relaxed_bound(effect, answer.multipliers.with_pair("temperature", np.zeros_like(mu), wrong))
             assert weaker < bound - 1e-3 * optimum_of_relaxed
 
     def test_no_feasible_command_falls_below_the_bound(
@@ -394,7 +394,8 @@ class TestTampering:
         tamper: Callable[[np.ndarray], np.ndarray],
     ) -> None:
         problem, answer, objective = honest
-        wrong = replace(answer.multipliers, temperature_upper=tamper(answer.multipliers.upper("temperature")))
+        mu = tamper(answer.multipliers.upper("temperature"))
+        wrong = answer.multipliers.with_pair("temperature", np.zeros_like(mu), mu)
         assert not certify(problem, answer.command_A, wrong, objective).accepted
 
     def test_a_command_that_is_too_hot(self, honest: tuple[TransientProblem, Solution, float]) -> None:

@@ -1,0 +1,435 @@
+"""Every kind of limit as rows: what it bounds, backwards as well, and in both programs of the solvers."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from problems.stress.cases import Coil, Current, Horizon, StressCase, Surface
+from tests.benches.limits import supply_of
+from tests.conftest import ProblemMaker
+from transopt.base.errors import InputError
+from transopt.library.library import ARRAYS, MULTIPLIERS, Library
+from transopt.plant.discretise import AFTER, Motion, discretise
+from transopt.problem.answer import Multipliers
+from transopt.problem.limits import KINDS, limits_of
+from transopt.problem.limits.command import CommandLimit
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, SIDES, VELOCITY, Limit, Limits, Row, transposed
+from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import linear_stage
+from transopt.problem.stage_data import Stages, stages, stated_rows
+from transopt.proof.certify import Effect, boxes, certify, reduced_gradient
+from transopt.proof.replay import replay
+from transopt.solvers import riccati
+from transopt.solvers.choose import solve
+from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import state_program
+from transopt.solvers.statement import state, variable
+
+LINEAR = ("current", "command", "slew", "supply")
+COIL = Coil(below_K=20.0, tau_w_s=12.0)
+
+
+def all_limits(pole_Hz: float | None = 1050.0, *, walled: bool = False, coil: Coil | None = COIL) -> TransientProblem:
+    """A short problem with every kind of limit that its amplifier allows."""
+    current = Current(limit_A=2.0, pole_Hz=pole_Hz, slew=0.2, supply=1.1)
+    surface = Surface(500.0) if walled else None
+    return StressCase("all", current=current, horizon=Horizon(stages=40), coil=coil, surface=surface).problem()
+
+
+PROBLEMS: dict[str, Callable[[], TransientProblem]] = {
+    "amplifier": all_limits,
+    "ideal": lambda: all_limits(None),
+    "walled": lambda: all_limits(walled=True),
+    "ideal, walled": lambda: all_limits(None, walled=True),
+}
+
+
+@pytest.fixture(params=sorted(PROBLEMS))
+def problem(request: pytest.FixtureRequest) -> TransientProblem:
+    return PROBLEMS[request.param]()
+
+
+def drawn_command(problem: TransientProblem, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-2.0, 2.0, problem.grid.stages)
+
+
+def value_of(problem: TransientProblem, row: str, command_A: np.ndarray) -> np.ndarray:
+    (found,) = (each for _, each in problem.rows() if each.name == row)
+    return found.value(problem.stage.motion(command_A), command_A)
+
+
+class TestValues:
+    def test_the_problems_have_every_kind(self) -> None:
+        assert [limit.name for limit in all_limits().limits] == [kind.name for kind in KINDS]
+        # An ideal amplifier has no range, and no pole that would tell di/dt.
+        assert [limit.name for limit in all_limits(None).limits] == ["current", "slew", "temperature"]
+
+    def test_current(self, problem: TransientProblem) -> None:
+        command = drawn_command(problem)
+        _, current = problem.stage.rollout(command)
+        np.testing.assert_allclose(value_of(problem, "current", command), current, rtol=1e-15, atol=1e-15)
+
+    def test_command_and_slew(self) -> None:
+        problem = all_limits()
+        command = drawn_command(problem)
+        np.testing.assert_array_equal(value_of(problem, "command", command), command)
+        movement = np.diff(command, prepend=0.0)
+        np.testing.assert_allclose(value_of(problem, "slew", command), movement, rtol=0, atol=1e-15)
+
+    @pytest.mark.parametrize("walled", [False, True])
+    def test_supply(self, walled: bool) -> None:
+        """R i + L di/dt + k_e dz/dt with di/dt = w (c - i), c the command felt before and after tau_k."""
+        problem = all_limits(walled=walled)
+        command, supply = drawn_command(problem), supply_of(problem)
+        motion, circuit = problem.stage.motion(command), supply.circuit
+        i, w = motion.current_A, supply.pole_rad_s
+        speed = motion.velocity_m_s + supply.nominal_m_s
+        for row, felt in (("supply_before", np.append(0.0, command[:-1])), ("supply_after", command)):
+            volts = circuit.R_ohm * i + circuit.L_H * w * (felt - i) + circuit.emf_V_s_m * speed
+            np.testing.assert_allclose(value_of(problem, row, command), volts, rtol=1e-12, atol=1e-12)
+
+    def test_temperature(self, problem: TransientProblem) -> None:
+        """No row, since it is no sum of outputs; the certificate reads the limit's own course."""
+        command, thermal = drawn_command(problem), problem.thermal
+        assert thermal is not None
+        assert thermal.rows(problem) == ()
+        motion = problem.stage.motion(command)
+        (box,) = (
+            box
+            for box in boxes(problem, command, motion, Multipliers.zero(problem))
+            if box.limit.name == "temperature"
+        )
+        course = thermal.temperatures_C(motion.current_A, command)
+        np.testing.assert_allclose(box.value, course, rtol=1e-14)
+        np.testing.assert_allclose(box.upper, thermal.limit_C, rtol=1e-12)
+        assert np.all(np.isinf(box.lower))
+
+    def test_bounds_are_those_that_were_asked_for(self, problem: TransientProblem) -> None:
+        for limit, row in problem.rows():
+            assert row.name in limit.row_names
+            assert (row.lower, row.upper) == (-limit.stated, limit.stated)
+
+    def test_many_commands_at_once(self) -> None:
+        problem = all_limits()
+        commands = np.stack([drawn_command(problem, seed) for seed in range(3)])
+        together = problem.stage.motion(commands)
+        for _, row in problem.rows():
+            one_by_one = [row.value(problem.stage.motion(c), c) for c in commands]
+            np.testing.assert_allclose(row.value(together, commands), one_by_one, rtol=0, atol=1e-12)
+
+
+class TestTransposed:
+    """A dot product taken forwards and backwards."""
+
+    def forwards_and_backwards(self, problem: TransientProblem, rows: list[Row]) -> tuple[float, float]:
+        random, N = np.random.default_rng(2), problem.grid.stages
+        command, nothing = drawn_command(problem), np.zeros(N)
+        motion = problem.stage.motion(command)
+        weights = random.standard_normal((len(rows), N))
+        scale = [1 / np.abs(row.value(motion, command)).max() for row in rows]
+        by_row = [(row, s * weight) for row, s, weight in zip(rows, scale, weights, strict=True)]
+        at_rest = Motion.zero(N)
+        at_rest = replace(at_rest, outputs=dict.fromkeys(motion.outputs, nothing))
+        forwards = sum(
+            float((row.value(motion, command) - row.value(at_rest, nothing)) @ gradient) for row, gradient in by_row
+        )
+        through, directly = transposed(by_row, motion, command)
+        return forwards, float(command @ (problem.stage.adjoint(through) + directly))
+
+    def test_every_row_alone_and_all_together(self, problem: TransientProblem) -> None:
+        rows = [row for _, row in problem.rows()]
+        for chosen in (*([row] for row in rows), rows):
+            forwards, backwards = self.forwards_and_backwards(problem, chosen)
+            assert backwards == pytest.approx(forwards, rel=1e-10, abs=1e-12)
+
+    def test_a_row_of_every_output(self) -> None:
+        """The outputs that only a limit asks for as well, at the switching instant and a period later."""
+        problem = all_limits()
+        stage, further = problem.stage, ("position", "state 1")
+        stage = discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=further)
+        problem = replace(problem, stage=stage)
+        names = [CURRENT, COMMAND, HELD, VELOCITY, *further, *(name + AFTER for name in further)]
+        motion = stage.motion(drawn_command(problem))
+        sizes = {name: np.abs(motion.outputs[name]).max() if name in motion.outputs else 1.0 for name in names}
+        random = np.random.default_rng(3)
+        outputs = {name: random.uniform(0.5, 1.5) / sizes[name] for name in names}
+        forwards, backwards = self.forwards_and_backwards(problem, [Row("sum", outputs, -1.0, 1.0, 0.3)])
+        assert backwards == pytest.approx(forwards, rel=1e-10)
+
+    def test_the_reduced_gradient_is_the_derivative_of_the_lagrangian(self, problem: TransientProblem) -> None:
+        """Of the linear limits: J and the values are at most quadratic, so central differences are exact."""
+        problem = problem.without("temperature")
+        random, N = np.random.default_rng(4), problem.grid.stages
+        command, multipliers = drawn_command(problem), Multipliers.zero(problem)
+        for _, row in problem.rows():
+            multipliers = multipliers.with_pair(row.name, *random.exponential(size=(2, N)))
+
+        def lagrangian(c: np.ndarray) -> float:
+            effect = Effect(problem, c)
+            constraints = sum(
+                float((m.upper(row.name) - m.lower(row.name)) @ row.value(effect.motion, c))
+                for m in (multipliers,)
+                for _, row in problem.rows()
+            )
+            return problem.objective(c, effect.accelerations_m_s2) + constraints
+
+        gradient = reduced_gradient(problem, command, problem.stage.motion(command), multipliers)
+        for k in (0, 1, 17, N - 1):
+            step = np.eye(N)[k]
+            difference = (lagrangian(command + step) - lagrangian(command - step)) / 2
+            assert gradient[k] == pytest.approx(difference, rel=1e-8, abs=1e-8 * np.abs(gradient).max())
+
+
+def point_of(given: Stages, movement: np.ndarray) -> np.ndarray:
+    """(N + 1, n) scaled states that movements (N,) lead to."""
+    x = np.zeros((movement.size + 1, given.arrays["A"].shape[0]))
+    for k, step in enumerate(movement):
+        x[k + 1] = given.arrays["A"] @ x[k] + given.arrays["A"][:, -1] * step
+    return x
+
+
+class TestOneSourceOfRows:
+    """The stage data of the project's own method and the QP data of the CasADi methods, at a random point."""
+
+    @pytest.mark.parametrize("name", sorted(PROBLEMS))
+    def test_both_programs_have_the_rows_of_the_limits(self, name: str) -> None:
+        problem = PROBLEMS[name]().without("temperature")
+        given, statement, stage = stages(problem), state(problem), linear_stage(problem)
+        N, shape, program = problem.grid.stages, statement.shape, state_program(statement.shape)
+        movement = np.random.default_rng(5).normal(size=N) * 0.1
+        x = point_of(given, movement)
+        point = np.column_stack([movement, x[1:]])
+        A = program.qp_data(p=statement.p)["A"].sparse()
+        of_program = A @ point.ravel()
+        command = np.cumsum(movement) * stage.current_A
+        motion = problem.stage.motion(command)
+        assert [limit.name for limit in problem.limits] == [n for n in LINEAR if n in problem.limits]
+        of_stages = (x[:-1] @ given.arrays["G"].T + np.outer(movement, given.arrays["d"])) * given.limits.unit
+        single = {row.name: row.single for row in stated_rows(problem, stage)}
+        seen = []
+        for limit, row in problem.rows():
+            wanted = (row.value(motion, command) - row.offset) / limit.stated
+            tolerance = 1e-11 * max(float(np.abs(wanted).max()), 1.0)
+            j = given.limits.kinds.index(row.name)
+            np.testing.assert_allclose(of_stages[:, j], wanted, rtol=0, atol=tolerance)
+            if single[row.name]:
+                column = point[:, variable(shape, single[row.name])] * stage.current_A / limit.stated
+                # The variable of stage k is the current that stage k + 1 begins with.
+                late = single[row.name] == CURRENT
+                np.testing.assert_allclose(
+                    column[:-1] if late else column, wanted[1:] if late else wanted, rtol=0, atol=tolerance
+                )
+            else:
+                at = program.rows[row.name]
+                first = N - (at.stop - at.start)
+                np.testing.assert_allclose(of_program[at], wanted[first:], rtol=0, atol=tolerance)
+            seen.append(row.name)
+        assert seen == [name for name in given.limits.kinds if name in ARRAYS_ROWS]
+        assert {row.name for row in shape.rows} == {row for row, variable in single.items() if not variable}
+
+    @pytest.mark.parametrize("name", sorted(PROBLEMS))
+    def test_both_have_the_bounds_of_the_limits(self, name: str) -> None:
+        """Less the part that no command changes; a bound on a variable is in the program's unit."""
+        problem = PROBLEMS[name]().without("temperature")
+        given, statement, stage = stages(problem), state(problem), linear_stage(problem)
+        N, shape, program = problem.grid.stages, statement.shape, state_program(statement.shape)
+        boxed = statement.upper_x.reshape(N, shape.variables)
+        single = {row.name: row.single for row in stated_rows(problem, stage)}
+        for limit, row in problem.rows():
+            j = given.limits.kinds.index(row.name)
+            upper, lower = (
+                bound[:-1, j] * given.limits.unit[j] for bound in (given.limits.upper, given.limits.lower)
+            )
+            stated = np.isfinite(upper)
+            assert stated.any()
+            for found, bound in ((upper, row.upper), (lower, row.lower)):
+                wanted = np.broadcast_to((bound - row.offset) / limit.stated, N)
+                np.testing.assert_allclose(found[stated], wanted[stated], rtol=1e-12)
+            if single[row.name]:
+                found = boxed[:, variable(shape, single[row.name])] * stage.current_A / limit.stated
+                assert np.all(found[np.isfinite(found)] <= 1 + 1e-12)
+            else:
+                at = program.rows[row.name]
+                first = N - (at.stop - at.start)
+                np.testing.assert_allclose(statement.upper_g[at], upper[first:], rtol=1e-12)
+                np.testing.assert_allclose(statement.lower_g[at], lower[first:], rtol=1e-12)
+
+    def test_the_objective_is_the_same_too(self) -> None:
+        problem = all_limits(coil=None)
+        given, statement = stages(problem), state(problem)
+        program, N = state_program(statement.shape), problem.grid.stages
+        movement = np.random.default_rng(6).normal(size=N) * 0.1
+        x = point_of(given, movement)
+        point = np.column_stack([movement, x[1:]]).ravel()
+        value = float(ca.Function("value", [program.x, program.p], [program.f])(point, statement.p))
+        a = given.arrays
+        error = x[:-1] @ a["C"].T + np.outer(movement, a["E"]) - a["reference"][:, None]
+        weight = given.numbers["movement_weight"]
+        assert (a["weight"] @ np.sum(error**2, axis=1) + weight * movement @ movement) / 2 == pytest.approx(
+            value, rel=1e-12
+        )
+
+    @pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+    def test_a_certificate_accepts_the_answers_of_both_with_every_limit(self) -> None:
+        problem = all_limits(coil=None)
+        found = []
+        for solver in ("riccati", "casadi-piqp"):
+            answer = solve(problem, SolverOptions(solver))
+            proof = certify(problem, answer.command_A, answer.multipliers)
+            assert (answer.solver, proof.accepted) == (solver, True)
+            assert set(answer.multipliers.pairs) == {row.name for _, row in problem.rows()}
+            found.append(proof.objective)
+        assert found[0] == pytest.approx(found[1], rel=1e-6)
+
+
+ARRAYS_ROWS = {row for kind in KINDS for row in kind.row_names}
+
+
+class TestLimitsThatAreNotThere:
+    @pytest.mark.parametrize("kind", [CommandLimit, SlewLimit, SupplyLimit])
+    def test_no_rows_no_multipliers_and_no_stage_data(self, kind: type[Limit]) -> None:
+        """The amplifier's range goes with its pole."""
+        problem = all_limits(None if kind is CommandLimit else 1050.0, coil=None).without(kind.name)
+        assert kind.name in all_limits().limits
+        assert kind.name not in problem.limits
+        assert problem.limits.get(kind.name) is None
+        with pytest.raises(KeyError, match=kind.name):
+            problem.limits[kind.name]
+        named = {row.name for _, row in problem.rows()}
+        assert not named & set(kind.row_names)
+        assert set(stages(problem).limits.kinds) == named
+        statement = state(problem)
+        assert {row.name for row in statement.rows} == named
+        assert not set(state_program(statement.shape).rows) & set(kind.row_names)
+        answer = solve(problem, SolverOptions())
+        assert set(answer.multipliers.pairs) == named
+        for row in kind.row_names:
+            for side in SIDES:
+                assert not getattr(answer.multipliers, side)(row).any()
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        assert proof.accepted
+        assert ("V" in proof.violations) == ("supply" in problem.limits)
+        (run,) = replay(
+            problem.stage,
+            problem.grid,
+            answer.command_A[None],
+            problem.reference_m_s2[None],
+            None,
+            limits=[problem.limits],
+        )
+        assert set(run.reached) == {limit.name for limit in problem.limits}
+
+    def test_no_temperature(self) -> None:
+        problem = all_limits().without("temperature")
+        assert problem.thermal is None
+        assert stages(problem).sizes["nodes"] == 0
+        assert "winding" not in stages(problem).limits.kinds
+        answer = solve(problem, SolverOptions())
+        assert "temperature" not in answer.multipliers.pairs
+        assert not answer.multipliers.slope.any()
+        assert "K" not in certify(problem, answer.command_A, answer.multipliers).violations
+
+    def test_multipliers_on_it_change_nothing(self) -> None:
+        """Neither the gradient nor the gap: there is nothing that they could price."""
+        problem = all_limits(coil=None).without("supply")
+        answer = solve(problem, SolverOptions())
+        stray = answer.multipliers.with_pair("supply_after", *np.ones((2, problem.grid.stages)))
+        own, other = (certify(problem, answer.command_A, m) for m in (answer.multipliers, stray))
+        assert own == other
+
+    def test_a_replay_that_was_not_asked_about_a_limit_does_not_pass_it(self) -> None:
+        problem = all_limits(coil=None)
+        answer = solve(problem, SolverOptions())
+        predicted, _ = problem.stage.rollout(answer.command_A)
+
+        def shortfalls(limits: Limits | None) -> list[str]:
+            (run,) = replay(
+                problem.stage,
+                problem.grid,
+                answer.command_A[None],
+                problem.reference_m_s2[None],
+                None,
+                limits=None if limits is None else [limits],
+            )
+            return run.shortfalls(problem, answer.command_A, predicted)
+
+        assert shortfalls(problem.limits) == []
+        assert [text.split(" nan")[0] for text in shortfalls(problem.limits.without("supply"))] == [
+            "terminal voltage"
+        ]
+        assert len(shortfalls(None)) == len(tuple(problem.limits))
+
+
+class TestArraysOfALibrary:
+    def test_one_for_every_side_of_every_row(self) -> None:
+        wanted = [f"mu_{row}_{side}" for kind in KINDS for row in kind.row_names for side in kind.sides]
+        assert list(MULTIPLIERS) == wanted
+        assert set(wanted) <= set(ARRAYS)
+        assert "mu_temperature_lower" not in ARRAYS
+
+    def test_one_that_is_not_in_force_has_none_in_the_file(self, library: Library) -> None:
+        names = set(library.arrays())
+        for kind in KINDS:
+            asked = library.meta["limits"].get(kind.key) is not None
+            for row in kind.row_names:
+                for side in kind.sides:
+                    name = f"mu_{row}_{side}"
+                    assert (name in names) == (kind.in_every_file or asked)
+                    if name not in names:
+                        assert not library.array(name).any()
+
+    def test_multipliers_of_an_entry_are_the_arrays(self, library: Library) -> None:
+        found = library.multipliers(3, 2)
+        np.testing.assert_array_equal(found.upper("current"), library.array("mu_current_upper")[3, 2])
+        np.testing.assert_array_equal(found.lower("command"), library.array("mu_command_lower")[3, 2])
+        assert found.upper("current").any()
+        assert not found.upper("slew").any()
+
+
+class TestCollection:
+    def test_in_the_order_of_the_kinds_whatever_they_are_given_in(self) -> None:
+        made = limits_of(SlewLimit(1e4, 1e-4), None, CommandLimit(6.0), CurrentLimit(4.0))
+        assert [limit.name for limit in made] == ["current", "command", "slew"]
+        assert made.current_A == pytest.approx(4.0)
+        assert made.command_bound_A(ideal=False) == pytest.approx(6.0)
+        assert made["slew"].stated == pytest.approx(1.0)
+
+    def test_without_and_replaced(self) -> None:
+        made = limits_of(CurrentLimit(4.0), CommandLimit(6.0))
+        assert [limit.name for limit in made.without("command", "supply")] == ["current"]
+        assert made.replaced(CurrentLimit(2.0)).current_A == pytest.approx(2.0)
+        # In the place of one of its name only.
+        assert "slew" not in made.replaced(SlewLimit(1e4, 1e-4))
+
+    @pytest.mark.parametrize("factor", [1.5, 4.0])
+    def test_wider(self, factor: float) -> None:
+        for limit in all_limits().limits:
+            if limit.name != "temperature":
+                assert limit.wider(factor).stated == pytest.approx(factor * limit.stated)
+        thermal = all_limits().thermal
+        assert thermal is not None
+        assert thermal.wider(factor).room == pytest.approx(thermal.room + (factor - 1) * max(thermal.room, 1.0))
+
+    @pytest.mark.parametrize("number", [0.0, -1.0, np.nan, np.inf])
+    def test_a_number_that_is_no_limit_is_refused(self, number: float) -> None:
+        supply = supply_of(all_limits())
+        made: list[tuple[str, Callable[[], object]]] = [
+            ("current_A", lambda: CurrentLimit(number)),
+            ("command_A", lambda: CommandLimit(number)),
+            ("slew_A_per_s", lambda: SlewLimit(number, 1e-4)),
+            ("supply_V", lambda: replace(supply, limit_V=number)),
+        ]
+        for key, make in made:
+            with pytest.raises(InputError, match=rf"limits.{key} = {number:g}: must be > 0 and finite"):
+                make()
+
+
+def test_the_scenes_slew_is_a_step_per_tick(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
+    assert problem.limits["slew"].stated == pytest.approx(5000.0 * problem.grid.dt_s)
