@@ -91,21 +91,21 @@ def study(
     if out is None:
         raise InputError("--out: give a folder")
     request = Request(
-        vary or [],
-        settings or [],
-        speed,
-        grip,
-        sample,
-        seed,
-        full,
-        require or [],
-        solve_for,
-        greatest,
-        name,
-        figures,
-        executor,
-        jobs,
-        out,
+        vary=vary or [],
+        settings=settings or [],
+        speed=speed,
+        grip=grip,
+        sample=sample,
+        seed=seed,
+        full=full,
+        require=require or [],
+        solve_for=solve_for,
+        greatest=greatest,
+        name=name,
+        figures=figures,
+        executor=executor,
+        jobs=jobs,
+        out=out,
     )
     check_together(request)
     code = run(request, scene)

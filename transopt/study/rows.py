@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -52,10 +52,10 @@ def exit_code(rows: Sequence[Row]) -> int:
     return 0 if OPTIMAL in found and found <= {OPTIMAL, *REFUSALS} else 1
 
 
-def csv_text(columns: Sequence[str], rows: Sequence[Row]) -> str:
-    """The rows as a CSV file with a header; as many digits as a number needs to be read back exactly."""
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """The cells of rows as a CSV file whose header has the names of the columns."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
     writer.writerows(rows)
     return text.getvalue()

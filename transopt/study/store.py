@@ -96,7 +96,10 @@ class Store:
     ) -> None:
         """Write rows.csv, however the block ended, and let others in."""
         try:
-            write_text(csv_text(self.columns, self.read()), self.folder / "rows.csv")
+            # Straight from the file: a study that is stopped has to end soon, however many rows it has.
+            with self._refusing():
+                text = csv_text(self.columns, self._cells(0, len(self._there)))
+            write_text(text, self.folder / "rows.csv")
         finally:
             self._file.close()
 
@@ -160,7 +163,9 @@ class Store:
     def read(self, first: int = 0, count: int | None = None) -> list[Row]:
         """The rows of the numbers from `first` on, or `count` of them, in the order of their numbers."""
         after = len(self._there) if count is None else first + count
-        wanted = f'SELECT {_named(self.columns)} FROM rows WHERE "index" >= ? AND "index" < ? ORDER BY "index"'
         with self._refusing():
-            found = self._file.execute(wanted, [first, after])
-            return [dict(zip(self.columns, map(str, cells), strict=True)) for cells in found]
+            return [dict(zip(self.columns, map(str, cells), strict=True)) for cells in self._cells(first, after)]
+
+    def _cells(self, first: int, after: int) -> sqlite3.Cursor:
+        wanted = f'SELECT {_named(self.columns)} FROM rows WHERE "index" >= ? AND "index" < ? ORDER BY "index"'
+        return self._file.execute(wanted, [first, after])
