@@ -35,7 +35,7 @@ from controller.cli.refine_simulated import SimulatedTaps
 from controller.refine.rounds import nodes_of
 from controller.sim.chosen_device import device_in
 from controller.sim.simulator import Imperfections
-from controller.sim.true_device import Device
+from controller.sim.true_device import TrueDevice
 from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
 from transopt.base import console as terminal
@@ -130,7 +130,7 @@ def solved(scene: Path, out: Path) -> Library:
     return load_library(out / "library.npz")
 
 
-def played(name: str, library: Library, device: Device, wrong: Imperfections, taps: int, seed: int) -> Stage:
+def played(name: str, library: Library, device: TrueDevice, wrong: Imperfections, taps: int, seed: int) -> Stage:
     """Every node some times on the true device."""
     heard = SimulatedTaps(device, taps, imperfections=wrong, seed=seed)(library, 0)
     silent = [node for node, found in heard.items() if not found]
@@ -143,7 +143,7 @@ def played(name: str, library: Library, device: Device, wrong: Imperfections, ta
     )
 
 
-def plant_of(device: Device, grip_N: float) -> StateSpace:
+def plant_of(device: TrueDevice, grip_N: float) -> StateSpace:
     """From current to stylus acceleration of the true device."""
     masses, stiffness, damping = device.at(grip_N)
     links = [Link(float(k), float(b)) for k, b in zip(stiffness, damping, strict=True)]
@@ -151,7 +151,7 @@ def plant_of(device: Device, grip_N: float) -> StateSpace:
     return chain(masses.tolist(), links, force_per_current_N_A=force, stylus=device.stylus)
 
 
-def known_truth(library: Library, device: Device) -> Stage:
+def known_truth(library: Library, device: TrueDevice) -> Stage:
     """The optimum under the library's limits for someone who knows the true chain and amplifier, crossover aside.
 
     Its commands are not played: what a servo adds is not in it. Its reference is shifted by the error of the delay.

@@ -97,10 +97,12 @@ class CoreDevice:
 
     ROOM_BYTES = 1 << 17
 
-    def __init__(self, boot: int, flags: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, boot: int, flags: tuple[str, ...] = (), hardware: Hardware | None = None
+    ) -> None:
         self._library, self.tick = _probe(flags), 0
         self._device = _Aligned(self._library.td_probe_device_size())
-        limits = Hardware()
+        limits = Hardware() if hardware is None else hardware
         self._library.td_probe_start(self._device.at, boot, limits.current_A, limits.command_A, limits.dt_s)
         self._out = ctypes.create_string_buffer(self.ROOM_BYTES)
         self._in, self._answer = (ctypes.c_double * 3)(), (ctypes.c_double * 4)()

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from controller.record.judge import CUTOFF_HZ, before_pole, since_contact
+from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.metrics import align
 from controller.record.recorder import Contact
 from controller.refine.learning import LEAST_GAIN, Condition, Ratio, corrected, ratio, widest
@@ -35,14 +35,13 @@ class Heard:
     Attributes
     ----------
     difference_m_s2 : (N,) w = a - p at the switching instants, at the node's speed, low-passed, faded out.
-    latency_s : the one shift that was taken out. peak_current_A : as measured, or of the simulator's truth.
-    true_nrmse : against r over the whole window, of the simulator's truth; NaN on a device.
+    latency_s : the one shift that was taken out.
+    peak_current_A : as measured.
     """
 
     difference_m_s2: FloatArray
     latency_s: float
     peak_current_A: float
-    true_nrmse: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class NodeRound:
 
     Attributes
     ----------
-    nrmse : measured, against r, of the mean of its taps. true_nrmse : mean over the taps; NaN on a device.
+    nrmse : measured, against r, of the mean of its taps.
     spread : standard deviation of `nrmse` from tap to tap.
     measured_m_s2 : (N,) the mean tap, low-passed; what comes after `REACTION_S` and `FADE_S` is the prediction.
     better : it is the best so far. limited : limits bind, so that it cannot get better than the optimum under them.
@@ -59,7 +58,6 @@ class NodeRound:
     """
 
     nrmse: float
-    true_nrmse: float
     spread: float
     peak_current_A: float
     measured_m_s2: FloatArray
@@ -90,11 +88,6 @@ class Refined:
     def better(self) -> list[Node]:
         """The nodes that some round after the first has made better."""
         return sorted({node for results in self.rounds[1:] for node, found in results.items() if found.better})
-
-    @property
-    def simulated(self) -> bool:
-        """Whether there is a truth to be asked."""
-        return any(np.isfinite(found.true_nrmse) for results in self.rounds for found in results.values())
 
 
 def nodes_of(library: Library) -> list[Node]:
@@ -227,7 +220,6 @@ def refine(
                 best[node] = replace(before, gain=gain / 2)
             results[node] = NodeRound(
                 nrmse=error,
-                true_nrmse=float(np.mean([tap.true_nrmse for tap in heard])),
                 spread=spread,
                 peak_current_A=max(tap.peak_current_A for tap in heard),
                 measured_m_s2=mean,
@@ -279,7 +271,6 @@ def _in_meta(library: Library, rounds: Sequence[Round]) -> list[dict[str, Any]]:
     return [
         {
             "nrmse": table(results, lambda node: node.nrmse),
-            "true_nrmse": table(results, lambda node: node.true_nrmse if np.isfinite(node.true_nrmse) else None),
             "better": table(results, lambda node: node.better),
             "peak_current_A": table(results, lambda node: node.peak_current_A),
             **{name: table(results, of_condition(name)) for name in ("gain", "cutoff_Hz", "factor", "sure_factor")},

@@ -9,11 +9,11 @@ from controller.record.sweep_plan import PlannedSweep
 from controller.servo.interface import Output, Readings
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import STEPS_AT_CONTACT, Played, Tap, approach_ticks, play_tap
+from controller.sim.experiment import STEPS_AT_CONTACT, Played, SimulatedTap, approach_ticks, play_tap
 from controller.sim.open_loop import Sensed, play_still
 from controller.sim.sensors import Sensors
 from controller.sim.simulator import Coil, Imperfections, Simulator
-from controller.sim.true_device import Device
+from controller.sim.true_device import TrueDevice
 from controller.sim.user import TapUser
 from controller.waveforms.bank import bank
 from transopt.base.errors import InputError
@@ -52,7 +52,7 @@ def _record(times_s: FloatArray, command_A: FloatArray, sensed: Sensed, sensors:
 
 
 def sweep_records(
-    device: Device, trials: Sequence[PlannedSweep], dt_s: float, *, imperfections: Imperfections, seed: int
+    device: TrueDevice, trials: Sequence[PlannedSweep], dt_s: float, *, imperfections: Imperfections, seed: int
 ) -> Iterator[tuple[PlannedSweep, Record]]:
     """Each trial played while the user holds still.
 
@@ -82,7 +82,7 @@ def _sensed(readings: Sequence[Readings], count_m: float) -> Sensed:
 
 def played_record(
     library: Library,
-    device: Device,
+    device: TrueDevice,
     settings: Settings,
     speed_m_s: float,
     grip_N: float,
@@ -102,7 +102,7 @@ def played_record(
         readings.append(read)
 
     rest = replace(imperfections, mismatch=0.0)
-    tap = Tap(speed_m_s, grip_N, seed=seed, imperfections=rest)
+    tap = SimulatedTap(speed_m_s, grip_N, seed=seed, imperfections=rest)
     played = play_tap(library, Servo(settings, bank(library)), tap, observe=note, device=device)
     sensed = _sensed(readings, imperfections.sensors.count_m)
     record = _record(played.tick_times_s, played.command_A, sensed, imperfections.sensors, speed_m_s=speed_m_s)
@@ -110,7 +110,7 @@ def played_record(
 
 
 def object_record(
-    device: Device,
+    device: TrueDevice,
     target: SimulatedTaps,
     speed_m_s: float,
     grip_N: float,

@@ -21,7 +21,7 @@ from controller.sim.true_device import (
     INTENTION_SPEED,
     MOTOR_FORCE,
     NO_GROUND,
-    Device,
+    TrueDevice,
     Flow,
     Ground,
     Layout,
@@ -123,7 +123,7 @@ class Simulator:
 
     def __init__(
         self,
-        device: Device,
+        device: TrueDevice,
         user: User,
         dt_s: float,
         *,

@@ -10,7 +10,7 @@ from controller.cli import port as port_commands
 from controller.device.endpoint import Device as Firmware
 from controller.host.driver import Device
 from controller.host.session import Session
-from controller.host.transport import UnpluggedError
+from controller.host.connection import UnpluggedError
 from controller.protocol.capacity import Capacity, Hardware
 from controller.servo.interface import Readings
 from controller.sim.simulator import Simulator

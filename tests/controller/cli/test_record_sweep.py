@@ -19,7 +19,7 @@ from controller.record.excitation import sweep_command
 from controller.servo.interface import State
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.sensors import SEED_SENSORS
-from controller.sim.true_device import Device as TrueDevice
+from controller.sim.true_device import TrueDevice
 from controller.sim.user import StillHand
 from controller.sim.virtual_link import Trouble
 from scripts.campaign.compiled_device import CompiledDevice, plant_of

@@ -14,7 +14,7 @@ from controller.host.monitor import Monitor, event_line
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Changed, Happened, Logged, Samples
 from controller.protocol.messages import Record
-from controller.record.judge import contact_s, judge, through_pole
+from controller.record.played import contact_s, judge, through_pole
 from controller.record.recorder import AFTER_S, BEFORE_S, Contact, Recorder
 from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, Notice, State
@@ -144,7 +144,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("controller.record.recorder.os.write", full)
+        patched.setattr("controller.record.telemetry.os.write", full)
         with pytest.raises(InputError, match=r"telemetry.csv: cannot be written \(No space left on device\)"):
             fed(recorder, 1100)
     recorder.close()

@@ -12,7 +12,7 @@ from scipy import signal
 from controller.host.first_run import remember
 from controller.host.payload import payload
 from controller.protocol.image import sha256
-from controller.record.judge import before_pole, through_pole
+from controller.record.played import before_pole, through_pole
 from controller.refine.figure import refine_figure
 from controller.refine.learning import Ratio, condition, corrected, factors, ratio, through_q, widest
 from controller.refine.rounds import Heard, Node, Refined, fade_of, node_near, nodes_of, refine, smooth

@@ -1,0 +1,59 @@
+"""Where a command finds its device and who holds it: a port and a person, or the port `sim:` and a simulated hand.
+
+What the commands do then is the same for both.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+
+from controller.host.connection import Connection
+from controller.host.payload import Payload
+from controller.servo.loop import Clock
+from controller.sim.experiment import SimulatedTap
+from controller.sim.port import SimulatedPort, core_end
+from controller.sim.tapping import TappingHand
+from controller.sim.true_device import TrueDevice
+
+
+@dataclass(frozen=True)
+class Bench:
+    """
+    Attributes
+    ----------
+    port : by its name, or open.
+    console : for what happens on the way; silent where nobody has to act on it.
+    done : whether whoever holds the stylus will do nothing more; of a person nobody knows.
+    """
+
+    port: str | Connection
+    console: Console
+    done: Callable[[], bool] = lambda: False
+
+
+def simulated_bench(
+    given: Payload,
+    device: TrueDevice,
+    taps: Sequence[SimulatedTap],
+    *,
+    clock: Clock | None = None,
+    tapped: Callable[[], None] = lambda: None,
+) -> tuple[Bench, TappingHand]:
+    """The compiled core on a true device in a hand that taps once it is armed.
+
+    Parameters
+    ----------
+    given : what the device shall play; others of its size and settings may follow.
+    device : the true one, before the imperfections of the taps.
+    clock : paces the run; without one it takes no longer than it has to.
+    tapped : called after each tap.
+
+    Raises
+    ------
+    InputError : there is no C compiler.
+    """
+    hand = TappingHand(given.library, device, taps, tapped)
+    end = core_end(given.settings, len(given.image) // 2)
+    port = SimulatedPort(end, hand, given.settings.dt_s, clock=clock)
+    return Bench(port, Console(quiet=True), lambda: hand.done), hand
