@@ -1,6 +1,6 @@
 """Taps for a refinement: whoever holds the device learns where taps are missing."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, Self
@@ -88,7 +88,9 @@ class Simulated:
 
     def asked(self, library: Library, number: int, taps: int) -> None:
         assert self.hand is not None
-        self.hand.plan(library, (self._tap(library, number, node, n) for node in nodes_of(library) for n in range(taps)))
+        self.hand.plan(
+            library, (self._tap(library, number, node, n) for node in nodes_of(library) for n in range(taps))
+        )
 
     def _tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
         return SimulatedTap(

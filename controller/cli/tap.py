@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from controller.cli.tables import Yardstick
     from controller.host.payload import Payload
     from controller.record.played import PlayedTap
+    from controller.sim.simulator import Imperfections
     from controller.waveforms.bank import Bank
     from transopt.library.library import Library
 
@@ -68,9 +69,18 @@ def tap(
     from controller.record.recorder import make_room
 
     if simulated:
-        imperfect(mismatch, seed, crossover)
         given, bench, title = _simulated(
-            library, speed, grip, 1.0 if gain is None else gain, method, seed, mismatch, device, crossover, user, real_time
+            library,
+            speed,
+            grip,
+            1.0 if gain is None else gain,
+            method,
+            seed,
+            mismatch,
+            device,
+            crossover,
+            user,
+            real_time,
         )
     else:
         assert port is not None
@@ -94,9 +104,8 @@ def _simulated(
     gain: float,
     method: str,
     seed: int,
-    mismatch: float,
+    wrong: "Imperfections",
     device: str | None,
-    crossover: float,
     user: str,
     real_time: bool,
 ) -> "tuple[Payload, Bench, str]":
@@ -106,7 +115,6 @@ def _simulated(
     from controller.servo.loop import WallClock
     from controller.sim.chosen_device import scene_like
     from controller.sim.experiment import SimulatedTap
-    from controller.sim.simulator import Imperfections
     from controller.sim.true_device import device_of
     from controller.sim.user import Habit
     from controller.waveforms.bank import Method, bank
@@ -123,7 +131,9 @@ def _simulated(
     table = bank(library, Method(method))
     if method == Method.ONLINE.value:
         table = _solved_for(library, table, speed_m_s, grip_N)
-    given = payload_of(library, None if method == Method.BILINEAR.value else table, amplifier_tolerance=mismatch)
+    given = payload_of(
+        library, None if method == Method.BILINEAR.value else table, amplifier_tolerance=wrong.mismatch
+    )
     settings = given.settings
     within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
     within("grip", grip_N, 0.0, 50.0, " N, what a hand does")
@@ -131,14 +141,7 @@ def _simulated(
         raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
-    wanted = SimulatedTap(
-        speed_m_s,
-        grip_N,
-        gain=gain,
-        habit=Habit(user),
-        seed=seed,
-        imperfections=Imperfections(mismatch=mismatch, crossover_A=crossover),
-    )
+    wanted = SimulatedTap(speed_m_s, grip_N, gain, Habit(user), seed, wrong)
     true = device_of(scene_of(library) if device is None else scene_like(device))
     bench, _ = simulated_bench(given, true, [wanted], clock=WallClock() if real_time else None)
     title = f"{path}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
@@ -239,9 +242,7 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     target, real = scene.recordings.simulated, float("nan")
     if target is not None and played:
         speed_m_s = played[0].contact.speed_m_s
-        real = strike_real(
-            device, target, speed_m_s, target.grip_N, 10e-3, scene.time.dt_s
-        ).rate_hardness_N_m
+        real = strike_real(device, target, speed_m_s, target.grip_N, 10e-3, scene.time.dt_s).rate_hardness_N_m
     return Yardstick(device.force_per_current_N_A, real)
 
 

@@ -97,9 +97,7 @@ class CoreDevice:
 
     ROOM_BYTES = 1 << 17
 
-    def __init__(
-        self, boot: int, flags: tuple[str, ...] = (), hardware: Hardware | None = None
-    ) -> None:
+    def __init__(self, boot: int, flags: tuple[str, ...] = (), hardware: Hardware | None = None) -> None:
         self._library, self.tick = _probe(flags), 0
         self._device = _Aligned(self._library.td_probe_device_size())
         limits = Hardware() if hardware is None else hardware

@@ -1,6 +1,6 @@
 """How well a device played a tap, from its own sensors, which is all that a device of any kind can tell.
 
-The simulator's truth is not to be had here, so measurement and prediction are brought to what can be measured. Contact
+The simulator's truth is not to be had here: measurement and prediction are brought to what can be measured. Contact
 is where the approach, a parabola through the encoder's counts, would have met the surface. What the library says is
 passed through the accelerometer's own pole. Both are low-passed as recordings are, and compared until the hand can
 react, since nobody predicts what it does of its own accord afterwards.
@@ -159,9 +159,7 @@ def resting_m_s2(contact: Contact) -> float:
     return float(resting.mean()) if resting.size else NOTHING
 
 
-def played_tap(
-    contact: Contact, library: Library, settings: Settings, gain: float, bandwidth_Hz: float
-) -> PlayedTap:
+def played_tap(contact: Contact, library: Library, settings: Settings, gain: float, bandwidth_Hz: float) -> PlayedTap:
     """Compare a recorded contact with what the library says of it.
 
     Parameters

@@ -116,9 +116,7 @@ class Telemetry:
     InputError : the folder cannot be written.
     """
 
-    def __init__(
-        self, folder: Path, dt_s: float, *, block_ticks: int = BLOCK_TICKS, over: bool = True
-    ) -> None:
+    def __init__(self, folder: Path, dt_s: float, *, block_ticks: int = BLOCK_TICKS, over: bool = True) -> None:
         self._folder, self._dt_s, self._block_ticks = folder, dt_s, block_ticks
         self._csv = Lines(folder / CSV_NAME, ",".join(COLUMNS), over=over)
         # An NPZ of an earlier run must not be taken for this one's.

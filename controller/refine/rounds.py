@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.metrics import align
+from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.recorder import Contact
 from controller.refine.learning import LEAST_GAIN, Condition, Ratio, corrected, ratio, widest
 from controller.servo.settings import Settings

@@ -1,7 +1,7 @@
 """The default device, for a run without library and scene: an RE 25 on a Phantom-class transmission."""
 
 from controller.servo.default_drive import AMPLIFIER, RE_25
-from controller.sim.true_device import TrueDevice, Joint
+from controller.sim.true_device import Joint, TrueDevice
 from transopt.plant.chain import LinearInGrip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.sim.sensors import SensorBench
 from controller.sim.simulator import Imperfections, Simulator
-from controller.sim.true_device import COMMAND, INTENTION, TrueDevice, Layout, nonlinear
+from controller.sim.true_device import COMMAND, INTENTION, Layout, TrueDevice, nonlinear
 from controller.sim.user import StillHand
 from transopt.base.signals import FloatArray
 

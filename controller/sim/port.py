@@ -2,8 +2,8 @@
 
     host session  <- bytes ->  virtual link  <- bytes ->  compiled core  <- readings, command ->  simulated world
 
-Time passes only while the host waits in `read`, by one servo period at a time: nothing sleeps, and the same seed gives
-the same run. The core is the firmware's, compiled for this machine.
+Time passes only while the host waits in `read`, by one servo period at a time: nothing sleeps, and the same seed
+gives the same run. The core is the firmware's, compiled for this machine.
 """
 
 from typing import Protocol

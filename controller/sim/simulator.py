@@ -21,10 +21,10 @@ from controller.sim.true_device import (
     INTENTION_SPEED,
     MOTOR_FORCE,
     NO_GROUND,
-    TrueDevice,
     Flow,
     Ground,
     Layout,
+    TrueDevice,
     flow,
     nonlinear,
 )

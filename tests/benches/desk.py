@@ -8,9 +8,9 @@ import pytest
 
 from controller.cli import port as port_commands
 from controller.device.endpoint import Device as Firmware
+from controller.host.connection import UnpluggedError
 from controller.host.driver import Device
 from controller.host.session import Session
-from controller.host.connection import UnpluggedError
 from controller.protocol.capacity import Capacity, Hardware
 from controller.servo.interface import Readings
 from controller.sim.simulator import Simulator

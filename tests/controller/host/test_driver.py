@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from controller.device.endpoint import Device as Firmware
-from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.host.connection import UnpluggedError
+from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import Kind, LinkNotice
 from controller.protocol.events import Happened, Samples
 from controller.protocol.image import sha256

@@ -13,7 +13,7 @@ from controller.sim.experiment import SimulatedTap, play_tap
 from controller.sim.open_loop import play_still, true_device
 from controller.sim.records import heat_record, noise_seed, object_record, sweep_records, true_coil
 from controller.sim.simulator import Imperfections, Simulator
-from controller.sim.true_device import TrueDevice, Ground, device_of
+from controller.sim.true_device import Ground, TrueDevice, device_of
 from controller.sim.user import StillHand
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk

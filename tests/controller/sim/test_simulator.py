@@ -12,7 +12,7 @@ import problems
 from controller.sim.experiment import strike_real
 from controller.sim.sensors import SensorBench, Sensors
 from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
-from controller.sim.true_device import TrueDevice, Ground, Joint, device_of, exponential, rates
+from controller.sim.true_device import Ground, Joint, TrueDevice, device_of, exponential, rates
 from controller.sim.user import (
     BRAKING_S,
     Habit,
