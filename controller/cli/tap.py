@@ -69,19 +69,8 @@ def tap(
     from controller.record.recorder import make_room
 
     if simulated:
-        given, bench, title = _simulated(
-            library,
-            speed,
-            grip,
-            1.0 if gain is None else gain,
-            method,
-            seed,
-            mismatch,
-            device,
-            crossover,
-            user,
-            real_time,
-        )
+        wrong, full = imperfect(mismatch, seed, crossover), 1.0 if gain is None else gain
+        given, bench, title = _simulated(library, speed, grip, full, method, seed, wrong, device, user, real_time)
     else:
         assert port is not None
         given, bench, title = payload(library), sessions.at_port(port), f"{library} on {port}"
