@@ -84,9 +84,7 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
         Case("saturated", 600, project_solver(saturated, "casadi-piqp")),
         Case("saturated", 600, project_solver(saturated, "casadi-ipopt")),
         Case("saturated", 600, opti_ipopt(saturated, proof.objective - proof.duality_gap)),
-        Case("saturated", 600, project_solver(saturated, "casadi-fatrop")),
         *own("thermal", hot),
-        Case("thermal", 600, project_solver(hot, "casadi-fatrop")),
         Case("thermal", 600, project_solver(hot, "casadi-ipopt")),
         *own("horizon", long),
         Case("horizon", LONG, project_solver(long, "casadi-piqp")),
@@ -118,7 +116,6 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
     found = [
         ratio("saturated", "opti-ipopt", "casadi-piqp"),
         ratio("saturated", "casadi-ipopt", "casadi-piqp"),
-        ratio("thermal", "casadi-ipopt", "casadi-fatrop"),
         ratio("unsaturated", "sparse-kkt", "riccati-pass"),
         f"wall clock / virtual time, servo + simulator: {by['online', 'servo + simulator', 10000] / 1e3:.2f}",
         f"{LONG} stages / 600 stages, casadi-piqp: "
@@ -130,10 +127,8 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
     found += [
         ratio("saturated", "casadi-piqp", "riccati", "at least 6"),
         ratio("saturated", "opti-ipopt", "riccati", "at least 120"),
-        ratio("saturated", "casadi-fatrop", "riccati"),
         ratio("saturated", "casadi-ipopt", "riccati"),
         ratio("thermal", "casadi-ipopt", "riccati", "at least 50"),
-        ratio("thermal", "casadi-fatrop", "riccati"),
         f"{LONG} stages / 600 stages, riccati: {by['horizon', 'riccati', LONG] / mine:.1f}",
         f"{LONGEST} stages / 600 stages, riccati: {by['horizon', 'riccati', LONGEST] / mine:.1f} (at most 40), "
         f"per iteration in C {taken[1].each / taken[0].each:.1f}, {taken[1].count} iterations to {taken[0].count}",

@@ -3,9 +3,10 @@
     python scripts/wire_fuzz.py [--frames 1000000] [--seed 0] [--endpoints]
 
 Frames of random length and content are hit in 2 to 4 bytes, cut, lengthened, or merged with the next, and given to
-the decoder in pieces of random size. Whatever it then takes for a sound frame must be one that was sent.
-`--endpoints` puts the damaged frames to a device and a session as well: neither may fail, and the device must stay
-without a command. Exit code 1 if a frame was accepted wrongly or a frame after the damage was lost.
+the host's decoder and to the compiled core's in pieces of random size. Whatever they then take for a sound frame must
+be one that was sent, and the same for both. `--endpoints` puts the damaged frames to a device and a session as well:
+neither may fail, and the device must stay without a command. Exit code 1 if a frame was accepted wrongly, seen
+differently, or lost after the damage.
 """
 
 import argparse
@@ -16,13 +17,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import cycle
 
-from controller.device.endpoint import Device
+from controller.firmware.core_device import CoreDevice
+from controller.firmware.core_device import Decoder as CoreDecoder
 from controller.host.session import Session
 from controller.host.session_states import OVER
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.wire import DELIMITER, PAYLOAD_LIMIT, Decoder, encode
 from controller.servo.interface import Readings
+from transopt.base.errors import InputError
 
 Damage = Callable[[bytes, bytes, random.Random], bytes]
 BATCH = 200  # frames between two that must come through
@@ -87,12 +90,15 @@ def fuzz(
     seed: int,
     payload: Callable[[random.Random], bytes] = random_payload,
     ends: tuple[Callable[[bytes], object], ...] = (),
+    core: CoreDecoder | None = None,
 ) -> Counter[str]:
     """Counts of frames sent damaged, passed unharmed all the same, taken wrongly, and of sound ones lost.
 
     Parameters
     ----------
-    payload : what is sent. ends : more places to put the damaged stream.
+    payload : what is sent.
+    ends : more places to put the damaged stream.
+    core : another decoder; the pieces of which it takes something else than the host's are counted, too.
     """
     chance, decoder, counts = random.Random(seed), Decoder(), Counter[str]()
     while counts["damaged"] < frames:
@@ -108,7 +114,9 @@ def fuzz(
         stream += DELIMITER + encoded[-1]
         taken = []
         for piece in pieces(stream, chance):
-            taken += decoder.feed(piece)
+            found = decoder.feed(piece)
+            taken += found
+            counts["differently"] += core is not None and core.feed(piece) != found
             for end in ends:
                 end(piece)
         counts["damaged"] += batch
@@ -130,7 +138,7 @@ class Ends:
 
     def __init__(self) -> None:
         sessions = cycle((1, 2))
-        self.device, self.session = Device(1), Session(lambda: next(sessions))
+        self.device, self.session = CoreDevice(1), Session(lambda: next(sessions))
         self.tick = self.greetings = self.driven = 0
         self._greet()
 
@@ -166,17 +174,23 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.frames < 1 or arguments.seed < 0:
         parser.error("--frames must be at least 1, --seed at least 0")
-    ends = Ends()
     started = time.perf_counter()
-    if arguments.endpoints:
-        counts = fuzz(arguments.frames, arguments.seed, random_frame, (ends,))
-    else:
-        counts = fuzz(arguments.frames, arguments.seed)
+    try:
+        ends, core = Ends(), CoreDecoder()
+        if arguments.endpoints:
+            counts = fuzz(arguments.frames, arguments.seed, random_frame, (ends,), core)
+        else:
+            counts = fuzz(arguments.frames, arguments.seed, core=core)
+    except InputError as error:
+        parser.error(str(error))
     took_s = time.perf_counter() - started
     print(f"{counts['damaged']} damaged frames in {took_s:.0f} s: {counts['rejected']} pieces rejected,")
-    print(f"{counts['unharmed']} frames unharmed all the same, {counts['wrong']} accepted wrongly,")
+    print(
+        f"{counts['unharmed']} frames unharmed all the same, {counts['wrong']} accepted wrongly, "
+        f"{counts['differently']} pieces seen differently,"
+    )
     print(f"{counts['lost']} sound frames lost after damage, {ends.driven} ticks with a command")
-    return 1 if counts["wrong"] or counts["lost"] or ends.driven else 0
+    return 1 if counts["wrong"] or counts["lost"] or counts["differently"] or ends.driven else 0
 
 
 if __name__ == "__main__":

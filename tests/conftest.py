@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import problems
+from controller.host.payload import payload
 from controller.servo.interface import State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, bank
@@ -35,15 +36,6 @@ from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--long", action="store_true", help="repeated experiments in full number")
-
-
-@pytest.fixture(scope="session")
-def long(pytestconfig: pytest.Config) -> bool:
-    return bool(pytestconfig.getoption("--long"))
 
 
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
@@ -261,11 +253,11 @@ def desk(library: Library, monkeypatch: pytest.MonkeyPatch) -> Desk:
 def ready(play: Run, desk: Desk) -> Iterator[Desk]:
     """With the library, its check taken for passed."""
     assert play("upload", "library.npz", *PORT).code == 0
-    desk.firmware.checked_sha256 = desk.firmware.store.configuration_sha256
+    desk.pass_check(payload(Path("library.npz")).configuration)
     yield desk
     # Whatever happened, nothing is left armed once the lease is over.
     for _ in range(2500):
-        if desk.firmware.state in (State.IDLE, State.FAULT):
+        if desk.end.state in (State.IDLE, State.FAULT):
             break
         desk.step()
-    assert desk.firmware.state in (State.IDLE, State.FAULT)
+    assert desk.end.state in (State.IDLE, State.FAULT)

@@ -1,6 +1,6 @@
 """`transopt-device`: a device with a simulated stylus in a simulated hand, to be opened like one on a serial port.
 
-The C core with the compiled plant where there is a C compiler, the Python device where there is none.
+What is served is the C core with a compiled plant, in real time; it is compiled on first use.
 """
 
 import math
@@ -117,12 +117,9 @@ def device(
     corruption: Annotated[float, typer.Option(help="Part of the frames that get damaged.")] = 0.0,
     reset_every: Annotated[float, typer.Option(help="Power off and on so often, in s; 0 never.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Of noise, mismatch and the line's troubles.")] = 0,
-    python: Annotated[
-        bool, typer.Option("--python", help="The Python device, also where there is a compiler.")
-    ] = False,
 ) -> None:
     """Serve a simulated device; the first line says where. While it runs: reset, quit."""
-    from controller.firmware.build import CORE, FIRMWARE, NoCompilerError, build, sources
+    from controller.firmware.build import CORE, FIRMWARE, build, sources
     from controller.sim.plant_file import plant_bytes
 
     for name, value, high in (("mismatch", mismatch, 0.5), ("loss", loss, 1.0), ("corruption", corruption, 1.0)):
@@ -136,15 +133,7 @@ def device(
     within("reset-every", reset_every, 0.0, 1e6, " s")
     within("seed", seed, 0, 2**31 - 1)
     simulator, user = simulated(like, _taps(list(tap or TAPS)), rest, mismatch, seed, hold)
-    program = None
-    if not python:
-        try:
-            program = build("transopt-device", [*sources(CORE), *sources(FIRMWARE / "host")])
-        except NoCompilerError as missing:
-            typer.echo(f"{missing}; serving the Python device instead, more slowly than real time", err=True)
-    if program is None:
-        _serve_python(simulator, listen, delay_ms, loss, corruption, reset_every, seed)
-        return
+    program = build("transopt-device", [*sources(CORE), *sources(FIRMWARE / "host")])
     numbers = {
         "--delay-ms": delay_ms,
         "--loss": loss,
@@ -168,30 +157,6 @@ def _boot() -> int:
     import secrets
 
     return secrets.randbelow(1 << 31)
-
-
-def _serve_python(
-    simulator: "Simulator",
-    listen: str | None,
-    delay_ms: float,
-    loss: float,
-    corruption: float,
-    reset_every_s: float,
-    seed: int,
-) -> None:
-    from controller.device.endpoint import Device
-    from controller.device.server import Listener, Terminal, serve
-    from controller.sim.virtual_link import Link, Trouble
-
-    port = Terminal() if listen is None else Listener(listen)
-    typer.echo(port.name)
-    link = Link(Trouble(latency_s=1e-3 * delay_ms, loss=loss, corruption=corruption), seed)
-    try:
-        serve(lambda: Device(_boot()), simulator, DT_S, port, link, reset_every_s=reset_every_s)
-    except KeyboardInterrupt:
-        return
-    finally:
-        port.close()
 
 
 def main() -> None:

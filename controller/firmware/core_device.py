@@ -1,15 +1,100 @@
-"""The compiled core behind the interface of `controller.device.endpoint.Device`, to compare the two byte by byte."""
+"""The device: its compiled core as an object in this process, sans-IO, without a clock and without a port.
+
+The same C files run on a microcontroller and in the program behind `transopt-device`. Here they are a shared library,
+compiled on first use, so that a host, a line and a device can run in one process in virtual time.
+"""
 
 import ctypes
 import functools
 from collections.abc import Iterator
+from typing import Protocol
 
 from controller.firmware.build import CORE, build, sources
 from controller.firmware.replay import MOST_EVENTS, REPLAY, counts_of
 from controller.protocol.capacity import Hardware
-from controller.protocol.codes import EVENTS, STATES
+from controller.protocol.codes import EVENTS, NOTHING, STATES
+from controller.protocol.packed import HASH_BYTES
 from controller.protocol.wire import ENCODED_LIMIT, PAYLOAD_LIMIT
-from controller.servo.interface import Event, Output, Readings
+from controller.servo.interface import Event, Fault, Output, Readings, State
+
+
+class DeviceEnd(Protocol):
+    """A device's end of the link. Not thread-safe: one thread makes all three calls."""
+
+    def receive(self, data: bytes) -> None:
+        """Take whatever came over the link since the last call, in pieces of any size."""
+
+    def step(self, readings: Readings) -> Output:
+        """One servo period: the command that answers one tick's readings, to be held until the next tick."""
+
+    def bytes_to_send(self) -> bytes:
+        """What goes out since the last call."""
+
+
+class Look(ctypes.Structure):
+    """What a device has in it, beyond what it says: `td_probe_view` of replay/td_probe.h.
+
+    Attributes
+    ----------
+    winding_C, housing_C : of the coil's model; 0 before there is a configuration with a coil.
+    boot : number of this start.
+    events : number of the next event.
+    oldest_event : number of the first event that is not acknowledged; `events` if all are.
+    arrived_bytes : of the image on its way.
+    frames, bad_frames : sound and other ones that have arrived.
+    dropped_frames : sound ones that were not for this session, out of order, or of no meaning.
+    lost_frames : that found no room to go out.
+    configuration_sha256, library_sha256, checked_sha256 : zeros for what is not there.
+    """
+
+    _fields_ = (
+        ("winding_C", ctypes.c_double),
+        ("housing_C", ctypes.c_double),
+        ("boot", ctypes.c_uint32),
+        ("events", ctypes.c_uint32),
+        ("oldest_event", ctypes.c_uint32),
+        ("arrived_bytes", ctypes.c_uint32),
+        ("frames", ctypes.c_uint32),
+        ("bad_frames", ctypes.c_uint32),
+        ("dropped_frames", ctypes.c_uint32),
+        ("lost_frames", ctypes.c_uint32),
+        ("_state", ctypes.c_uint8),
+        ("_fault", ctypes.c_uint8),
+        ("_configuration", ctypes.c_uint8 * HASH_BYTES),
+        ("_library", ctypes.c_uint8 * HASH_BYTES),
+        ("_checked", ctypes.c_uint8 * HASH_BYTES),
+    )
+    winding_C: float
+    housing_C: float
+    boot: int
+    events: int
+    oldest_event: int
+    arrived_bytes: int
+    frames: int
+    bad_frames: int
+    dropped_frames: int
+    lost_frames: int
+
+    @property
+    def state(self) -> State:
+        return STATES[int(self._state)]
+
+    @property
+    def fault(self) -> Fault | None:
+        """The first that tripped since the last reset."""
+        return None if self._fault == NOTHING else EVENTS[self._fault]  # type: ignore[return-value]
+
+    @property
+    def configuration_sha256(self) -> bytes:
+        return bytes(self._configuration)
+
+    @property
+    def library_sha256(self) -> bytes:
+        return bytes(self._library)
+
+    @property
+    def checked_sha256(self) -> bytes:
+        return bytes(self._checked)
 
 
 @functools.cache
@@ -24,11 +109,16 @@ def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
         "td_device_send",
     ):
         getattr(library, name).restype = size
-    library.td_probe_step.restype = ctypes.c_uint8
+    for name in ("td_probe_step", "td_device_state"):
+        getattr(library, name).restype = ctypes.c_uint8
     library.td_probe_start.argtypes = [pointer, ctypes.c_uint32, number, number, number]
     library.td_probe_step.argtypes = [pointer, ctypes.c_uint64, ctypes.c_int32, ctypes.c_bool, *4 * (pointer,)]
     library.td_probe_decode.argtypes = [pointer, ctypes.c_char_p, size, pointer]
-    library.td_probe_counts.argtypes = [pointer, pointer]
+    library.td_probe_look.argtypes = [pointer, pointer]
+    library.td_probe_image.argtypes = [pointer, pointer]
+    library.td_probe_image.restype = pointer
+    library.td_probe_heat.argtypes = [pointer, number, number]
+    library.td_device_state.argtypes = [pointer]
     library.td_device_receive.argtypes = [pointer, ctypes.c_char_p, size]
     library.td_device_send.argtypes = [pointer, pointer, size]
     library.td_decoder_start.argtypes = [pointer]
@@ -88,7 +178,13 @@ def _pieces(data: bytes) -> Iterator[bytes]:
 
 
 class CoreDevice:
-    """One device from one start to the next.
+    """A `DeviceEnd`: one device from one start to the next.
+
+    Parameters
+    ----------
+    boot : another number at every start.
+    hardware : what the amplifier behind the device is good for; the default's without it.
+    flags : of the compiler, such as capacities (`-DTD_MAX_LIBRARY_SAMPLES=3000`) or -DTD_REAL_FLOAT.
 
     Raises
     ------
@@ -97,7 +193,7 @@ class CoreDevice:
 
     ROOM_BYTES = 1 << 17
 
-    def __init__(self, boot: int, flags: tuple[str, ...] = (), hardware: Hardware | None = None) -> None:
+    def __init__(self, boot: int, hardware: Hardware | None = None, flags: tuple[str, ...] = ()) -> None:
         self._library, self.tick = _probe(flags), 0
         self._device = _Aligned(self._library.td_probe_device_size())
         limits = Hardware() if hardware is None else hardware
@@ -127,8 +223,22 @@ class CoreDevice:
         command, transient, feedback, winding = self._answer
         return Output(command, STATES[state], transient, feedback, winding, events)
 
-    def counts(self) -> tuple[int, ...]:
-        """Dropped frames, frames, bad frames, frames that found no room to go out."""
-        counts = (ctypes.c_uint32 * 4)()
-        self._library.td_probe_counts(self._device.at, counts)
-        return tuple(counts)
+    @property
+    def state(self) -> State:
+        return STATES[int(self._library.td_device_state(self._device.at))]
+
+    def look(self) -> Look:
+        """What is in it now."""
+        view = Look()
+        self._library.td_probe_look(self._device.at, ctypes.byref(view))
+        return view
+
+    def image(self) -> bytes:
+        """The library in force as it was sent; empty without one."""
+        size = ctypes.c_size_t()
+        at = self._library.td_probe_image(self._device.at, ctypes.byref(size))
+        return ctypes.string_at(at, size.value)
+
+    def heat(self, winding_C: float, housing_C: float) -> None:
+        """Make the coil so warm, as if much had been played."""
+        self._library.td_probe_heat(self._device.at, winding_C, housing_C)

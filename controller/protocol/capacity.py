@@ -1,4 +1,4 @@
-"""What a device holds and allows: one place for the Python device, the generated C header and the host's messages."""
+"""What a device holds and allows: one place for the generated C header, the host and its messages."""
 
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ def checked(name: str, value: float, low: float, high: float, unit: str = "") ->
 
 @dataclass(frozen=True, slots=True)
 class Capacity:
-    """Of one device, all chosen at its build; the default is that of the Python device and of the host build.
+    """Of one device, all chosen at its build; the default is that of the host build.
 
     Attributes
     ----------

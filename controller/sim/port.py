@@ -9,7 +9,7 @@ gives the same run. The core is the firmware's, compiled for this machine.
 from typing import Protocol
 
 from controller.firmware.build import NoCompilerError
-from controller.firmware.core_device import CoreDevice
+from controller.firmware.core_device import CoreDevice, DeviceEnd
 from controller.protocol.capacity import Capacity, Hardware
 from controller.servo.interface import Output, Readings
 from controller.servo.loop import SLEEP_S, Clock
@@ -19,16 +19,6 @@ from transopt.base.errors import InputError
 
 SIMULATED = "sim:"
 BOOT = 1
-
-
-class DeviceEnd(Protocol):
-    """The device's end of the protocol: `receive`, `step`, `bytes_to_send` in every servo period."""
-
-    def receive(self, data: bytes) -> None: ...
-
-    def step(self, readings: Readings) -> Output: ...
-
-    def bytes_to_send(self) -> bytes: ...
 
 
 class World(Protocol):
@@ -113,6 +103,6 @@ def core_end(settings: Settings, samples: int = 0) -> CoreDevice:
     usual = Capacity().samples
     flags = () if samples <= usual else (f"-DTD_MAX_LIBRARY_SAMPLES={usual << (samples // usual).bit_length()}",)
     try:
-        return CoreDevice(BOOT, flags, hardware)
+        return CoreDevice(BOOT, hardware, flags)
     except NoCompilerError as missing:
         raise InputError(f"--simulate runs the device's own C code: {missing}") from None

@@ -5,8 +5,9 @@ Steps are of one servo period. The host looks every millisecond, or when its own
 
 from collections.abc import Callable
 from itertools import count
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, Self, TypeVar
 
+from controller.firmware.core_device import DeviceEnd
 from controller.host.session import Session
 from controller.protocol.events import Told
 from controller.servo.interface import Output, Readings, State
@@ -15,24 +16,14 @@ from controller.sim.virtual_link import Link, Trouble
 HOST_TICKS = 10
 
 
-class End(Protocol):
-    """A device's end of the link, `controller.device.endpoint.Device` or the compiled core."""
-
-    def receive(self, data: bytes) -> None: ...
-
-    def step(self, readings: Readings) -> Output: ...
-
-    def bytes_to_send(self) -> bytes: ...
-
-
-D = TypeVar("D", bound=End)
+End = TypeVar("End", bound=DeviceEnd)
 
 
 class NotWithinError(TimeoutError):
     """Something did not come about within its time."""
 
 
-class Rehearsal(Generic[D]):
+class Rehearsal(Generic[End]):
     """
     Parameters
     ----------
@@ -44,7 +35,9 @@ class Rehearsal(Generic[D]):
     output : of the running device, the last. readings : what the device sees at a tick.
     """
 
-    def __init__(self, start: Callable[[int], D], dt_s: float, trouble: Trouble | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, start: Callable[[int], End], dt_s: float, trouble: Trouble | None = None, seed: int = 0
+    ) -> None:
         self.link, self.dt_s = Link(trouble, seed), dt_s
         tokens = count(1)
         self._token: Callable[[], int] = lambda: next(tokens)

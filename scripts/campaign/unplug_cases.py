@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from campaign.compiled_device import DT_S, SETTINGS, TAIL, smooth_bank
+from campaign.rehearsal import NotWithinError, Rehearsal
 from controller.firmware.core_device import CoreDevice
 from controller.host.session_states import OPEN
 from controller.protocol import messages as m
@@ -25,7 +26,6 @@ from controller.record.recorder import Recorder
 from controller.record.telemetry import CSV_NAME, read_csv
 from controller.servo.interface import Fault, Output, Readings, State
 from controller.sim.virtual_link import Trouble
-from scripts.campaign.rehearsal import NotWithinError, Rehearsal
 
 PHASES = {"connect": 8e-3, "configure": 0.015, "upload": 0.04, "check pending": 0.1, "armed": 0.15, "playing": 0.5}
 KINDS = ("cable", "port", "reset", "host killed", "host hangs", "short gap")

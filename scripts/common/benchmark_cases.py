@@ -34,7 +34,7 @@ from transopt.proof.certify import certify
 from transopt.recordings.reference import build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
-from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati, sparse_kkt, unlimited
+from transopt.solvers import casadi_ipopt, casadi_piqp, riccati, sparse_kkt, unlimited
 from transopt.solvers import lq_pass as riccati_lq
 from transopt.solvers import program as transcribe
 from transopt.solvers.choose import solve
@@ -111,7 +111,7 @@ def project_solver(problem: TransientProblem, solver: str) -> Peer:
     """A solver of the project, its object reused; set-up is what a first call with nothing cached takes longer."""
     options = SolverOptions(solver)
     transcribe.state_program.cache_clear()
-    for module in (casadi_piqp, casadi_fatrop, casadi_ipopt):
+    for module in (casadi_piqp, casadi_ipopt):
         module.solver_object.cache_clear()
     first, second = (elapsed_ms(lambda: solve(problem, options)) for _ in range(2))
     solution = solve(problem, options)

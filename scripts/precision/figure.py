@@ -28,7 +28,6 @@ OFFSETS_PT = {"seed inversion": (-3, -8), "clipped optimum": (-3, 8)}  # of a po
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
     "casadi-piqp": {"color": "#0072B2", "marker": "o"},
-    "casadi-fatrop": {"color": "#0072B2", "marker": "s", "linestyle": "--"},
     "casadi-ipopt": {"color": "#0072B2", "marker": "^", "linestyle": ":"},
     "riccati": {"color": "#D55E00", "marker": "o"},
     "hpipm (CasADi)": {"color": "#CC79A7", "marker": "v"},
@@ -41,7 +40,6 @@ LOOKS: dict[str, dict[str, Any]] = {
 LABELS = {
     "riccati": "riccati (this project's own)",
     "casadi-piqp": "casadi-piqp (this project)",
-    "casadi-fatrop": "casadi-fatrop (this project)",
     "casadi-ipopt": "casadi-ipopt (this project)",
     "opti-ipopt": "Opti + IPOPT, as commonly written",
     "daqp": "daqp, condensed",

@@ -15,7 +15,7 @@ from precision.discretisations import RULES, discretised, growth
 from transopt.base.signals import FloatArray
 from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.problem import Multipliers
-from transopt.solvers import casadi_fatrop, unlimited
+from transopt.solvers import unlimited
 from transopt.solvers.choose import SOLVERS, capable, solve
 from transopt.solvers.options import SolverOptions
 
@@ -129,12 +129,10 @@ def _project(solver: str) -> Method:
     def settings(case: Case) -> list[Setting]:
         if solver not in capable(case.small):
             return []
-        least = casadi_fatrop.LEAST_NLP_TOLERANCE if solver == "casadi-fatrop" and case.qp is None else 0.0
-        usual, tightest = max(SolverOptions().tolerance, least), max(TIGHTEST, least)
-        what = "the default tolerance" if usual == SolverOptions().tolerance else "the least that it takes here"
-        default = Setting(f"tolerance {usual:g}, {what}", usual, Level.DEFAULT)
+        usual = SolverOptions().tolerance
+        default = Setting(f"tolerance {usual:g}, the default tolerance", usual, Level.DEFAULT)
         others = [tolerance for tolerance in LOOSER if tolerance > usual]
-        return [default, *sweep("", [*others, tightest], tightest, "tolerance")[1:]]
+        return [default, *sweep("", [*others, TIGHTEST], TIGHTEST, "tolerance")[1:]]
 
     def prepare(case: Case, setting: Setting) -> Prepared:
         options = SolverOptions(solver, setting.tolerance)

@@ -99,6 +99,18 @@ class QP:
         return lower, upper
 
 
+def stage_order(shape: transcribe.Shape) -> NDArray[np.intp]:
+    """(m,) the program's rows, the dynamics of all stages and then the hand-over, sorted by stage.
+
+    Methods that find the structure of an optimal-control problem themselves (HPIPM) need the rows of a stage
+    together, its dynamics first.
+    """
+    N = shape.stages
+    # The hand-over at the end of stage k limits the state that stage k + 1 begins with.
+    handed_over = np.arange(N - shape.hand_over_samples, N) + 1
+    return np.argsort(np.append(np.repeat(np.arange(N), shape.layout.states), handed_over), kind="stable")
+
+
 def quadratic_program(name: str, problem: TransientProblem) -> QP:
     """The QP of an entry, its solution still zero (`solved`).
 
@@ -124,7 +136,7 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
     boxed = np.flatnonzero(np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x))
     V = statement.lower_x.size
     identity = sparse.csc_array((np.ones(boxed.size), (np.arange(boxed.size), boxed)), shape=(boxed.size, V))
-    order = transcribe.state_program(statement.shape).stage_order
+    order = stage_order(statement.shape)
     rows = sparse.csc_array(data["A"].sparse())[order]
     r, shape = problem.reference_m_s2, statement.shape
     return QP(
@@ -172,7 +184,7 @@ def solved(qp: QP, problem: TransientProblem, objective: float, tolerance: float
         lbx=statement.lower_x,
         ubx=statement.upper_x,
     )
-    on_rows = np.asarray(result["lam_a"]).ravel()[program.stage_order]
+    on_rows = np.asarray(result["lam_a"]).ravel()[stage_order(shape)]
     on_variables = np.asarray(result["lam_x"]).ravel()[qp.boxed]
     solution = np.asarray(result["x"]).ravel()
     return replace(qp, solution=solution, multipliers=np.append(on_rows, on_variables), objective=objective)
@@ -181,7 +193,7 @@ def solved(qp: QP, problem: TransientProblem, objective: float, tolerance: float
 def project_multipliers(problem: TransientProblem, qp: QP, y: FloatArray) -> Multipliers:
     """Multipliers y (m + b,) of the QP as those of the problem, in SI: what `transopt.proof.certify` takes."""
     on_rows = np.empty(qp.rows)
-    on_rows[transcribe.state_program(transcribe.program_shape(problem)).stage_order] = y[: qp.rows]
+    on_rows[stage_order(transcribe.program_shape(problem))] = y[: qp.rows]
     on_variables = np.zeros(qp.q.size)
     on_variables[qp.boxed] = y[qp.rows :]
     return state(problem).multipliers(on_variables, on_rows)

@@ -166,8 +166,8 @@ def how_measured(reading_ms: float) -> list[str]:
   ready. DAQP is dense: condensing is part of its run. A run longer than {TIME_LIMIT_S:g} s is a failure.
 - **Summary**: as in qpbenchmark, the shifted geometric mean of the run time (shift {SHIFT_MS:g} ms) with failures
   charged {TIME_LIMIT_S:g} s, the best 1.0. The recomputed error decides what is a failure, not the solver.
-- `riccati` is the project's own solver and its default; `casadi-piqp`, `casadi-fatrop` and `casadi-ipopt` are
-  CasADi's plugins under the project's adapters. *The default tolerance* is the project's, for all four; IPOPT with
+- `riccati` is the project's own solver and its default; `casadi-piqp` and `casadi-ipopt` are CasADi's
+  plugins under the project's adapters. *The default tolerance* is the project's, for all three; IPOPT with
   its own defaults is what `opti-ipopt` runs. HPIPM's status 1 is its iteration limit: it asks for more digits than
   there are, and its answer is right all the same.
 - **Own certificate**: relative duality gap by the method's own multipliers (`proof.certify`); needs no reference.

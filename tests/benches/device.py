@@ -1,17 +1,23 @@
-"""A host session, a link and a device on one virtual clock."""
+"""A host session, a link and the compiled device on one virtual clock; and a host that speaks frame by frame."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
 
 import numpy as np
+import pytest
 
-from controller.device.endpoint import Device
-from controller.protocol.capacity import Capacity, Hardware
+from controller.firmware.build import NoCompilerError, compiler
+from controller.firmware.core_device import CoreDevice
+from controller.protocol import messages as m
+from controller.protocol.capacity import Hardware
+from controller.protocol.codes import REASONS, Reason
 from controller.protocol.configuration import configuration_of
 from controller.protocol.events import Told
-from controller.protocol.image import image_of
-from controller.servo.interface import State
+from controller.protocol.image import image_of, sha256
+from controller.protocol.packed import Packed
+from controller.protocol.wire import DELIMITER, Decoder, decode, encode
+from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
 from controller.sim.virtual_link import Trouble
 from controller.waveforms.bank import Bank, Method
@@ -55,17 +61,32 @@ def tokens() -> Callable[[], int]:
     return lambda: next(counter)
 
 
-class World(Rehearsal[Device]):
-    """With the Python device; the stylus hangs 5 mm above the surface, in a hand, unless `readings` says else."""
+def need_compiler() -> None:
+    """Skip the test on a machine that cannot compile the device."""
+    try:
+        compiler()
+    except NoCompilerError as missing:
+        pytest.skip(str(missing))
 
-    def __init__(
-        self,
-        trouble: Trouble | None = None,
-        seed: int = 0,
-        capacity: Capacity | None = None,
-        hardware: Hardware | None = None,
-    ) -> None:
-        super().__init__(lambda boot: Device(boot, capacity, hardware), DT_S, trouble, seed)
+
+def started(boot: int, hardware: Hardware | None = None, samples: int | None = None) -> CoreDevice:
+    """The device as it is after power on; `samples`: int16 samples that its libraries may have."""
+    need_compiler()
+    return CoreDevice(boot, hardware, () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",))
+
+
+def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """Whole frames with other payloads; what is empty afterwards is left out."""
+    payloads = [decode(piece) for piece in data.split(DELIMITER)[:-1]]
+    changed = [change(payload) for payload in payloads if payload]
+    return b"".join(encode(payload) for payload in changed if payload)
+
+
+class World(Rehearsal[CoreDevice]):
+    """With the compiled device; the stylus hangs 5 mm above the surface, in a hand, unless `readings` says else."""
+
+    def __init__(self, trouble: Trouble | None = None, seed: int = 0, samples: int | None = None) -> None:
+        super().__init__(lambda boot: started(boot, samples=samples), DT_S, trouble, seed)
 
     def of(self, kind: type[Told]) -> list[Told]:
         return [news for news in self.told if isinstance(news, kind)]
@@ -82,3 +103,60 @@ class World(Rehearsal[Device]):
         self.ready()
         self.session.arm(gain, lease_ms)
         return self.until(lambda: self.session.device_state is State.ARMED, 1.0)
+
+
+REST = Readings(0, 200, 3.0, 0.0, 0.0)
+HASHES = sha256(CONFIGURATION), sha256(IMAGE)
+ARM = m.Arm(0, 200, 1.0, *HASHES)
+
+
+class Talker:
+    """A device and whoever speaks to it, frame by frame."""
+
+    def __init__(self) -> None:
+        self.device, self.decoder, self.sequence, self.tick = started(7), Decoder(), 1, 0
+        self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
+
+    def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:
+        """What it answers."""
+        number = self.sequence if sequence is None else sequence
+        self.device.receive(encode(m.Frame(number, session, message).payload()))
+        return self.heard()
+
+    def heard(self) -> list[Packed]:
+        return [m.read_frame(payload).message for payload in self.decoder.feed(self.device.bytes_to_send())]
+
+    def ask(self, message: Packed) -> Packed:
+        self.sequence += 1
+        (answer,) = (x for x in self.put(message) if not isinstance(x, m.Event))
+        return answer
+
+    def refused(self, message: Packed) -> Reason:
+        answer = self.ask(message)
+        assert isinstance(answer, m.Refused)
+        assert answer.request == m.KINDS[type(message)]
+        return REASONS[answer.reason]
+
+    def done(self, *messages: Packed) -> None:
+        for message in messages:
+            assert isinstance(self.ask(message), m.Done), message
+
+    def configured(self, configuration: bytes = CONFIGURATION) -> "Talker":
+        self.done(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))
+        return self
+
+    def loaded(self, image: bytes = IMAGE) -> "Talker":
+        assert self.ask(m.UploadBegin(len(image), sha256(image))) == m.UploadReady(0)
+        self.put(m.Data(0, image))
+        self.done(m.Commit())
+        return self
+
+    def ready(self) -> "Talker":
+        self.configured().loaded().done(m.Checked(HASHES[0]))
+        return self
+
+    def step(self, ticks: int = 1, reading: Readings = REST) -> Output:
+        for _ in range(ticks):
+            output = self.device.step(replace(reading, tick=self.tick))
+            self.tick += 1
+        return output

@@ -55,8 +55,15 @@ def test_random_cases_are_certified_or_refused_by_name() -> None:
 
 
 def test_what_the_compiled_pass_cannot_prove_is_tried_again() -> None:
-    """Masses of 1.5 mg over ticks of 0.8 ms: rounding rules, and the refusal says so."""
-    assert judge(drawn(1, 204)).kind == "refused: PRECISION"
+    """Masses of 1.5 mg over ticks of 0.8 ms: rounding rules, and the refusal says so.
+
+    The last bits alone make a gap of a few times the limit, so that it depends on the processor whether there is a
+    proof. With a current limit five times as far off, which counts in every gap, there is none on any.
+    """
+    case = drawn(1, 204)
+    assert judge(case).kind in (CERTIFIED, "refused: PRECISION")
+    far = replace(case, current=replace(case.current, limit_A=5 * case.current.limit_A))
+    assert judge(far).kind == "refused: PRECISION"
 
 
 def test_a_case_follows_from_seed_and_index_alone() -> None:

@@ -99,7 +99,7 @@ class TestJudge:
 
     def test_the_reference_methods_are_marked_as_such(self, scripts: Any, short_case: Any, rows_of: Any) -> None:
         """And no other: neither another tolerance of the same solver nor another solver at the same."""
-        names = ("casadi-piqp", "casadi-ipopt", "casadi-fatrop")
+        names = ("casadi-piqp", "casadi-ipopt", "riccati")
         rows = rows_of(*(m for m in scripts.precision.methods.project_methods() if m.name in names))
         marked = {(row.method, row.tolerance) for row in rows if row.reference}
         assert marked == {("casadi-piqp", 1e-12), ("casadi-ipopt", 1e-12)}

@@ -124,7 +124,7 @@ class TestQP:
 class TestMethods:
     def test_the_projects_solvers_tighten(self, scripts: Any, rows_of: Any) -> None:
         rows = rows_of(*scripts.precision.methods.project_methods())
-        for method in ("casadi-piqp", "casadi-fatrop", "casadi-ipopt"):
+        for method in ("casadi-piqp", "casadi-ipopt"):
             own = {row.tolerance: row for row in rows if row.method == method}
             assert own[1e-12].level == "high accuracy"
             assert own[1e-10].level == "default"
@@ -144,10 +144,13 @@ class TestMethods:
         for setting in method.settings(short_case):
             prepared = method.prepare(short_case, setting)
             one, two = (prepared.read(prepared.run()) for _ in range(2))
-            # A start from the last solution would end sooner, and elsewhere by as much as the tolerance. When OSQP is
-            # updated it undoes its scaling and scales again: every other run has other rounding.
+            # A start from the last solution would end sooner, and elsewhere by as much as the answer is off. When
+            # they are updated OSQP and PIQP undo their scaling and scale again: every other run has other rounding,
+            # which PIQP, stopped early, leaves in the answer as a small part of what it is off.
             assert one.iterations == two.iterations
-            np.testing.assert_allclose(one.command_A, two.command_A, rtol=0, atol=1e-9 if name == "osqp" else 0)
+            off = np.abs(one.command_A - short_case.optimum.command_A).max()
+            rounding = {"osqp": 1e-9, "piqp": 1e-9 + 1e-2 * off}.get(name, 0.0)
+            np.testing.assert_allclose(one.command_A, two.command_A, rtol=0, atol=rounding)
 
     def test_hpipm_and_opti(self, scripts: Any, rows_of: Any) -> None:
         rows = rows_of(scripts.precision.wheels.hpipm(), scripts.precision.methods.opti_ipopt())
@@ -170,7 +173,7 @@ class TestMethods:
         answer = prepared.read(prepared.run())
         assert scripts.precision.cases.judge(hot.problem, answer.command_A, hot.optimum.objective).error < 1e-6
         solvers = {m.name for m in scripts.precision.methods.project_methods() if m.settings(hot)}
-        assert solvers - {"riccati"} == {"casadi-fatrop", "casadi-ipopt"}
+        assert solvers - {"riccati"} == {"casadi-ipopt"}
 
     def test_baselines_are_worse_and_said_so(self, scripts: Any, rows_of: Any) -> None:
         rows = rows_of(*scripts.precision.methods.baselines())

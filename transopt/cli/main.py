@@ -163,7 +163,7 @@ def solve(
     jobs: Annotated[int, typer.Option(help="Processes; the grips are shared among them.")] = 1,
     solver: Annotated[
         str | None,
-        typer.Option(help="riccati, the default where it is built, casadi-piqp, casadi-fatrop or casadi-ipopt."),
+        typer.Option(help="riccati, the default where it is built, casadi-piqp or casadi-ipopt."),
     ] = None,
     solver_tolerance: Annotated[float, typer.Option(help="On residuals and gap, scaled; 1e-10 is usual.")] = 1e-10,
     grid_tolerance: Annotated[

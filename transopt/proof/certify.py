@@ -16,6 +16,7 @@ from transopt.problem.problem import STAGEWISE, Certificate, Multipliers, Transi
 BINDING_MULTIPLIER = 1e-9  # 1/A; an interior-point method leaves about 1e-13 on a limit that does not bind
 BINDING_SLACK = 1e-5  # of the limit
 SILENT = 1e-12  # of the limit: what rounding leaves of no transient at all over a wall
+DRAWS = 4  # of last bits, of which none may speak for rounding alone
 
 
 def _moved(by_movement: FloatArray) -> FloatArray:
@@ -184,6 +185,24 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
         tracking = replace(Motion.zero(acceleration.size), acceleration_m_s2=by_acceleration(acceleration))
         gradient = gradient + device.adjoint(tracking)
     return np.asarray(gradient)
+
+
+def gradient_rounding(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> FloatArray:
+    """(N,) what rounding makes of the reduced gradient of the Lagrangian [1/A].
+
+    Every command is moved by its last bit, up or down by lot, and the gradient is taken again. The change has both
+    causes in it: the answer cannot be stored more finely, and the sums of the gradient round. Its size is averaged
+    over a few draws, so that no entry is small because two roundings cancel. The lot is the same for every call.
+    """
+    m = admissible(problem, multipliers)
+
+    def gradient(command: FloatArray) -> FloatArray:
+        return reduced_gradient(problem, command, problem.stage.motion(command), m)
+
+    own, lot = gradient(command_A), np.random.default_rng(0)
+    signs = lot.choice((-1.0, 1.0), (DRAWS, command_A.size))
+    moved = command_A * (1 + np.finfo(float).eps * signs)
+    return np.asarray(np.mean([np.abs(gradient(command) - own) for command in moved], axis=0))
 
 
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:

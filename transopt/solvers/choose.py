@@ -9,10 +9,9 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.problem.problem import Certificate, Multipliers, Solution, Status, TransientProblem
 from transopt.proof.certify import certify
-from transopt.solvers import casadi_fatrop, casadi_ipopt, casadi_piqp, riccati
+from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions, default_solver
-from transopt.solvers.polish import polished
 
 __all__ = [
     "SOLVERS",
@@ -30,7 +29,6 @@ MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another m
 SOLVERS = {
     "riccati": riccati.solve,
     "casadi-piqp": casadi_piqp.solve,
-    "casadi-fatrop": casadi_fatrop.solve,
     "casadi-ipopt": casadi_ipopt.solve,
 }
 
@@ -53,13 +51,11 @@ def check_name(solver: str) -> None:
 def capable(problem: TransientProblem) -> list[str]:
     """Names of the solvers that can take this problem, the first choice first.
 
-    That is the project's own method where it is built. Of the others IPOPT takes the NLP: FATROP is twice as fast,
-    but loses its last digits on tight budgets and then runs on.
+    The project's own method where it is built, then PIQP where the problem is a QP, then IPOPT, which takes all.
     """
     own = ["riccati"] if riccati.can_solve(problem) else []
     quadratic = ["casadi-piqp"] if problem.thermal is None else []
-    stagewise = ["casadi-fatrop"] if casadi_fatrop.can_solve(problem) else []
-    return [*own, *quadratic, "casadi-ipopt", *stagewise]
+    return [*own, *quadratic, "casadi-ipopt"]
 
 
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:
@@ -124,13 +120,6 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
         yield answer, proof
         if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
             return  # its claim comes with a proof
-        if problem.thermal is None and answer.status is not Status.INFEASIBLE:
-            with np.errstate(all="ignore"):  # an active set that cannot be, which shows in the certificate
-                better = polished(problem, answer)
-            proof = certify(problem, better.command_A, better.multipliers)
-            if better.status is Status.OPTIMAL and proof.is_stationary:
-                yield better, proof
-                return
         if not asked and problem.grid.stages <= MOST_ASKED_STAGES:
             asked = True
             if not feasible(problem):

@@ -68,7 +68,6 @@ class Program:
     f : MX, J in units of `OBJECTIVE_SCALE`. g : MX, rows kind by kind.
     rows : kind -> where it stands in g: "dynamics", "heat", "size_above", "size_below", "pause", "hand_over",
         "supply_before", "supply_after".
-    row_stages : (rows,) stage that each row belongs to. stage_order : permutation of g that sorts them by it.
     qp_data : Function p -> (H sparse, q, A sparse) of 1/2 x'Hx + q'x, lb <= A x <= ub. With the temperature
         (`nlp_only`) there is none.
     """
@@ -80,8 +79,6 @@ class Program:
     f: ca.MX
     g: ca.MX
     rows: dict[str, slice]
-    row_stages: NDArray[np.intp]
-    stage_order: NDArray[np.intp]
     nlp_only: bool
     _qp_data: ca.Function | None
 
@@ -239,50 +236,43 @@ def state_program(shape: Shape) -> Program:
     tracking = sum(ca.dot(weights, error[s, :] ** 2) for s in range(where.devices)) / where.devices
     objective = tracking + movement_weight * ca.dot(movement, movement)
 
-    # Each kind's rows with the stage they belong to in a stage-wise order.
-    kinds: list[tuple[str, ca.MX, NDArray[np.intp]]] = []
-    every = np.arange(N)
-    kinds.append(("dynamics", ca.vec(after - stage.after(before, movement)), np.repeat(every, n)))
+    rows = {"dynamics": ca.vec(after - stage.after(before, movement))}
     if stage.heat is not None:
         warm = ca.horzcat(first if shape.repeated else ca.MX(m, 1), rise[:, :-1])
         size = variables[1, :]
         # A step's own rise is tiny beside the headroom of taps that repeat: the row is weighed to be met as exactly.
         weight = REPEATED_WEIGHT if shape.repeated else 1.0
         warmer = stage.warmer(before, movement, size, warm, stage.heat.gain)
-        kinds.append(("heat", ca.vec(weight * (rise - warmer)), np.repeat(every, m)))
+        rows["heat"] = ca.vec(weight * (rise - warmer))
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
         mean = stage.mean_current(before, movement)
-        kinds.append(("size_above", ca.vec(size - mean), every))
-        kinds.append(("size_below", ca.vec(size + mean), every))
+        rows["size_above"] = ca.vec(size - mean)
+        rows["size_below"] = ca.vec(size + mean)
         if shape.repeated:
-            closed = weight * (first - stage.heat.F @ rise[:, -1] - stage.heat.f)
-            kinds.append(("pause", closed, np.full(m, N)))
+            rows["pause"] = weight * (first - stage.heat.F @ rise[:, -1] - stage.heat.f)
     if where.feedback_delay is None:
-        kinds.append(("hand_over", ca.vec(after[-1, N - h :]), every[N - h :] + 1))
+        rows["hand_over"] = ca.vec(after[-1, N - h :])
     else:
         mask = np.repeat(feedback_mask(where), h, axis=0).T
         symbols["T"], T = _sparse_symbol("T", mask)
         asked = before[-1, N - h :] + movement[N - h :] - ca.sum1(T * before[:, N - h :])
-        kinds.append(("hand_over", ca.vec(asked), every[N - h :]))
+        rows["hand_over"] = ca.vec(asked)
     if shape.supply:
-        kinds.append(("supply_before", ca.vec(stage.voltage_before(after[:, :-1])), every[1:]))
-        kinds.append(("supply_after", ca.vec(stage.voltage_after(before, movement)), every))
+        rows["supply_before"] = ca.vec(stage.voltage_before(after[:, :-1]))
+        rows["supply_after"] = ca.vec(stage.voltage_after(before, movement))
 
-    ends = np.cumsum([0, *(rows.numel() for _, rows, _ in kinds)])
-    # Stable: within a stage the dynamics stay first, then come the limits.
-    row_stages = np.concatenate([stages for _, _, stages in kinds])
-    order = np.argsort(row_stages, kind="stable")
+    ends = np.cumsum([0, *(kind.numel() for kind in rows.values())])
     x = ca.veccat(first, variables)
     f = objective / OBJECTIVE_SCALE
-    g = ca.vertcat(*(rows for _, rows, _ in kinds))
+    g = ca.vertcat(*rows.values())
     p = ca.veccat(*symbols.values())
     qp_data = None
     if not m:
         hessian, gradient = ca.hessian(f, x)
         at_zero = ca.substitute(gradient, x, ca.DM.zeros(x.numel()))
         qp_data = ca.Function("qp_data", [p], [hessian, at_zero, ca.jacobian(g, x)], ["p"], ["H", "q", "A"])
-    rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, (name, _, _) in enumerate(kinds)}
-    return Program(shape, x, p, tuple(symbols), f, g, rows_of, row_stages, order, qp_data is None, qp_data)
+    rows_of = {name: slice(int(ends[j]), int(ends[j + 1])) for j, name in enumerate(rows)}
+    return Program(shape, x, p, tuple(symbols), f, g, rows_of, qp_data is None, qp_data)
 
 
 def stage_shape(shape: Shape) -> Shape:

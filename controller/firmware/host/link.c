@@ -28,11 +28,11 @@ const char *link_open_terminal(port_link *link, char *name)
     link->terminal = true;
     link->open = posix_openpt(O_RDWR | O_NOCTTY);
     if (link->open < 0 || grantpt(link->open) != 0 || unlockpt(link->open) != 0 || ptsname(link->open) == NULL)
-        return "no pseudo-terminal to be had: use --listen HOST:PORT";
+        return "there is none to be had: use --listen HOST:PORT";
     snprintf(name, LINK_NAME, "%s", ptsname(link->open));
     link->kept = open(name, O_RDWR | O_NOCTTY);
     if (link->kept < 0 || tcgetattr(link->kept, &raw) != 0)
-        return "its pseudo-terminal cannot be opened: use --listen HOST:PORT";
+        return "it cannot be opened: use --listen HOST:PORT";
     raw.c_iflag = raw.c_oflag = raw.c_lflag = 0;
     raw.c_cflag = (raw.c_cflag & ~(tcflag_t)(CSIZE | PARENB)) | CS8 | CREAD | CLOCAL;
     raw.c_cc[VMIN] = 1;
@@ -56,7 +56,7 @@ const char *link_listen(port_link *link, const char *address, char *name)
     link->terminal = false;
     if (colon == NULL || colon[1] == '\0' || (size_t)(colon - address) >= sizeof host ||
         strtoul(colon + 1, &rest, 10) > 65535 || *rest != '\0')
-        return "--listen wants HOST:PORT";
+        return "must be HOST:PORT";
     memcpy(host, address, (size_t)(colon - address));
     host[colon - address] = '\0';
     memset(&wanted, 0, sizeof wanted);
@@ -64,13 +64,13 @@ const char *link_listen(port_link *link, const char *address, char *name)
     wanted.ai_socktype = SOCK_STREAM;
     wanted.ai_flags = AI_PASSIVE;
     if (getaddrinfo(host[0] != '\0' ? host : NULL, colon + 1, &wanted, &found) != 0)
-        return "--listen: no such address";
+        return "no such address: name this machine, such as localhost";
     link->listening = socket(found->ai_family, found->ai_socktype, found->ai_protocol);
     setsockopt(link->listening, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
     if (link->listening < 0 || bind(link->listening, found->ai_addr, found->ai_addrlen) != 0 ||
         listen(link->listening, 1) != 0 || getsockname(link->listening, (struct sockaddr *)&bound, &size) != 0) {
         freeaddrinfo(found);
-        return "--listen: this address is in use or not this machine's";
+        return "in use, or not an address of this machine: choose another port";
     }
     freeaddrinfo(found);
     never_wait(link->listening);
@@ -108,18 +108,18 @@ void link_wait(port_link *link, int milliseconds)
     if (poll(watched, count, milliseconds) <= 0 || link->listening < 0)
         return;
     if ((link->open < 0 ? watched[0].revents : watched[1].revents) & POLLIN) {
-        const int fresh = accept(link->listening, NULL, NULL);
+        const int caller = accept(link->listening, NULL, NULL);
 
-        if (fresh < 0)
+        if (caller < 0)
             return;
         /* One host at a time: a second is turned away. */
         if (link->open >= 0) {
-            close(fresh);
+            close(caller);
             return;
         }
-        link->open = fresh;
-        never_wait(fresh);
-        setsockopt(fresh, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+        link->open = caller;
+        never_wait(caller);
+        setsockopt(caller, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
     }
 }
 

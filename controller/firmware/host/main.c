@@ -50,7 +50,7 @@ static void end(int signal_number)
 
 static int fail(const char *what, const char *why)
 {
-    fprintf(stderr, "%s: %s\n", what, why);
+    fprintf(stderr, "error: %s: %s\n", what, why);
     return 2;
 }
 
@@ -246,7 +246,7 @@ int main(int argc, char **argv)
 {
     options said = {NULL, NULL, 1e-4, 10.0, 10.0, 0, 0, 0, 0, 0, 1, false};
     static port_link link = {-1, -1, -1, false};
-    char name[LINK_NAME];
+    char name[LINK_NAME], where[LINK_NAME] = "pseudo-terminal";
     const char *wrong;
     struct sigaction action;
     int result;
@@ -268,9 +268,11 @@ int main(int argc, char **argv)
     if (said.lock_step) {
         result = run_lock_step();
     } else {
+        if (said.listen != NULL)
+            snprintf(where, sizeof where, "--listen %s", said.listen);
         wrong = said.listen != NULL ? link_listen(&link, said.listen, name) : link_open_terminal(&link, name);
         if (wrong != NULL)
-            return fail("device", wrong);
+            return fail(where, wrong);
         printf("%s\n", name);
         fflush(stdout);
         result = run_real_time(&said, &link);

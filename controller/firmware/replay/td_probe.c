@@ -74,10 +74,36 @@ size_t td_probe_decode(td_decoder *decoder, const uint8_t *bytes, size_t size, u
     return (size_t)(at - payloads);
 }
 
-void td_probe_counts(const td_device *device, uint32_t *counts)
+void td_probe_look(const td_device *device, td_probe_view *view)
 {
-    counts[0] = device->dropped_frames;
-    counts[1] = device->decoder.frames;
-    counts[2] = device->decoder.bad_frames;
-    counts[3] = device->output.lost;
+    const td_store *store = &device->store;
+
+    memset(view, 0, sizeof *view);
+    view->winding_C = device->servo.guard.winding_C;
+    view->housing_C = device->servo.guard.housing_C;
+    view->boot = device->port.boot;
+    view->events = device->events.number;
+    view->oldest_event = td_events_oldest(&device->events);
+    view->arrived_bytes = (uint32_t)store->arrived;
+    view->frames = device->decoder.frames;
+    view->bad_frames = device->decoder.bad_frames;
+    view->dropped_frames = device->dropped_frames;
+    view->lost_frames = device->output.lost;
+    view->state = td_device_state(device);
+    view->fault = td_device_fault(device);
+    memcpy(view->configuration_sha256, store->configuration_sha256, TD_HASH_BYTES);
+    memcpy(view->library_sha256, store->library_sha256, TD_HASH_BYTES);
+    memcpy(view->checked_sha256, device->checked_sha256, TD_HASH_BYTES);
+}
+
+const uint8_t *td_probe_image(const td_device *device, size_t *size)
+{
+    *size = device->store.size;
+    return device->store.images[device->store.current];
+}
+
+void td_probe_heat(td_device *device, double winding_C, double housing_C)
+{
+    device->servo.guard.winding_C = winding_C;
+    device->servo.guard.housing_C = housing_C;
 }

@@ -22,7 +22,25 @@ uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, 
 /* Sound frames' payloads, each behind its u16 length; how many bytes were written, at most `size` and some. */
 size_t td_probe_decode(td_decoder *decoder, const uint8_t *bytes, size_t size, uint8_t *payloads);
 
-/* Counters: dropped frames of the device, its decoder's frames and bad frames, frames that found no room. */
-void td_probe_counts(const td_device *device, uint32_t *counts);
+/* What a device has in it, for whoever wants to see more than it says; controller/firmware/core_device.py has the same struct. */
+typedef struct {
+    double winding_C, housing_C; /* of the coil, as far as it is configured */
+    uint32_t boot;
+    uint32_t events, oldest_event; /* number of the next event, and of the first that is not acknowledged */
+    uint32_t arrived_bytes;        /* of the image on its way */
+    uint32_t frames, bad_frames;   /* of the decoder */
+    uint32_t dropped_frames;       /* sound, but not for this session, out of order, or of no meaning */
+    uint32_t lost_frames;          /* that found no room to go out */
+    uint8_t state, fault;
+    uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES], checked_sha256[TD_HASH_BYTES];
+} td_probe_view;
+
+void td_probe_look(const td_device *device, td_probe_view *view);
+
+/* The image in force, and how many bytes it has; 0 without one. */
+const uint8_t *td_probe_image(const td_device *device, size_t *size);
+
+/* The coil is so warm, whatever was played. */
+void td_probe_heat(td_device *device, double winding_C, double housing_C);
 
 #endif

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,10 +9,11 @@ import pytest
 from controller.cli import port as port_commands
 from controller.host.payload import payload
 from controller.protocol import messages
-from controller.protocol.capacity import Capacity, Hardware
+from controller.protocol.capacity import Hardware
 from controller.protocol.image import sha256
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
+from tests.benches.device import reframed
 from tests.controller.host.test_driver import Served, served
 from transopt.library.library import Library
 
@@ -21,7 +21,7 @@ __all__ = ["served"]  # a fixture
 
 
 def test_a_library_that_does_not_fit(play: Run, library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    Desk(library, capacity=Capacity(samples=3000)).put(monkeypatch)
+    Desk(library, samples=3000).put(monkeypatch)
     assert_refused(
         play("upload", "library.npz", *PORT),
         "library: 4 speeds x 3 grips x 600 samples",
@@ -40,7 +40,8 @@ def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.M
 
     def then_changed(device, given) -> None:
         original(device, given)
-        ready.firmware.store.library_sha256 = b"x" * 32
+        hear, there = ready.end.receive, ready.end.look().library_sha256
+        ready.end.receive = lambda data: hear(reframed(data, lambda sent: sent.replace(there, b"x" * 32)))
 
     monkeypatch.setattr(port_commands, "load", then_changed)
     assert_refused(
@@ -58,10 +59,10 @@ def test_not_our_device_and_another_version(play: Run, desk: Desk, monkeypatch: 
     assert_refused(play("monitor", *PORT), "not our device: it sends, but not this protocol")
     monkeypatch.undo()
     desk.put(monkeypatch)
-    hello_reply = desk.firmware._hello_reply
-    monkeypatch.setattr(
-        desk.firmware, "_hello_reply", lambda nonce: replace(hello_reply(nonce), protocol=messages.PROTOCOL + 1)
-    )
+    greeting = messages.GREETING.pack
+    ours, theirs = (greeting(messages.MAGIC, messages.PROTOCOL + other) for other in (0, 1))
+    say = desk.end.bytes_to_send
+    monkeypatch.setattr(desk.end, "bytes_to_send", lambda: reframed(say(), lambda said: said.replace(ours, theirs)))
     assert_refused(
         play("monitor", *PORT),
         "the device speaks another version of the protocol",
@@ -133,7 +134,7 @@ def test_over_a_pseudo_terminal(play: Run, served: tuple[Served, str]) -> None:
     """The whole way once: pyserial, its thread, the kernel; what comes back is what went there."""
     server, name = served
     assert play("upload", "library.npz", "--port", name).code == 0
-    assert server.device.store.library_sha256 == sha256(payload(Path("library.npz")).image)
+    assert server.device.look().library_sha256 == sha256(payload(Path("library.npz")).image)
     outcome = play("monitor", "--port", name, "--for", 0.2)
     assert outcome.code == 0
     assert "+4.90 mm" in outcome.out

@@ -1,4 +1,7 @@
-"""What both devices ask of configurations and images, number by number, and where their memory ends."""
+"""What the compiled device asks of configurations and images, number by number, and where its memory ends.
+
+The oracle is `configuration.accept` and `image.check`: the same conditions in Python, in the same order.
+"""
 
 import struct
 from collections.abc import Iterator
@@ -7,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.device.endpoint import Device
 from controller.firmware.build import NoCompilerError, compiler
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
+from controller.protocol.capacity import Capacity, Hardware
 from controller.protocol.codes import REASON_CODES, Reason
-from controller.protocol.configuration import HEADER, NAMES, configuration_of
+from controller.protocol.configuration import HEADER, NAMES, ConfigurationError, accept, configuration_of
 from controller.protocol.image import HEADER as IMAGE_HEADER
-from controller.protocol.image import IMAGE_FIELDS, image_of
+from controller.protocol.image import IMAGE_FIELDS, ImageError, check, image_of
 from controller.protocol.packed import Packed
 from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Readings
@@ -57,32 +60,23 @@ def _compiler() -> None:
         pytest.skip(str(missing))
 
 
-class Pair:
-    """Both devices, told the same."""
+class Told:
+    """The device, and a host that tells it one thing after the other."""
 
     def __init__(self) -> None:
-        self.python, self.core, self._decoder = Device(1), CoreDevice(1), Decoder()
+        self.core, self._decoder = CoreDevice(1), Decoder()
         self._sequence = 0
         self.tell(m.Hello(m.MAGIC, m.PROTOCOL, 0))
 
     def tell(self, *told: Packed) -> list[Packed]:
-        """What they answer, after it has been found to be the same."""
+        """What it answers."""
         for message in told:
             self._sequence = (self._sequence + 1) % 0x10000
-            data = encode(m.Frame(self._sequence, 5, message).payload())
-            self.python.receive(data)
-            self.core.receive(data)
+            self.core.receive(encode(m.Frame(self._sequence, 5, message).payload()))
         return self.fetch()
 
     def fetch(self) -> list[Packed]:
-        said = self.python.bytes_to_send(), self.core.bytes_to_send()
-        heard = [m.read_frame(payload).message for payload in self._decoder.feed(said[0])]
-        assert said[0] == said[1], heard
-        return heard
-
-    def step(self, readings: Readings) -> None:
-        outputs = self.python.step(readings), self.core.step(readings)
-        assert outputs[0].command_A == outputs[1].command_A
+        return [m.read_frame(payload).message for payload in self._decoder.feed(self.core.bytes_to_send())]
 
     def configure(self, data: bytes) -> Packed:
         return self.tell(m.Configure(0, data), m.ConfigureCommit(sha256(data)))[-1]
@@ -90,6 +84,33 @@ class Pair:
     def upload(self, image: bytes) -> Packed:
         chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
         return self.tell(m.UploadBegin(len(image), sha256(image)), *chunks, m.Commit())[-1]
+
+
+def answered(answer: Packed, why: ConfigurationError | ImageError | None) -> int:
+    """The code of the reason, after it has been found to be the oracle's, with its value; 0 without."""
+    if why is None:
+        assert isinstance(answer, m.Done)
+        return 0
+    assert isinstance(answer, m.Refused)
+    assert answer.reason == REASON_CODES[why.reason]
+    assert answer.value == why.value or (np.isnan(answer.value) and np.isnan(why.value))
+    return answer.reason
+
+
+def refusal_of_configuration(data: bytes) -> ConfigurationError | None:
+    try:
+        accept(data, Capacity(), Hardware())
+    except ConfigurationError as why:
+        return why
+    return None
+
+
+def refusal_of_image(image: bytes, settings: Settings) -> ImageError | None:
+    try:
+        check(image, accept(configuration_of(settings), Capacity(), Hardware()), Capacity())
+    except ImageError as why:
+        return why
+    return None
 
 
 def table(speeds: int = 2, grips: int = 2, samples: int = 40) -> Bank:
@@ -104,19 +125,19 @@ IMAGE = image_of(table(), DT_S, 3e-4, TAIL)
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE, EXCITED], ids=["all", "bare", "excited"])
-def test_every_number_of_a_configuration_is_asked_for_alike(settings: Settings) -> None:
-    pair, data = Pair(), configuration_of(settings)
+def test_every_number_of_a_configuration_is_asked_for(settings: Settings) -> None:
+    device, data = Told(), configuration_of(settings)
     answers = set()
     for place, name in enumerate(NAMES):
         at = HEADER.size + 8 * place
         (value,) = struct.unpack_from("<d", data, at)
         for other in (*NUMBERS, value * 1.001, -value, value + 1.0, 1e9, 1e-3):
             changed = data[:at] + struct.pack("<d", other) + data[at + 8 :]
-            answer = pair.configure(changed)
-            answers.add(answer.reason if isinstance(answer, m.Refused) else 0)
+            answer = device.configure(changed)
+            answers.add(answered(answer, refusal_of_configuration(changed)))
             if name.startswith(("guard_", "decay", "prefilter", "approach_")) and abs(other - value) > 1e-6:
                 assert isinstance(answer, m.Refused), (name, other)
-    assert isinstance(pair.configure(data), m.Done)
+    assert isinstance(device.configure(data), m.Done)
     assert len(answers) == 5
 
 
@@ -142,80 +163,79 @@ def odd_images() -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE], ids=["all", "bare"])
-def test_every_number_of_an_image_is_asked_for_alike(settings: Settings) -> None:
-    pair = Pair()
-    assert isinstance(pair.configure(configuration_of(settings)), m.Done)
-    assert isinstance(pair.upload(IMAGE), m.Done)
+def test_every_number_of_an_image_is_asked_for(settings: Settings) -> None:
+    device = Told()
+    assert isinstance(device.configure(configuration_of(settings)), m.Done)
+    assert isinstance(device.upload(IMAGE), m.Done)
     answers = []
     for image in odd_images():
-        answer = pair.upload(image)
-        answers.append(answer.reason if isinstance(answer, m.Refused) else 0)
+        answers.append(answered(device.upload(image), refusal_of_image(image, settings)))
     assert set(answers) >= {REASON_CODES[reason] for reason in IMAGE_REASONS}
     # What was refused leaves what was there in force.
-    again = pair.tell(m.UploadBegin(len(IMAGE), sha256(IMAGE)))[-1]
+    again = device.tell(m.UploadBegin(len(IMAGE), sha256(IMAGE)))[-1]
     assert isinstance(again, m.UploadReady)
 
 
-def test_where_the_host_starts_there_is_one_waveform_alike(pair: Pair) -> None:
+def test_where_the_host_starts_there_is_one_waveform(device: Told) -> None:
     one = table(1, 1)
-    assert isinstance(pair.configure(configuration_of(EXCITED)), m.Done)
+    assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
     others = (table(1, 2), table(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
     for other in others:
-        answer = pair.upload(image_of(other, DT_S, 3e-4, TAIL))
+        answer = device.upload(image_of(other, DT_S, 3e-4, TAIL))
         assert isinstance(answer, m.Refused)
         assert answer.reason == REASON_CODES[Reason.ONE_WAVEFORM]
-    assert isinstance(pair.upload(image_of(one, DT_S, 3e-4, TAIL)), m.Done)
+    assert isinstance(device.upload(image_of(one, DT_S, 3e-4, TAIL)), m.Done)
     # In force it stays as long as the configuration takes it, and is started by contacts in the other one.
-    assert isinstance(pair.configure(configuration_of(BARE)), m.Done)
-    assert isinstance(pair.upload(IMAGE), m.Done)
-    assert isinstance(pair.configure(configuration_of(EXCITED)), m.Done)
-    assert pair.python.store.library_sha256 == m.NO_HASH
+    assert isinstance(device.configure(configuration_of(BARE)), m.Done)
+    assert isinstance(device.upload(IMAGE), m.Done)
+    assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
+    assert device.core.look().library_sha256 == m.NO_HASH
 
 
-def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(pair: Pair) -> None:
+def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: Told) -> None:
     """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
-    pair.configure(configuration_of(SETTINGS))
-    pair.tell(m.Telemetry(1))
+    device.configure(configuration_of(SETTINGS))
+    device.tell(m.Telemetry(1))
     extreme = (1e300, -1e300, 3.4028235e38, 3.5e38, float("nan"))
     for tick in range(6000):
         pressed = tick % 50 == 10
-        pair.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
+        device.core.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
         if tick % 50 == 20:
-            pair.tell(m.Reset())
+            device.tell(m.Reset())
         if tick % (700 if tick < 3000 else 2600) == 0:
-            pair.fetch()
-    for said in pair.tell(m.EventAck(64)):
+            device.fetch()
+    for said in device.tell(m.EventAck(64)):
         assert not isinstance(said, m.Event)
     for tick in range(6000, 6500):
-        pair.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
-    last = [said for said in pair.fetch() if isinstance(said, m.Event)][-1]
+        device.core.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
+    last = [said for said in device.fetch() if isinstance(said, m.Event)][-1]
     assert last.lost > 50
 
 
 @pytest.fixture
-def pair() -> Pair:
-    return Pair()
+def device() -> Told:
+    return Told()
 
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
     core, decoder = CoreDevice(1), Decoder()
     for session in range(1000):
         core.receive(encode(m.Frame(1, session, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
-    assert core.counts()[3] > 100
+    assert core.look().lost_frames > 100
     said = decoder.feed(core.bytes_to_send())
     assert decoder.bad_frames == 0
-    assert len(said) + core.counts()[3] == 1000
+    assert len(said) + core.look().lost_frames == 1000
     core.receive(encode(m.Frame(1, 4711, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
     assert len(decoder.feed(core.bytes_to_send())) == 1
 
 
-def test_a_stop_before_any_configuration_is_latched_alike(pair: Pair) -> None:
-    pair.step(REST)
-    pair.tell(m.EmergencyStop(), m.Reset())
-    pair.step(REST)
-    assert isinstance(pair.configure(configuration_of(BARE)), m.Refused)
-    pair.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
-    pair.tell(m.Reset())
-    pair.step(REST)
-    assert isinstance(pair.tell(m.Reset())[-1], m.Done)
-    assert isinstance(pair.configure(configuration_of(BARE)), m.Done)
+def test_a_stop_before_any_configuration_is_latched(device: Told) -> None:
+    device.core.step(REST)
+    device.tell(m.EmergencyStop(), m.Reset())
+    device.core.step(REST)
+    assert isinstance(device.configure(configuration_of(BARE)), m.Refused)
+    device.core.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
+    device.tell(m.Reset())
+    device.core.step(REST)
+    assert isinstance(device.tell(m.Reset())[-1], m.Done)
+    assert isinstance(device.configure(configuration_of(BARE)), m.Done)

@@ -1,4 +1,4 @@
-"""The device in C against the device in Python; `scripts/device_differential.py` in short."""
+"""The compiled device says and does what was recorded; its frames and hashes are the host's and the standards'."""
 
 import hashlib
 import subprocess
@@ -15,11 +15,13 @@ from controller.firmware.core_device import CoreDevice, Decoder, crc32, encode, 
 from controller.firmware.replay import REPLAY
 from controller.protocol import wire
 from controller.servo.interface import State
-from scripts.device_differential import DAMAGES, Talk, corrupted
+from scripts.campaign.recorded import BOOT, Conversation, load, save
+from scripts.device_conversations import SCENES, VECTORS, random_talk, said, scene, taps
+from scripts.wire_fuzz import fuzz
 from tests.benches.device import World
 
-SEEDS = (7, 10, 12, 16, 33, 52, 57)
 CHECKS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+RECORDED = load(VECTORS)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -30,44 +32,49 @@ def _compiler() -> None:
         pytest.skip(str(missing))
 
 
-@pytest.fixture(scope="module")
-def talk() -> Talk:
-    held = Talk()
-    for seed in SEEDS:
-        held.hold(seed, 2000, DAMAGES[seed % len(DAMAGES)])
-    return held
+@pytest.mark.parametrize("conversation", RECORDED, ids=lambda one: one.name)
+def test_the_device_says_and_does_what_was_recorded(conversation: Conversation) -> None:
+    """Every byte and every command; `scripts/device_conversations.py` says how they were recorded, and how anew."""
+    assert conversation.differs(CoreDevice(BOOT)) == ""
 
 
-def test_both_devices_say_and_do_the_same(talk: Talk) -> None:
-    assert talk.different == []
-    assert talk.ticks == 2000 * len(SEEDS)
-
-
-def test_much_is_said_in_these_conversations(talk: Talk) -> None:
-    """Else the comparison means little."""
-    said = set(talk.said)
-    assert {state.value for state in State} <= said
-    assert {"HelloReply", "Done", "UploadReady", "Ack", "LeaseReply", "Event", "TelemetryData"} <= said
-    assert sum(name.startswith("Refused") for name in said) >= 12
-    assert {f"Refused {why}" for why in ("not_armed", "by_contact", "still_playing", "one_waveform")} <= said
+def test_much_is_said_in_these_conversations() -> None:
+    """Else they would show little."""
+    assert {play.__name__ for play in SCENES} < {one.name for one in RECORDED}
+    found = set(said(RECORDED))
+    assert {state.value for state in State} <= found
+    assert {"HelloReply", "Done", "UploadReady", "Ack", "LeaseReply", "TelemetryData"} <= found
+    assert {
+        f"Event {what}" for what in ("contact", "finished", "lease_lost", "emergency_stop", "bad_sensor")
+    } <= found
+    assert sum(name.startswith("Refused") for name in found) >= 20
+    assert {f"Refused {why}" for why in ("not_armed", "by_contact", "still_playing", "one_waveform")} <= found
 
 
 def test_a_difference_would_be_seen() -> None:
-    """Two devices of different boots differ in their first answer."""
-    held = Talk()
-    original = CoreDevice.__init__
+    """A device of another start differs in its first answer, and the last bit of one command is seen."""
+    (recorded,) = (one for one in RECORDED if one.name == taps.__name__)
+    assert "tick 1: said" in recorded.differs(CoreDevice(BOOT + 1))
+    ticks = recorded.ticks.copy()
+    playing = np.flatnonzero(ticks["state"] == b"playing")
+    ticks["command_A"][playing[5]] = np.nextafter(ticks["command_A"][playing[5]], 9.0)
+    changed = Conversation("changed", ticks, recorded.arrived, recorded.said)
+    assert f"changed, tick {playing[5]}: Output" in changed.differs(CoreDevice(BOOT))
 
-    def other(self: CoreDevice, boot: int) -> None:
-        original(self, boot + 1)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(CoreDevice, "__init__", other)
-        held.hold(0, 200, 0.0)
-    assert len(held.different) == 1
+def test_what_is_recorded_anew_is_kept_whole(tmp_path: Path) -> None:
+    made = [scene(taps, CoreDevice), random_talk(4, 0.1, 1, ticks=500)]
+    save(tmp_path / "made.npz", made)
+    for one, kept in zip(made, load(tmp_path / "made.npz"), strict=True):
+        assert (one.name, one.arrived, one.said) == (kept.name, kept.arrived, kept.said)
+        assert one.ticks.tobytes() == kept.ticks.tobytes()
+        assert kept.differs(CoreDevice(BOOT)) == ""
 
 
 def test_corrupted_frames_are_neither_accepted_nor_seen_differently() -> None:
-    assert corrupted(5000, 0) == (0, 0)
+    counts = fuzz(5000, 0, core=Decoder())
+    assert counts["rejected"] > 2500
+    assert (counts["wrong"], counts["lost"], counts["differently"]) == (0, 0, 0)
 
 
 @settings(max_examples=150, deadline=None)
@@ -121,8 +128,8 @@ def test_sha256_of_every_length_about_its_blocks() -> None:
         assert sha256(data[:size]) == hashlib.sha256(data[:size]).digest()
 
 
-def test_sanitizers_find_nothing(talk: Talk, tmp_path: Path) -> None:
-    (tmp_path / "talk").write_bytes(bytes(talk.record))
+def test_sanitizers_find_nothing(tmp_path: Path) -> None:
+    (tmp_path / "talk").write_bytes(b"".join(one.talk() for one in RECORDED))
     files = [*sources(CORE), REPLAY / "td_probe.c", REPLAY / "talk_main.c"]
     try:
         checked = build("talk-checked", files, flags=CHECKS)
@@ -149,4 +156,4 @@ def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...],
     assert world.output.state is State.ARMED
     world.host_alive = False
     world.until(lambda: world.output.state is State.IDLE, 0.21)
-    assert core.counts()[3] == 0
+    assert core.look().lost_frames == 0

@@ -2,11 +2,13 @@
 
 import os
 import select
+import signal
 import socket
 import struct
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +16,9 @@ import numpy as np
 import pytest
 
 from controller.cli.device import simulated
-from controller.device.endpoint import Device
 from controller.firmware.build import CORE, FIRMWARE, STRICT, NoCompilerError, build, compiler, sources
+from controller.firmware.core_device import CoreDevice
+from controller.host.driver import Device
 from controller.host.payload import excitation, excitation_settings
 from controller.protocol import messages as m
 from controller.protocol.codes import EVENT_CODES, STATES
@@ -32,6 +35,7 @@ from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, device_of
 from controller.sim.user import Habit, StillHand, TapsInTurn, TapUser
 from controller.waveforms.bank import Bank
+from scripts.campaign.compiled_device import CompiledDevice
 from scripts.campaign.conversations import sha256
 from tests.benches.commands import Terminal, assert_refused
 from transopt.base.errors import InputError
@@ -60,7 +64,12 @@ def user() -> TapsInTurn:
 
 def hello() -> m.HelloReply:
     """Of a device without limits of its own."""
-    return Device(7)._hello_reply(0)
+    device = CoreDevice(7)
+    device.receive(encode(m.Frame(1, 5, m.Hello(m.MAGIC, m.PROTOCOL, 3)).payload()))
+    (payload,) = Decoder().feed(device.bytes_to_send())
+    reply = m.read_frame(payload).message
+    assert isinstance(reply, m.HelloReply)
+    return reply
 
 
 def simulator(user: TapsInTurn | StillHand, **others: object) -> Simulator:
@@ -99,10 +108,10 @@ class Stepped:
 
 
 class Both:
-    """The compiled device and the Python device on the simulator, told the same at the same ticks."""
+    """The program with its compiled plant, and the core on the simulator, told the same at the same ticks."""
 
     def __init__(self, program: Path, plant: Path, truth: Simulator) -> None:
-        self._compiled, self._python, self._truth = Stepped(program, plant), Device(7), truth
+        self._compiled, self._core, self._truth = Stepped(program, plant), CoreDevice(7), truth
         self._decoders = Decoder(), Decoder()
         self.said: tuple[list[m.Frame], list[m.Frame]] = ([], [])
         self._sequence = 0
@@ -112,10 +121,10 @@ class Both:
         for message in told:
             self._sequence += 1
             data += encode(m.Frame(self._sequence, 5, message).payload())  # type: ignore[arg-type]
-        self._python.receive(data)
+        self._core.receive(data)
         for _ in range(ticks):
-            self._truth.advance(self._python.step(self._truth.readings()).command_A)
-        answers = self._compiled.turn(ticks, data), self._python.bytes_to_send()
+            self._truth.advance(self._core.step(self._truth.readings()).command_A)
+        answers = self._compiled.turn(ticks, data), self._core.bytes_to_send()
         for decoder, said, answer in zip(self._decoders, self.said, answers, strict=True):
             said += [m.read_frame(payload) for payload in decoder.feed(answer)]
 
@@ -252,6 +261,17 @@ def test_the_program_refuses_in_one_line(plant: Path, options: list[str]) -> Non
     command = [str(program), *(str(plant) if word == "PLANT" else word for word in options)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=WAIT_S)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("error: ")
+
+
+@pytest.mark.parametrize(
+    "address", ["nowhere", "localhost:", "localhost:x", "localhost:70000", "no.such.host.invalid:1"]
+)
+def test_an_address_that_cannot_be_had_is_named(plant: Path, address: str) -> None:
+    command = [str(build("transopt-device", FILES)), "--plant", str(plant), "--listen", address]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=WAIT_S)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"error: --listen {address}: ")
 
 
 def test_a_plant_file_cut_short_is_refused(plant: Path, tmp_path: Path) -> None:
@@ -267,15 +287,20 @@ def test_a_plant_file_cut_short_is_refused(plant: Path, tmp_path: Path) -> None:
 class Served:
     """`transopt-device` as a process of its own, opened like a port."""
 
-    def __init__(self, *options: str, compiler: str | None = None) -> None:
-        environment = {**os.environ, **({} if compiler is None else {"CC": compiler})}
+    def __init__(self, *options: str) -> None:
         command = [sys.executable, "-m", "controller.cli.device", "--tap", "0.2,3", *options]
         self.running = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         assert self.running.stdout is not None
         self.name = self.running.stdout.readline().strip()
         self._socket: socket.socket | None = None
+        self.connect()
+
+    def connect(self) -> None:
+        """As a new host; on a socket the one before has gone."""
+        if self._socket is not None:
+            self._socket.close()
         if self.name.startswith("socket://"):
             host, port = self.name.removeprefix("socket://").split(":")
             self._socket = socket.create_connection((host, int(port)))
@@ -329,13 +354,43 @@ def test_it_answers_like_a_device(options: tuple[str, ...]) -> None:
     assert served.close() == ""
 
 
-def test_without_a_compiler_it_says_so_and_serves_the_python_device() -> None:
-    served = Served("--listen", "localhost:0", compiler="/nowhere/cc")
-    assert served.greeted(11).protocol == m.PROTOCOL
-    said = served.close()
-    assert said.startswith("CC = /nowhere/cc: is no C compiler that runs;")
-    assert "serving the Python device instead" in said
-    assert said.count("\n") == 1
+def test_power_goes_off_and_on_by_itself() -> None:
+    served = Served("--reset-every", "0.2")
+    boots, session = {served.greeted(11).boot}, 12
+    while len(boots) < 3:
+        boots.add(served.greeted(session).boot)
+        session += 1
+    assert max(boots) - min(boots) == 2
+    assert served.close() == ""
+
+
+def test_hosts_come_and_go_on_a_socket() -> None:
+    served = Served("--listen", "localhost:0")
+    first = served.greeted(11)
+    served.connect()
+    again = served.greeted(12)
+    assert (again.boot, again.nonce) == (first.boot, first.nonce)
+    assert again.tick > first.tick
+    assert served.close() == ""
+
+
+def test_time_that_the_machine_slept_is_not_caught_up(plant: Path) -> None:
+    """Ticks never run ahead of the clock; after a pause of a second all but a quarter of it is missing."""
+    began_s = time.monotonic()
+    with CompiledDevice(plant.read_bytes()) as served:
+        with Device(served.name) as host:
+            before = host.hello.tick
+        served.process.send_signal(signal.SIGSTOP)
+        with suppress(subprocess.TimeoutExpired):
+            served.process.wait(1.0)
+        served.process.send_signal(signal.SIGCONT)
+        with Device(served.name) as host:
+            assert 0 < (host.hello.tick - before) * DT_S < time.monotonic() - began_s - 0.7
+
+
+def test_without_a_compiler_it_says_so_in_one_line(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "/nowhere/cc")
+    assert_refused(terminal("transopt-device"), "CC = /nowhere/cc: is no C compiler that runs; unset CC")
 
 
 @pytest.mark.parametrize(
@@ -347,7 +402,6 @@ def test_without_a_compiler_it_says_so_and_serves_the_python_device() -> None:
         (["--hold", "-1"], "--hold -1: must be 0.5 to 50 N"),
         (["--hold", "3", "--tap", "0.2,3"], "--tap beside --hold"),
         (["--like", "/nowhere.npz"], "/nowhere.npz"),
-        (["--python", "--listen", "nowhere"], "--listen nowhere: must be HOST:PORT"),
     ],
 )
 def test_bad_options_are_told_in_one_line(options: list[str], message: str, terminal: Terminal) -> None:

@@ -1,4 +1,4 @@
-"""Blocking calls against the Python device: in virtual time, and once over a pseudo-terminal."""
+"""Blocking calls against the compiled device: in virtual time, and once over a pseudo-terminal."""
 
 import os
 import select
@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from controller.device.endpoint import Device as Firmware
 from controller.host.connection import UnpluggedError
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import Kind, LinkNotice
@@ -15,16 +14,21 @@ from controller.protocol.events import Happened, Samples
 from controller.protocol.image import sha256
 from controller.servo.interface import Fault, Notice, Readings, State
 from controller.sim.virtual_link import Trouble
-from tests.benches.device import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image
+from tests.benches.device import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image, started
 from transopt.base.errors import InputError
 
 
 class VirtualStream:
     """The host's side of a world, whose time passes while the host waits."""
 
+    name, harmless = "device", False
+
     def __init__(self, world: World) -> None:
         self.world, self.gone, self.closed = world, False, 0
         world.host_alive = False  # the driver pumps, not the world
+
+    def now_s(self) -> float:
+        return self.world.now_s
 
     def read(self, timeout_s: float) -> bytes:
         end_s = self.world.now_s + timeout_s
@@ -48,7 +52,7 @@ class VirtualStream:
 def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, VirtualStream, Callable[[], Device]]:
     world = World(trouble, seed)
     stream = VirtualStream(world)
-    return world, stream, lambda: Device(stream, clock=lambda: world.now_s, session=world.session)
+    return world, stream, lambda: Device(stream, session=world.session)
 
 
 def armed(device: Device) -> None:
@@ -64,7 +68,7 @@ def test_one_session_from_end_to_end(trouble: Trouble) -> None:
     seen: list[tuple[int, int]] = []
     samples: list[Samples] = []
     with connect() as device:
-        assert device.hello.boot == world.device.boot
+        assert device.hello.boot == world.device.look().boot
         assert device.configure(CONFIGURATION)
         assert device.upload(IMAGE, lambda done, total: seen.append((done, total)))
         assert not device.configure(CONFIGURATION)
@@ -101,7 +105,7 @@ def test_leaving_disarms_and_an_exception_stops() -> None:
         with pytest.raises(error):
             tap()
         assert world.device.state is State.FAULT
-        assert world.device.fault is Fault.EMERGENCY_STOP
+        assert world.device.look().fault is Fault.EMERGENCY_STOP
         assert stream.closed == 1
 
 
@@ -270,7 +274,7 @@ class Served:
     """A device on the master's side of a pseudo-terminal; ticks as fast as it can."""
 
     def __init__(self, master: int) -> None:
-        self.device, self._master, self._stop = Firmware(7), master, threading.Event()
+        self.device, self._master, self._stop = started(7), master, threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
@@ -313,7 +317,7 @@ def test_over_a_pseudo_terminal(served: tuple[Served, str]) -> None:
     with Device(name) as device:
         device.configure(CONFIGURATION)
         device.upload(big)
-        assert server.device.store.library_sha256 == sha256(big)
+        assert server.device.look().library_sha256 == sha256(big)
         device.checked()
         device.arm(1.0, 1000)
         device.listen(0.05)

@@ -204,8 +204,8 @@ class Trials(RuleBasedStateMachine):
     def a_library_is_whole_or_not_in_force(self) -> None:
         if not hasattr(self, "world"):
             return
-        store = self.world.device.store
-        assert store.library_sha256 == NO_HASH or store._image == IMAGES[store.library_sha256]
+        in_force = self.world.device.look().library_sha256
+        assert in_force == NO_HASH or self.world.device.image() == IMAGES[in_force]
 
     def teardown(self) -> None:
         """The link recovers: everything that happened since the device's start is told."""
@@ -223,10 +223,10 @@ class Trials(RuleBasedStateMachine):
             world.session.connect(world.now_s)
         self.run_for(0.5)
         assert world.session.state in OPEN
-        boot, queue = world.device.boot, world.device._events
-        told = self.numbers.get(boot, set())
-        assert told == set(range(queue._number))
-        assert queue.oldest == queue._number
+        device = world.device.look()
+        told = self.numbers.get(device.boot, set())
+        assert told == set(range(device.events))
+        assert device.oldest_event == device.events
 
 
 Trials.TestCase.settings = settings(

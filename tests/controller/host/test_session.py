@@ -1,4 +1,4 @@
-"""Host session against the Python device over a link in virtual time."""
+"""Host session against the compiled device over a link in virtual time."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ from controller.protocol.image import image_of, sha256
 from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Fault, Notice, Readings, State
 from controller.sim.virtual_link import Trouble
-from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS, World, image, table, tokens
+from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS, World, image, reframed, table, tokens
 from tests.benches.servo import COUNT_M
 from transopt.base.errors import InputError
 
@@ -73,7 +73,7 @@ def test_a_queued_arm_is_given_up_by_disarm_and_by_a_refusal() -> None:
     assert "passes the current or the command limit" in str(refused[0])
     assert world.device.state is State.IDLE
     # The library before stays in force.
-    assert world.device.store.library_sha256 == sha256(IMAGE)
+    assert world.device.look().library_sha256 == sha256(IMAGE)
 
 
 def test_events_of_a_tap_are_told_once_in_order() -> None:
@@ -286,9 +286,11 @@ def test_a_breach_of_the_protocol_latches(message: m.Done) -> None:
     assert session.state is SessionState.BROKEN
 
 
-def test_a_device_that_is_there_but_does_not_answer_ends_the_session() -> None:
+def test_a_device_that_is_there_but_does_not_answer_ends_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World().connected()
-    world.device._requests.clear()
+    hear = world.device.receive
+    leases = lambda payload: payload if payload[0] == Kind.LEASE else b""  # noqa: E731
+    monkeypatch.setattr(world.device, "receive", lambda data: hear(reframed(data, leases)))
     world.session.reset()
     world.until(lambda: world.session.state in OVER, 6.0)
     assert world.told[-1] == Ended(Cause.BROKE_PROTOCOL, "no answer to Reset")

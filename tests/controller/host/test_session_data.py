@@ -4,7 +4,6 @@ import pytest
 
 from controller.host.session_states import SessionState
 from controller.protocol import messages as m
-from controller.protocol.capacity import Capacity
 from controller.protocol.codes import Kind
 from controller.protocol.configuration import configuration_of
 from controller.protocol.events import Completed, Progress, Samples
@@ -25,7 +24,7 @@ def test_upload_of_400_kB(trouble: Trouble, most_s: float) -> None:
     started = world.now_s
     world.session.upload(big)
     world.until(lambda: world.session.idle, most_s)
-    assert world.device.store.library_sha256 == sha256(big)
+    assert world.device.look().library_sha256 == sha256(big)
     done = [x.done for x in world.told if isinstance(x, Progress)]
     assert done == sorted(done)
     assert done[-1] == len(big)
@@ -39,7 +38,7 @@ def test_an_interrupted_upload_goes_on_where_it_was() -> None:
     big = image(speeds=17, grips=20, samples=580)
     world.session.upload(big)
     world.run(0.5)
-    arrived = world.device.store.arrived
+    arrived = world.device.look().arrived_bytes
     assert 100_000 < arrived < len(big)
     world.link.unplug()
     world.session.unplugged()
@@ -49,16 +48,16 @@ def test_an_interrupted_upload_goes_on_where_it_was() -> None:
     world.session.configure(CONFIGURATION)
     world.session.upload(big)
     world.until(lambda: world.session.idle, 2.0)
-    assert world.device.store.library_sha256 == sha256(big)
+    assert world.device.look().library_sha256 == sha256(big)
     assert world.link.to_device.kinds[Kind.DATA] - frames <= (len(big) - arrived) / m.DATA_LIMIT + 1
     # Another image does not go on from there.
     world.session.upload(IMAGE)
     world.until(lambda: world.session.idle, 2.0)
-    assert world.device.store.library_sha256 == sha256(IMAGE)
+    assert world.device.look().library_sha256 == sha256(IMAGE)
 
 
 def test_a_library_too_large_is_named_before_anything_is_sent() -> None:
-    world = World(capacity=Capacity(samples=100)).connected()
+    world = World(samples=100).connected()
     with pytest.raises(InputError, match=r"2 speeds x 2 grips x 60 samples: the device holds .* would fit"):
         world.session.upload(IMAGE)
     assert world.session.state is SessionState.READY
@@ -113,15 +112,15 @@ def test_another_configuration_that_the_library_fits_needs_no_second_upload() ->
     data = world.link.to_device.kinds[Kind.DATA]
     world.until(lambda: world.session.idle, 1.0)
     assert world.link.to_device.kinds[Kind.DATA] == data
-    assert world.device.store.library_sha256 == sha256(IMAGE)
+    assert world.device.look().library_sha256 == sha256(IMAGE)
     assert Completed(Kind.COMMIT) in world.told[-2:]
 
 
 def test_a_library_comes_into_force_and_is_not_sent_twice() -> None:
     world = World().ready()
-    store = world.device.store
-    assert store.library_sha256 == sha256(IMAGE)
-    assert store.configuration_sha256 == sha256(CONFIGURATION)
+    device = world.device.look()
+    assert device.library_sha256 == sha256(IMAGE)
+    assert device.configuration_sha256 == sha256(CONFIGURATION)
     assert [x.done for x in world.told if isinstance(x, Progress)] == [0, len(IMAGE)]
     sent = world.link.to_device.frames
     world.session.configure(CONFIGURATION)

@@ -344,17 +344,17 @@ class TestCommand:
         one.save(Path("library.npz"))
         device = true_device(device_of(scene_of(library)), Imperfections(mismatch=0.2), 4)
         ready.plant = Simulator(device, ready.hand, DT_S, seed=4, steps=1)
-        ready.ticks, ready.now_s = 0, 0.0
+        ready.ticks = 0
         given = payload(Path("library.npz"))
-        ready.firmware.checked_sha256 = sha256(given.configuration)
-        remember(ready.firmware.boot, sha256(given.configuration))
+        ready.pass_check(given.configuration)
+        remember(ready.end.look().boot, sha256(given.configuration))
         next_s = 0.0
 
         def look() -> None:
             nonlocal next_s
-            if ready.firmware.state is State.ARMED and ready.now_s >= next_s:
-                next_s = ready.now_s + 1.2
-                ready.hand.tap(ready.now_s + 0.05, 0.2)
+            if ready.end.state is State.ARMED and ready.now_s() >= next_s:
+                next_s = ready.now_s() + 1.2
+                ready.hand.tap(ready.now_s() + 0.05, 0.2)
 
         ready.each_ms = look
         arguments = ("--rounds", 1, "--taps", 2, "--out", "better", "--for", 10)

@@ -14,9 +14,9 @@ from controller.protocol.image import image_of, sha256
 from controller.servo.interface import Fault, Notice, Output, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, currents, norms
+from tests.benches.device import Talker
 from tests.benches.servo import AMPLIFIER, DT_S, WALL
 from tests.benches.servo import Bench as ServoBench
-from tests.controller.device.test_endpoint import Bench as DeviceBench
 from transopt.base.errors import InputError
 from transopt.plant.coil import CoilModel
 
@@ -181,14 +181,14 @@ IMAGE = image_of(excitation(), DT_S, 0.0, 1)
 ARM = m.Arm(0, 200, 0.5, sha256(CONFIGURATION), sha256(IMAGE))
 
 
-def ready(configuration: bytes = CONFIGURATION) -> DeviceBench:
-    bench = DeviceBench().configured(configuration).loaded(IMAGE)
+def ready(configuration: bytes = CONFIGURATION) -> Talker:
+    bench = Talker().configured(configuration).loaded(IMAGE)
     bench.done(m.Checked(sha256(configuration)))
     return bench
 
 
 def test_start_is_refused_with_its_reason() -> None:
-    bench = DeviceBench()
+    bench = Talker()
     assert bench.refused(m.Start(0)) is Reason.NOT_ARMED
     by_contact = configuration_of(replace(SETTINGS, host_starts=False))
     bench = ready(by_contact)

@@ -1,13 +1,11 @@
 """The experiment: figures of merit on known signals, nominal taps played open loop, users, pace."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from controller.cli.tap_figure import tap_figure
 from controller.record.metrics import align, band_levels_dB, rate_hardness_N_m, spectral_error_dB
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.loop import run
@@ -20,7 +18,6 @@ from controller.sim.user import Habit, RepeatedTaps, TapUser, Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict, scene_of
 from transopt.base.errors import InputError
-from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library, speed_weights
 from transopt.recordings.reference import Reference, between
@@ -297,15 +294,6 @@ class TestPace:
         clock = SteppedClock(3e-4)
         assert self.loop(library, scene, clock) == pytest.approx(500 * 2e-4, rel=0.01)
         assert clock.slept_s == 0.0
-
-
-def test_figure_shows_a_tap_with_and_without_motor_data(library: Library, tmp_path: Path) -> None:
-    played = play(library, 0.2, 3.0)
-    save_figure(tap_figure(played), tmp_path / "a.png")
-    unknown = np.full_like(played.winding_C, np.nan)
-    save_figure(tap_figure(replace(played, winding_C=unknown)), tmp_path / "b.png")
-    for name in ("a.png", "b.png"):
-        assert (tmp_path / name).stat().st_size > 20_000
 
 
 class TestClosedLoop:

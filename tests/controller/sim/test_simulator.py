@@ -303,7 +303,7 @@ class TestUsers:
         times = np.linspace(0.0, 0.05 + REACTION_S, 50)
         users = [TapUser(0.3, 3.0, 0.05, habit) for habit in (Habit.MILD, Habit.YIELDING, Habit.STOPPING)]
         for t in times:
-            assert {round(user.intention_m(t), 12) for user in users} == {round(-0.3 * (t - 0.05), 12)}
+            assert [user.intention_m(t) for user in users] == pytest.approx([-0.3 * (t - 0.05)] * 3, abs=1e-12)
 
     def test_laws_after_the_reaction(self) -> None:
         end = 0.05 + REACTION_S

@@ -244,7 +244,7 @@ class TestSolve:
             (["absent.toml"], ["absent.toml", "no such file"]),
             (
                 ["wood_on_foam", "--solver", "osqp"],
-                ["--solver osqp", "riccati, casadi-piqp, casadi-fatrop, casadi-ipopt"],
+                ["--solver osqp", "riccati, casadi-piqp, casadi-ipopt"],
             ),
             (["wood_on_foam", "--solver-tolerance", "0"], ["--solver-tolerance 0", "between 0 and 1"]),
             (["wood_on_foam", "--jobs", "0"], ["--jobs 0", "at least 1"]),

@@ -22,7 +22,7 @@ from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
 from transopt.scene.scene import Scene
-from transopt.solvers import choose, riccati
+from transopt.solvers import riccati
 from transopt.solvers.choose import solve, solve_certified
 from transopt.solvers.options import SolverOptions
 
@@ -145,12 +145,11 @@ def test_second_method_gives_the_same_library(scene: Scene, taps: list[Recording
 
 
 def test_an_entry_that_one_solver_cannot_prove_goes_to_the_other(
-    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+    make_problem: ProblemMaker,
 ) -> None:
     """Two iterations are too few for all; with enough for another than the wanted one, its answer is taken."""
     problem = make_problem(0.4, 5.0)
     other = "riccati" if riccati.available else "casadi-ipopt"
-    monkeypatch.setattr(choose, "polished", lambda problem, answer: answer)  # which would complete the first
     assert solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=8))[0].solver == other
     refused, _ = solve_certified(problem, SolverOptions("casadi-piqp", max_iterations=2))
     assert (refused.solver, refused.status) == ("casadi-piqp", Status.ITERATION_LIMIT)

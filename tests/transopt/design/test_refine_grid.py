@@ -139,10 +139,12 @@ class TestTolerance:
         assert np.all(error[2] >= CLOSER_LOOK / MARGIN * worst)
         assert np.all(error.max(axis=0) >= MARGIN * worst)
 
-    def test_nothing_to_blend_at_a_node(self, refinement: Refinement) -> None:
+    def test_nothing_to_blend_at_a_node(self, scene: Scene, refinement: Refinement) -> None:
+        """Optimum and blend are the same commands there; replayed side by side, each stage may round otherwise."""
         nodes = [p for p in refinement.points if p not in refinement.off(refinement.grid)]
         assert len(nodes) == refinement.entries
-        assert max(abs(p.excess_after) for p in nodes) == 0.0
+        rounding = scene.time.stages * np.finfo(float).eps  # of an NRMSE, which is of the size of 1 at most
+        assert max(abs(p.excess_after) for p in nodes) <= rounding
 
     def test_generous_tolerance_keeps_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
         found = refine_grid(scene, taps, 0.5)
@@ -175,6 +177,7 @@ class TestSmallGrids:
         build = build_library(single, taps, refinement=found)
         assert "nothing lies between the nodes" in build_markdown(build)
         assert build.library is not None
+        # No point lies off the nodes, so that this is what stands for nothing and no computed figure.
         assert build.library.meta["grid_refinement"]["worst_excess_after"] == 0.0
 
 

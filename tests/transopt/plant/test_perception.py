@@ -119,7 +119,7 @@ def test_methods_agree(make_problem: ProblemMaker, speed_m_s: float, grip_N: flo
     """Measured 3e-13."""
     problem = replace(make_problem(speed_m_s, grip_N), error_filter=pacinian(DT_S))
     objectives = []
-    for solver in ("casadi-piqp", "casadi-ipopt", "casadi-fatrop"):
+    for solver in ("casadi-piqp", "casadi-ipopt"):
         answer = solve(problem, SolverOptions(solver))
         assert (answer.solver, answer.status) == (solver, Status.OPTIMAL)
         certificate = certify(problem, answer.command_A, answer.multipliers)

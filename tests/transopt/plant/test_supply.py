@@ -21,7 +21,7 @@ from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
 
-SOLVERS = ("casadi-piqp", "casadi-ipopt", "casadi-fatrop")
+SOLVERS = ("casadi-piqp", "casadi-ipopt")
 # Problems without an answer keep an interior-point method busy until its last iteration.
 SHORT = SolverOptions(max_iterations=60)
 Maker = Callable[..., TransientProblem]

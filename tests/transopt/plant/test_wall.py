@@ -195,7 +195,7 @@ class TestHandOver:
     def test_two_methods_agree(self, walled: WalledMaker) -> None:
         problem = optimum(walled(500, 0.4), SolverOptions()).problem
         proofs = []
-        for solver in ("casadi-piqp", "casadi-ipopt", "casadi-fatrop"):
+        for solver in ("casadi-piqp", "casadi-ipopt"):
             answer = solve(replace(problem, thermal=None), SolverOptions(solver))
             assert answer.solver == solver
             proofs.append(certify(problem, answer.command_A, answer.multipliers))

@@ -89,7 +89,7 @@ class TestForcedIn:
         reduced = leave_out(whole)
         assert reduced.problem.thermal is None
         assert "limit 100 C" in reduced.left_out["temperature"]
-        check_same(whole, reduced.problem, "casadi-fatrop")
+        check_same(whole, reduced.problem, "casadi-ipopt")
         larger, smaller = transcribe.size(whole), transcribe.size(reduced.problem)
         assert larger.states >= smaller.states + 2
         assert larger.rows > smaller.rows
@@ -102,7 +102,7 @@ class TestForcedIn:
         designed = optimum(whole, SolverOptions())
         assert "the optimum without it stays inside" in designed.left_out["temperature"]
         assert designed.certificate.accepted
-        forced = certified_objective(whole, whole, "casadi-fatrop")
+        forced = certified_objective(whole, whole, "casadi-ipopt")
         assert abs(forced - designed.certificate.objective) <= 1e-6 * max(forced, 1e-3)
 
     def test_feedback_of_a_wall_that_is_not_pressed(self, scene: Scene, references: list[Reference]) -> None:
@@ -164,7 +164,7 @@ class TestForcedIn:
         above = replace(wall, nominal_m=np.full(wall.nominal_m.size, 5e-3), pressing=np.zeros(600, dtype=bool))
         reduced = leave_out(replace(whole, wall=above))
         assert set(reduced.left_out) == {"slew", "supply", "temperature", "feedback"}
-        check_same(replace(whole, wall=above), reduced.problem, "casadi-fatrop")
+        check_same(replace(whole, wall=above), reduced.problem, "casadi-ipopt")
 
 
 def admissible(problem: TransientProblem, wanted_A: np.ndarray) -> np.ndarray:

@@ -241,9 +241,7 @@ def test_binding_names_limit_sign_and_time(saturated: tuple[TransientProblem, So
 
 
 def test_options_and_limits_are_checked() -> None:
-    with pytest.raises(
-        InputError, match="--solver osqp: unknown; choose one of riccati, casadi-piqp, casadi-fatrop, casadi-ipopt"
-    ):
+    with pytest.raises(InputError, match="--solver osqp: unknown; choose one of riccati, casadi-piqp, casadi-ipopt"):
         solve.__globals__["check_name"]("osqp")
     with pytest.raises(InputError, match=r"--solver-tolerance 2: must be between 0 and 1"):
         SolverOptions(tolerance=2.0)

@@ -95,7 +95,8 @@ def test_a_coil_that_runs_away_is_infinitely_hot_and_no_other_is() -> None:
     winding, housing = coil.simulate(heat, np.full(50, 1e-2))
     assert winding[0, -1] == housing[0, -1] == np.inf
     alone, _ = coil.simulate(heat[1:], np.full(50, 1e-2))
-    np.testing.assert_array_equal(winding[1], alone[0])
+    # In arrays of another shape every one of the steps may round otherwise.
+    np.testing.assert_allclose(winding[1], alone[0], rtol=50 * np.finfo(float).eps)
 
 
 def written(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What the stress suite made necessary: the polish, the linear program, exact thermal steps, named walls."""
+"""What the stress suite made necessary: the linear program, exact thermal steps, named walls."""
 
 from dataclasses import replace
 
@@ -8,9 +8,7 @@ from scipy import linalg
 
 from problems.stress.cases import Coil, Current, Demand, Device, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
-from problems.stress.families import SMALL_A
 from problems.stress.judge import played
-from tests.conftest import is_stationary
 from transopt.base.errors import InputError
 from transopt.design import optimum as optimum_module
 from transopt.design.explain import unstable_wall
@@ -24,34 +22,8 @@ from transopt.proof.certify import certify
 from transopt.solvers.choose import solve
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.polish import polished
 
 SHORT = Horizon(stages=40)
-LIMITED = {
-    "current": Current(limit_A=SMALL_A),
-    "command": Current(limit_A=SMALL_A, command=0.8),
-    "ideal": Current(limit_A=SMALL_A, pole_Hz=None),
-    "supply": Current(limit_A=1.0, supply=1.0),
-}
-
-
-@pytest.mark.parametrize("name", LIMITED)
-def test_a_coarse_answer_is_polished_to_its_last_digits(name: str) -> None:
-    problem = StressCase("polish", current=LIMITED[name], horizon=SHORT).problem()
-    coarse = solve(problem, SolverOptions(max_iterations=5))
-    assert not is_stationary(problem, coarse)
-    answer = polished(problem, coarse)
-    proof = certify(problem, answer.command_A, answer.multipliers)
-    assert proof.is_stationary
-    assert proof.relative_gap <= 1e-9
-    fine = solve(problem, SolverOptions())
-    assert proof.objective == pytest.approx(certify(problem, fine.command_A, fine.multipliers).objective, rel=1e-9)
-
-
-def test_the_polish_returns_what_it_cannot_better() -> None:
-    problem = StressCase("polish", current=LIMITED["current"], horizon=SHORT).problem()
-    fine = solve(problem, SolverOptions())
-    assert is_stationary(problem, polished(problem, fine))
 
 
 def walled(limit_A: float) -> TransientProblem:

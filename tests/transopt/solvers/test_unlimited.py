@@ -7,13 +7,14 @@ import pytest
 
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.signals import FloatArray
+from transopt.design.optimum import ROUNDED
 from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import Motion, discretise
 from transopt.problem.leave_out import pressing, reference_course
 from transopt.problem.objective.weighting import error_filter
-from transopt.problem.problem import Limits, Status, TransientProblem
+from transopt.problem.problem import OBJECTIVE_SCALE, Limits, Status, TransientProblem
 from transopt.problem.stage_data import without_limits
-from transopt.proof.certify import certify
+from transopt.proof.certify import certify, gradient_rounding
 from transopt.solvers import lq_pass as riccati_lq
 from transopt.solvers import sparse_kkt, unlimited
 from transopt.solvers.choose import solve
@@ -208,8 +209,11 @@ def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) ->
     proof = certify(problem, answer.command_A, answer.multipliers)
     assert answer.status is Status.OPTIMAL
     assert answer.message.startswith("Riccati pass")
-    assert proof.dual_residual < 1e-12
-    assert proof.relative_gap <= proof.GAP_TOLERANCE
+    # Masses of 1 g leave little more than rounding, and more or less of it on every processor.
+    by_command = gradient_rounding(problem, answer.command_A, answer.multipliers) / ROUNDED
+    rounding = float(by_command @ (problem.limits.command_bound_A + np.abs(answer.command_A)))
+    assert proof.dual_residual < 1e-12 + by_command.max()
+    assert proof.duality_gap <= proof.GAP_TOLERANCE * max(proof.objective, OBJECTIVE_SCALE) + rounding
     assert not answer.command_A[problem.free_stages :].any()
 
 

@@ -1,5 +1,4 @@
-/* The device's end of the protocol in front of the servo (controller/device/endpoint.py, its oracle): bytes and readings in,
- * commands and bytes out.
+/* The device's end of the protocol in front of the servo: bytes and readings in, commands and bytes out.
  *
  *     td_device_receive      whatever came over the link, in pieces of any size
  *     td_device_step         one servo period: the command to hold until the next

@@ -1,5 +1,5 @@
-/* What a device tells on its own: events until they are acknowledged, telemetry once (controller/device/outbox.py); and the
- * bytes that wait to go out. */
+/* What a device tells on its own: events until they are acknowledged, telemetry once; and the bytes that wait to
+ * go out. */
 #ifndef TD_OUTBOX_H
 #define TD_OUTBOX_H
 

@@ -1,4 +1,4 @@
-/* What the host may ask a device for; each is carried out once or refused (controller/device/endpoint.py). */
+/* What the host may ask a device for; each is carried out once or refused. */
 #ifndef TD_REQUEST_H
 #define TD_REQUEST_H
 

@@ -1,5 +1,5 @@
-/* What a device keeps: the configuration and the library in force, and the ones that are arriving
- * (controller/device/store.py). Nothing is in force before it has arrived whole and been checked. */
+/* What a device keeps: the configuration and the library in force, and the ones that are arriving. Nothing is in force
+ * before it has arrived whole and been checked. */
 #ifndef TD_STORE_H
 #define TD_STORE_H
 

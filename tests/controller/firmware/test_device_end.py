@@ -5,79 +5,20 @@ from dataclasses import replace
 
 import pytest
 
-from controller.device.endpoint import Device
-from controller.device.outbox import EventQueue, record_of
 from controller.protocol import messages as m
 from controller.protocol.capacity import LINK_SILENCE_MS
-from controller.protocol.codes import EVENT_CODES, REASONS, STATES, Kind, LinkNotice, Reason
+from controller.protocol.codes import EVENT_CODES, STATES, Kind, LinkNotice, Reason
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import sha256
-from controller.protocol.packed import Packed
-from controller.protocol.wire import Decoder, encode
-from controller.servo.interface import Fault, Output, Readings, State
-from tests.benches.device import CONFIGURATION, DT_S, IMAGE, SETTINGS
+from controller.servo.interface import Fault, Readings, State
+from tests.benches.device import ARM, DT_S, HASHES, IMAGE, REST, SETTINGS, Talker
 from transopt.plant.coil import CoilModel
 
 COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
-REST = Readings(0, 200, 3.0, 0.0, 0.0)
-HASHES = sha256(CONFIGURATION), sha256(IMAGE)
-ARM = m.Arm(0, 200, 1.0, *HASHES)
-
-
-class Bench:
-    """A device and whoever speaks to it, frame by frame."""
-
-    def __init__(self) -> None:
-        self.device, self.decoder, self.sequence, self.tick = Device(7), Decoder(), 1, 0
-        self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
-
-    def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:
-        """What it answers."""
-        number = self.sequence if sequence is None else sequence
-        self.device.receive(encode(m.Frame(number, session, message).payload()))
-        return self.heard()
-
-    def heard(self) -> list[Packed]:
-        return [m.read_frame(payload).message for payload in self.decoder.feed(self.device.bytes_to_send())]
-
-    def ask(self, message: Packed) -> Packed:
-        self.sequence += 1
-        (answer,) = (x for x in self.put(message) if not isinstance(x, m.Event))
-        return answer
-
-    def refused(self, message: Packed) -> Reason:
-        answer = self.ask(message)
-        assert isinstance(answer, m.Refused)
-        assert answer.request == m.KINDS[type(message)]
-        return REASONS[answer.reason]
-
-    def done(self, *messages: Packed) -> None:
-        for message in messages:
-            assert isinstance(self.ask(message), m.Done), message
-
-    def configured(self, configuration: bytes = CONFIGURATION) -> "Bench":
-        self.done(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))
-        return self
-
-    def loaded(self, image: bytes = IMAGE) -> "Bench":
-        assert self.ask(m.UploadBegin(len(image), sha256(image))) == m.UploadReady(0)
-        self.put(m.Data(0, image))
-        self.done(m.Commit())
-        return self
-
-    def ready(self) -> "Bench":
-        self.configured().loaded().done(m.Checked(HASHES[0]))
-        return self
-
-    def step(self, ticks: int = 1, reading: Readings = REST) -> Output:
-        for _ in range(ticks):
-            output = self.device.step(replace(reading, tick=self.tick))
-            self.tick += 1
-        return output
 
 
 def test_arm_is_refused_for_each_reason_in_turn() -> None:
-    bench = Bench()
+    bench = Talker()
     other = bytes(31) + b"x"
     assert bench.refused(ARM) is Reason.NO_CONFIGURATION
     bench.configured()
@@ -112,21 +53,18 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
 
 
 def test_a_hot_coil_is_not_armed_and_a_new_configuration_does_not_cool_it() -> None:
-    bench = Bench()
+    bench = Talker()
     hot = configuration_of(replace(SETTINGS, coil=COIL))
     bench.configured(hot).loaded().done(m.Checked(sha256(hot)))
-    assert bench.device.servo is not None
-    assert bench.device.servo.guard is not None
-    bench.device.servo.guard.winding_C = 99.0
-    bench.device.servo.guard.housing_C = 70.0
+    bench.device.heat(99.0, 70.0)
     arm = replace(ARM, configuration_sha256=sha256(hot))
     assert bench.refused(arm) is Reason.TOO_HOT
     bench.configured(configuration_of(replace(SETTINGS, coil=COIL, grip_margin_N=0.2)))
-    assert (bench.device.servo.guard.winding_C, bench.device.servo.guard.housing_C) == (99.0, 70.0)
+    assert (bench.device.look().winding_C, bench.device.look().housing_C) == (99.0, 70.0)
 
 
 def test_a_repeated_request_is_answered_again_and_not_carried_out_again() -> None:
-    bench = Bench().ready()
+    bench = Talker().ready()
     bench.done(ARM)
     bench.step(2500)  # the lease runs out
     assert bench.device.state is State.IDLE
@@ -139,11 +77,11 @@ def test_a_repeated_request_is_answered_again_and_not_carried_out_again() -> Non
     assert bench.put(ARM, sequence=bench.sequence + 1, session=8) == []
     assert bench.put(m.Lease(1), session=8) == []
     assert bench.device.state is State.IDLE
-    assert bench.device.dropped_frames == 3
+    assert bench.device.look().dropped_frames == 3
 
 
 def test_sequence_numbers_go_round() -> None:
-    bench = Bench()
+    bench = Talker()
     bench.put(m.Gain(0.5), sequence=32_000)
     bench.put(m.Gain(0.5), sequence=64_000)
     assert bench.put(m.Disarm(), sequence=5) != []
@@ -151,7 +89,7 @@ def test_sequence_numbers_go_round() -> None:
 
 
 def test_a_late_hello_of_the_same_session_does_not_disarm() -> None:
-    bench = Bench().ready()
+    bench = Talker().ready()
     bench.done(ARM)
     assert bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 5), sequence=1) == []
     assert bench.device.state is State.ARMED
@@ -161,7 +99,7 @@ def test_a_late_hello_of_the_same_session_does_not_disarm() -> None:
 
 
 def test_a_pulse_is_small_short_and_told() -> None:
-    bench = Bench()
+    bench = Talker()
     assert bench.refused(m.Pulse(0.05, 50)) is Reason.NO_CONFIGURATION
     bench.configured()
     for current_A in (0.11, -0.11, math.nan, math.inf):
@@ -185,10 +123,10 @@ def test_a_pulse_is_small_short_and_told() -> None:
 
 
 def test_emergency_stop_without_configuration_latches() -> None:
-    bench = Bench()
+    bench = Talker()
     bench.put(m.EmergencyStop(), session=12345)
     assert bench.step().state is State.FAULT
-    assert bench.device.fault is Fault.EMERGENCY_STOP
+    assert bench.device.look().fault is Fault.EMERGENCY_STOP
     assert bench.refused(m.ConfigureCommit(HASHES[0])) is Reason.FAULT_LATCHED
     bench.step(1, replace(REST, emergency_stop=True))
     assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
@@ -198,7 +136,7 @@ def test_emergency_stop_without_configuration_latches() -> None:
 
 
 def test_commit_takes_nothing_half() -> None:
-    bench = Bench()
+    bench = Talker()
     bench.ask(m.UploadBegin(len(IMAGE), HASHES[1]))
     bench.put(m.Data(0, IMAGE))
     assert bench.refused(m.Commit()) is Reason.NO_CONFIGURATION
@@ -215,30 +153,22 @@ def test_commit_takes_nothing_half() -> None:
     assert bench.put(m.Data(100, IMAGE[100:] + b"more")) == [m.Ack(100)]
     bench.put(m.Data(100, IMAGE[100:]))
     assert bench.refused(m.Commit()) is Reason.WRONG_HASH
-    assert bench.device.store.library_sha256 == HASHES[1]
+    assert bench.device.look().library_sha256 == HASHES[1]
     assert bench.refused(m.UploadBegin(2**31, wrong)) is Reason.TOO_LARGE
     assert bench.refused(m.Configure(1_000_000, b"x")) is Reason.BAD_OFFSET
     assert bench.refused(m.ConfigureCommit(wrong)) is Reason.WRONG_HASH
 
 
 def test_a_library_that_a_new_configuration_forbids_goes_out_of_force() -> None:
-    bench = Bench().ready()
+    bench = Talker().ready()
     small = replace(SETTINGS, current_limit_A=0.2)
     bench.configured(configuration_of(small))
-    assert bench.device.store.library_sha256 == m.NO_HASH
+    assert bench.device.look().library_sha256 == m.NO_HASH
     assert bench.refused(replace(ARM, configuration_sha256=sha256(configuration_of(small)))) is Reason.NO_LIBRARY
 
 
-def test_the_servo_plays_the_numbers_of_the_image() -> None:
-    bench = Bench().ready()
-    assert bench.device.servo is not None
-    scale = bench.device.servo.bank.command_A.max() / 32767
-    counts = bench.device.servo.bank.command_A / scale
-    assert abs(counts - counts.round()).max() < 1e-9
-
-
 def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens() -> None:
-    bench = Bench().configured()
+    bench = Talker().configured()
     bench.put(m.EmergencyStop())
     bench.step()
     (first,) = (x for x in bench.heard() if isinstance(x, m.Event))
@@ -257,34 +187,49 @@ def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens(
 
 
 def test_the_event_queue_counts_what_it_loses() -> None:
-    queue = EventQueue(100)
-    for k in range(80):
-        queue.put(k, LinkNotice.PULSE_ENDED)
-    sent: list[int] = []
-    while queue.oldest != 64:
-        sent += [event.number for event in queue.due()]
-        queue.acknowledge(min(queue.oldest + 3, 64))
-        queue.acknowledge(1000)  # nobody can have seen that
-    queue.put(99, LinkNotice.PULSE_CUT)
-    (last,) = queue.due()
+    bench = Talker()
+    pressed, sent = replace(REST, emergency_stop=True), list[int]()
+    for _ in range(80):
+        bench.step(1, pressed)
+        bench.step()
+        bench.sequence += 1
+        sent += [x.number for x in bench.put(m.Reset()) if isinstance(x, m.Event)]
+    look = bench.device.look()
+    assert (look.oldest_event, look.events) == (0, 64)
+    while bench.device.look().oldest_event != 64:
+        bench.step()
+        sent += [x.number for x in bench.heard() if isinstance(x, m.Event)]
+        bench.put(m.EventAck(min(bench.device.look().oldest_event + 3, 64)))
+        bench.put(m.EventAck(1000))  # nobody can have seen that
+    bench.step(1, pressed)
+    (last,) = (x for x in bench.heard() if isinstance(x, m.Event))
     assert (last.number, last.lost) == (64, 16)
     assert sorted(set(sent)) == list(range(64))
 
 
 def test_telemetry_survives_absurd_readings() -> None:
+    bench = Talker()
+    bench.done(m.Telemetry(1))
     nan, inf = math.nan, math.inf
-    output = Output(0.0, State.FAULT, 0.0, 0.0, nan)
-    for counts in (nan, inf, -inf, 1e30, 2**31, -(2**31)):
-        record = record_of(Readings(0, counts, inf, 1e300, -1e300, emergency_stop=True), output)  # type: ignore[arg-type]
+    absurd = (nan, inf, -inf, 1e30, 2**31, -(2**31))
+    for counts in absurd:
+        bench.step(1, Readings(0, counts, inf, 1e300, -1e300, emergency_stop=True))  # type: ignore[arg-type]
+    bench.step(1, Readings(0, -5, nan, 0.0, 0.0))
+    bench.step(200)
+    size = m.Record.FORMAT.size
+    data = b"".join(x.records for x in bench.heard() if isinstance(x, m.TelemetryData))
+    records = [m.Record.unpack(data[j : j + size]) for j in range(0, len(data), size)]
+    for record in records[: len(absurd)]:
         assert record.encoder_counts == m.NO_COUNTS
-        assert (record.measured_current_A, record.acceleration_m_s2, record.flags) == (inf, -inf, 1)
-        assert len(record.pack()) == m.Record.FORMAT.size
-    assert record_of(Readings(0, -5, nan, 0.0, 0.0), output).encoder_counts == -5
+        assert (record.grip_N, record.measured_current_A, record.acceleration_m_s2) == (inf, inf, -inf)
+        assert record.flags == 1
+    assert records[len(absurd)].encoder_counts == -5
+    assert math.isnan(records[len(absurd)].grip_N)
 
 
 @pytest.mark.parametrize("every", [1, 7, 65_535])
 def test_telemetry_records_every_nth_tick_without_gaps(every: int) -> None:
-    bench = Bench().configured()
+    bench = Talker().configured()
     bench.done(m.Telemetry(every))
     ticks: list[int] = []
     for _ in range(3000):

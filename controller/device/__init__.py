@@ -1,1 +1,0 @@
-"""The device end of the link in Python."""
