@@ -24,12 +24,13 @@ class Bench:
     ----------
     port : by its name, or open.
     console : for what happens on the way; silent where nobody has to act on it.
-    done : whether whoever holds the stylus will do nothing more; of a person nobody knows.
+    done : whether the run ends, given whether enough was played: with a person then, with a simulated hand once it
+        has done all its taps and is at rest.
     """
 
     port: str | Connection
     console: Console
-    done: Callable[[], bool] = lambda: False
+    done: Callable[[bool], bool] = lambda enough: enough
 
 
 def simulated_bench(
@@ -56,4 +57,4 @@ def simulated_bench(
     hand = TappingHand(given.library, device, taps, tapped)
     end = core_end(given.settings, len(given.image) // 2)
     port = SimulatedPort(end, hand, given.settings.dt_s, clock=clock)
-    return Bench(port, Console(quiet=True), lambda: hand.done), hand
+    return Bench(port, Console(quiet=True), lambda _: hand.done), hand

@@ -143,18 +143,11 @@ def simulate_library_taps(
         for i, speed in enumerate(speeds or loaded.speeds_m_s.tolist()):
             for j, grip in enumerate(grips or loaded.grips_N.tolist()):
                 for n in range(repeats):
-                    hand.plan(
-                        loaded, [SimulatedTap(speed, grip, seed=noise_seed(seed, i, j, n), imperfections=noise)]
-                    )
+                    tap = SimulatedTap(speed, grip, seed=noise_seed(seed, i, j, n), imperfections=noise)
+                    hand.plan(loaded, [tap])
                     recorder = Recorder(None, settings.dt_s, settings.count_m, settings.surface_counts)
-                    run(
-                        held,
-                        recorder,
-                        Monitor(bench.console, "", settings.dt_s, settings.count_m),
-                        bench.done,
-                        None,
-                        1.0,
-                    )
+                    shown = Monitor(bench.console, "", settings.dt_s, settings.count_m)
+                    run(held, recorder, shown, lambda: bench.done(True), None, 1.0)
                     name = f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz"
                     if not recorder.contacts:
                         silent.append(name)

@@ -59,12 +59,12 @@ def refine(
         raise InputError(f"--out {out}: holds the library that is refined; choose another folder")
     terminal.make_folder(out)
     if simulated:
-        from controller.cli.refine_taps import simulated_hand
+        from controller.cli.refine_taps import simulated_at
         from controller.sim.chosen_device import device_in, scene_like
         from controller.waveforms.prediction import scene_of
 
         device = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
-        bench, hand = simulated_hand(loaded, device, wrong, rounds, taps, seed)
+        bench, hand = simulated_at(loaded, device, wrong, rounds, taps, seed)
         source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:
         from controller.cli.refine_taps import Person

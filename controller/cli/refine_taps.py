@@ -71,11 +71,11 @@ class Person:
         pass
 
 
-class Simulated:
+class SimulatedHand:
     """Taps as it is asked, by the mild user, with another phase and noise in every tap."""
 
     def __init__(self, imperfections: Imperfections, seed: int, in_all: int) -> None:
-        self._imperfections, self._seed, self._in_all = replace(imperfections, mismatch=0.0), seed, in_all
+        self._imperfections, self._seed = replace(imperfections, mismatch=0.0), seed
         self.amplifier_tolerance = imperfections.mismatch
         console = Console(stderr=True)
         columns = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -88,9 +88,8 @@ class Simulated:
 
     def asked(self, library: Library, number: int, taps: int) -> None:
         assert self.hand is not None
-        self.hand.plan(
-            library, (self._tap(library, number, node, n) for node in nodes_of(library) for n in range(taps))
-        )
+        each = [(node, n) for node in nodes_of(library) for n in range(taps)]
+        self.hand.plan(library, [self._tap(library, number, *one) for one in each])
 
     def _tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
         return SimulatedTap(
@@ -108,7 +107,7 @@ class Simulated:
         self._progress.stop()
 
 
-def simulated_hand(
+def simulated_at(
     library: Library, device: TrueDevice, imperfections: Imperfections, rounds: int, taps: int, seed: int
 ) -> tuple[Bench, Hand]:
     """The bench of a true device, mismatch included, and the hand on it.
@@ -117,7 +116,7 @@ def simulated_hand(
     ------
     InputError : there is no C compiler.
     """
-    simulated = Simulated(imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
+    simulated = SimulatedHand(imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
     given = payload_of(library, amplifier_tolerance=imperfections.mismatch)
     bench, simulated.hand = simulated_bench(given, device, (), tapped=simulated.tapped)
     return bench, simulated
@@ -194,7 +193,7 @@ class Taps:
             for contact in recorder.contacts[seen:]:
                 seen += 1
                 self._count(library, contact, missing)
-            return not missing or self._bench.done()
+            return self._bench.done(not missing)
 
         stopped = run(self._device, recorder, shown, ended, self._seconds, 1.0)
         if stopped:

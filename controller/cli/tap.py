@@ -190,7 +190,7 @@ def _play(
         shown = Monitor(bench.console, title, hello.dt_s, settings.count_m)
 
         def ended() -> bool:
-            return bench.done() or (taps is not None and len(recorder.contacts) >= taps)
+            return bench.done(taps is not None and len(recorder.contacts) >= taps)
 
         stopped = sessions.run(device, recorder, shown, ended, seconds, played_at)
     played = [

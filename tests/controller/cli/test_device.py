@@ -16,7 +16,6 @@ from transopt.library.library import Library
 from transopt.recordings.importers import load_recording
 from transopt.recordings.tap import prepare
 
-
 FILES = "telemetry.csv, telemetry.npz, events.csv, tap_001.csv"
 
 

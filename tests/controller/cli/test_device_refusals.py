@@ -38,8 +38,8 @@ def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.M
     """What the host believes to be in force is compared by the device itself."""
     original = port_commands.load
 
-    def then_changed(device, given) -> None:
-        original(device, given)
+    def then_changed(device, given, console) -> None:
+        original(device, given, console)
         hear, there = ready.end.receive, ready.end.look().library_sha256
         ready.end.receive = lambda data: hear(reframed(data, lambda sent: sent.replace(there, b"x" * 32)))
 

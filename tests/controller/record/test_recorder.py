@@ -77,7 +77,9 @@ def test_a_contact_becomes_a_file_when_its_time_has_passed(tmp_path: Path) -> No
     assert set(table["state"]) == {"armed"}
     lines = (tmp_path / "out" / "events.csv").read_text().splitlines()
     assert lines == ["tick,time_s,event,speed_m_s,grip_N", "3000,0.3,contact,0.2,3.1"]
-    assert recorder.in_words() == f"; {tmp_path}/out: telemetry.csv, events.csv, tap_001.csv, all whole"
+    assert (
+        recorder.in_words() == f"; {tmp_path}/out: telemetry.csv, telemetry.npz, events.csv, tap_001.csv, all whole"
+    )
 
 
 def test_an_event_may_come_before_or_after_its_records(tmp_path: Path) -> None:
