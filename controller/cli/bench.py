@@ -15,6 +15,7 @@ from controller.sim.experiment import SimulatedTap
 from controller.sim.port import SimulatedPort, core_end
 from controller.sim.tapping import TappingHand
 from controller.sim.true_device import TrueDevice
+from controller.sim.user import Habit
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Bench:
     ----------
     port : by its name, or open.
     console : for what happens on the way; silent where nobody has to act on it.
+    as_recorded : the hand is known to move as those in the library's recordings did.
     done : whether the run ends, given whether enough was played: with a person then, with a simulated hand once it
         has done all its taps and is at rest.
     """
@@ -31,6 +33,7 @@ class Bench:
     port: str | Connection
     console: Console
     done: Callable[[bool], bool] = lambda enough: enough
+    as_recorded: bool = False
 
 
 def simulated_bench(
@@ -57,4 +60,6 @@ def simulated_bench(
     hand = TappingHand(given.library, device, taps, tapped)
     end = core_end(given.settings, len(given.image) // 2)
     port = SimulatedPort(end, hand, given.settings.dt_s, clock=clock)
-    return Bench(port, Console(quiet=True), lambda _: hand.done), hand
+    return Bench(
+        port, Console(quiet=True), lambda _: hand.done, any(tap.habit is Habit.RECORDED for tap in taps)
+    ), hand

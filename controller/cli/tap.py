@@ -194,7 +194,8 @@ def _play(
 
         stopped = sessions.run(device, recorder, shown, ended, seconds, played_at)
     played = [
-        played_tap(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts
+        played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
+        for contact in recorder.contacts
     ]
     console.print(taps_table(played, shown.events, title))
     console.print(figures_table(played, given.library, shown.events, _yardstick(given.library, played)))

@@ -6,7 +6,7 @@ passed through the accelerometer's own pole. Both are low-passed as recordings a
 react, since nobody predicts what it does of its own accord afterwards.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -159,16 +159,26 @@ def resting_m_s2(contact: Contact) -> float:
     return float(resting.mean()) if resting.size else NOTHING
 
 
-def played_tap(contact: Contact, library: Library, settings: Settings, gain: float, bandwidth_Hz: float) -> PlayedTap:
+def played_tap(
+    contact: Contact,
+    library: Library,
+    settings: Settings,
+    gain: float,
+    bandwidth_Hz: float,
+    *,
+    as_recorded: bool = False,
+) -> PlayedTap:
     """Compare a recorded contact with what the library says of it.
 
     Parameters
     ----------
     gain : of the device.
     bandwidth_Hz : of the accelerometer, one pole.
+    as_recorded : the hand is known to move as those in the library's recordings did; what they gave the stylus of
+        their own accord is taken off what was measured.
     """
     prediction = predict(library, contact.speed_m_s, contact.grip_N, gain)
-    compared = _compare(contact, prediction, settings, gain, bandwidth_Hz)
+    compared = _compare(contact, prediction, settings, gain, bandwidth_Hz, as_recorded)
     return PlayedTap(
         contact=contact,
         times_s=(contact.ticks - contact.tick) * contact.dt_s - contact_s(contact, settings),
@@ -181,7 +191,7 @@ def played_tap(contact: Contact, library: Library, settings: Settings, gain: flo
 
 
 def _compare(
-    contact: Contact, prediction: Prediction, settings: Settings, gain: float, bandwidth_Hz: float
+    contact: Contact, prediction: Prediction, settings: Settings, gain: float, bandwidth_Hz: float, as_recorded: bool
 ) -> Compared | str:
     """Figures, or why there are none."""
     if gain == 0:
@@ -193,6 +203,12 @@ def _compare(
     measured = since_contact(contact, settings, float(at[0]), float(at[-1]))
     if isinstance(measured, str):
         return measured
+    if as_recorded:
+        own = contact.speed_m_s / prediction.speed_m_s * prediction.own_m_s2
+        known = through_pole(own, contact.dt_s, bandwidth_Hz)
+        measured = replace(
+            measured, values=measured.values - np.interp(measured.times_s, prediction.times_s, known, 0.0)
+        )
 
     def sensed(acceleration_m_s2: FloatArray) -> FloatArray:
         behind = through_pole(acceleration_m_s2, contact.dt_s, bandwidth_Hz)

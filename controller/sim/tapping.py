@@ -14,7 +14,7 @@ from controller.sim.true_device import TrueDevice
 from transopt.library.library import Library
 
 BACK_M_S = 0.5  # with which the hand moves between two taps
-SETTLE_S = 30e-3  # of rest after each tap, in which the last telemetry arrives
+SETTLE_S = 30e-3  # of rest after each tap at least, in which the last telemetry arrives
 LATE_S = 5e-3  # by which the device may take a contact for later than the hand meant it
 
 
@@ -40,6 +40,7 @@ class TappingHand:
         self._simulator: Simulator | None = None  # of the tap that comes, or is under way
         self._under_way = False
         self._ticks_left = self._settling = 0
+        self._rest_s = SETTLE_S  # after the tap
         self._way: list[int] = []  # to another place: encoder counts tick by tick, the last first
         self._start = self._counts = 0  # where the tap begins, and where the stylus is
         self._grip_N, self._current_A = 0.0, 0.0
@@ -84,7 +85,7 @@ class TappingHand:
     def _end(self, simulator: Simulator) -> None:
         self._counts = _counts(simulator)
         self._simulator, self._under_way = None, False
-        self._settling = round(SETTLE_S / self._dt_s)
+        self._settling = round(self._rest_s / self._dt_s)
         self._go(self._start)
         self._tapped()
         self._prepare()
@@ -100,7 +101,9 @@ class TappingHand:
             return
         library, tap = self._planned.popleft()
         self._simulator, _ = tap_simulator(library, tap, self._device)
-        after_s = max(library.time_grid().end_s + AFTER_S, RECORDED_S + LATE_S)
+        after_s = library.time_grid().end_s + AFTER_S
+        # A recording goes on for so long after its contact.
+        self._rest_s = max(SETTLE_S, RECORDED_S + LATE_S - after_s)
         self._ticks_left = approach_ticks(tap.speed_m_s, self._dt_s) + int(np.ceil(after_s / self._dt_s)) + 1
         self._start, self._grip_N = _counts(self._simulator), tap.grip_N
 
