@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import within
+from controller.cli.options import SIMULATED, within
 from transopt.base import console as terminal
+from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,9 +43,19 @@ def at_port(name: str) -> "Bench":
 
 
 def open_device(port: "str | Connection") -> "Device":
-    """Connect; what the commands do is the same for any device that speaks the protocol."""
+    """Connect; what the commands do is the same for any device that speaks the protocol.
+
+    Raises
+    ------
+    InputError : no device; or the simulated one by its name alone, which says nothing of its hand.
+    """
     from controller.host.driver import Device
 
+    if port == SIMULATED:
+        raise InputError(
+            f"--port {SIMULATED} ends with its command and is for tap, record and refine: "
+            "start `transopt-device` for a simulated device that stays"
+        )
     return Device(port)
 
 
