@@ -20,6 +20,7 @@ from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, bank
 from tests.benches.commands import Run, Terminal
 from tests.benches.desk import PORT, Desk
+from tests.benches.device import need_compiler
 from tests.benches.model_parts import Make, scene_on
 from tests.benches.places import SCRIPTS
 from tests.benches.servo import WALL, Bench
@@ -43,6 +44,12 @@ def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
     proof = certify(problem, answer.command_A, answer.multipliers)
     return answer.status is Status.OPTIMAL and proof.is_stationary
+
+
+@pytest.fixture(scope="session")
+def c_compiler() -> None:
+    """Without one, a test that asks for it is skipped."""
+    need_compiler()
 
 
 @pytest.fixture(scope="session")

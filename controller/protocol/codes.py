@@ -83,7 +83,6 @@ class LinkNotice(Enum):
 What = Notice | Fault | LinkNotice
 STATES = tuple(State)  # code: place in this list
 REASONS = dict(enumerate(Reason, 1))
-REASON_CODES = {reason: code for code, reason in REASONS.items()}
 # Code on the wire of everything an event can tell; 0 is nothing.
 EVENTS: dict[int, What] = {
     **dict(enumerate(Notice, 1)),

@@ -37,7 +37,6 @@ LEASES_MS = (200, 500)
 WORD_S, ENDS_S, REPORT_S, AFTER_S = 30.0, 10.0, 1.0, 0.3
 SETTLED_S = 0.3  # beyond the lease, until the line is no longer listened to
 CHUNK = 65_536
-TRIES = 10
 
 
 def tapping_plant() -> bytes:
@@ -306,19 +305,10 @@ def _recording(out: Ended, line: Line, folder: Path) -> None:
             break
 
 
-def _connected(name: str) -> Device:
-    """A socket's device turns a second host away until it has noticed that the first is gone."""
-    for _ in range(TRIES):
-        with suppress(DeviceError, PortError):
-            return Device(name)
-        time.sleep(0.1)
-    return Device(name)
-
-
 def _again(out: Ended, name: str) -> None:
     """Another host comes; it arms nothing, and finds nothing armed."""
     try:
-        with _connected(name) as device:
+        with Device(name) as device:
             found = [STATES[device.hello.state]]
             device.listen(AFTER_S)
             found.append(device.state)

@@ -97,29 +97,16 @@ void link_close(port_link *link)
 
 void link_wait(port_link *link, int milliseconds)
 {
-    struct pollfd watched[2];
-    const nfds_t count = link->listening >= 0 && link->open >= 0 ? 2 : 1;
+    /* One host at a time: another one waits until this one has gone. */
+    struct pollfd watched = {link->open >= 0 ? link->open : link->listening, POLLIN, 0};
     const int yes = 1;
 
-    watched[0].fd = link->open >= 0 ? link->open : link->listening;
-    watched[1].fd = link->listening;
-    watched[0].events = watched[1].events = POLLIN;
-    watched[0].revents = watched[1].revents = 0;
-    if (poll(watched, count, milliseconds) <= 0 || link->listening < 0)
+    if (poll(&watched, 1, milliseconds) <= 0 || link->open >= 0)
         return;
-    if ((link->open < 0 ? watched[0].revents : watched[1].revents) & POLLIN) {
-        const int caller = accept(link->listening, NULL, NULL);
-
-        if (caller < 0)
-            return;
-        /* One host at a time: a second is turned away. */
-        if (link->open >= 0) {
-            close(caller);
-            return;
-        }
-        link->open = caller;
-        never_wait(caller);
-        setsockopt(caller, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    link->open = accept(link->listening, NULL, NULL);
+    if (link->open >= 0) {
+        never_wait(link->open);
+        setsockopt(link->open, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
     }
 }
 

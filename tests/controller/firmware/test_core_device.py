@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.firmware.build import CORE, NoCompilerError, build, compiler, sources
+from controller.firmware.build import CORE, NoCompilerError, build, sources
 from controller.firmware.core_device import CoreDevice, Decoder, crc32, encode, sha256
 from controller.firmware.replay import REPLAY
 from controller.protocol import wire
@@ -20,16 +20,10 @@ from scripts.device_conversations import SCENES, VECTORS, random_talk, said, sce
 from scripts.wire_fuzz import fuzz
 from tests.benches.device import World
 
+pytestmark = pytest.mark.usefixtures("c_compiler")
+
 CHECKS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 RECORDED = load(VECTORS)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    try:
-        compiler()
-    except NoCompilerError as missing:
-        pytest.skip(str(missing))
 
 
 @pytest.mark.parametrize("conversation", RECORDED, ids=lambda one: one.name)

@@ -19,18 +19,12 @@ from scripts.device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_dif
 from transopt.library.library import Library
 from transopt.plant.wall import Wall
 
+pytestmark = pytest.mark.usefixtures("c_compiler")
+
 # exp and fmod only where a configuration is checked, never in a servo period.
 MAY_CALL = {"memcpy", "memset", "memcmp", "memmove", "sqrt", "floor", "exp", "fmod"}
 EXCITED = (1, 9, 17)  # the host starts what is played
 SEEDS = (2, 5, 7, 12, 16, 23, 24, *EXCITED)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiler() -> None:
-    try:
-        compiler()
-    except NoCompilerError as missing:
-        pytest.skip(str(missing))
 
 
 @functools.cache

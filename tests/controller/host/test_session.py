@@ -8,7 +8,7 @@ from controller.host.session import SILENCE_S, Session
 from controller.host.session_states import OVER, SEEN, TRANSITIONS, MisuseError, SessionState, Trigger
 from controller.protocol import messages as m
 from controller.protocol.capacity import Capacity
-from controller.protocol.codes import REASON_CODES, Kind, LinkNotice, Reason
+from controller.protocol.codes import REASONS, Kind, LinkNotice, Reason
 from controller.protocol.events import Cause, Changed, Connected, Ended, Happened, Refused
 from controller.protocol.image import image_of, sha256
 from controller.protocol.wire import Decoder, encode
@@ -357,4 +357,4 @@ def test_changes_of_the_device_are_told_once() -> None:
     world = World().armed()
     world.run(0.5)
     assert world.of(Changed) == [Changed(State.ARMED, None)]
-    assert REASON_CODES[Reason.NOT_IDLE] == 1
+    assert REASONS[1] is Reason.NOT_IDLE
