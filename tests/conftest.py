@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import problems
-from controller.firmware.build import NoCompilerError, compiler
 from controller.host.payload import payload
 from controller.servo.interface import State
 from controller.servo.settings import Settings
@@ -245,17 +244,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def compiled() -> None:
-    """There is a C compiler, for the core of a device."""
-    try:
-        compiler()
-    except NoCompilerError as missing:
-        pytest.skip(str(missing))
-
-
-@pytest.fixture
 def play(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, library: Library, compiled: None
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, library: Library, c_compiler: None
 ) -> Run:
     """Run `transopt-play ARGS` in a folder that holds library.npz, with a home of its own."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))

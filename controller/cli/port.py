@@ -279,7 +279,7 @@ def check(
     given: Load | None = None if library is None else payload(library)
     console = terminal.console()
 
-    def told(result: Result) -> None:
+    def tell(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
     with connected(port, reset) as device:
@@ -290,7 +290,7 @@ def check(
         settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
         device.set_telemetry(1)
         bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
-        results = run_steps(bench, skipped, told)
+        results = run_steps(bench, skipped, tell)
         good = passed(results, skipped)
         if good:
             device.checked()

@@ -84,7 +84,7 @@ def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: 
     written: list[tuple[Path, Trial]] = []
     why = ""
 
-    def told(words: str) -> None:
+    def say(words: str) -> None:
         console.print(f"  {words}", highlight=False, soft_wrap=True)
 
     with connected(port, bench.reset) as device:
@@ -118,8 +118,8 @@ def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: 
                     with sweeps, disarmed_by_ctrl_c(device):
                         device.set_telemetry(1)
                         for trial in trials:
-                            told(f"trial {len(written) + 1} of {len(planned)}")
-                            taken = sweeps.trial(negative=trial.polarity < 0, told=told)
+                            say(f"trial {len(written) + 1} of {len(planned)}")
+                            taken = sweeps.trial(negative=trial.polarity < 0, tell=say)
                             path = next(names)
                             taken.write(path, bench.accelerometer_Hz)
                             written.append((path, taken))

@@ -22,7 +22,7 @@ from controller.host.session import Session
 from controller.host.session_states import OPEN, SessionState
 from controller.protocol.capacity import LEASE_DEFAULT_MS
 from controller.protocol.codes import Kind, Reason
-from controller.protocol.events import Completed, Connected, Ended, Happened, Progress, Refused, Samples, Told
+from controller.protocol.events import Completed, Connected, Ended, Happened, News, Progress, Refused, Samples
 from controller.protocol.messages import HelloReply
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
@@ -41,7 +41,7 @@ class LinkLostError(DeviceError):
     """The session is over: silent, unplugged, another version, not our device."""
 
 
-Listener = Callable[[Told], None]
+Listener = Callable[[News], None]
 
 
 def _opened(name: str) -> Connection:
@@ -129,7 +129,7 @@ class Device:
     def upload(self, image: bytes, progress: Callable[[int, int], None] | None = None) -> bool:
         """Put a library in force; whether it had to be sent. progress : called with bytes done and in all."""
 
-        def watch(news: Told) -> None:
+        def watch(news: News) -> None:
             if progress is not None and isinstance(news, Progress):
                 progress(news.done, news.total)
 
@@ -190,7 +190,7 @@ class Device:
         duration_s: float,
         on_event: Callable[[Happened], None] | None = None,
         on_samples: Callable[[Samples], None] | None = None,
-        until: Callable[[Told], bool] | None = None,
+        until: Callable[[News], bool] | None = None,
     ) -> bool:
         """Pump for so long, or until some news; whether that came.
 
@@ -210,7 +210,7 @@ class Device:
             if self.now_s() >= end_s:
                 return False
 
-    def pump(self, until_s: float = 0.0) -> list[Told]:
+    def pump(self, until_s: float = 0.0) -> list[News]:
         """Send what is due, wait for bytes till the next deadline or `until_s` at the latest, and tell the news.
 
         Raises
@@ -227,15 +227,15 @@ class Device:
         except UnpluggedError as error:
             self.session.unplugged(error.detail)
             news = self.session.receive(b"", self.now_s())
-        for told in news:
+        for one in news:
             for listener in tuple(self.listeners):
-                listener(told)
-        for told in news:
-            if isinstance(told, Ended):
-                raise LinkLostError(f"{self.name}: {told}")
+                listener(one)
+        for one in news:
+            if isinstance(one, Ended):
+                raise LinkLostError(f"{self.name}: {one}")
         return news
 
-    def _wait(self, met: Callable[[Told], bool], timeout_s: float, what: str) -> Told:
+    def _wait(self, met: Callable[[News], bool], timeout_s: float, what: str) -> News:
         end_s = self.now_s() + timeout_s
         while True:
             for news in self.pump(end_s):

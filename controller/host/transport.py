@@ -41,7 +41,7 @@ def _ports_in_words() -> str:
 
 
 def _refusal(name: str, error: Exception) -> PortError:
-    """Why it does not open, told apart by the system's number, which pyserial often leaves only in its text."""
+    """Why it does not open, by the system's number, which pyserial often leaves only in its text."""
     number = getattr(error, "errno", None)
     cause = error.__context__
     if number is None and isinstance(cause, OSError):

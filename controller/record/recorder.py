@@ -19,7 +19,7 @@ from types import TracebackType
 import numpy as np
 
 from controller.protocol.codes import STATES
-from controller.protocol.events import Happened, Samples, Told
+from controller.protocol.events import Happened, News, Samples
 from controller.protocol.messages import Record
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
 from controller.servo.interface import Event, Fault, Notice, Output, Readings
@@ -138,7 +138,7 @@ class Recorder:
         gaps = f" ({lost} taps with records lost have no file of their own)" if lost else ""
         return f"; {self._folder}: {', '.join([CSV_NAME, NPZ_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
 
-    def take(self, news: Told) -> None:
+    def take(self, news: News) -> None:
         if self._folder is not None and not self._begun and isinstance(news, Samples | Happened):
             # Not before there is something to write: a run that does not come about leaves nothing behind.
             self._begun = True

@@ -1,7 +1,7 @@
-"""Rounds of taps on the device, each of them with the library that was learnt from those before (DESIGN 7).
+"""Rounds of taps on the device, each of them with the library that was learnt from those before.
 
-What a tap does beside its prediction, w = a - p, is measured by the device's own sensors, as `judged` does, until the
-hand can react. `learning` makes of it what the next round is solved for. A node that a round does not improve goes
+What a tap does beside its prediction, w = a - p, is measured by the device's own sensors until the hand can react,
+as `controller.record.played` does it. `learning` makes of it what the next round is solved for. A node that a round does not improve goes
 back to the best it had, and its gain is halved; what is returned is the best of every node.
 """
 
@@ -202,7 +202,7 @@ def refine(
     grid, nodes = library.time_grid(), nodes_of(library)
     fade = fade_of(grid.switching_times_s)
     best: dict[Node, _Best] = {}
-    told: list[Round] = []
+    played: list[Round] = []
     kept: dict[Node, str] = {}
     present, conditions, ratios = library, dict[Node, Condition](), _Ratios()
     for number in range(rounds + 1):
@@ -227,7 +227,7 @@ def refine(
                 limited="limits" not in entry_left_out(present.meta, *node),
                 condition=conditions.get(node),
             )
-        told.append(results)
+        played.append(results)
         tell(number, results)
         ratios.add(present, taps)
         if number == rounds:
@@ -244,9 +244,9 @@ def refine(
                 wanted[node] = corrected(state.correction_m_s2, state.difference_m_s2, grid.dt_s, known, fade)
         present, refused = resolve(present, {**_best_of(best, present), **wanted}, {})
         kept |= refused
-    final, refused = resolve(present, _best_of(best, present), {**stated, "rounds": _in_meta(library, told)})
+    final, refused = resolve(present, _best_of(best, present), {**stated, "rounds": _in_meta(library, played)})
     found = {ig: ratios.of(ig, grid.dt_s) for ig in ratios.grips}
-    return Refined(final, told, found, kept | refused)
+    return Refined(final, played, found, kept | refused)
 
 
 def _best_of(best: Mapping[Node, _Best], present: Library) -> dict[Node, FloatArray]:

@@ -97,7 +97,7 @@ class Played:
     Attributes
     ----------
     times_s : (K,) of the truth at every integration step; so are motor_m, current_A, winding_C.
-    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with y'' of DESIGN 2. A
+    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with the predicted y''. A
         mild, a yielding and a stopping user are all taken to go straight on: what they do otherwise is error.
     tick_times_s : (T,) of the servo; so are command_A, feedback_A, estimated_winding_C, states.
     behind_s : how far a paced run fell behind its clock.

@@ -1,4 +1,4 @@
-"""What identification needs, recorded from the simulator's truth: sweeps, taps, the coil's heating (DESIGN 7)."""
+"""What identification needs, recorded from the simulator's truth: sweeps, taps, the coil's heating."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

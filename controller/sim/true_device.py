@@ -1,4 +1,4 @@
-"""The true device: masses, springs and dampers in absolute coordinates, amplifier, coil (DESIGN 3, 7).
+"""The true device: masses, springs and dampers in absolute coordinates, amplifier, coil.
 
 Only the physical parameters of the scene are shared with the design model. Positions are those of the masses along
 the surface normal, not deviations from a nominal motion; the hand's intention is a moving ground.

@@ -13,7 +13,7 @@ from controller.host.driver import Device
 from controller.host.payload import trial_sweep
 from controller.protocol.capacity import Hardware
 from controller.protocol.codes import STATES, Kind
-from controller.protocol.events import Samples, Told
+from controller.protocol.events import News, Samples
 from controller.record.excitation import sweep_command
 from controller.servo.interface import State
 from controller.sim.default_device import DEFAULT_DEVICE
@@ -362,7 +362,7 @@ def test_a_device_that_dies_half_way_leaves_nothing_half(
 ) -> None:
     playing = 0
 
-    def killing(news: Told) -> None:
+    def killing(news: News) -> None:
         nonlocal playing
         if isinstance(news, Samples):
             playing += sum(STATES[record.state] is State.PLAYING for record in news.records)

@@ -49,7 +49,7 @@ def test_a_sound_device_passes_every_step_and_may_then_be_armed(desk: Desk, chec
     told: list[Result] = []
     with pytest.raises(DeviceError, match="has not passed the bring-up check"):
         check.device.arm(0.5)
-    results = run_steps(check, told=told.append)
+    results = run_steps(check, tell=told.append)
     assert results == told
     assert [r.passed for r in results] == [True] * len(STEPS), results
     assert passed(results)

@@ -28,7 +28,7 @@ from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.library.library import Library
 
-pytestmark = pytest.mark.usefixtures("compiled")
+pytestmark = pytest.mark.usefixtures("c_compiler")
 BANDWIDTH_HZ = 2500.0
 
 
