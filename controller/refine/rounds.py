@@ -1,8 +1,8 @@
 """Rounds of taps on the device, each of them with the library that was learnt from those before.
 
 What a tap does beside its prediction, w = a - p, is measured by the device's own sensors until the hand can react,
-as `controller.record.played` does it. `learning` makes of it what the next round is solved for. A node that a round does not improve goes
-back to the best it had, and its gain is halved; what is returned is the best of every node.
+as `controller.record.played` does it. `learning` makes of it what the next round is solved for. A node that a round
+does not improve goes back to the best it had, and its gain is halved; what is returned is the best of every node.
 """
 
 from collections.abc import Callable, Mapping, Sequence
