@@ -149,6 +149,11 @@ class Recorder:
         elif isinstance(news, Happened):
             self._event(news)
 
+    def flush(self) -> None:
+        """Bring the files up to date."""
+        if self._telemetry is not None:
+            self._telemetry.flush()
+
     def close(self) -> None:
         """What is whole is on the disk; a contact whose time has not passed is in the telemetry only."""
         telemetry, events = self._telemetry, self._events

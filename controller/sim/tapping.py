@@ -14,7 +14,7 @@ from controller.sim.true_device import TrueDevice
 from transopt.library.library import Library
 
 BACK_M_S = 0.5  # with which the hand moves between two taps
-SETTLE_S = 30e-3  # of rest after each tap at least, in which the last telemetry arrives
+SETTLE_S = 30e-3  # of rest after each tap, in which the last telemetry arrives, and after each move
 LATE_S = 5e-3  # by which the device may take a contact for later than the hand meant it
 
 
@@ -78,6 +78,8 @@ class TappingHand:
             self._settling -= 1
         elif self._way:
             self._counts = self._way.pop()
+            # A device is armed only when its stylus has been at rest for a while.
+            self._settling = 0 if self._way else self._ticks(SETTLE_S)
         elif self._simulator is not None and output.state is State.ARMED:
             self._under_way = self._counts == self._start
             self._go(self._start)
@@ -85,10 +87,13 @@ class TappingHand:
     def _end(self, simulator: Simulator) -> None:
         self._counts = _counts(simulator)
         self._simulator, self._under_way = None, False
-        self._settling = round(self._rest_s / self._dt_s)
+        self._settling = self._ticks(self._rest_s)
         self._go(self._start)
         self._tapped()
         self._prepare()
+
+    def _ticks(self, duration_s: float) -> int:
+        return round(duration_s / self._dt_s)
 
     def _go(self, to: int) -> None:
         """Straight on to there."""
