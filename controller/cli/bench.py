@@ -20,20 +20,23 @@ from controller.sim.user import Habit
 
 @dataclass(frozen=True)
 class Bench:
-    """
+    """A device and whoever holds it.
+
     Attributes
     ----------
     port : by its name, or open.
     console : for what happens on the way; silent where nobody has to act on it.
-    as_recorded : the hand is known to move as those in the library's recordings did.
     done : whether the run ends, given whether enough was played: with a person then, with a simulated hand once it
         has done all its taps and is at rest.
+    as_recorded : the hand is known to move as those in the library's recordings did.
+    remark : on the run, once it is over; empty without one.
     """
 
     port: str | Connection
     console: Console
     done: Callable[[bool], bool] = lambda enough: enough
     as_recorded: bool = False
+    remark: Callable[[], str] = lambda: ""
 
 
 def simulated_bench(
@@ -60,6 +63,9 @@ def simulated_bench(
     hand = TappingHand(given.library, device, taps, tapped)
     end = core_end(given.settings, len(given.image) // 2)
     port = SimulatedPort(end, hand, given.settings.dt_s, clock=clock)
-    return Bench(
-        port, Console(quiet=True), lambda _: hand.done, any(tap.habit is Habit.RECORDED for tap in taps)
-    ), hand
+
+    def fell_behind() -> str:
+        return "" if clock is None else f"fell behind the clock by {port.behind_s * 1e3:.1f} ms at most"
+
+    as_recorded = any(tap.habit is Habit.RECORDED for tap in taps)
+    return Bench(port, Console(quiet=True), lambda _: hand.done, as_recorded, fell_behind), hand
