@@ -143,9 +143,9 @@ def _solved_for(library: "Library", table: "Bank", speed_m_s: float, grip_N: flo
 
     import numpy as np
 
-    from controller.waveforms.online_bank import fresh
+    from controller.waveforms import online_bank
 
-    tap = fresh(library, table).at(speed_m_s, grip_N)
+    tap = online_bank.fresh(library, table).at(speed_m_s, grip_N)
     if tap.silent:
         return table
     return replace(
@@ -199,6 +199,9 @@ def _play(
     ]
     console.print(taps_table(played, shown.events, title))
     console.print(figures_table(played, given.library, shown.events, _yardstick(given.library, played)))
+    remark = bench.remark()
+    if remark:
+        console.print(remark, highlight=False)
     if out is not None:
         drawn = _draw(played, title, out)
         console.print(recorder.in_words().removeprefix("; ") + drawn, highlight=False, soft_wrap=True)

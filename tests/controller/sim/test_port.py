@@ -122,6 +122,12 @@ def test_simulate_is_short_for_the_port(play: Run) -> None:
     assert play(*tap, "--simulate", "--out", "a").code == 0
 
 
+def test_a_paced_run_says_how_far_it_fell_behind(play: Run) -> None:
+    outcome = play("tap", "library.npz", "--simulate", "--real-time", "--speed", 0.4)
+    assert outcome.code == 0
+    assert "fell behind the clock by " in outcome.out
+
+
 def test_without_a_compiler_it_says_what_to_install(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(InputError, match=r"^--simulate runs the device's own C code: CC = no-such-compiler"):
