@@ -67,10 +67,10 @@ def refine(
         bench, hand = simulated_at(loaded, device, wrong, rounds, taps, seed)
         source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:
-        from controller.cli.refine_taps import Person
+        from controller.cli.refine_taps import PersonsHand
 
         assert port is not None
-        bench, hand, source = at_port(port), Person(terminal.console()), port
+        bench, hand, source = at_port(port), PersonsHand(terminal.console()), port
     stated = _stated(loaded, source, taps, accelerometer_hz)
     _finish(loaded, _refined(loaded, bench, hand, out, rounds, taps, seconds, stated, reset), library, out)
 

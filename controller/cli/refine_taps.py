@@ -51,8 +51,8 @@ class Hand(Protocol):
     def __exit__(self, *_: object) -> None: ...
 
 
-class Person:
-    """Reads the console."""
+class PersonsHand:
+    """Of a person who reads the console."""
 
     amplifier_tolerance = 0.0
 

@@ -7,10 +7,10 @@ lost, or in which the grip was not the one asked for, is repeated, not written.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
+from controller.host.bringup import Person
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples
@@ -28,12 +28,6 @@ GRIP_N, GRIP_PART = 0.3, 0.1  # by which the grip may be off, the larger of the 
 ATTEMPTS = 3  # at each trial
 PATIENCE_S = 60.0  # for what a person has to do
 LATE_S = 2.0  # for telemetry that is under way, beyond the excitation itself
-
-
-class Person(Protocol):
-    """Whoever stands at the device."""
-
-    def asked(self, what: str) -> None: ...
 
 
 class AbortedError(Exception):
