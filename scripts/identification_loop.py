@@ -7,9 +7,9 @@ The true device is the scene's with every parameter off by up to the mismatch, i
 sensors with noise. For each mismatch: the nominal library is solved; sweeps are recorded on the true device,
 amplifier and device identified from them, the scene solved anew with that model; what came out is refined by taps on
 the device; all of it by the command line. Each library is then played at every node on the true device, through the
-servo, and its acceleration, after the one shift that aligns them, compared with the recorded tap over the whole
-window. Beside them stands the optimum of someone who knows the true device, under the same limits: where they bind
-nothing can be better.
+servo, and its true acceleration, after the one shift that aligns them, compared with the recorded tap over the whole
+window; the refinement's rounds are stated as its sensors measured them, until the hand can react. Beside them stands
+the optimum of someone who knows the true device, under the same limits: where they bind nothing can be better.
 
 Prints one table per mismatch, draws loop.png, writes loop.json. Exit code 1 if a current was above its limit, if the
 identified model takes away less than half of what the nominal one has beyond the known truth, or if refinement makes
@@ -31,11 +31,16 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 import problems
-from controller.cli.refine_simulated import SimulatedTaps
+from controller.record.metrics import align
 from controller.refine.rounds import nodes_of
+from controller.servo.servo import Servo
+from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
+from controller.sim.experiment import SimulatedTap, play_tap
+from controller.sim.records import noise_seed
 from controller.sim.simulator import Imperfections
-from controller.sim.true_device import Device
+from controller.sim.true_device import TrueDevice
+from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
 from transopt.base import console as terminal
@@ -53,6 +58,7 @@ from transopt.solvers.options import SolverOptions
 
 OVER_A = 1e-6
 HALF = 0.5  # of the nominal model's error beyond the known truth's may be left with the identified one
+ROUND = "refined, round"
 ANOTHER_SEED = 1000  # noise that no refinement has seen
 
 
@@ -130,20 +136,30 @@ def solved(scene: Path, out: Path) -> Library:
     return load_library(out / "library.npz")
 
 
-def played(name: str, library: Library, device: Device, wrong: Imperfections, taps: int, seed: int) -> Stage:
-    """Every node some times on the true device."""
-    heard = SimulatedTaps(device, taps, imperfections=wrong, seed=seed)(library, 0)
-    silent = [node for node, found in heard.items() if not found]
-    if silent:
-        raise InputError(f"{name}: nothing was played at {len(silent)} nodes")
-    return Stage(
-        name,
-        [float(np.mean([tap.true_nrmse for tap in found])) for found in heard.values()],
-        max(tap.peak_current_A for found in heard.values() for tap in found),
-    )
+def played(name: str, library: Library, device: TrueDevice, wrong: Imperfections, taps: int, seed: int) -> Stage:
+    """Every node some times on the true device, which is asked what it really did."""
+    settings = Settings.of(library, amplifier_tolerance=wrong.mismatch)
+    times, noise = library.time_grid().switching_times_s, replace(wrong, mismatch=0.0)
+    errors, peak = [], 0.0
+    for iv, ig in nodes_of(library):
+        found = []
+        for n in range(taps):
+            tap = SimulatedTap(
+                speed_m_s=float(library.speeds_m_s[iv]),
+                grip_N=float(library.grips_N[ig]),
+                seed=noise_seed(seed, 0, iv, ig, n),
+                imperfections=noise,
+            )
+            one = play_tap(library, Servo(settings, bank(library)), tap, device=device)
+            if not one.metrics.played:
+                raise InputError(f"{name}: nothing was played at {tap.speed_m_s:g} m/s, {tap.grip_N:g} N")
+            found.append(align(one.times_s, one.acceleration_m_s2, times, library.reference_m_s2[iv]).nrmse)
+            peak = max(peak, one.metrics.peak_current_A)
+        errors.append(float(np.mean(found)))
+    return Stage(name, errors, peak)
 
 
-def plant_of(device: Device, grip_N: float) -> StateSpace:
+def plant_of(device: TrueDevice, grip_N: float) -> StateSpace:
     """From current to stylus acceleration of the true device."""
     masses, stiffness, damping = device.at(grip_N)
     links = [Link(float(k), float(b)) for k, b in zip(stiffness, damping, strict=True)]
@@ -151,7 +167,7 @@ def plant_of(device: Device, grip_N: float) -> StateSpace:
     return chain(masses.tolist(), links, force_per_current_N_A=force, stylus=device.stylus)
 
 
-def known_truth(library: Library, device: Device) -> Stage:
+def known_truth(library: Library, device: TrueDevice) -> Stage:
     """The optimum under the library's limits for someone who knows the true chain and amplifier, crossover aside.
 
     Its commands are not played: what a servo adds is not in it. Its reference is shifted by the error of the delay.
@@ -214,15 +230,15 @@ def run_one(scene: Path, arguments: argparse.Namespace, mismatch: float) -> list
 
 
 def rounds_of(refined: Library) -> list[Stage]:
-    """After each round the best that every node had until then, as the truth says of the refinement's own taps."""
+    """After each round the best that every node had until then, as the device's own sensors measured it."""
     stages: list[Stage] = []
     best: list[float] = []
     for number, told in enumerate(refined.meta["refinement"]["rounds"]):
-        nrmse, better = ([value for row in told[name] for value in row] for name in ("true_nrmse", "better"))
+        nrmse, better = ([value for row in told[name] for value in row] for name in ("nrmse", "better"))
         best = [new if kept else old for new, kept, old in zip(nrmse, better, best or nrmse, strict=True)]
         peak = max(value for row in told["peak_current_A"] for value in row)
         if number:
-            stages.append(Stage(f"refined, round {number}", best, peak))
+            stages.append(Stage(f"{ROUND} {number}", best, peak))
     return stages
 
 
@@ -273,7 +289,8 @@ def shortfalls(mismatch: float, stages: Sequence[Stage], limit_A: float) -> list
     found += [
         f"{at}: {stage.name}: {stage.peak_current_A:.4f} A, limit {limit_A:g} A"
         for stage in stages
-        if stage.peak_current_A > limit_A + OVER_A
+        # What a sensor measures has its noise on it.
+        if not stage.name.startswith(ROUND) and stage.peak_current_A > limit_A + OVER_A
     ]
     if model is not None and model.mean - truth.mean > HALF * (nominal.mean - truth.mean):
         found.append(f"{at}: identified {model.mean:.2%}, nominal {nominal.mean:.2%}, known truth {truth.mean:.2%}")

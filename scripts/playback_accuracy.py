@@ -20,7 +20,7 @@ import numpy as np
 from controller.record.metrics import align
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Metrics, Tap, play_tap
+from controller.sim.experiment import Metrics, SimulatedTap, play_tap
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import predict
 from transopt.base.errors import InputError
@@ -73,7 +73,7 @@ class Point:
         return self.nrmse_blend <= self.interpolation + MOST_NRMSE
 
 
-def once(library: Library, table: Bank, tap: Tap) -> Metrics:
+def once(library: Library, table: Bank, tap: SimulatedTap) -> Metrics:
     """One nominal tap with a fresh servo.
 
     Raises
@@ -88,7 +88,7 @@ def once(library: Library, table: Bank, tap: Tap) -> Metrics:
 
 def at_node(library: Library, table: Bank, iv: int, ig: int, phases: FloatArray, seeds: int) -> Node:
     speed, grip = float(library.speeds_m_s[iv]), float(library.grips_N[ig])
-    taps = [Tap(speed, grip, phase=float(phase), seed=seed) for phase in phases for seed in range(seeds)]
+    taps = [SimulatedTap(speed, grip, phase=float(phase), seed=seed) for phase in phases for seed in range(seeds)]
     found = [once(library, table, tap) for tap in taps]
     late = np.array([metrics.latency_s for metrics in found])
     return Node(
@@ -114,7 +114,7 @@ def blended(library: Library, speed_m_s: float, grip_N: float) -> FloatArray:
 
 def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed: int) -> Point:
     """One tap between the nodes, its phase drawn from the seed."""
-    tap = Tap(speed_m_s, grip_N, seed=seed)
+    tap = SimulatedTap(speed_m_s, grip_N, seed=seed)
     played = play_tap(library, Servo(Settings.of(library), table), tap)
     blend, prediction = blended(library, speed_m_s, grip_N), predict(library, speed_m_s, grip_N)
     return Point(

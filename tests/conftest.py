@@ -241,7 +241,9 @@ def terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def play(terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, library: Library) -> Run:
+def play(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, library: Library, c_compiler: None
+) -> Run:
     """Run `transopt-play ARGS` in a folder that holds library.npz, with a home of its own."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     library.save(tmp_path / "library.npz")
@@ -261,7 +263,7 @@ def ready(play: Run, desk: Desk) -> Iterator[Desk]:
     yield desk
     # Whatever happened, nothing is left armed once the lease is over.
     for _ in range(2500):
-        if desk.firmware.state in (State.IDLE, State.FAULT):
+        if desk.end.state in (State.IDLE, State.FAULT):
             break
         desk.step()
-    assert desk.firmware.state in (State.IDLE, State.FAULT)
+    assert desk.end.state in (State.IDLE, State.FAULT)

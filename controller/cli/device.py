@@ -47,7 +47,7 @@ def simulated(
     seed: int,
     hold_N: float | None = None,
 ) -> "tuple[Simulator, TapsInTurn | StillHand]":
-    """The device of a library or a scene, DESIGN's default without, in the hand of a user who taps in turn.
+    """The device of a library or a scene, the default device without, in the hand of a user who taps in turn.
 
     Between two rounds the hand rests for `rest_s`, so that the device can be armed. With `hold_N` it only holds.
 

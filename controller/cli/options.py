@@ -9,6 +9,8 @@ from transopt.base.errors import InputError
 if TYPE_CHECKING:
     from controller.sim.simulator import Imperfections
 
+SIMULATED = "sim:"  # the name of the port, as `controller.sim.port` has it
+
 
 def within(option: str, value: float, low: float, high: float, unit: str = "") -> float:
     """The value of an option, if it lies within its limits.
@@ -41,22 +43,45 @@ def numbers(option: str, text: str | None, low: float, high: float, unit: str) -
     return found
 
 
-def refuse(context: typer.Context, names: tuple[str, ...], why: str) -> None:
-    """An option that means nothing here is an error, not a wish.
+WITH_PORT, WITH_SIMULATE = "only with --port", "only with --simulate"
+AT_HAND = f"on a device that is up to its user: {WITH_SIMULATE}"
+# Parameters that mean nothing on one kind of port, by command: those of a serial port, those of a simulated device.
+ONLY_ON_PORT = {
+    "tap": ("taps", "seconds", "accelerometer_hz", "reset"),
+    "refine": ("seconds", "accelerometer_hz", "reset"),
+    "record tap": ("taps", "seconds", "trigger", "count_um"),
+    "record sweep": ("gain", "library", "accelerometer_hz", "count_um", "patience", "reset"),
+}
+MADE_UP = ("mismatch", "seed", "crossover")  # of the simulated device
+ONLY_SIMULATED = {
+    "tap": ("speed", "grip", "method", "device", "user", "real_time", *MADE_UP),
+    "refine": ("scene", *MADE_UP),
+    "record tap": ("library", "real_object", "speeds", "grips", "repeats", "force_noise", "scene", *MADE_UP),
+    "record sweep": ("scene", *MADE_UP),
+}
 
-    Parameters
-    ----------
-    names : of the command's parameters.
+
+def is_simulated(context: typer.Context, command: str, simulate: bool, port: str | None) -> bool:
+    """Whether the command means the port `sim:`, for which `--simulate` is short, or one that `ports` lists.
+
+    An option that means nothing there is an error, not a wish.
 
     Raises
     ------
-    InputError : one of them was given.
+    InputError : no device was named, or two, or an option that means nothing on this one.
     """
+    if simulate == (port is not None):
+        raise InputError(f"{command}: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
+    simulated = simulate or port == SIMULATED
+    meaningless, why = (
+        (ONLY_ON_PORT, WITH_PORT) if simulated else (ONLY_SIMULATED, AT_HAND if command == "tap" else WITH_SIMULATE)
+    )
     options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
-    for name in names:
+    for name in meaningless[command]:
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
             raise InputError(f"{options[name]}: {why}")
+    return simulated
 
 
 def imperfect(mismatch: float, seed: int, crossover: float) -> "Imperfections":

@@ -1,4 +1,4 @@
-"""`transopt-play` for a device on a port: ports, upload, monitor, check, and tap's half with --port.
+"""`transopt-play ports|upload|monitor|check`, and what every command does with a device on a port of any kind.
 
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
@@ -12,10 +12,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import within
+from controller.cli.options import SIMULATED, within
 from transopt.base import console as terminal
+from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from controller.cli.bench import Bench
+    from controller.host.connection import Connection
     from controller.host.driver import Device
     from controller.host.monitor import Monitor
     from controller.host.payload import Load
@@ -30,18 +35,34 @@ Seconds = Annotated[float | None, typer.Option("--for", help="End after so many 
 LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
 
 
-def open_device(port: str) -> "Device":
-    """Connect; what the commands do is the same for any device that speaks the protocol."""
+def at_port(name: str) -> "Bench":
+    """A device on a port in the hand of whoever reads the terminal."""
+    from controller.cli.bench import Bench
+
+    return Bench(name, terminal.console())
+
+
+def open_device(port: "str | Connection") -> "Device":
+    """Connect; what the commands do is the same for any device that speaks the protocol.
+
+    Raises
+    ------
+    InputError : no device; or the simulated one by its name alone, which says nothing of its hand.
+    """
     from controller.host.driver import Device
 
+    if port == SIMULATED:
+        raise InputError(
+            f"--port {SIMULATED} ends with its command and is for tap, record and refine: "
+            "start `transopt-device` for a simulated device that stays"
+        )
     return Device(port)
 
 
-def load(device: "Device", given: "Load") -> None:
+def load(device: "Device", given: "Load", console: "Console") -> None:
     """Configuration and library in force, with a progress bar where there is a terminal."""
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
-    console = terminal.console()
     device.configure(given.configuration)
     began_s = time.monotonic()
     columns = (TextColumn("upload"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
@@ -49,6 +70,8 @@ def load(device: "Device", given: "Load") -> None:
         task = bar.add_task("upload", total=len(given.image))
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
     took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
+    if device.harmless:
+        device.checked()  # nothing is wired there that could be wired wrong
     words = f"uploaded {took}" if sent else "the device has this library already"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
 
@@ -76,7 +99,7 @@ def disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
 
 
 @contextmanager
-def connected(port: str, reset: bool | None = None) -> "Iterator[Device]":
+def connected(port: "str | Connection", reset: bool | None = None) -> "Iterator[Device]":
     """A device for the length of a block; a fault is left only where the user says so, None does not look.
 
     Raises
@@ -135,7 +158,7 @@ def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
 
     given = payload(library)
     with connected(port, reset) as device:
-        load(device, given)
+        load(device, given, terminal.console())
 
 
 def monitor(
@@ -210,9 +233,9 @@ def run(
         device.listeners += [recorder.take, shown.take]
         try:
             with disarmed_by_ctrl_c(device):
+                device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
-                device.set_telemetry(1)
                 _listen(device, seconds, ended, armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
@@ -256,18 +279,18 @@ def check(
     given: Load | None = None if library is None else payload(library)
     console = terminal.console()
 
-    def told(result: Result) -> None:
+    def tell(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
     with connected(port, reset) as device:
         if sweep:
             given = trial_sweep(device.hello, library)
         if given is not None:
-            load(device, given)
+            load(device, given, terminal.console())
         settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
         device.set_telemetry(1)
         bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
-        results = run_steps(bench, skipped, told)
+        results = run_steps(bench, skipped, tell)
         good = passed(results, skipped)
         if good:
             device.checked()
@@ -292,62 +315,3 @@ def ends(taps: int | None, seconds: float | None) -> None:
         within("taps", taps, 1, 1_000_000)
     if seconds is not None:
         within("for", seconds, 0.0, 1e9, " s")
-
-
-def tap_on_port(
-    library: Path,
-    port: str,
-    *,
-    gain: float | None,
-    out: Path | None,
-    taps: int | None,
-    seconds: float | None,
-    accelerometer_Hz: float,
-    reset: bool,
-) -> None:
-    """Arm, let the user tap, record, and say of each tap how well it was played."""
-    from controller.cli.tables import played_table
-    from controller.host.first_run import default_gain, remember
-    from controller.host.monitor import Monitor
-    from controller.host.payload import payload
-    from controller.protocol.codes import LinkNotice
-    from controller.protocol.image import sha256
-    from controller.record.judge import judge
-    from controller.record.recorder import Recorder, make_room
-    from controller.servo.interface import Notice
-
-    if gain is not None:
-        within("gain", gain, 0.0, 1.0)
-    within("accelerometer-hz", accelerometer_Hz, 10.0, 1e6, " Hz")
-    ends(taps, seconds)
-    given = payload(library)
-    if out is not None:
-        make_room(out)
-    settings, configuration = given.settings, sha256(given.configuration)
-    console = terminal.console()
-    with connected(port, reset) as device:
-        load(device, given)
-        hello = device.hello
-        played_at = default_gain(hello.boot, configuration) if gain is None else gain
-        title = f"{library} on {port}, gain {played_at:g}"
-        recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts)
-        shown = Monitor(console, title, hello.dt_s, settings.count_m)
-        stopped = run(
-            device, recorder, shown, lambda: taps is not None and len(recorder.contacts) >= taps, seconds, played_at
-        )
-    judged = [judge(contact, given.library, settings, played_at, accelerometer_Hz) for contact in recorder.contacts]
-    console.print(played_table(judged, shown.events, title))
-    if out is not None:
-        console.print(recorder.in_words().removeprefix("; "), highlight=False, soft_wrap=True)
-    if shown.events[Notice.FINISHED] and not shown.faults and played_at > 0:
-        remember(hello.boot, configuration)
-    if shown.faults:
-        console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
-    if stopped:
-        typer.echo(STOPPED, err=True)
-        raise typer.Exit(130)
-    lost = shown.events[LinkNotice.LEASE_LOST]
-    if lost:
-        console.print(LinkNotice.LEASE_LOST.value, style="red", highlight=False)
-    if shown.faults or lost or not shown.events[Notice.FINISHED]:
-        raise typer.Exit(1)

@@ -8,28 +8,12 @@ from typing import Annotated
 
 import typer
 
-from controller.cli.options import numbers, refuse, within
+from controller.cli.options import imperfect, is_simulated, numbers, within
 from controller.cli.port import Reset, Seconds
 from transopt.base.errors import InputError
 
 record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
 DEFAULT_SCENE = "wood_on_foam"
-ON_PORT_ONLY = ("taps", "seconds", "trigger", "count_um")
-SIMULATED_ONLY = (
-    "library",
-    "real_object",
-    "speeds",
-    "grips",
-    "repeats",
-    "force_noise",
-    "scene",
-    "mismatch",
-    "seed",
-    "crossover",
-)
-
-SWEEP_ON_PORT_ONLY = ("gain", "library", "accelerometer_hz", "count_um", "patience", "reset")
-SWEEP_SIMULATED_ONLY = ("scene", "mismatch", "seed", "crossover")
 
 Folder = Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="From the simulator's truth, in virtual time.")]
@@ -90,10 +74,7 @@ def record_sweep(
     """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads."""
     from controller.record.sweep_plan import Purpose, sweep_plan
 
-    if simulate == (port is not None):
-        raise InputError(
-            "record sweep: name the device: --simulate, or --port PORT (`transopt-play ports` lists them)"
-        )
+    simulated = is_simulated(context, "record sweep", simulate, port)
     purposes = [choice.value for choice in Purpose]
     if purpose not in purposes:
         raise InputError(f"--for {purpose}: must be one of {', '.join(purposes)}")
@@ -107,16 +88,14 @@ def record_sweep(
         offset_A=offset,
         seconds=seconds,
     )
-    if port is None:
-        from controller.cli.options import imperfect
+    if simulated:
         from controller.cli.record_simulated import simulate_sweeps
 
-        refuse(context, SWEEP_ON_PORT_ONLY, "only with --port")
         simulate_sweeps(out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed)
         return
-    from controller.cli.record_on_port import Bench, sweep_on_port
+    from controller.cli.record_on_port import SweepBench, sweep_on_port
 
-    refuse(context, SWEEP_SIMULATED_ONLY, "only with --simulate")
+    assert port is not None
     within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
     within("count-um", count_um, 1e-3, 1e4, " um")
     within("patience", patience, 0.1, 3600.0, " s")
@@ -127,7 +106,7 @@ def record_sweep(
         planned = [trial for trial in planned if trial.grip_N == planned[-1].grip_N]
     for grip in {trial.grip_N for trial in planned} - {0.0}:
         within("grips", grip, 0.5, 50.0, " N, or 0 to let go")
-    bench = Bench(gain, library, accelerometer_hz, 1e-6 * count_um, patience, reset)
+    bench = SweepBench(gain, library, accelerometer_hz, 1e-6 * count_um, patience, reset)
     sweep_on_port(port, planned, out, bench, as_held=grips is None)
 
 
@@ -169,20 +148,16 @@ def record_tap(
     crossover: Crossover = 0.01,
 ) -> None:
     """Record taps: on a port on a real object, device idle; simulated a library's, or on the scene's object."""
-    if simulate == (port is not None):
-        raise InputError("record tap: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
-    if port is not None:
+    if not is_simulated(context, "record tap", simulate, port):
         from controller.cli.record_on_port import tap_on_port
 
-        refuse(context, SIMULATED_ONLY, "only with --simulate")
+        assert port is not None
         within("trigger", trigger, 0.05, 100.0, " g")
         within("count-um", count_um, 1e-3, 1e4, " um")
         tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
         return
-    refuse(context, ON_PORT_ONLY, "only with --port")
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
-    from controller.cli.options import imperfect
     from controller.cli.record_simulated import simulate_library_taps, simulate_object_taps
 
     within("repeats", repeats, 1, 1000)

@@ -24,14 +24,16 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 
 @dataclass(frozen=True)
-class Bench:
+class SweepBench:
     """How sweeps are played on a port.
 
     Attributes
     ----------
     gain : scale of what is played; None for 1, on a device's first run since its start 0.1.
     library : whose limits, amplifier and coil hold; None for the built-in ones.
-    accelerometer_Hz : its bandwidth. count_m : one encoder count at the tip. patience_s : with a hand.
+    accelerometer_Hz : its bandwidth.
+    count_m : one encoder count at the tip.
+    patience_s : with a hand.
     reset : a latched fault first.
     """
 
@@ -70,7 +72,7 @@ def _alike(trial: PlannedSweep) -> PlannedSweep:
     return replace(trial, polarity=1, number=1)
 
 
-def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: Bench, *, as_held: bool) -> None:
+def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: SweepBench, *, as_held: bool) -> None:
     """Trial after trial, one file each; the person at the device is asked for each grip, unless it is `as_held`.
 
     Raises
@@ -82,7 +84,7 @@ def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: 
     written: list[tuple[Path, Trial]] = []
     why = ""
 
-    def told(words: str) -> None:
+    def say(words: str) -> None:
         console.print(f"  {words}", highlight=False, soft_wrap=True)
 
     with connected(port, bench.reset) as device:
@@ -103,7 +105,7 @@ def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: 
             device.listeners.append(shown.take)
             try:
                 for alike, trials in itertools.groupby(planned, _alike):
-                    load(device, loads[alike])
+                    load(device, loads[alike], console)
                     sweeps = Sweeps(
                         device,
                         port_commands.ConsolePerson(),
@@ -116,8 +118,8 @@ def sweep_on_port(port: str, planned: Sequence[PlannedSweep], out: Path, bench: 
                     with sweeps, disarmed_by_ctrl_c(device):
                         device.set_telemetry(1)
                         for trial in trials:
-                            told(f"trial {len(written) + 1} of {len(planned)}")
-                            taken = sweeps.trial(negative=trial.polarity < 0, told=told)
+                            say(f"trial {len(written) + 1} of {len(planned)}")
+                            taken = sweeps.trial(negative=trial.polarity < 0, tell=say)
                             path = next(names)
                             taken.write(path, bench.accelerometer_Hz)
                             written.append((path, taken))

@@ -1,20 +1,27 @@
 """`transopt-play record --simulate`: the files of a recording, and what is said about them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import typer
 
+from controller.cli.bench import simulated_bench
+from controller.cli.port import connected, load, run
+from controller.host.monitor import Monitor
+from controller.host.payload import payload_of
+from controller.record.played import contact_s
+from controller.record.recorder import Contact, Recorder
 from controller.record.sweep_plan import PlannedSweep, check_plan
 from controller.record.trial_file import write_measurement
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in, scene_like
+from controller.sim.experiment import SimulatedTap
 from controller.sim.records import (
     Record,
     heat_record,
     noise_seed,
     object_record,
-    played_record,
     sweep_records,
     true_coil,
 )
@@ -121,27 +128,50 @@ def simulate_library_taps(
     wrong: Imperfections,
     seed: int,
 ) -> None:
-    """A library's taps, closed loop; exit code 1 if one was not played."""
+    """A library's taps, as a device on a port plays and measures them; exit code 1 if one was not played."""
     loaded = load_library(library)
-    settings = Settings.of(loaded, amplifier_tolerance=wrong.mismatch)
-    if settings.assumed_grip_N == 0 and any(grips or ()):
+    given = payload_of(loaded, amplifier_tolerance=wrong.mismatch)
+    if given.settings.assumed_grip_N == 0 and any(grips or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
     _empty_folder(out, "tap_*.npz")
     device = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+    bench, hand = simulated_bench(given, device, ())
+    settings, noise = given.settings, replace(wrong, mismatch=0.0)
     names, silent = [], []
-    for i, speed in enumerate(speeds or loaded.speeds_m_s.tolist()):
-        for j, grip in enumerate(grips or loaded.grips_N.tolist()):
-            for n in range(repeats):
-                played, taken = played_record(
-                    loaded, device, settings, speed, grip, imperfections=wrong, seed=noise_seed(seed, i, j, n)
-                )
-                names.append(_write(out / f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz", taken))
-                if not played.metrics.played:
-                    silent.append(names[-1])
+    with connected(bench.port) as held:
+        load(held, given, bench.console)
+        for i, speed in enumerate(speeds or loaded.speeds_m_s.tolist()):
+            for j, grip in enumerate(grips or loaded.grips_N.tolist()):
+                for n in range(repeats):
+                    tap = SimulatedTap(speed, grip, seed=noise_seed(seed, i, j, n), imperfections=noise)
+                    hand.plan(loaded, [tap])
+                    recorder = Recorder(None, settings.dt_s, settings.count_m, settings.surface_counts)
+                    shown = Monitor(bench.console, "", settings.dt_s, settings.count_m)
+                    run(held, recorder, shown, lambda: bench.done(True), None, 1.0)
+                    name = f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz"
+                    if not recorder.contacts:
+                        silent.append(name)
+                        continue
+                    [contact] = recorder.contacts
+                    _write(out / name, _measured(contact, settings, wrong.sensors.accelerometer_bandwidth_Hz))
+                    names.append(name)
     if silent:
         typer.echo(f"nothing was played in {', '.join(silent)}", err=True)
         raise typer.Exit(1)
     _say(f"{out}: {len(names)} taps, {names[0]} to {names[-1]}")
+
+
+def _measured(contact: Contact, settings: Settings, accelerometer_Hz: float) -> Record:
+    """A played tap as a measurement; times from contact."""
+    columns = {
+        "time_s": (contact.ticks - contact.tick) * contact.dt_s - contact_s(contact, settings),
+        "command_A": contact.command_A,
+        "current_A": contact.current_A,
+        "acceleration_m_s2": contact.acceleration_m_s2,
+        "position_m": (contact.counts - settings.surface_counts) * settings.count_m,
+    }
+    scalars = {"grip_N": contact.grip_N, "accelerometer_Hz": accelerometer_Hz, "speed_m_s": contact.speed_m_s}
+    return Record(columns, scalars)
 
 
 def simulate_heat(

@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.cli.options import refuse, within
-from controller.cli.port import STOPPED, Reset
+from controller.cli.options import imperfect, is_simulated, within
+from controller.cli.port import STOPPED, Reset, at_port, connected
 from controller.cli.record import Crossover, Mismatch, SceneName, Seed, Simulate
 from transopt.base import console as terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
+    from controller.cli.bench import Bench
+    from controller.cli.refine_taps import Hand
     from controller.refine.rounds import Refined, Round
     from transopt.library.library import Library
-
-ONLY_SIMULATED = ("scene", "mismatch", "seed", "crossover")
-ONLY_ON_PORT = ("seconds", "accelerometer_hz", "reset")
 
 
 def refine(
@@ -44,17 +43,13 @@ def refine(
     reset: Reset = False,
 ) -> None:
     """Refine a library on its device: taps are repeated, measured, learnt from; the result is certified as before."""
-    if simulate == (port is not None):
-        raise InputError("refine: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
+    simulated = is_simulated(context, "refine", simulate, port)
     within("rounds", rounds, 1, 20)
     within("taps", taps, 2, 100)
-    if port is None:
-        refuse(context, ONLY_ON_PORT, "only with --port")
-    else:
-        refuse(context, ONLY_SIMULATED, "only with --simulate")
-        within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
-        if seconds is not None:
-            within("for", seconds, 1.0, 1e6, " s")
+    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
+    if seconds is not None:
+        within("for", seconds, 1.0, 1e6, " s")
+    wrong = imperfect(mismatch, seed, crossover)
     from transopt.library.file import load_library
 
     loaded = load_library(library)
@@ -63,16 +58,26 @@ def refine(
     if (out / "library.npz").resolve() == library.resolve():
         raise InputError(f"--out {out}: holds the library that is refined; choose another folder")
     terminal.make_folder(out)
-    if port is None:
-        refined = _simulated(loaded, rounds, taps, scene, mismatch, seed, crossover)
+    if simulated:
+        from controller.cli.refine_taps import simulated_at
+        from controller.sim.chosen_device import device_in, scene_like
+        from controller.waveforms.prediction import scene_of
+
+        device = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+        bench, hand = simulated_at(loaded, device, wrong, rounds, taps, seed)
+        source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:
-        refined = _on_port(loaded, port, out, rounds, taps, seconds, accelerometer_hz, reset)
-    _finish(loaded, refined, library, out)
+        from controller.cli.refine_taps import PersonsHand
+
+        assert port is not None
+        bench, hand, source = at_port(port), PersonsHand(terminal.console()), port
+    stated = _stated(loaded, source, taps, accelerometer_hz)
+    _finish(loaded, _refined(loaded, bench, hand, out, rounds, taps, seconds, stated, reset), library, out)
 
 
 def _stated(library: "Library", source: str, taps: int, accelerometer_Hz: float) -> dict[str, Any]:
     """What `meta["refinement"]` says beside the rounds."""
-    from controller.record.judge import CUTOFF_HZ
+    from controller.record.played import CUTOFF_HZ
     from controller.waveforms.prediction import REACTION_S
 
     return {
@@ -92,37 +97,11 @@ def _tell(number: int, results: "Round") -> None:
     terminal.console().print(round_line(number, results), highlight=False, soft_wrap=True)
 
 
-def _simulated(
-    library: "Library", rounds: int, taps: int, scene: str | None, mismatch: float, seed: int, crossover: float
-) -> "Refined":
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from controller.cli.options import imperfect
-    from controller.cli.refine_simulated import SimulatedTaps
-    from controller.refine import rounds as refinement
-    from controller.sim.chosen_device import device_in, scene_like
-    from controller.waveforms.prediction import scene_of
-    from transopt.design.resolve import resolve
-
-    wrong = imperfect(mismatch, seed, crossover)
-    device = device_in(scene_of(library) if scene is None else scene_like(scene), wrong, seed)
-    total = (rounds + 1) * taps * len(refinement.nodes_of(library))
-    bar = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    words = f"simulator, {scene or library.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
-    with Progress(*bar, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("taps", total=total)
-        play = SimulatedTaps(device, taps, imperfections=wrong, seed=seed, done=lambda: progress.advance(task))
-        stated = _stated(library, words, taps, wrong.sensors.accelerometer_bandwidth_Hz)
-        return refinement.refine(library, play, resolve, rounds, stated, tell=_tell)
-
-
 @contextmanager
 def _ended_in_words() -> Iterator[None]:
     """What ends a refinement on a port: exit codes 130 and 1."""
     from controller.cli.port import StoppedError
-    from controller.cli.refine_on_port import EndedError
+    from controller.cli.refine_taps import EndedError
 
     try:
         yield
@@ -134,24 +113,23 @@ def _ended_in_words() -> Iterator[None]:
         raise typer.Exit(1) from None
 
 
-def _on_port(
+def _refined(
     library: "Library",
-    port: str,
+    bench: "Bench",
+    hand: "Hand",
     out: Path,
     rounds: int,
     taps: int,
     seconds: float | None,
-    accelerometer_Hz: float,
+    stated: dict[str, Any],
     reset: bool,
 ) -> "Refined":
-    from controller.cli import port as port_commands
-    from controller.cli.refine_on_port import PortTaps
+    from controller.cli.refine_taps import Taps
     from controller.refine import rounds as refinement
     from transopt.design.resolve import resolve
 
-    stated = _stated(library, port, taps, accelerometer_Hz)
-    with port_commands.connected(port, reset) as device, _ended_in_words():
-        play = PortTaps(device, terminal.console(), out, taps, seconds, accelerometer_Hz)
+    with connected(bench.port, reset) as device, _ended_in_words(), hand:
+        play = Taps(device, bench, hand, out, taps, seconds, stated["accelerometer_Hz"])
         return refinement.refine(library, play, resolve, rounds, stated, tell=_tell)
 
 

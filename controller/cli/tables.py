@@ -1,6 +1,7 @@
-"""Tables of what was seen on a device: the bring-up check, taps played."""
+"""Tables of what was seen on a device: the bring-up check, taps, sweeps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ from rich.table import Table
 from controller.host.bringup import Result
 from controller.host.sweeps import Trial
 from controller.protocol.codes import LinkNotice
-from controller.record.judge import Judged
+from controller.record.played import PlayedTap
 from controller.servo.interface import Fault, Notice
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.library.library import Library
 
 VERDICTS = {True: "passed", False: "FAILED", None: "-"}
 EVERY_TAP = (Notice.CONTACT, Notice.FINISHED)
@@ -28,28 +30,111 @@ def check_table(results: Sequence[Result], title: str) -> Table:
     return table
 
 
-def played_table(judged: Sequence[Judged], events: Mapping[object, int], title: str) -> Table:
+def taps_table(taps: Sequence[PlayedTap], events: Mapping[object, int], title: str) -> Table:
     """Every tap with its figures, then the events that are not part of every tap."""
     table = Table(title=title)
     table.add_column("tap", justify="right")
     for name in ("speed m/s", "grip N", "latency µs", "NRMSE %", "peak g", "predicted g"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("note", overflow="fold")
-    for one in judged:
-        contact, g = one.contact, STANDARD_GRAVITY_M_S2
+    for tap in taps:
+        contact, found, g = tap.contact, tap.compared, STANDARD_GRAVITY_M_S2
         table.add_row(
             str(contact.number),
             f"{contact.speed_m_s:.3f}",
             f"{contact.grip_N:.2f}",
-            _number(1e6 * one.latency_s, ".1f"),
-            _number(100 * one.nrmse, ".2f"),
-            _number(one.peak_m_s2 / g, ".2f"),
-            _number(one.predicted_peak_m_s2 / g, ".2f"),
-            one.why,
+            _number(1e6 * found.latency_s, ".1f"),
+            _number(100 * found.nrmse, ".2f"),
+            _number(found.peak_m_s2 / g, ".2f"),
+            _number(found.predicted_peak_m_s2 / g, ".2f"),
+            tap.why,
         )
     for what, count in events.items():
         if what not in EVERY_TAP and isinstance(what, Notice | Fault | LinkNotice):
             table.add_row("", "", "", "", "", "", "", f"{count} x {what.value}")
+    return table
+
+
+@dataclass(frozen=True)
+class Yardstick:
+    """What a library's scene knows that no telemetry tells; NaN where it does not.
+
+    Attributes
+    ----------
+    force_per_current_N_A : of the motor, at the tip.
+    real_rate_hardness_N_m : of the object that the scene's recordings come from.
+    """
+
+    force_per_current_N_A: float
+    real_rate_hardness_N_m: float
+
+
+def figures_table(
+    taps: Sequence[PlayedTap], library: Library, events: Mapping[object, int], yardstick: Yardstick
+) -> Table:
+    """What the taps came to, on average or at most, and beside it what that is to be compared with."""
+    compared = [tap for tap in taps if not tap.why]
+    table = Table()
+    table.add_column("figure")
+    table.add_column("played" if len(taps) <= 1 else f"{len(compared)} taps", justify="right", no_wrap=True)
+    table.add_column("compare with", overflow="fold")
+
+    def mean(of: Callable[[PlayedTap], float], size: float, form: str, unit: str) -> str:
+        return _number(size * float(np.mean([of(tap) for tap in compared])) if compared else np.nan, form, unit)
+
+    def most(values: Sequence[float], form: str, unit: str) -> str:
+        return _number(max(values, default=np.nan), form, unit)
+
+    g, limits, coil = STANDARD_GRAVITY_M_S2, library.meta["limits"], library.coil()
+    table.add_row(
+        "latency",
+        mean(lambda tap: tap.compared.latency_s, 1e6, ".1f", "µs"),
+        "the one shift that aligns played and predicted",
+    )
+    table.add_row(
+        "NRMSE after the shift",
+        mean(lambda tap: tap.compared.nrmse, 100, ".2f", "%"),
+        "against the library's prediction, until the hand can react",
+    )
+    floor = mean(lambda tap: tap.prediction.floor, 100, ".2f", "%")
+    table.add_row(
+        "",
+        mean(lambda tap: tap.compared.nrmse_reference, 100, ".2f", "%"),
+        f"against the recorded tap; floor {floor}",
+    )
+    predicted = mean(lambda tap: tap.compared.predicted_peak_m_s2, 1 / g, ".2f", "g")
+    recorded = mean(lambda tap: tap.compared.reference_peak_m_s2, 1 / g, ".2f", "g")
+    table.add_row(
+        "peak",
+        mean(lambda tap: tap.compared.peak_m_s2, 1 / g, ".2f", "g"),
+        f"predicted {predicted}, recorded {recorded}",
+    )
+    table.add_row(
+        "spectral error",
+        mean(lambda tap: tap.compared.spectral_error_dB, 1, ".2f", "dB"),
+        "rms over third octaves 10 Hz to 1 kHz",
+    )
+    real = _number(yardstick.real_rate_hardness_N_m, ".0f", "N/m")
+    table.add_row(
+        "rate-hardness",
+        mean(lambda tap: tap.rate_hardness_N_m(yardstick.force_per_current_N_A), 1, ".0f", "N/m"),
+        f"motor force at the tip; the real object, struck: {real}",
+    )
+    table.add_row(
+        "peak current", most([tap.peak_current_A for tap in taps], ".3f", "A"), f"limit {limits['current_A']:g} A"
+    )
+    table.add_row(
+        "winding",
+        most([float(tap.contact.winding_C.max(initial=-np.inf)) for tap in taps], ".2f", "°C") if coil else "-",
+        "no motor data"
+        if coil is None
+        else f"estimated; start {coil.start_winding_C:.2f} °C, limit {coil.limit_C:g} °C",
+    )
+    clamps = events.get(Notice.COMMAND_SATURATED, 0)
+    table.add_row("clamps", str(clamps), "times that transient and feedback together were cut")
+    faults = [what.value for what in events if isinstance(what, Fault)]
+    words = [f"fault: {faults[0]}"] if faults else list(dict.fromkeys(tap.verdict for tap in taps))
+    table.add_row("verdict", "", "; ".join(words) or "no transient played", style=None if compared else "red")
     return table
 
 
@@ -77,5 +162,5 @@ def sweep_table(trials: Sequence[tuple[Path, Trial]], title: str) -> Table:
     return table
 
 
-def _number(value: float, form: str) -> str:
-    return "-" if np.isnan(value) else format(value, form)
+def _number(value: float, form: str, unit: str = "") -> str:
+    return "-" if np.isnan(value) else f"{value:{form}} {unit}".rstrip()

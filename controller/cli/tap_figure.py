@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from controller.sim.experiment import Played
+from controller.record.played import PlayedTap
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
@@ -20,57 +20,47 @@ def _axis(axes: Axes, label: str) -> None:
     axes.axvline(0.0, color="0.75", linewidth=0.8, zorder=1)
 
 
-def tap_figure(played: Played) -> Figure:
-    """Four panels over one time axis, contact at 0."""
-    metrics, prediction, tap = played.metrics, played.prediction, played.tap
+def tap_figure(tap: PlayedTap, title: str) -> Figure:
+    """Four panels over one time axis, contact at 0, all from the device's own sensors."""
     figure = Figure(figsize=(7.0, 7.6), layout="constrained")
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1.8, 1.3, 0.8])
     position, acceleration, current, temperature = panels
-    ms, ticks_ms = played.times_s * 1e3, played.tick_times_s * 1e3
+    contact, prediction = tap.contact, tap.prediction
     predicted_ms = prediction.times_s * 1e3
     shown = (-BEFORE_MS, float(predicted_ms[-1]))
+    inside = (tap.times_s * 1e3 >= shown[0]) & (tap.times_s * 1e3 <= shown[1])
+    times_s = tap.times_s[inside]
+    ms, visible_mm = times_s * 1e3, tap.position_m[inside] * 1e3
 
-    straight = -tap.speed_m_s * played.times_s * 1e3
+    straight = -contact.speed_m_s * times_s * 1e3
     position.plot(ms, straight, color=REFERENCE, linestyle="--", linewidth=1.0, label="incoming motion, continued")
-    position.plot(ms, played.motor_m * 1e3, color=DARK, linewidth=1.2, label="encoder's mass")
+    position.plot(ms, visible_mm, color=DARK, linewidth=1.2, label="encoder")
     _axis(position, "position mm")
+    if visible_mm.size:
+        margin = 0.08 * float(np.ptp(visible_mm)) + 0.05
+        position.set_ylim(float(visible_mm.min()) - margin, float(visible_mm.max()) + margin)
 
     g = STANDARD_GRAVITY_M_S2
-    acceleration.plot(
-        predicted_ms, tap.gain * prediction.reference_m_s2 / g, color=REFERENCE, linewidth=3.0, label="recorded tap"
-    )
+    recorded = tap.gain * prediction.reference_m_s2 / g
+    acceleration.plot(predicted_ms, recorded, color=REFERENCE, linewidth=3.0, label="recorded tap")
     acceleration.plot(predicted_ms, prediction.acceleration_m_s2 / g, color=SEED, linewidth=1.2, label="predicted")
-    acceleration.plot(
-        ms, played.acceleration_m_s2 / g, color=OPTIMUM, linestyle="--", linewidth=1.0, label="played, as it came"
-    )
+    played = tap.acceleration_m_s2[inside] / g
+    acceleration.plot(ms, played, color=OPTIMUM, linestyle="--", linewidth=1.0, label="played, as measured")
     _axis(acceleration, "acceleration g")
 
-    current.step(ticks_ms, played.command_A, where="post", color=REFERENCE, linewidth=1.0, label="command")
-    current.plot(ms, played.current_A, color=OPTIMUM, linewidth=1.2, label="current")
-    if np.any(played.feedback_A):
-        current.step(
-            ticks_ms, played.feedback_A, where="post", color=DARK, linestyle=":", linewidth=1.2, label="feedback"
-        )
+    command, feedback = contact.command_A[inside], contact.feedback_A[inside]
+    current.step(ms, command, where="post", color=REFERENCE, linewidth=1.0, label="command")
+    current.plot(ms, contact.current_A[inside], color=OPTIMUM, linewidth=1.2, label="current, as measured")
+    if np.any(feedback):
+        current.step(ms, feedback, where="post", color=DARK, linestyle=":", linewidth=1.2, label="feedback")
     _axis(current, "current A")
 
     # Rises of a few hundredths of a kelvin: the start is taken off, or the axis would show nothing.
-    inside = (ms >= shown[0]) & (ms <= shown[1])
-    start_C = float(played.winding_C[0])
-    if np.isfinite(start_C):
-        rise_K = played.winding_C[inside] - start_C
-        temperature.plot(ms[inside], rise_K * 1e3, color=OPTIMUM, linewidth=1.2, label="winding")
-        estimate_C = played.estimated_winding_C
-        if np.all(np.isfinite(estimate_C)):
-            seen = (ticks_ms >= shown[0]) & (ticks_ms <= shown[1])
-            temperature.plot(
-                ticks_ms[seen],
-                (estimate_C[seen] - estimate_C[0]) * 1e3,
-                color=DARK,
-                linestyle="--",
-                linewidth=1.0,
-                label="servo's estimate",
-            )
-        _axis(temperature, f"rise above\n{start_C:.1f} °C, mK")
+    winding_C = contact.winding_C[inside]
+    if winding_C.size and np.all(np.isfinite(winding_C)):
+        rise_mK = (winding_C - winding_C[0]) * 1e3
+        temperature.plot(ms, rise_mK, color=OPTIMUM, linewidth=1.2, label="winding, estimated")
+        _axis(temperature, f"rise above\n{winding_C[0]:.1f} °C, mK")
     else:
         temperature.text(0.5, 0.5, "no motor data", transform=temperature.transAxes, ha="center", fontsize=SMALL_PT)
         _axis(temperature, "temperature")
@@ -82,11 +72,8 @@ def tap_figure(played: Played) -> Figure:
             panel.legend(fontsize=SMALL_PT, frameon=False, loc=place)
     temperature.set_xlabel("time from contact ms", fontsize=LABEL_PT)
     temperature.set_xlim(*shown)
-    visible = played.motor_m[inside] * 1e3
-    margin = 0.08 * float(np.ptp(visible)) + 0.05
-    position.set_ylim(float(visible.min()) - margin, float(visible.max()) + margin)
-    title = f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N, {tap.habit.value} user"
-    if metrics.played:
-        title += f": latency {metrics.latency_s * 1e6:.0f} µs, NRMSE {100 * metrics.nrmse:.2f} % after it"
+    if not tap.why:
+        found = tap.compared
+        title += f": latency {found.latency_s * 1e6:.0f} µs, NRMSE {100 * found.nrmse:.2f} % after it"
     figure.suptitle(title, fontsize=LABEL_PT)
     return figure

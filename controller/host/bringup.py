@@ -1,6 +1,6 @@
 """The bring-up check: what must hold of a device before it may be armed, step by step, expected beside seen.
 
-Nobody is asked to confirm anything: the person is told what to do, and the device's own readings show that it was
+Nobody is asked to confirm anything: the person is asked to do things, and the device's own readings show that it was
 done and what came of it. The steps that only look come first; a current flows only once all of those have passed.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.capacity import PULSE_LIMIT_A, PULSE_LIMIT_S, TRIAL_GAIN
-from controller.protocol.events import Changed, Happened, Samples, Told
+from controller.protocol.events import Changed, Happened, News, Samples
 from controller.protocol.messages import Record
 from controller.servo.interface import Fault, Notice, State
 from controller.servo.settings import Settings
@@ -91,7 +91,7 @@ class Check:
     def close(self) -> None:
         self.device.listeners.remove(self._take)
 
-    def _take(self, news: Told) -> None:
+    def _take(self, news: News) -> None:
         if isinstance(news, Samples):
             self.missed += news.missed
             self.records.extend((news.tick + j * news.every, r) for j, r in enumerate(news.records))
@@ -104,7 +104,7 @@ class Check:
         """Until it is so; False if it is not within the limit. A fault that nobody asked for ends the step."""
         return met() or self.device.listen(limit_s, until=lambda news: self._unless(news) or met())
 
-    def _unless(self, news: Told) -> bool:
+    def _unless(self, news: News) -> bool:
         if isinstance(news, Changed) and news.fault not in (None, Fault.EMERGENCY_STOP):
             assert news.fault is not None
             raise _FailedError(f"fault: {news.fault.value}")
@@ -115,7 +115,7 @@ class Check:
         size = round(duration_s / self.dt_s)
         return np.array([getattr(r, name) for _, r in list(self.records)[-size:]], dtype=float)
 
-    def fresh(self) -> None:
+    def forget(self) -> None:
         """Forget what was read before now."""
         self.records.clear()
 
@@ -125,7 +125,7 @@ class Check:
         return counts.size >= round(WINDOW_S / self.dt_s) and float(np.ptp(counts)) <= STILL_COUNTS
 
     def need_rest(self) -> None:
-        self.fresh()
+        self.forget()
         if not self.wait(self.at_rest, self.patience_s):
             counts = self.column("encoder_counts")
             raise _FailedError(f"no rest: {np.ptp(counts) if counts.size else 0:.0f} counts in {WINDOW_S:g} s")
@@ -150,7 +150,7 @@ class Check:
         if not self.wait(lambda: self.device.fault is Fault.EMERGENCY_STOP, self.patience_s):
             return f"not pressed within {self.patience_s:g} s", False
         self.person.asked("release the emergency stop")
-        self.fresh()
+        self.forget()
 
         def released() -> bool:
             flags = self.column("flags")
@@ -162,7 +162,7 @@ class Check:
         return f"latched, reset to {self.device.state.value}", self.device.state is State.IDLE
 
     def encoder(self) -> Verdict:
-        self.fresh()
+        self.forget()
         if not self.wait(lambda: len(self.records) > 0, 1.0):
             return "no telemetry", False
         begin = self.records[0][1].encoder_counts
@@ -182,7 +182,7 @@ class Check:
 
     def grip_zero(self) -> Verdict:
         self.person.asked("let go of the stylus, and leave it alone until the next request")
-        self.fresh()
+        self.forget()
 
         def let_go() -> bool:
             grip = self.column("grip_N")
@@ -213,7 +213,7 @@ class Check:
         """In words; whether current and acceleration are as they should be; how far the encoder went."""
         self.need_rest()
         quiet = self.column("acceleration_m_s2")
-        self.fresh()
+        self.forget()
         ticks = round(duration_s / self.dt_s)
         self.device.pulse(pulse_A, ticks)
         self.device.listen(duration_s + COAST_S)
@@ -262,7 +262,7 @@ class Check:
             return self.at_rest() and firm and float(z.min()) > self.settings.rearm_height_m
 
         least_N = self.settings.grip_min_N + self.settings.grip_margin_N
-        self.fresh()
+        self.forget()
         if not self.wait(held, self.patience_s):
             return f"not held still above the surface within {self.patience_s:g} s", False
         begin = len(self.happened)
@@ -278,8 +278,8 @@ class Check:
             self.device.disarm()
         contact = came(Notice.CONTACT)
         if contact is None:
-            told = ", ".join(dict.fromkeys(event.what.value for event in self.happened[begin:]))
-            return f"no contact within {self.patience_s:g} s" + (f": {told}" if told else ""), False
+            seen = ", ".join(dict.fromkeys(event.what.value for event in self.happened[begin:]))
+            return f"no contact within {self.patience_s:g} s" + (f": {seen}" if seen else ""), False
         where = f"contact at {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
         done = came(Notice.FINISHED) is not None
         return f"{where}, {'played to its end' if done else 'not played to its end'}", done
@@ -335,8 +335,8 @@ def check_skipped(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def run_steps(check: Check, skip: tuple[str, ...] = (), told: Callable[[Result], None] | None = None) -> list[Result]:
-    """All steps in order; `told` is called with each as it is done.
+def run_steps(check: Check, skip: tuple[str, ...] = (), tell: Callable[[Result], None] | None = None) -> list[Result]:
+    """All steps in order; `tell` is called with each as it is done.
 
     Parameters
     ----------
@@ -349,8 +349,8 @@ def run_steps(check: Check, skip: tuple[str, ...] = (), told: Callable[[Result],
     results: list[Result] = []
     for step in SWEEP_STEPS if check.settings.host_starts else STEPS:
         results.append(_result(check, step, skip, results))
-        if told is not None:
-            told(results[-1])
+        if tell is not None:
+            tell(results[-1])
     return results
 
 

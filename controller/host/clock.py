@@ -23,8 +23,8 @@ class ClockFit:
 
     Attributes
     ----------
-    error_s : bound on the error at the newest trip: half the quickest round trip, within which nothing can be told
-        apart, half a tick, and two standard errors of the line there.
+    error_s : bound on the error at the newest trip: half the quickest round trip, within which no two times
+        differ, half a tick, and two standard errors of the line there.
     """
 
     dt_s: float

@@ -13,18 +13,16 @@ too, stops the device: disarmed if all is well, else by an emergency stop, and w
 Every wait is bounded, by the session's own deadlines at the latest. Not thread-safe.
 """
 
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
-from typing import Protocol
 
+from controller.host.connection import Connection, PortError, UnpluggedError
 from controller.host.session import Session
 from controller.host.session_states import OPEN, SessionState
-from controller.host.transport import PortError, Transport, UnpluggedError
 from controller.protocol.capacity import LEASE_DEFAULT_MS
 from controller.protocol.codes import Kind, Reason
-from controller.protocol.events import Completed, Connected, Ended, Happened, Progress, Refused, Samples, Told
+from controller.protocol.events import Completed, Connected, Ended, Happened, News, Progress, Refused, Samples
 from controller.protocol.messages import HelloReply
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
@@ -43,17 +41,13 @@ class LinkLostError(DeviceError):
     """The session is over: silent, unplugged, another version, not our device."""
 
 
-class Stream(Protocol):
-    """What is needed of a transport."""
-
-    def read(self, timeout_s: float) -> bytes: ...
-
-    def write(self, data: bytes) -> None: ...
-
-    def close(self) -> None: ...
+Listener = Callable[[News], None]
 
 
-Listener = Callable[[Told], None]
+def _opened(name: str) -> Connection:
+    from controller.host.transport import Transport  # pyserial, which a simulated device does without
+
+    return Transport(name)
 
 
 class Device:
@@ -61,44 +55,42 @@ class Device:
 
     Parameters
     ----------
-    port : a name, opened here, or a stream that is already open; closed with the device either way.
-    clock : grows, in s.
+    port : a name, opened here as a serial port, or a connection that is already open; closed with the device either
+        way.
 
     Attributes
     ----------
-    session : for everything beside the calls here: clock, counters, state. listeners : called with all news.
+    session : for everything beside the calls here: clock, counters, state.
+    listeners : called with all news.
+    name, harmless : of the connection.
 
     Raises
     ------
-    PortError : the port cannot be opened. LinkLostError : no device of ours answers.
+    PortError : the port cannot be opened.
+    LinkLostError : no device of ours answers.
     """
 
     def __init__(
-        self,
-        port: str | Stream,
-        *,
-        connect_s: float = CONNECT_S,
-        clock: Callable[[], float] = time.monotonic,
-        session: Session | None = None,
+        self, port: str | Connection, *, connect_s: float = CONNECT_S, session: Session | None = None
     ) -> None:
-        self.name = port if isinstance(port, str) else "device"
-        self.session, self._clock = Session() if session is None else session, clock
+        self.session = Session() if session is None else session
         self.listeners: list[Listener] = []
-        self._stream: Stream = Transport(port) if isinstance(port, str) else port
+        self._connection: Connection = _opened(port) if isinstance(port, str) else port
+        self.name, self.harmless = self._connection.name, self._connection.harmless
         try:
             self.connect(connect_s)
         except BaseException:
-            self._stream.close()
+            self._connection.close()
             raise
 
     def connect(self, timeout_s: float = CONNECT_S) -> None:
         """Say HELLO on the open port; also after the link was lost, which arms nothing."""
-        self.session.connect(self._clock(), timeout_s)
+        self.session.connect(self.now_s(), timeout_s)
         self._wait(lambda news: isinstance(news, Connected), timeout_s + 1.0, "connect")
 
     def now_s(self) -> float:
         """Of the clock by which all waits here are measured."""
-        return self._clock()
+        return self._connection.now_s()
 
     @property
     def hello(self) -> HelloReply:
@@ -137,7 +129,7 @@ class Device:
     def upload(self, image: bytes, progress: Callable[[int, int], None] | None = None) -> bool:
         """Put a library in force; whether it had to be sent. progress : called with bytes done and in all."""
 
-        def watch(news: Told) -> None:
+        def watch(news: News) -> None:
             if progress is not None and isinstance(news, Progress):
                 progress(news.done, news.total)
 
@@ -198,7 +190,7 @@ class Device:
         duration_s: float,
         on_event: Callable[[Happened], None] | None = None,
         on_samples: Callable[[Samples], None] | None = None,
-        until: Callable[[Told], bool] | None = None,
+        until: Callable[[News], bool] | None = None,
     ) -> bool:
         """Pump for so long, or until some news; whether that came.
 
@@ -206,7 +198,7 @@ class Device:
         ------
         LinkLostError : the link is gone; nothing will be armed by itself.
         """
-        end_s = self._clock() + duration_s
+        end_s = self.now_s() + duration_s
         while True:
             for news in self.pump(end_s):
                 if on_event is not None and isinstance(news, Happened):
@@ -215,10 +207,10 @@ class Device:
                     on_samples(news)
                 if until is not None and until(news):
                     return True
-            if self._clock() >= end_s:
+            if self.now_s() >= end_s:
                 return False
 
-    def pump(self, until_s: float = 0.0) -> list[Told]:
+    def pump(self, until_s: float = 0.0) -> list[News]:
         """Send what is due, wait for bytes till the next deadline or `until_s` at the latest, and tell the news.
 
         Raises
@@ -226,32 +218,32 @@ class Device:
         LinkLostError : the link is gone; what came before it has gone to the listeners.
         """
         try:
-            now_s = self._clock()
-            self._stream.write(self.session.bytes_to_send(now_s))
+            now_s = self.now_s()
+            self._connection.write(self.session.bytes_to_send(now_s))
             wait_s = min(self.session.next_deadline_s(), until_s) - now_s
-            data = self._stream.read(max(wait_s, 0.0))
-            news = self.session.receive(data, self._clock())
-            self._stream.write(self.session.bytes_to_send(self._clock()))
+            data = self._connection.read(max(wait_s, 0.0))
+            news = self.session.receive(data, self.now_s())
+            self._connection.write(self.session.bytes_to_send(self.now_s()))
         except UnpluggedError as error:
             self.session.unplugged(error.detail)
-            news = self.session.receive(b"", self._clock())
-        for told in news:
+            news = self.session.receive(b"", self.now_s())
+        for one in news:
             for listener in tuple(self.listeners):
-                listener(told)
-        for told in news:
-            if isinstance(told, Ended):
-                raise LinkLostError(f"{self.name}: {told}")
+                listener(one)
+        for one in news:
+            if isinstance(one, Ended):
+                raise LinkLostError(f"{self.name}: {one}")
         return news
 
-    def _wait(self, met: Callable[[Told], bool], timeout_s: float, what: str) -> Told:
-        end_s = self._clock() + timeout_s
+    def _wait(self, met: Callable[[News], bool], timeout_s: float, what: str) -> News:
+        end_s = self.now_s() + timeout_s
         while True:
             for news in self.pump(end_s):
                 if isinstance(news, Refused):
                     raise DeviceError(f"{self.name}: {news}")
                 if met(news):
                     return news
-            if self._clock() >= end_s:
+            if self.now_s() >= end_s:
                 raise DeviceError(f"{self.name}: no answer to {what} within {timeout_s:g} s: reset the device")
 
     def _done(self, kind: Kind, timeout_s: float = ANSWER_S) -> Completed:
@@ -264,11 +256,11 @@ class Device:
 
     def emergency_stop(self) -> None:
         """At once; waits a moment for the device to report its fault. Never raises for a link that is gone."""
-        self.session.emergency_stop(self._clock())
-        end_s = self._clock() + STOP_S
+        self.session.emergency_stop(self.now_s())
+        end_s = self.now_s() + STOP_S
         with suppress(DeviceError, PortError):
-            self._stream.write(self.session.bytes_to_send(self._clock()))
-            while self.session.device_state is not State.FAULT and self._clock() < end_s:
+            self._connection.write(self.session.bytes_to_send(self.now_s()))
+            while self.session.device_state is not State.FAULT and self.now_s() < end_s:
                 self.pump(end_s)
 
     def close(self) -> None:
@@ -280,7 +272,7 @@ class Device:
                     self._wait(lambda news: news == Completed(Kind.DISARM), STOP_S, "disarm")
         finally:
             self.session.close()
-            self._stream.close()
+            self._connection.close()
 
     def __enter__(self) -> "Device":
         return self

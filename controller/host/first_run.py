@@ -8,6 +8,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from controller.host.driver import Device
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 
@@ -29,6 +30,16 @@ def _lines() -> list[str]:
     with suppress(OSError, UnicodeDecodeError):
         return _path().read_text(encoding="ascii").splitlines()
     return []
+
+
+def gain_to_play_at(device: Device, configuration_sha256: bytes, gain: float | None = None) -> float:
+    """The gain that was asked for; without one 0.1 on a device's first run, then 1.
+
+    A device that can do no harm has nothing wired wrong and plays in full.
+    """
+    if device.harmless:
+        return 1.0 if gain is None else gain
+    return default_gain(device.hello.boot, configuration_sha256) if gain is None else gain
 
 
 def default_gain(boot: int, configuration_sha256: bytes) -> float:

@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 
 from controller.protocol.codes import STATES
-from controller.protocol.events import Changed, Happened, Logged, Samples, Told
+from controller.protocol.events import Changed, Happened, Logged, News, Samples
 from controller.protocol.messages import Record
 from controller.servo.interface import Fault, Notice, State
 
@@ -47,7 +47,7 @@ class Monitor:
         self._drawn_s = float("-inf")
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
 
-    def take(self, news: Told) -> None:
+    def take(self, news: News) -> None:
         if isinstance(news, Samples):
             self._record, self._missed = news.records[-1], self._missed + news.missed
             self._tick = news.tick + (len(news.records) - 1) * news.every

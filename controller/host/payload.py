@@ -51,16 +51,25 @@ def payload(path: Path) -> Payload:
     return payload_of(load_library(path))
 
 
-def payload_of(library: Library) -> Payload:
+def payload_of(library: Library, table: Bank | None = None, **settings: Any) -> Payload:
     """
+    Parameters
+    ----------
+    table : of another method than the library's own; its waveforms are followed by as many zeros as the library's.
+    settings : other than the library says, see `Settings`.
+
     Raises
     ------
     InputError : one that no device could play.
     """
-    settings = Settings.of(library)
+    stated = Settings.of(library, **settings)
     tail = library.meta["hand_over_samples"]
-    image = image_of(bank(library, Method.BILINEAR), settings.dt_s, settings.lead_s, tail)
-    return Payload(settings, configuration_of(settings), image, library)
+    if table is None:
+        table = bank(library, Method.BILINEAR)
+    else:
+        table = replace(table, command_A=np.pad(table.command_A, ((0, 0), (0, 0), (0, tail))))
+    image = image_of(table, stated.dt_s, stated.lead_s, tail)
+    return Payload(stated, configuration_of(stated), image, library)
 
 
 def excitation_settings(hello: HelloReply, library: Path | None) -> Settings:

@@ -21,7 +21,7 @@ from controller.protocol import events as t
 from controller.protocol import messages as m
 from controller.protocol.capacity import LEASE_DEFAULT_MS, LEASE_LEAST_MS, LEASE_MOST_MS, PULSE_LIMIT_A, checked
 from controller.protocol.codes import EVENTS, REASONS, STATES, Kind
-from controller.protocol.events import Cause, Ended, Told, capacity_of
+from controller.protocol.events import Cause, Ended, News, capacity_of
 from controller.protocol.image import sha256, too_large
 from controller.protocol.packed import BadBodyError, Packed
 from controller.protocol.wire import Decoder, encode
@@ -53,7 +53,7 @@ class Session:
         self.fault: Fault | None = None
         self.events, self.records = EventStream(), RecordStream()
         self.dropped_frames = 0
-        self._told: list[Told] = []
+        self._news: list[News] = []
         self._stops = Stops()
         self._begin(0)
 
@@ -73,7 +73,7 @@ class Session:
     # What the user asks for.
 
     def connect(self, now_s: float, timeout_s: float = 2.0) -> None:
-        """Say HELLO; Connected or Ended is told within `timeout_s`."""
+        """Say HELLO; Connected or Ended is reported within `timeout_s`."""
         self._go(Trigger.CONNECT)
         self._begin(self._token())
         self._connect_until_s = now_s + timeout_s
@@ -85,7 +85,7 @@ class Session:
         device = self._known()
         self._configuration_sha256 = sha256(configuration)
         if self._configuration_there == self._configuration_sha256:
-            self._told.append(t.Completed(Kind.CONFIGURE_COMMIT, skipped=True))
+            self._news.append(t.Completed(Kind.CONFIGURE_COMMIT, skipped=True))
             return
         # Nothing is certain until it is done; and the device drops a library that does not fit.
         self._configuration_there = self._library_there = m.NO_HASH
@@ -109,7 +109,7 @@ class Session:
             self._misused("one upload at a time")
         self._library_sha256 = sha256(image)
         if self._library_there == self._library_sha256:
-            self._told += [t.Progress(len(image), len(image)), t.Completed(Kind.COMMIT, skipped=True)]
+            self._news += [t.Progress(len(image), len(image)), t.Completed(Kind.COMMIT, skipped=True)]
             return
         self._image, self._library_there = image, m.NO_HASH
         self._requests.add(m.UploadBegin(len(image), self._library_sha256))
@@ -219,7 +219,7 @@ class Session:
             self._requests.clear()
             self._upload = None
             self._stops.until_fault = False
-            self._told.append(Ended(cause, detail))
+            self._news.append(Ended(cause, detail))
 
     def _seen(self, state: int, fault: int) -> None:
         """The device's own state, as it reports it."""
@@ -231,11 +231,11 @@ class Session:
             self._stops.fault_seen()
         if (now, why) != (self.device_state, self.fault):
             self.device_state, self.fault = now, why if isinstance(why, Fault) else None
-            self._told.append(t.Changed(self.device_state, self.fault))
+            self._news.append(t.Changed(self.device_state, self.fault))
 
     # What comes in.
 
-    def receive(self, data: bytes, now_s: float) -> list[Told]:
+    def receive(self, data: bytes, now_s: float) -> list[News]:
         """Events since the last call, those of time that has passed included."""
         if self.state not in OVER:
             self._bytes_seen += len(data)
@@ -247,8 +247,8 @@ class Session:
             except (BreachError, BadAckError) as breach:
                 self._end(Cause.BROKE_PROTOCOL, str(breach), Trigger.BREACH)
             self._time(now_s)
-        told, self._told = self._told, []
-        return told
+        news, self._news = self._news, []
+        return news
 
     def _payload(self, payload: bytes, now_s: float) -> None:
         try:
@@ -274,13 +274,13 @@ class Session:
                 self._lease_reply(reply, now_s)
             case m.Ack(wanted) if self._upload is not None:
                 if self._upload.acknowledge(wanted, now_s):
-                    self._told.append(t.Progress(wanted, len(self._image)))
+                    self._news.append(t.Progress(wanted, len(self._image)))
             case m.Event() as event:
-                self._told += self.events.take(event)
+                self._news += self.events.take(event)
             case m.TelemetryData() as data:
-                self._told += self.records.take(data)
+                self._news += self.records.take(data)
             case m.Log(text):
-                self._told.append(t.Logged(text.decode("utf-8", "replace")))
+                self._news.append(t.Logged(text.decode("utf-8", "replace")))
             case _:
                 self.dropped_frames += 1
 
@@ -292,14 +292,14 @@ class Session:
             case m.UploadBegin(), m.UploadReady(offset) if offset <= len(self._image):
                 chunk = min(m.DATA_LIMIT, self._known().body_limit - m.Data.FORMAT.size)
                 self._upload = Upload(self._image, offset, self._known().upload_frames, chunk, self._patience)
-                self._told.append(t.Progress(offset, len(self._image)))
+                self._news.append(t.Progress(offset, len(self._image)))
             case _, m.Done() if answer.request == kind:
                 self._seen(answer.state, answer.fault)
                 self._done(kind)
             case _, m.Refused() if answer.request == kind and answer.reason in REASONS:
                 self._seen(answer.state, answer.fault)
                 self._requests.forget_waiting()
-                self._told.append(t.Refused(kind, REASONS[answer.reason], answer.value))
+                self._news.append(t.Refused(kind, REASONS[answer.reason], answer.value))
             case _:
                 raise BreachError(f"{type(answer).__name__} to {type(request).__name__}")
 
@@ -311,7 +311,7 @@ class Session:
         elif kind is Kind.TELEMETRY:
             self.records.restart()
         if kind is not Kind.CONFIGURE:
-            self._told.append(t.Completed(kind))
+            self._news.append(t.Completed(kind))
 
     def _hello_reply(self, reply: m.HelloReply, now_s: float) -> None:
         if reply.body_limit < LEAST_BODY or not 0 < reply.dt_s < 1:
@@ -321,7 +321,7 @@ class Session:
         self.events.connected(reply.boot, reply.event)
         self._clock = ClockRegression(reply.dt_s)
         self._next_lease_s = now_s
-        self._told.append(t.Connected(reply, capacity_of(reply), restarted))
+        self._news.append(t.Connected(reply, capacity_of(reply), restarted))
         self._seen(reply.state, reply.fault)
 
     def _lease_reply(self, reply: m.LeaseReply, now_s: float) -> None:

@@ -24,13 +24,13 @@ class EventStream:
         self._boot: int | None = None
 
     def connected(self, boot: int, oldest: int) -> None:
-        """A device greets: what it has told before and was told on is not told again."""
+        """A device greets: what it has reported before and the host has acknowledged is not reported again."""
         if boot != self._boot or oldest > self.wanted:
             self.wanted = oldest
         self._boot, self.ack_due = boot, False
 
     def take(self, event: Event) -> list[Happened]:
-        """What to tell: nothing if it was told already, or if one before it is still to come."""
+        """What to report: nothing if it was reported already, or if one before it is still to come."""
         self.ack_due = True
         if event.number != self.wanted:
             return []
@@ -57,7 +57,7 @@ class RecordStream:
         self._next = 0
 
     def take(self, data: TelemetryData) -> list[Samples]:
-        """What to tell: nothing if it was told already."""
+        """What to report: nothing if it was reported already."""
         size = Record.FORMAT.size
         if not data.records or len(data.records) % size or not data.every:
             raise BreachError(f"telemetry of {len(data.records)} bytes")

@@ -7,13 +7,13 @@ lost, or in which the grip was not the one asked for, is repeated, not written.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
+from controller.host.bringup import Person
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import LinkNotice
-from controller.protocol.events import Happened, Samples, Told
+from controller.protocol.events import Happened, News, Samples
 from controller.protocol.messages import Record
 from controller.record.trial_file import write_measurement
 from controller.servo.interface import Fault, Notice, State
@@ -21,19 +21,13 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 
 BEFORE_S, AFTER_S = 0.05, 0.1  # of rest, and of ringing
-WINDOW_S = 0.3  # over which the grip and the rest are judged
+WINDOW_S = 0.3  # over which the grip and the rest are looked at
 STILL_M = 5e-4  # in that time; a hand's tremor is 0.1 mm each way
 FREE_N = 0.2  # a sensor that nobody touches
 GRIP_N, GRIP_PART = 0.3, 0.1  # by which the grip may be off, the larger of the two
 ATTEMPTS = 3  # at each trial
 PATIENCE_S = 60.0  # for what a person has to do
 LATE_S = 2.0  # for telemetry that is under way, beyond the excitation itself
-
-
-class Person(Protocol):
-    """Whoever stands at the device."""
-
-    def asked(self, what: str) -> None: ...
 
 
 class AbortedError(Exception):
@@ -84,18 +78,18 @@ class Trial:
 
 @dataclass
 class _Ears:
-    """What came since the last `fresh`."""
+    """What came since the last `forget`."""
 
     records: list[tuple[int, Record]] = field(default_factory=list)
     happened: list[Happened] = field(default_factory=list)
 
-    def take(self, news: Told) -> None:
+    def take(self, news: News) -> None:
         if isinstance(news, Samples):
             self.records.extend((news.tick + j * news.every, record) for j, record in enumerate(news.records))
         elif isinstance(news, Happened):
             self.happened.append(news)
 
-    def fresh(self) -> None:
+    def forget(self) -> None:
         self.records, self.happened = [], []
 
     def at(self, what: Notice) -> int | None:
@@ -136,8 +130,8 @@ class Sweeps:
     def __exit__(self, *_: object) -> None:
         self._device.listeners.remove(self._ears.take)
 
-    def trial(self, *, negative: bool, told: Callable[[str], None]) -> Trial:
-        """One whole trial; `told` is called with why one was not.
+    def trial(self, *, negative: bool, tell: Callable[[str], None]) -> Trial:
+        """One whole trial; `tell` is called with why one was not.
 
         Raises
         ------
@@ -152,7 +146,7 @@ class Sweeps:
                 return self._one(negative)
             except _AgainError as again:
                 why = str(again)
-                told(f"not whole, once more: {why}")
+                tell(f"not whole, once more: {why}")
         raise AbortedError(f"{ATTEMPTS} attempts at a trial, none whole: {why}")
 
     # What comes before.
@@ -164,7 +158,7 @@ class Sweeps:
             self._person.asked("let go of the stylus, and leave it alone")
         else:
             self._person.asked(f"hold the stylus still, at {self._grip_N:g} N")
-        self._ears.fresh()
+        self._ears.forget()
         if not self._until(self._ready, self._patience_s, (State.FAULT,)):
             grips, places = self._window("grip_N"), self._window("encoder_counts")
             seen = (
@@ -225,7 +219,7 @@ class Sweeps:
         duration_s, dt_s = self._samples * self._dt_s, self._dt_s
         before, after = round(BEFORE_S / dt_s), round(AFTER_S / dt_s)
         self._device.arm(self._gain)
-        self._ears.fresh()
+        self._ears.forget()
         # The rest before it, and whatever still was under way.
         self._until(lambda: len(self._ears.records) > before, LATE_S)
         try:
@@ -243,7 +237,7 @@ class Sweeps:
         self._until(lambda: bool(self._ears.records) and self._ears.records[-1][0] >= end + after, LATE_S)
         # What follows takes longer than a lease may.
         self._device.disarm()
-        # A lost lease may have been told only now, and nothing is armed again after one.
+        # A lost lease may have been reported only now, and nothing is armed again after one.
         self._need_nothing_wrong()
         first = end - self._samples
         rows = [(tick, record) for tick, record in self._ears.records if first - before <= tick <= end + after]

@@ -13,13 +13,14 @@ import os
 import queue
 import select
 import threading
+import time
 from types import TracebackType
 from typing import Any
 
 import serial
 from serial.tools import list_ports
 
-from transopt.base.errors import InputError
+from controller.host.connection import PortError, UnpluggedError
 
 BAUD = 115_200  # of a real UART only; over USB it means nothing
 POLL_S = 0.05  # a blocked read returns after this, to see whether the port is to be closed
@@ -27,18 +28,6 @@ WRITE_TIMEOUT_S = 1.0
 CLOSE_S = 1.0
 BLOCK_BYTES = 4096
 QUEUE_BLOCKS = 1024
-
-
-class PortError(InputError):
-    """The port cannot be opened or used; the message is one line with what to do."""
-
-
-class UnpluggedError(PortError):
-    """The port went away while it was open; `detail` is what the system said of it."""
-
-    def __init__(self, message: str, detail: str = "") -> None:
-        super().__init__(message)
-        self.detail = detail
 
 
 def port_names() -> list[tuple[str, str]]:
@@ -52,7 +41,7 @@ def _ports_in_words() -> str:
 
 
 def _refusal(name: str, error: Exception) -> PortError:
-    """Why it does not open, told apart by the system's number, which pyserial often leaves only in its text."""
+    """Why it does not open, by the system's number, which pyserial often leaves only in its text."""
     number = getattr(error, "errno", None)
     cause = error.__context__
     if number is None and isinstance(cause, OSError):
@@ -72,7 +61,7 @@ def _refusal(name: str, error: Exception) -> PortError:
 
 
 class Transport:
-    """An open port.
+    """An open port, a `Connection`.
 
     Parameters
     ----------
@@ -82,6 +71,8 @@ class Transport:
     ------
     PortError : no such port, no permission, busy, or not a port.
     """
+
+    harmless = False
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -108,13 +99,10 @@ class Transport:
         self._port.timeout = 0
         return descriptor
 
-    def read(self, timeout_s: float) -> bytes:
-        """What has come, waiting for the first byte for so long at most; empty if nothing came.
+    def now_s(self) -> float:
+        return time.monotonic()
 
-        Raises
-        ------
-        UnpluggedError : the port is gone, and all that came before has been read.
-        """
+    def read(self, timeout_s: float) -> bytes:
         try:
             blocks = [self._queue.get(timeout=max(timeout_s, 0.0)) if timeout_s > 0 else self._queue.get_nowait()]
         except queue.Empty:
@@ -128,11 +116,6 @@ class Transport:
         return data
 
     def write(self, data: bytes) -> None:
-        """
-        Raises
-        ------
-        UnpluggedError : the port is gone, or takes nothing any more.
-        """
         self._check()
         if not data:
             return
@@ -146,7 +129,6 @@ class Transport:
         self._check()
 
     def close(self) -> None:
-        """Whatever state it is in."""
         self._closing.set()
         with contextlib.suppress(Exception):
             self._port.cancel_read()

@@ -106,7 +106,7 @@ class Ended:
         return f"{self.cause.value} ({self.detail})" if self.detail else self.cause.value
 
 
-Told = Connected | Completed | Refused | Progress | Changed | Happened | Samples | Logged | Ended
+News = Connected | Completed | Refused | Progress | Changed | Happened | Samples | Logged | Ended
 
 
 def capacity_of(reply: HelloReply) -> Capacity:

@@ -1,1 +1,1 @@
-"""What was measured while the device played, and how it is judged."""
+"""What was measured while the device played, and how it compares with what its library says."""

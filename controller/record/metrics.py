@@ -1,4 +1,4 @@
-"""How well a tap was played: latency, error after the shift, spectrum, rate-hardness (DESIGN 7)."""
+"""How well a tap was played: latency, error after the shift, spectrum, rate-hardness."""
 
 from dataclasses import dataclass
 

@@ -1,17 +1,16 @@
 """A device's telemetry and events to files that are whole at any moment.
 
-    telemetry.csv    every record, as `telemetry` writes it for the simulator; grows by blocks of complete lines
+    telemetry.csv    every record with its events; grows by blocks of complete lines; telemetry.npz the same as arrays
     events.csv       every event, with its tick; written as it comes
     tap_001.csv ...  acceleration, position and current around each contact in the canonical format that
                      `transopt.recordings.recording` reads; each written whole, when its time has passed
 
-A contact is told by an armed device; for taps on a real object, which no device foresees, it is where the
+A contact is reported by an armed device; for taps on a real object, which no device foresees, it is where the
 acceleration leaves its running mean.
 
 Nothing here takes longer than a lease: what was written is not touched again.
 """
 
-import os
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +19,10 @@ from types import TracebackType
 import numpy as np
 
 from controller.protocol.codes import STATES
-from controller.protocol.events import Happened, Samples, Told
+from controller.protocol.events import Happened, News, Samples
 from controller.protocol.messages import Record
-from controller.record.telemetry import BLOCK_TICKS, COLUMNS, CSV_NAME, line_of
-from controller.servo.interface import Notice, Output, Readings
+from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
+from controller.servo.interface import Event, Fault, Notice, Output, Readings
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
@@ -40,9 +39,14 @@ class Contact:
 
     Attributes
     ----------
-    number : from 1. tick : at which the waveform began, or the acceleration rose. speed_m_s : as the device took it;
-        NaN for a real object. grip_N : as the device took it, or the mean before contact.
-    ticks : (n,) of the records, evenly spaced; counts, acceleration_m_s2, current_A : (n,).
+    number : from 1.
+    tick : at which the waveform began, or the acceleration rose.
+    speed_m_s : as the device took it; NaN for a real object.
+    grip_N : as the device took it, or the mean before contact.
+    ticks : (n,) of the records, evenly spaced; so are the columns below.
+    counts : of the encoder.
+    current_A : measured.
+    winding_C : as the device estimates it.
     missed : records that were lost in between; with any there is no file.
     path : of its file, None without one.
     """
@@ -56,11 +60,14 @@ class Contact:
     counts: FloatArray
     acceleration_m_s2: FloatArray
     current_A: FloatArray
+    command_A: FloatArray
+    feedback_A: FloatArray
+    winding_C: FloatArray
     missed: int
     path: Path | None = None
 
 
-def _readings(tick: int, record: Record) -> tuple[Readings, Output]:
+def _readings(tick: int, record: Record, events: tuple[Event, ...]) -> tuple[Readings, Output]:
     return (
         Readings(
             tick,
@@ -70,34 +77,10 @@ def _readings(tick: int, record: Record) -> tuple[Readings, Output]:
             record.acceleration_m_s2,
             bool(record.flags & 1),
         ),
-        Output(record.command_A, STATES[record.state], record.transient_A, record.feedback_A, record.winding_C),
+        Output(
+            record.command_A, STATES[record.state], record.transient_A, record.feedback_A, record.winding_C, events
+        ),
     )
-
-
-class _Lines:
-    """A file that grows by whole lines, each append one write."""
-
-    def __init__(self, path: Path, head: str) -> None:
-        self._path = path
-        try:
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
-        except OSError as error:
-            raise self._refusal(error) from None
-        self.append(head + "\n")
-
-    def append(self, text: str) -> None:
-        block = text.encode("ascii")
-        try:
-            while block:
-                block = block[os.write(self._file, block) :]
-        except OSError as error:
-            raise self._refusal(error) from None
-
-    def close(self) -> None:
-        os.close(self._file)
-
-    def _refusal(self, error: OSError) -> InputError:
-        return InputError(f"{self._path}: cannot be written ({error.strerror}); choose another folder")
 
 
 class Recorder:
@@ -108,10 +91,12 @@ class Recorder:
     folder : None keeps contacts in memory and writes nothing.
     count_m, surface_counts : of the encoder, as in Settings.
     trigger_m_s2 : takes for a contact what lies this far from the running mean; None leaves it to the device.
+    over : a recording that is in the folder is written over; without it, that is an error.
 
     Attributes
     ----------
-    contacts : complete ones. records, missed : so far.
+    contacts : complete ones.
+    records, missed : so far.
 
     Raises
     ------
@@ -125,8 +110,10 @@ class Recorder:
         count_m: float,
         surface_counts: float = 0.0,
         trigger_m_s2: float | None = None,
+        *,
+        over: bool = False,
     ) -> None:
-        self._folder, self._dt_s = folder, dt_s
+        self._folder, self._dt_s, self._over = folder, dt_s, over
         self._count_m, self._surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
@@ -135,12 +122,12 @@ class Recorder:
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
         self._open: list[Happened] = []
-        self._lines: list[str] = []
-        self._telemetry: _Lines | None = None
-        self._events: _Lines | None = None
+        self._happened: dict[int, list[Event]] = {}  # by tick, of records that have not come
+        self._telemetry: Telemetry | None = None
+        self._events: Lines | None = None
         self._begun = False
         if folder is not None:
-            make_room(folder)
+            make_room(folder, over=over)
 
     def in_words(self) -> str:
         """What is in the folder, to be put behind another sentence; nothing without a folder."""
@@ -149,33 +136,34 @@ class Recorder:
         files = [contact.path.name for contact in self.contacts if contact.path is not None]
         lost = len(self.contacts) - len(files)
         gaps = f" ({lost} taps with records lost have no file of their own)" if lost else ""
-        return f"; {self._folder}: {', '.join([CSV_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
+        return f"; {self._folder}: {', '.join([CSV_NAME, NPZ_NAME, EVENTS_NAME, *files])}, all whole{gaps}"
 
-    def take(self, news: Told) -> None:
+    def take(self, news: News) -> None:
         if self._folder is not None and not self._begun and isinstance(news, Samples | Happened):
             # Not before there is something to write: a run that does not come about leaves nothing behind.
             self._begun = True
-            self._telemetry = _Lines(self._folder / CSV_NAME, ",".join(COLUMNS))
-            self._events = _Lines(self._folder / EVENTS_NAME, EVENT_COLUMNS)
+            self._telemetry = Telemetry(self._folder, self._dt_s, over=self._over)
+            self._events = Lines(self._folder / EVENTS_NAME, EVENT_COLUMNS, over=self._over)
         if isinstance(news, Samples):
             self._samples(news)
         elif isinstance(news, Happened):
             self._event(news)
 
     def flush(self) -> None:
+        """Bring the files up to date."""
         if self._telemetry is not None:
-            self._telemetry.append("".join(self._lines))
-        self._lines = []
+            self._telemetry.flush()
 
     def close(self) -> None:
         """What is whole is on the disk; a contact whose time has not passed is in the telemetry only."""
+        telemetry, events = self._telemetry, self._events
+        self._telemetry = self._events = None
         try:
-            self.flush()
+            if telemetry is not None:
+                telemetry.close()
         finally:
-            for file in (self._telemetry, self._events):
-                if file is not None:
-                    file.close()
-            self._telemetry = self._events = None
+            if events is not None:
+                events.close()
 
     def __enter__(self) -> "Recorder":
         return self
@@ -196,9 +184,7 @@ class Recorder:
             if self._trigger_m_s2 is not None:
                 self._feel(tick, record, samples.every, self._trigger_m_s2)
             if self._telemetry is not None:
-                self._lines.append(line_of(*_readings(tick, record), self._dt_s))
-        if len(self._lines) >= BLOCK_TICKS:
-            self.flush()
+                self._telemetry.record(*_readings(tick, record, tuple(self._happened.pop(tick, ()))))
         newest = self._kept[-1][0]
         after = round(AFTER_S / self._dt_s)
         while self._open and newest >= self._open[0].tick + after:
@@ -210,6 +196,10 @@ class Recorder:
                 f"{event.tick},{event.tick * self._dt_s!r},{event.what.name.lower()},"
                 f"{event.speed_m_s!r},{event.grip_N!r}\n"
             )
+            # An event is sent at once and its record in a batch, which as a rule comes later.
+            if isinstance(event.what, Notice | Fault):
+                happened = Event(event.tick, event.what, event.speed_m_s, event.grip_N)
+                self._happened.setdefault(event.tick, []).append(happened)
         if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
             self._open.append(event)
 
@@ -228,8 +218,11 @@ class Recorder:
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
         ticks = np.array([tick for tick, _ in rows], dtype=float)
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
-        grips = np.array([record.grip_N for _, record in rows], dtype=float)
-        grip_N = event.grip_N if np.isfinite(event.grip_N) else float(grips[ticks < event.tick].mean())
+
+        def column(name: str) -> FloatArray:
+            return np.array([getattr(record, name) for _, record in rows], dtype=float)
+
+        grip_N = event.grip_N if np.isfinite(event.grip_N) else float(column("grip_N")[ticks < event.tick].mean())
         contact = Contact(
             number=len(self.contacts) + 1,
             tick=event.tick,
@@ -237,9 +230,12 @@ class Recorder:
             grip_N=grip_N,
             dt_s=self._dt_s,
             ticks=ticks,
-            counts=np.array([record.encoder_counts for _, record in rows], dtype=float),
-            acceleration_m_s2=np.array([record.acceleration_m_s2 for _, record in rows], dtype=float),
-            current_A=np.array([record.measured_current_A for _, record in rows], dtype=float),
+            counts=column("encoder_counts"),
+            acceleration_m_s2=column("acceleration_m_s2"),
+            current_A=column("measured_current_A"),
+            command_A=column("command_A"),
+            feedback_A=column("feedback_A"),
+            winding_C=column("winding_C"),
             missed=missed,
             path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
         )
@@ -262,8 +258,13 @@ class Recorder:
             file.write(("\n".join([*head, *rows]) + "\n").encode("ascii"))
 
 
-def make_room(folder: Path) -> None:
-    """Make sure that a recording can begin there; they cannot be made again, so none is ever written over.
+def make_room(folder: Path, *, over: bool = False) -> None:
+    """Make sure that a recording can begin there.
+
+    Parameters
+    ----------
+    over : a recording that is there may be written over: that of a simulated device can be made again, that of a
+        real one cannot.
 
     Raises
     ------
@@ -274,5 +275,5 @@ def make_room(folder: Path) -> None:
         old = next((path.name for name in (CSV_NAME, EVENTS_NAME, "tap_*.csv") for path in folder.glob(name)), None)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
-    if old is not None:
+    if old is not None and not over:
         raise InputError(f"--out {folder}: holds a recording already ({old}); choose another folder")

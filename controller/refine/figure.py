@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from controller.record.judge import CUTOFF_HZ
+from controller.record.played import CUTOFF_HZ
 from controller.refine.learning import SIGMAS
 from controller.refine.rounds import Refined, smooth
 from controller.refine.tables import best_round, mean_nrmse

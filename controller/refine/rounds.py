@@ -1,8 +1,8 @@
-"""Rounds of taps on the device, each of them with the library that was learnt from those before (DESIGN 7).
+"""Rounds of taps on the device, each of them with the library that was learnt from those before.
 
-What a tap does beside its prediction, w = a - p, is measured by the device's own sensors, as `judged` does, until the
-hand can react. `learning` makes of it what the next round is solved for. A node that a round does not improve goes
-back to the best it had, and its gain is halved; what is returned is the best of every node.
+What a tap does beside its prediction, w = a - p, is measured by the device's own sensors until the hand can react,
+as `controller.record.played` does it. `learning` makes of it what the next round is solved for. A node that a round
+does not improve goes back to the best it had, and its gain is halved; what is returned is the best of every node.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from controller.record.judge import CUTOFF_HZ, before_pole, since_contact
 from controller.record.metrics import align
+from controller.record.played import CUTOFF_HZ, before_pole, since_contact
 from controller.record.recorder import Contact
 from controller.refine.learning import LEAST_GAIN, Condition, Ratio, corrected, ratio, widest
 from controller.servo.settings import Settings
@@ -36,14 +36,13 @@ class Heard:
     Attributes
     ----------
     difference_m_s2 : (N,) w = a - p at the switching instants, at the node's speed, low-passed, faded out.
-    latency_s : the one shift that was taken out. peak_current_A : as measured, or of the simulator's truth.
-    true_nrmse : against r over the whole window, of the simulator's truth; NaN on a device.
+    latency_s : the one shift that was taken out.
+    peak_current_A : as measured.
     """
 
     difference_m_s2: FloatArray
     latency_s: float
     peak_current_A: float
-    true_nrmse: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class NodeRound:
 
     Attributes
     ----------
-    nrmse : measured, against r, of the mean of its taps. true_nrmse : mean over the taps; NaN on a device.
+    nrmse : measured, against r, of the mean of its taps.
     spread : standard deviation of `nrmse` from tap to tap.
     measured_m_s2 : (N,) the mean tap, low-passed; what comes after `REACTION_S` and `FADE_S` is the prediction.
     better : it is the best so far. limited : limits bind, so that it cannot get better than the optimum under them.
@@ -60,7 +59,6 @@ class NodeRound:
     """
 
     nrmse: float
-    true_nrmse: float
     spread: float
     peak_current_A: float
     measured_m_s2: FloatArray
@@ -91,11 +89,6 @@ class Refined:
     def better(self) -> list[Node]:
         """The nodes that some round after the first has made better."""
         return sorted({node for results in self.rounds[1:] for node, found in results.items() if found.better})
-
-    @property
-    def simulated(self) -> bool:
-        """Whether there is a truth to be asked."""
-        return any(np.isfinite(found.true_nrmse) for results in self.rounds for found in results.values())
 
 
 def nodes_of(library: Library) -> list[Node]:
@@ -210,7 +203,7 @@ def refine(
     grid, nodes = library.time_grid(), nodes_of(library)
     fade = fade_of(grid.switching_times_s)
     best: dict[Node, _Best] = {}
-    told: list[Round] = []
+    played: list[Round] = []
     kept: dict[Node, str] = {}
     present, conditions, ratios = library, dict[Node, Condition](), _Ratios()
     for number in range(rounds + 1):
@@ -228,7 +221,6 @@ def refine(
                 best[node] = replace(before, gain=gain / 2)
             results[node] = NodeRound(
                 nrmse=error,
-                true_nrmse=float(np.mean([tap.true_nrmse for tap in heard])),
                 spread=spread,
                 peak_current_A=max(tap.peak_current_A for tap in heard),
                 measured_m_s2=mean,
@@ -236,7 +228,7 @@ def refine(
                 limited="limits" not in entry_left_out(present.meta, *node),
                 condition=conditions.get(node),
             )
-        told.append(results)
+        played.append(results)
         tell(number, results)
         ratios.add(present, taps)
         if number == rounds:
@@ -253,9 +245,9 @@ def refine(
                 wanted[node] = corrected(state.correction_m_s2, state.difference_m_s2, grid.dt_s, known, fade)
         present, refused = resolve(present, {**_best_of(best, present), **wanted}, {})
         kept |= refused
-    final, refused = resolve(present, _best_of(best, present), {**stated, "rounds": _in_meta(library, told)})
+    final, refused = resolve(present, _best_of(best, present), {**stated, "rounds": _in_meta(library, played)})
     found = {ig: ratios.of(ig, grid.dt_s) for ig in ratios.grips}
-    return Refined(final, told, found, kept | refused)
+    return Refined(final, played, found, kept | refused)
 
 
 def _best_of(best: Mapping[Node, _Best], present: Library) -> dict[Node, FloatArray]:
@@ -280,7 +272,6 @@ def _in_meta(library: Library, rounds: Sequence[Round]) -> list[dict[str, Any]]:
     return [
         {
             "nrmse": table(results, lambda node: node.nrmse),
-            "true_nrmse": table(results, lambda node: node.true_nrmse if np.isfinite(node.true_nrmse) else None),
             "better": table(results, lambda node: node.better),
             "peak_current_A": table(results, lambda node: node.peak_current_A),
             **{name: table(results, of_condition(name)) for name in ("gain", "cutoff_Hz", "factor", "sure_factor")},

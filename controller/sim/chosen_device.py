@@ -4,7 +4,7 @@ from pathlib import Path
 
 from controller.sim.open_loop import true_device
 from controller.sim.simulator import Imperfections
-from controller.sim.true_device import Device, device_of
+from controller.sim.true_device import TrueDevice, device_of
 from controller.waveforms.prediction import scene_of
 from transopt.library.file import load_library
 from transopt.scene.scene import Scene
@@ -33,6 +33,6 @@ def scene_like(named: str | Path) -> Scene:
     return scene_of(load_library(path)) if path.suffix.lower() == ".npz" else find_scene(str(named))
 
 
-def device_in(scene: Scene, wrong: Imperfections, seed: int) -> Device:
+def device_in(scene: Scene, wrong: Imperfections, seed: int) -> TrueDevice:
     """The true device of a scene: that of `transopt-play tap --simulate` with the same mismatch and seed."""
     return true_device(device_of(scene), wrong, seed)

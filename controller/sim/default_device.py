@@ -1,7 +1,7 @@
 """The default device, for a run without library and scene: an RE 25 on a Phantom-class transmission."""
 
 from controller.servo.default_drive import AMPLIFIER, RE_25
-from controller.sim.true_device import Device, Joint
+from controller.sim.true_device import Joint, TrueDevice
 from transopt.plant.chain import LinearInGrip
 
 
@@ -9,7 +9,7 @@ def _fixed(value: float) -> LinearInGrip:
     return LinearInGrip(value, 0.0)
 
 
-DEFAULT_DEVICE = Device(
+DEFAULT_DEVICE = TrueDevice(
     masses_kg=(_fixed(0.014), _fixed(0.026), _fixed(0.010)),
     joints=(
         Joint(_fixed(6e4), _fixed(8.0)),

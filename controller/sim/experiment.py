@@ -1,4 +1,9 @@
-"""One tap on the simulator, rendered or real, and what came of it (DESIGN 7; seed Sec. 6)."""
+"""One tap on the simulator without the protocol between, and the truth of it, which no device could tell.
+
+For scripts and tests that compare servo, library and truth; what the commands show comes over the port `sim:`
+(`controller.sim.port`), of which `tap_simulator` makes the world. Figures as in the seed paper (Fiene, Kuchenbecker,
+Niemeyer 2006), Sec. 6.
+"""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -9,7 +14,7 @@ from controller.record.metrics import align, rate_hardness_N_m, spectral_error_d
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.loop import Clock, Observer, Servo, run
 from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
-from controller.sim.true_device import Device, device_of
+from controller.sim.true_device import TrueDevice, device_of
 from controller.sim.user import Habit, RecordedUser, TapUser, Tremor, User
 from controller.waveforms.prediction import Prediction, predict, scene_of
 from transopt.base.signals import FloatArray, nrmse
@@ -25,7 +30,7 @@ STEPS_AT_CONTACT = 8  # integration steps per segment while a real object is str
 
 
 @dataclass(frozen=True)
-class Tap:
+class SimulatedTap:
     """What a user does to a device.
 
     Attributes
@@ -92,13 +97,13 @@ class Played:
     Attributes
     ----------
     times_s : (K,) of the truth at every integration step; so are motor_m, current_A, winding_C.
-    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with y'' of DESIGN 2. A
+    acceleration_m_s2 : (K,) of the stylus without the user's own share, so that it compares with the predicted y''. A
         mild, a yielding and a stopping user are all taken to go straight on: what they do otherwise is error.
     tick_times_s : (T,) of the servo; so are command_A, feedback_A, estimated_winding_C, states.
     behind_s : how far a paced run fell behind its clock.
     """
 
-    tap: Tap
+    tap: SimulatedTap
     prediction: Prediction
     metrics: Metrics
     times_s: FloatArray
@@ -132,7 +137,7 @@ def approach_ticks(speed_m_s: float, dt_s: float) -> int:
 
 
 def strike_real(
-    device: Device,
+    device: TrueDevice,
     target: SimulatedTaps,
     speed_m_s: float,
     grip_N: float,
@@ -163,22 +168,41 @@ def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
     return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
 
 
-def _user(tap: Tap, prediction: Prediction, contact_s: float) -> User:
+def _user(library: Library, tap: SimulatedTap, contact_s: float) -> User:
     if tap.habit is Habit.RECORDED:
+        prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
         scale = tap.speed_m_s / prediction.speed_m_s
         own = scale * prediction.own_m_s2
         return RecordedUser(tap.speed_m_s, tap.grip_N, contact_s, prediction.times_s, own)
     return TapUser(tap.speed_m_s, tap.grip_N, contact_s, tap.habit, tap.tremor, tap.grip_rate_N_s)
 
 
+def tap_simulator(
+    library: Library, tap: SimulatedTap, device: TrueDevice, *, trace: bool = False
+) -> tuple[Simulator, float]:
+    """The device in the hand of a user who is on the way to the surface, and when the hand means to be there [s].
+
+    Parameters
+    ----------
+    device : the true one, before the tap's imperfections.
+    trace : keep the truth at every step.
+    """
+    dt = library.time_grid().dt_s
+    phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
+    expected = (approach_ticks(tap.speed_m_s, dt) + phase) * dt
+    user = _user(library, tap, expected)
+    simulator = Simulator(device, user, dt, imperfections=tap.imperfections, seed=tap.seed, trace=trace)
+    return simulator, expected
+
+
 def play_tap(
     library: Library,
     servo: Servo,
-    tap: Tap,
+    tap: SimulatedTap,
     *,
     observe: Observer | None = None,
     clock: Clock | None = None,
-    device: Device | None = None,
+    device: TrueDevice | None = None,
 ) -> Played:
     """Arm the servo, let a simulated user tap once, and compare with the library's prediction.
 
@@ -192,18 +216,8 @@ def play_tap(
     prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
     scene, grid = scene_of(library), library.time_grid()
     dt = grid.dt_s
-    approach = approach_ticks(tap.speed_m_s, dt)
-    phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
-    expected = (approach + phase) * dt
     truth = device_of(scene) if device is None else device
-    simulator = Simulator(
-        truth,
-        _user(tap, prediction, expected),
-        dt,
-        imperfections=tap.imperfections,
-        seed=tap.seed,
-        trace=True,
-    )
+    simulator, expected = tap_simulator(library, tap, truth, trace=True)
     outputs: list[Output] = []
 
     def note(readings: Readings, output: Output) -> None:
@@ -212,7 +226,7 @@ def play_tap(
             observe(readings, output)
 
     servo.arm()
-    ticks = approach + int(np.ceil((grid.end_s + AFTER_S) / dt)) + 1
+    ticks = approach_ticks(tap.speed_m_s, dt) + int(np.ceil((grid.end_s + AFTER_S) / dt)) + 1
     behind = run(simulator, servo, ticks, dt, observe=note, clock=clock)
 
     trace = simulator.trace()
@@ -243,8 +257,8 @@ def play_tap(
 
 def _metrics(
     scene: Scene,
-    truth: Device,
-    tap: Tap,
+    truth: TrueDevice,
+    tap: SimulatedTap,
     prediction: Prediction,
     times_s: FloatArray,
     acceleration_m_s2: FloatArray,

@@ -10,7 +10,7 @@ import numpy as np
 
 from controller.sim.sensors import SensorBench
 from controller.sim.simulator import Imperfections, Simulator
-from controller.sim.true_device import COMMAND, INTENTION, Device, Layout, nonlinear
+from controller.sim.true_device import COMMAND, INTENTION, Layout, TrueDevice, nonlinear
 from controller.sim.user import StillHand
 from transopt.base.signals import FloatArray
 
@@ -30,7 +30,7 @@ class Sensed:
     acceleration_m_s2: FloatArray
 
 
-def true_device(device: Device, imperfections: Imperfections, seed: int) -> Device:
+def true_device(device: TrueDevice, imperfections: Imperfections, seed: int) -> TrueDevice:
     """The device that a simulator of this seed has, mismatch and amplifier's crossover included."""
     still = StillHand(0.0)
     return Simulator(device, still, 1e-4, imperfections=imperfections, seed=seed).device
@@ -78,7 +78,7 @@ def _motion(simulator: Simulator, grip_N: float, intention_m: float, command_A: 
 
 
 def play_still(
-    device: Device, grip_N: float, command_A: FloatArray, dt_s: float, *, imperfections: Imperfections, seed: int
+    device: TrueDevice, grip_N: float, command_A: FloatArray, dt_s: float, *, imperfections: Imperfections, seed: int
 ) -> Sensed:
     """Play a command while the user holds still at a grip.
 

@@ -52,7 +52,7 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
     head = np.array(
         [MAGIC, VERSION, at.n, segments, steps, ticks, len(used), *behind, int(amplifier is None)], dtype="<u4"
     )
-    keep, fresh = s.accelerometer_pole
+    keep, new = s.accelerometer_pole
     numbers = [
         *[*s.step_s, 0.0][:MOST_SEGMENTS],
         user.intention_m(0.0) + s.ahead_m,
@@ -61,7 +61,7 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
         sensors.count_m,
         sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2,
         keep,
-        fresh,
+        new,
         sensors.accelerometer_noise_m_s2,
         sensors.grip_hysteresis,
         sensors.grip_noise_N,

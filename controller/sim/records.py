@@ -1,4 +1,4 @@
-"""What identification needs, recorded from the simulator's truth: sweeps, taps, the coil's heating (DESIGN 7)."""
+"""What identification needs, recorded from the simulator's truth: sweeps, taps, the coil's heating."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -6,19 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controller.record.sweep_plan import PlannedSweep
-from controller.servo.interface import Output, Readings
-from controller.servo.servo import Servo
-from controller.servo.settings import Settings
-from controller.sim.experiment import STEPS_AT_CONTACT, Played, Tap, approach_ticks, play_tap
+from controller.servo.interface import Readings
+from controller.sim.experiment import STEPS_AT_CONTACT, approach_ticks
 from controller.sim.open_loop import Sensed, play_still
 from controller.sim.sensors import Sensors
 from controller.sim.simulator import Coil, Imperfections, Simulator
-from controller.sim.true_device import Device
+from controller.sim.true_device import TrueDevice
 from controller.sim.user import TapUser
-from controller.waveforms.bank import bank
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.library.library import Library
 from transopt.plant.coil import CoilModel, effective_square
 from transopt.recordings.settings import SimulatedTaps
 
@@ -52,7 +48,7 @@ def _record(times_s: FloatArray, command_A: FloatArray, sensed: Sensed, sensors:
 
 
 def sweep_records(
-    device: Device, trials: Sequence[PlannedSweep], dt_s: float, *, imperfections: Imperfections, seed: int
+    device: TrueDevice, trials: Sequence[PlannedSweep], dt_s: float, *, imperfections: Imperfections, seed: int
 ) -> Iterator[tuple[PlannedSweep, Record]]:
     """Each trial played while the user holds still.
 
@@ -80,37 +76,8 @@ def _sensed(readings: Sequence[Readings], count_m: float) -> Sensed:
     )
 
 
-def played_record(
-    library: Library,
-    device: Device,
-    settings: Settings,
-    speed_m_s: float,
-    grip_N: float,
-    *,
-    imperfections: Imperfections,
-    seed: int,
-) -> tuple[Played, Record]:
-    """A tap of a library on the true device, closed loop, by the mild user; times from contact.
-
-    Parameters
-    ----------
-    seed : of phase and noise.
-    """
-    readings: list[Readings] = []
-
-    def note(read: Readings, output: Output) -> None:
-        readings.append(read)
-
-    rest = replace(imperfections, mismatch=0.0)
-    tap = Tap(speed_m_s, grip_N, seed=seed, imperfections=rest)
-    played = play_tap(library, Servo(settings, bank(library)), tap, observe=note, device=device)
-    sensed = _sensed(readings, imperfections.sensors.count_m)
-    record = _record(played.tick_times_s, played.command_A, sensed, imperfections.sensors, speed_m_s=speed_m_s)
-    return played, record
-
-
 def object_record(
-    device: Device,
+    device: TrueDevice,
     target: SimulatedTaps,
     speed_m_s: float,
     grip_N: float,

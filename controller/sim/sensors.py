@@ -1,4 +1,4 @@
-"""What the sensors make of the truth: counts, noise, hysteresis (DESIGN 7)."""
+"""What the sensors make of the truth: counts, noise, hysteresis."""
 
 import math
 from collections.abc import Iterator
@@ -61,21 +61,21 @@ class SensorBench:
         noises = [_normal(np.random.default_rng([seed, stream])) for stream in range(3)]
         self._acceleration, self._grip, self._current = noises
         self._keep = math.exp(-2 * math.pi * sensors.accelerometer_bandwidth_Hz * dt_s)
-        self._fresh_m_s2 = sensors.accelerometer_noise_m_s2 * math.sqrt(1 - self._keep**2)
+        self._new_m_s2 = sensors.accelerometer_noise_m_s2 * math.sqrt(1 - self._keep**2)
         self._wander_m_s2 = sensors.accelerometer_noise_m_s2 * next(self._acceleration)
         self._felt_N = held_N
 
     @property
     def accelerometer_pole(self) -> tuple[float, float]:
         """What of the accelerometer's noise stays from tick to tick, and what is new [m/s^2]."""
-        return self._keep, self._fresh_m_s2
+        return self._keep, self._new_m_s2
 
     def counts(self, position_m: float) -> int:
         return math.floor(position_m / self.sensors.count_m + 0.5)
 
     def acceleration_m_s2(self, filtered_m_s2: float) -> float:
         """Of the stylus's acceleration behind the accelerometer's pole; its noise runs through the same pole."""
-        self._wander_m_s2 = self._keep * self._wander_m_s2 + self._fresh_m_s2 * next(self._acceleration)
+        self._wander_m_s2 = self._keep * self._wander_m_s2 + self._new_m_s2 * next(self._acceleration)
         limit = self.sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2
         return min(max(filtered_m_s2 + self._wander_m_s2, -limit), limit)
 

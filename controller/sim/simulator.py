@@ -1,4 +1,4 @@
-"""The simulator in virtual time: a true device in a user's hand behind the interface of `Plant` (DESIGN 7).
+"""The simulator in virtual time: a true device in a user's hand behind the interface of `Plant`.
 
 The linear part of the motion is exact (matrix exponential); friction and the contact with a real object enter by
 the midpoint rule, so their error falls with the square of the step. Time passes only in `advance`.
@@ -21,10 +21,10 @@ from controller.sim.true_device import (
     INTENTION_SPEED,
     MOTOR_FORCE,
     NO_GROUND,
-    Device,
     Flow,
     Ground,
     Layout,
+    TrueDevice,
     flow,
     nonlinear,
 )
@@ -80,7 +80,7 @@ class Trace:
 
 
 class Coil:
-    """Two thermal nodes and copper (DESIGN 3.3), by the explicit midpoint rule once per servo period."""
+    """Two thermal nodes and copper, by the explicit midpoint rule once per servo period."""
 
     def __init__(self, model: CoilModel) -> None:
         self._model = model
@@ -123,7 +123,7 @@ class Simulator:
 
     def __init__(
         self,
-        device: Device,
+        device: TrueDevice,
         user: User,
         dt_s: float,
         *,
@@ -319,7 +319,7 @@ class Simulator:
         return -ground.friction_N * math.tanh(speed_m_s / ground.friction_speed_m_s)
 
     def _contact_N(self, x: FloatArray) -> float:
-        """k delta^n (1 + c d delta/dt) >= 0 on the stylus (DESIGN 5)."""
+        """k delta^n (1 + c d delta/dt) >= 0 on the stylus (Hunt and Crossley 1975)."""
         if self._target is None:
             return 0.0
         stylus, at = self.device.stylus, self._at

@@ -1,4 +1,4 @@
-"""The true device: masses, springs and dampers in absolute coordinates, amplifier, coil (DESIGN 3, 7).
+"""The true device: masses, springs and dampers in absolute coordinates, amplifier, coil.
 
 Only the physical parameters of the scene are shared with the design model. Positions are those of the masses along
 the surface normal, not deviations from a nominal motion; the hand's intention is a moving ground.
@@ -63,7 +63,7 @@ NO_GROUND = Ground()
 
 
 @dataclass(frozen=True)
-class Device:
+class TrueDevice:
     """Physical parameters of one device in one hand.
 
     Attributes
@@ -90,7 +90,7 @@ class Device:
     def delay_s(self) -> float:
         return 0.0 if self.amplifier is None else self.amplifier.delay_s
 
-    def mismatched(self, fraction: float, random: np.random.Generator) -> "Device":
+    def mismatched(self, fraction: float, random: np.random.Generator) -> "TrueDevice":
         """Every mass, stiffness, damping, the force per ampere, the amplifier's pole and delay times 1 +- `fraction`.
 
         The factors are independent and uniform; both coefficients of a grip-dependent parameter share one.
@@ -123,7 +123,7 @@ class Device:
         return masses, stiffness, damping
 
 
-def device_of(scene: Scene) -> Device:
+def device_of(scene: Scene) -> TrueDevice:
     """The device that a scene describes, nothing wrong with it.
 
     Raises
@@ -161,7 +161,7 @@ def device_of(scene: Scene) -> Device:
             hand_mass, hand_joints = held(section)
             masses, stylus, skin = (LinearInGrip(tip.moving_mass_kg, 0.0), LinearInGrip(mass, 0.0), hand_mass), 1, 1
             joints = (_joint(tip.stiffness_N_m, tip.damping_N_s_m), *hand_joints)
-    return Device(
+    return TrueDevice(
         masses_kg=masses,
         joints=joints,
         stylus=stylus,
@@ -202,11 +202,11 @@ class Layout:
         return 2 * self.n + 4
 
 
-def nonlinear(device: Device, target: SimulatedTaps | None) -> bool:
+def nonlinear(device: TrueDevice, target: SimulatedTaps | None) -> bool:
     return target is not None or device.ground.friction_N > 0
 
 
-def rates(device: Device, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float) -> FloatArray:
+def rates(device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float) -> FloatArray:
     """(S + U, S + U) generator of the linear motion of states and inputs; the inputs' own rows are zero but one.
 
     CARRIED is an acceleration that the user gives every mass of the chain alike; the contact force acts on the
@@ -286,7 +286,7 @@ def exponential(X: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=4096)
 def flow(
-    device: Device, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float, steps_s: tuple[float, ...]
+    device: TrueDevice, target: SimulatedTaps | None, bandwidth_Hz: float, grip_N: float, steps_s: tuple[float, ...]
 ) -> Flow:
     """Matrix exponentials of the linear part for the step of each segment; kept, since grips come back.
 

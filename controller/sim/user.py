@@ -1,4 +1,4 @@
-"""The user: where the hand means to be, and how firmly it holds (DESIGN 7).
+"""The user: where the hand means to be, and how firmly it holds.
 
 Nobody reacts to a tap within 30 ms, so until then the intention of every user goes on at the incoming speed, as in
 the seed; what comes after is a law of its own.
@@ -30,7 +30,7 @@ class Habit(Enum):
     MILD = "mild"  # the intention goes on at the incoming speed: the design's assumption
     YIELDING = "yielding"  # from 30 ms on it brakes evenly and rests after another 60 ms
     STOPPING = "stopping"  # at 30 ms it stops dead
-    RECORDED = "recorded"  # it moves as the hands in the recordings did: z_nom of DESIGN 2
+    RECORDED = "recorded"  # it moves as the hands in the recordings did: z_nom, the nominal path
 
 
 class User(Protocol):
@@ -41,7 +41,7 @@ class User(Protocol):
         ...
 
     def carried_m_s2(self, time_s: float) -> float:
-        """Acceleration that the hand gives to all it moves, of its own accord: r_u of DESIGN 2."""
+        """Acceleration that the hand gives to all it moves, of its own accord: r_u = r_raw - r."""
         ...
 
     def grip_N(self, time_s: float) -> float: ...

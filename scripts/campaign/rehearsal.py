@@ -9,7 +9,7 @@ from typing import Generic, Self, TypeVar
 
 from controller.firmware.core_device import DeviceEnd
 from controller.host.session import Session
-from controller.protocol.events import Told
+from controller.protocol.events import News
 from controller.servo.interface import Output, Readings, State
 from controller.sim.virtual_link import Link, Trouble
 
@@ -46,8 +46,8 @@ class Rehearsal(Generic[End]):
         self.device = start(next(self._boots))
         self.now_s, self.ticks, self.device_tick = 0.0, 0, 0
         self.last_arrival_s = 0.0  # when the device last got a byte
-        self.told: list[Told] = []
-        self.listeners: list[Callable[[Told], None]] = []
+        self.told: list[News] = []
+        self.listeners: list[Callable[[News], None]] = []
         self.host_alive = True
         self.output = Output(0.0, State.IDLE, 0.0, 0.0, float("nan"))
         # The stylus hangs 5 mm above the surface, in a hand.

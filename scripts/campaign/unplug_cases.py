@@ -19,7 +19,7 @@ from controller.host.session_states import OPEN
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.configuration import configuration_of
-from controller.protocol.events import Ended, Happened, Samples, Told
+from controller.protocol.events import Ended, Happened, News, Samples
 from controller.protocol.image import image_of
 from controller.protocol.wire import Decoder
 from controller.record.recorder import Recorder
@@ -168,7 +168,7 @@ class Case:
             self._recorder.close()
         return self.outcome
 
-    def _count(self, news: Told) -> None:
+    def _count(self, news: News) -> None:
         if isinstance(news, Samples):
             self.outcome.told_rows += len(news.records)
 

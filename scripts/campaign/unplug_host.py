@@ -11,7 +11,7 @@ from pathlib import Path
 from campaign.compiled_device import DT_S, SETTINGS
 from campaign.unplug_cases import CONFIGURATION, IMAGE
 from controller.host.driver import Device, DeviceError, LinkLostError
-from controller.protocol.events import Ended, Told
+from controller.protocol.events import Ended, News
 from controller.record.recorder import Recorder
 
 EVERY, PENDING_S, ARMING_S, LISTENED_S = 2, 0.1, 5.0, 60.0
@@ -22,7 +22,7 @@ def say(word: str) -> None:
     print(word, time.monotonic(), flush=True)
 
 
-def ended(news: Told) -> None:
+def ended(news: News) -> None:
     if isinstance(news, Ended):
         say("ended")
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from campaign.compiled_device import DT_S, CompiledDevice, plant_of
 from campaign.unplug_cases import ACTIVE
+from controller.host.connection import PortError
 from controller.host.driver import Device, DeviceError
-from controller.host.transport import PortError
 from controller.protocol import messages as m
 from controller.protocol.codes import STATES
 from controller.protocol.wire import Decoder

@@ -11,7 +11,7 @@ import problems
 from controller.record.metrics import align
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Played, Tap, play_tap
+from controller.sim.experiment import Played, SimulatedTap, play_tap
 from controller.sim.simulator import NONE, Imperfections
 from controller.waveforms.bank import Bank, Method, bank
 from transopt.base.files import ctrl_c_waits
@@ -66,7 +66,7 @@ class Kit:
         if method is Method.PROPORTIONAL:
             settings = Settings.of(self.library, wall=self.wall)
         imperfections = NONE if device == NOMINAL else Imperfections(mismatch=MISMATCH)
-        tap = Tap(speed_m_s, grip_N, seed=device, imperfections=imperfections)
+        tap = SimulatedTap(speed_m_s, grip_N, seed=device, imperfections=imperfections)
         played = play_tap(self.library, Servo(settings, self.banks[method]), tap)
         if played.metrics.faults:
             raise RuntimeError(f"{method.value}, device {device}, {speed_m_s:g} m/s, {grip_N:g} N: {played.events}")

@@ -8,14 +8,14 @@ import pytest
 
 from controller.cli import port as port_commands
 from controller.firmware.core_device import CoreDevice
+from controller.host.connection import Connection, UnpluggedError
 from controller.host.driver import Device
 from controller.host.session import Session
-from controller.host.transport import UnpluggedError
 from controller.protocol.capacity import Hardware
-from controller.servo.interface import Readings
+from controller.servo.interface import Output, Readings
+from controller.sim.port import SimulatedPort
 from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
-from controller.sim.virtual_link import Link
 from controller.waveforms.prediction import scene_of
 from tests.benches.device import started, tokens
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -81,14 +81,19 @@ class Hand:
         return self.held_N
 
 
-class Desk:
-    """The host's side is a stream whose time passes while the host waits.
+class Desk(SimulatedPort):
+    """A simulated port and the world behind it, which the commands take for a device that can do harm.
 
     Attributes
     ----------
-    wrong : what is wrong with the sensors: applied to every tick's readings. motor : of the command on its way.
+    gone : the cable is out.
+    closed : how often the host has let go of the port.
+    wrong : what is wrong with the sensors: applied to every tick's readings.
+    motor : of the command on its way.
     each_ms : called every millisecond of virtual time, for what shall happen meanwhile.
     """
+
+    name, harmless = "device", False
 
     def __init__(
         self,
@@ -100,10 +105,10 @@ class Desk:
     ) -> None:
         self._tokens, self._boots = tokens(), count(500)
         self._samples, self._hardware = samples, hardware
-        self.firmware = self._started()
-        self.hand, self.link = Hand(), Link()
+        super().__init__(self._started(), self, DT_S)
+        self.hand = Hand()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
-        self.now_s, self.ticks, self.gone, self.closed = 0.0, 0, False, 0
+        self.gone, self.closed = False, 0
         self.wrong: Callable[[Readings], Readings] | None = None
         self.motor = 1.0
         self.each_ms: Callable[[], None] = lambda: None
@@ -111,11 +116,11 @@ class Desk:
         self.obeys: dict[str, Callable[[], None]] = {
             "press": lambda: self._press(True),
             "release": lambda: self._press(False),
-            "move": lambda: self.hand.go(self.now_s, (0.03, 0.05), (0.06, 0.05), (0.03, 0.0)),
+            "move": lambda: self.hand.go(self.now_s(), (0.03, 0.05), (0.06, 0.05), (0.03, 0.0)),
             "let the": lambda: None,
             "let go": lambda: self._grip(0.0),
             "hold": lambda: self._grip(3.0),
-            "tap": lambda: self.hand.tap(self.now_s, 0.2),
+            "tap": lambda: self.hand.tap(self.now_s(), 0.2),
         }
 
     def _started(self) -> CoreDevice:
@@ -134,43 +139,36 @@ class Desk:
 
     def restart(self) -> None:
         """Power off and on."""
-        self.firmware = self._started()
+        self.end = self._started()
 
-    def step(self) -> None:
-        self.firmware.receive(self.link.to_device.arrived(self.now_s))
+    def readings(self, tick: int) -> Readings:
         read = self.plant.readings()
         gravity = read.acceleration_m_s2 + STANDARD_GRAVITY_M_S2
         readings = Readings(
             read.tick, read.encoder_counts, read.grip_N, read.current_A, gravity, emergency_stop=self.hand.pressed
         )
-        output = self.firmware.step(readings if self.wrong is None else self.wrong(readings))
+        return readings if self.wrong is None else self.wrong(readings)
+
+    def advance(self, output: Output) -> None:
         self.plant.advance(self.motor * output.command_A)
-        self.link.device_sends(self.firmware.bytes_to_send(), self.now_s)
-        self.ticks += 1
-        self.now_s = self.ticks * DT_S
+
+    def step(self) -> None:
+        if self.gone:
+            raise UnpluggedError("port: the connection is gone (test): plug the device in again")
+        super().step()
         if self.ticks % 10 == 0:
             self.each_ms()
-
-    def read(self, timeout_s: float) -> bytes:
-        end_s = self.now_s + timeout_s
-        while True:
-            if self.gone:
-                raise UnpluggedError("port: the connection is gone (test): plug the device in again")
-            self.step()
-            data = self.link.to_host.arrived(self.now_s)
-            if data or self.now_s >= end_s:
-                return data
 
     def write(self, data: bytes) -> None:
         if self.gone:
             raise UnpluggedError("port: the connection is gone (test): plug the device in again")
-        self.link.host_sends(data, self.now_s)
+        super().write(data)
 
     def close(self) -> None:
         self.closed += 1
 
-    def connect(self, port: str = "desk") -> Device:
-        return Device(self, clock=lambda: self.now_s, session=Session(self._tokens))
+    def connect(self, port: str | Connection = "desk") -> Device:
+        return Device(self if isinstance(port, str) else port, session=Session(self._tokens))
 
     def pass_check(self, configuration: bytes) -> None:
         """As if this configuration, which comes into force, had passed the bring-up check."""

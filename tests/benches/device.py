@@ -13,7 +13,7 @@ from controller.protocol import messages as m
 from controller.protocol.capacity import Hardware
 from controller.protocol.codes import REASONS, Reason
 from controller.protocol.configuration import configuration_of
-from controller.protocol.events import Told
+from controller.protocol.events import News
 from controller.protocol.image import image_of, sha256
 from controller.protocol.packed import Packed
 from controller.protocol.wire import DELIMITER, Decoder, decode, encode
@@ -88,7 +88,7 @@ class World(Rehearsal[CoreDevice]):
     def __init__(self, trouble: Trouble | None = None, seed: int = 0, samples: int | None = None) -> None:
         super().__init__(lambda boot: started(boot, samples=samples), DT_S, trouble, seed)
 
-    def of(self, kind: type[Told]) -> list[Told]:
+    def of(self, kind: type[News]) -> list[News]:
         return [news for news in self.told if isinstance(news, kind)]
 
     def ready(self, library: bytes = IMAGE, configuration: bytes = CONFIGURATION) -> "World":

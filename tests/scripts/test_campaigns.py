@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.record.recorder import Recorder
-from controller.record.telemetry import CSV_NAME
+from controller.record.telemetry import CSV_NAME, Telemetry
 from controller.servo.interface import Output, Readings, State
 from scripts import device_end_to_end as end_to_end
 from scripts.campaign.unplug_cases import IMAGE, KINDS, PHASES, Case, Judged, Outcome
@@ -91,13 +90,13 @@ def test_a_host_that_arms_by_itself_is_found(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_spoilt_recording_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    flush = Recorder.flush
+    flush = Telemetry.flush
 
-    def spoilt(self: Recorder) -> None:
+    def spoilt(self: Telemetry) -> None:
         self._lines = [line.replace(",armed,", ",idle,") for line in self._lines]
         flush(self)
 
-    monkeypatch.setattr(Recorder, "flush", spoilt)
+    monkeypatch.setattr(Telemetry, "flush", spoilt)
     breaches = case_of("playing", "cable", tmp_path / "spoilt").play().breaches
     assert any(words.startswith("recording: tick") for words in breaches)
 

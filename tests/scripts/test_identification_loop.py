@@ -63,9 +63,9 @@ def test_rounds_keep_the_best_so_far(loop: Any, library: Library) -> None:
     from dataclasses import replace
 
     rounds = [
-        {"true_nrmse": [[0.2, 0.3]], "better": [[True, True]], "peak_current_A": [[1.0, 2.0]]},
-        {"true_nrmse": [[0.1, 0.4]], "better": [[True, False]], "peak_current_A": [[1.0, 3.0]]},
-        {"true_nrmse": [[0.15, 0.2]], "better": [[False, True]], "peak_current_A": [[1.0, 1.0]]},
+        {"nrmse": [[0.2, 0.3]], "better": [[True, True]], "peak_current_A": [[1.0, 2.0]]},
+        {"nrmse": [[0.1, 0.4]], "better": [[True, False]], "peak_current_A": [[1.0, 3.0]]},
+        {"nrmse": [[0.15, 0.2]], "better": [[False, True]], "peak_current_A": [[1.0, 1.0]]},
     ]
     found = loop.rounds_of(replace(library, meta={**library.meta, "refinement": {"rounds": rounds}}))
     assert [stage.nrmse for stage in found] == [[0.1, 0.3], [0.1, 0.2]]

@@ -11,7 +11,7 @@ import pytest
 from controller.servo.interface import Notice
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Tap, play_tap
+from controller.sim.experiment import SimulatedTap, play_tap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.bank import Bank, Method, bank
 from scripts.playback_accuracy import MOST_LATENCY_S, MOST_NRMSE, at_node, between, inside
@@ -47,7 +47,7 @@ def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(
     library: Library, tables: Bank, mismatch: float
 ) -> None:
     """Seed 3 draws a faster pole: without the tolerance its current passes the limit."""
-    tap = Tap(0.4, 5.0, seed=3, imperfections=Imperfections(mismatch=mismatch, crossover_A=0.0))
+    tap = SimulatedTap(0.4, 5.0, seed=3, imperfections=Imperfections(mismatch=mismatch, crossover_A=0.0))
     settings = Settings.of(library)
     told = replace(settings, amplifier_tolerance=mismatch)
     peaks = [play_tap(library, Servo(s, tables), tap).metrics.peak_current_A for s in (settings, told)]
@@ -57,7 +57,7 @@ def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(
 
 def test_every_method_plays_within_the_limits(library: Library) -> None:
     for method in Method:
-        m = play_tap(library, Servo(Settings.of(library), bank(library, method)), Tap(0.35, 4.5)).metrics
+        m = play_tap(library, Servo(Settings.of(library), bank(library, method)), SimulatedTap(0.35, 4.5)).metrics
         assert not m.faults, method
         assert m.notices[Notice.CONTACT] == 1
         assert m.played == (method is not Method.PROPORTIONAL), method

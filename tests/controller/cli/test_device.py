@@ -16,21 +16,23 @@ from transopt.library.library import Library
 from transopt.recordings.recording import load_recording
 from transopt.recordings.tap import prepare
 
+FILES = "telemetry.csv, telemetry.npz, events.csv, tap_001.csv"
+
 
 def tapping(desk: Desk, speed_m_s: float = 0.2) -> None:
     """The hand taps as soon as the device is armed."""
 
     def look() -> None:
-        if desk.firmware.state is State.ARMED:
+        if desk.end.state is State.ARMED:
             desk.each_ms = lambda: None
-            desk.hand.tap(desk.now_s + 0.05, speed_m_s)
+            desk.hand.tap(desk.now_s() + 0.05, speed_m_s)
 
     desk.each_ms = look
 
 
 def when(desk: Desk, state: State, act) -> None:
     def look() -> None:
-        if desk.firmware.state is state:
+        if desk.end.state is state:
             desk.each_ms = lambda: None
             act()
 
@@ -65,7 +67,7 @@ def test_check_then_tap_quietly_then_in_full(play: Run, desk: Desk) -> None:
     assert grip == pytest.approx(3.0, abs=0.2)
     assert abs(latency_us) <= 20
     assert error <= 3
-    assert "taps: telemetry.csv, events.csv, tap_001.csv, all whole" in second.out
+    assert f"taps: {FILES}, all whole" in second.out
     recording = load_recording(Path("taps/tap_001.csv"))
     assert recording.speed_m_s == pytest.approx(0.2, abs=0.01)
     assert recording.grip_N == pytest.approx(3.0, abs=0.2)
@@ -87,14 +89,14 @@ def test_a_failed_check_is_no_pass(play: Run, desk: Desk) -> None:
     assert "accelerometer: FAILED: -" in outcome.out
     assert "polarity: -: left out: a step before it has failed" in outcome.out
     assert "until then the device does not arm" in outcome.out
-    assert desk.firmware.look().checked_sha256 == bytes(32)
+    assert desk.end.look().checked_sha256 == bytes(32)
 
 
 def test_check_of_the_sensors_alone(play: Run, desk: Desk) -> None:
     outcome = play("check", *PORT, "--skip", "encoder", "--skip", "emergency-stop")
     assert outcome.code == 0, outcome.out
     assert "give a library for the rest of the check" in outcome.out
-    assert desk.firmware.look().configuration_sha256 == bytes(32)
+    assert desk.end.look().configuration_sha256 == bytes(32)
 
 
 def test_upload_once(play: Run, desk: Desk) -> None:
@@ -113,8 +115,10 @@ def test_monitor(play: Run, ready: Desk) -> None:
 
 def test_monitor_tells_events(play: Run, ready: Desk) -> None:
     """What comes while it looks, line by line; what was before, as the state."""
-    ready.each_ms = lambda: ready.asked("press") if ready.now_s > began_s + 0.15 and not ready.hand.pressed else None
-    began_s = ready.now_s
+    ready.each_ms = lambda: (
+        ready.asked("press") if ready.now_s() > began_s + 0.15 and not ready.hand.pressed else None
+    )
+    began_s = ready.now_s()
     first, second = play("monitor", *PORT, "--for", 0.3), play("monitor", *PORT, "--for", 0.1)
     assert " s  FAULT: emergency stop: release it, then reset" in first.out
     for outcome in (first, second):
@@ -129,20 +133,20 @@ def test_recording_a_real_object(play: Run, library: Library, monkeypatch: pytes
     begun = iter([True])
 
     def look() -> None:
-        if desk.now_s > 0.2 and next(begun, False):
-            desk.hand.tap(desk.now_s, 0.2)
+        if desk.now_s() > 0.2 and next(begun, False):
+            desk.hand.tap(desk.now_s(), 0.2)
 
     desk.each_ms = look
     outcome = play("record", "tap", *PORT, "--out", "real", "--taps", 1, "--for", 3)
     assert outcome.code == 0, outcome.out + outcome.err
-    assert "real: telemetry.csv, events.csv, tap_001.csv, all whole" in outcome.out
+    assert f"real: {FILES}, all whole" in outcome.out
     recording = load_recording(Path("real/tap_001.csv"))
     assert recording.speed_m_s is None
     assert recording.grip_N == pytest.approx(3.0, abs=0.2)
     tap = prepare(recording, scene_of(library).recordings)
     assert tap.speed_m_s == pytest.approx(0.2, rel=0.03)
     assert tap.offset_m_s2 == pytest.approx(9.81, abs=0.5)
-    assert desk.firmware.look().configuration_sha256 == bytes(32)
+    assert desk.end.look().configuration_sha256 == bytes(32)
     # Recordings are never written over.
     assert_refused(play("record", "tap", *PORT, "--out", "real"), "--out real: holds a recording already", "choose")
     assert_refused(play("tap", "library.npz", *PORT, "--out", "real"), "--out real: holds a recording already")
@@ -157,14 +161,14 @@ def interrupt() -> None:
 
 
 def test_ctrl_c_while_armed_disarms_and_tells_what_came(play: Run, ready: Desk) -> None:
-    ready.hand.tap(ready.now_s + 0.4, 0.3)
+    ready.hand.tap(ready.now_s() + 0.4, 0.3)
     count = iter(range(10_000))
     ready.each_ms = lambda: interrupt() if next(count) == 900 else None
     outcome = play("tap", "library.npz", *PORT, "--out", "cut")
     assert outcome.code == 130, outcome.out + outcome.err
     assert outcome.err.strip() == "stopped; the device is disarmed"
-    assert (ready.firmware.state, ready.firmware.look().fault) == (State.IDLE, None)
-    assert "cut: telemetry.csv, events.csv, tap_001.csv, all whole" in outcome.out
+    assert (ready.end.state, ready.end.look().fault) == (State.IDLE, None)
+    assert f"cut: {FILES}, all whole" in outcome.out
     assert load_recording(Path("cut/tap_001.csv")).grip_N == pytest.approx(3.0, abs=0.2)
     assert read_csv(Path("cut/telemetry.csv"))["tick"].size > 5000
 
@@ -174,7 +178,7 @@ def test_ctrl_c_at_rest_stops_nothing(play: Run, ready: Desk) -> None:
     ready.each_ms = lambda: interrupt() if next(count) == 100 else None
     outcome = play("monitor", *PORT)
     assert (outcome.code, outcome.err.strip()) == (130, "stopped; nothing is left armed")
-    assert (ready.firmware.state, ready.firmware.look().fault) == (State.IDLE, None)
+    assert (ready.end.state, ready.end.look().fault) == (State.IDLE, None)
 
 
 def test_ctrl_c_during_the_trial_tap_disarms(play: Run, desk: Desk) -> None:
@@ -182,8 +186,8 @@ def test_ctrl_c_during_the_trial_tap_disarms(play: Run, desk: Desk) -> None:
     skipped = [word for name in ("encoder", "emergency-stop", "grip-zero") for word in ("--skip", name)]
     outcome = play("check", "library.npz", *PORT, *skipped)
     assert outcome.code == 130
-    assert (desk.firmware.state, desk.firmware.look().fault) == (State.IDLE, None)
-    assert desk.firmware.look().checked_sha256 == bytes(32)
+    assert (desk.end.state, desk.end.look().fault) == (State.IDLE, None)
+    assert desk.end.look().checked_sha256 == bytes(32)
 
 
 def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Run, ready: Desk) -> None:
@@ -201,7 +205,7 @@ def test_another_ctrl_c_meanwhile_is_an_emergency_stop(play: Run, ready: Desk) -
     outcome = play("tap", "library.npz", *PORT)
     assert outcome.code == 130, outcome.err
     assert outcome.err.strip() == "stopped; nothing is left armed"
-    assert ready.firmware.look().fault is Fault.EMERGENCY_STOP
+    assert ready.end.look().fault is Fault.EMERGENCY_STOP
 
 
 @pytest.mark.parametrize("how", ["unplugged", "silent", "restarted"])
@@ -214,11 +218,11 @@ def test_a_device_that_goes_away_is_one_line_and_the_files_are_whole(play: Run, 
         else:
             ready.restart()
 
-    ready.hand.tap(ready.now_s + 0.4, 0.2)
+    ready.hand.tap(ready.now_s() + 0.4, 0.2)
     count = iter(range(10_000))
     ready.each_ms = lambda: away() if next(count) == 800 else None
     outcome = play("tap", "library.npz", *PORT, "--out", "cut")
-    assert_refused(outcome, "it does not arm by itself", "cut: telemetry.csv, events.csv, tap_001.csv, all whole")
+    assert_refused(outcome, "it does not arm by itself", f"cut: {FILES}, all whole")
     assert load_recording(Path("cut/tap_001.csv")).speed_m_s == pytest.approx(0.2, abs=0.01)
     assert read_csv(Path("cut/telemetry.csv"))["tick"].size > 4000
     ready.gone = False
@@ -240,7 +244,7 @@ def test_a_lost_lease_ends_the_run_and_nothing_is_armed_again(play: Run, ready: 
     outcome = play("tap", "library.npz", *PORT)
     assert outcome.code == 1, outcome.out + outcome.err
     assert "the host was silent for longer than its lease: disarmed, no command" in outcome.out
-    assert ready.firmware.state is State.IDLE
+    assert ready.end.state is State.IDLE
     assert ready.link.to_device.kinds[Kind.ARM] == armed_before + 1
     assert next(count) < 1500
 
@@ -255,13 +259,13 @@ def test_a_fault_ends_the_run_and_the_next_one_asks_for_its_reset(play: Run, rea
     assert_refused(play("upload", "library.npz", *PORT, "--reset"), "the cause of the fault is still there")
     ready.asked("release")
     assert play("upload", "library.npz", *PORT, "--reset").code == 0
-    assert ready.firmware.state is State.IDLE
+    assert ready.end.state is State.IDLE
 
 
 def test_arm_refused_in_words(play: Run, ready: Desk) -> None:
-    ready.hand.go(ready.now_s, (0.02, 0.1), (5.0, 0.1), (0.02, 0.0))
+    ready.hand.go(ready.now_s(), (0.02, 0.1), (5.0, 0.1), (0.02, 0.0))
     for _ in range(300):
         ready.step()
     assert_refused(play("tap", "library.npz", *PORT), "the stylus is moving: hold it still, then arm (device saw -0.")
-    ready.firmware.heat(98.0, 98.0)
+    ready.end.heat(98.0, 98.0)
     assert_refused(play("tap", "library.npz", *PORT), "the coil is too hot to play: let it cool (device saw 9")

@@ -38,10 +38,10 @@ def test_another_library_meanwhile(play: Run, ready: Desk, monkeypatch: pytest.M
     """What the host believes to be in force is compared by the device itself."""
     original = port_commands.load
 
-    def then_changed(device, given) -> None:
-        original(device, given)
-        hear, there = ready.firmware.receive, ready.firmware.look().library_sha256
-        ready.firmware.receive = lambda data: hear(reframed(data, lambda sent: sent.replace(there, b"x" * 32)))
+    def then_changed(device, given, console) -> None:
+        original(device, given, console)
+        hear, there = ready.end.receive, ready.end.look().library_sha256
+        ready.end.receive = lambda data: hear(reframed(data, lambda sent: sent.replace(there, b"x" * 32)))
 
     monkeypatch.setattr(port_commands, "load", then_changed)
     assert_refused(
@@ -61,10 +61,8 @@ def test_not_our_device_and_another_version(play: Run, desk: Desk, monkeypatch: 
     desk.put(monkeypatch)
     greeting = messages.GREETING.pack
     ours, theirs = (greeting(messages.MAGIC, messages.PROTOCOL + other) for other in (0, 1))
-    say = desk.firmware.bytes_to_send
-    monkeypatch.setattr(
-        desk.firmware, "bytes_to_send", lambda: reframed(say(), lambda said: said.replace(ours, theirs))
-    )
+    say = desk.end.bytes_to_send
+    monkeypatch.setattr(desk.end, "bytes_to_send", lambda: reframed(say(), lambda said: said.replace(ours, theirs)))
     assert_refused(
         play("monitor", *PORT),
         "the device speaks another version of the protocol",

@@ -16,7 +16,13 @@ def test_tap_with_figure_and_telemetry(play: Run) -> None:
     assert (outcome.code, outcome.err) == (0, "")
     for word in ("latency", "NRMSE", "peak", "spectral error", "rate-hardness", "winding", "clamps", "verdict"):
         assert word in outcome.out
-    assert {path.name for path in Path("run").iterdir()} == {"tap.png", "telemetry.csv", "telemetry.npz"}
+    assert {path.name for path in Path("run").iterdir()} == {
+        "tap.png",
+        "telemetry.csv",
+        "telemetry.npz",
+        "events.csv",
+        "tap_001.csv",
+    }
 
 
 def test_nothing_played_is_a_result_that_fell_short(play: Run) -> None:

@@ -13,12 +13,12 @@ from controller.host.driver import Device
 from controller.host.payload import trial_sweep
 from controller.protocol.capacity import Hardware
 from controller.protocol.codes import STATES, Kind
-from controller.protocol.events import Samples, Told
+from controller.protocol.events import News, Samples
 from controller.record.excitation import sweep_command
 from controller.servo.interface import State
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.sensors import SEED_SENSORS
-from controller.sim.true_device import Device as TrueDevice
+from controller.sim.true_device import TrueDevice
 from controller.sim.user import StillHand
 from controller.sim.virtual_link import Trouble
 from scripts.campaign.compiled_device import CompiledDevice, plant_of
@@ -66,7 +66,7 @@ def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Run, desk: 
     assert second.code == 0, second.out + second.err
     assert "the next one plays in full" not in second.out
     assert "rec: 2 of 2 trials, all whole" in second.out
-    assert checked.firmware.state is State.IDLE
+    assert checked.end.state is State.IDLE
     assert files() == [f"sweep_00{j}.npz" for j in (1, 2, 3, 4)]
     wanted = sweep_command(20, 800, 0.2, 0.75, DT_S)
     for name, factor in zip(files(), (0.1, -0.1, 1.0, -1.0), strict=True):
@@ -111,7 +111,7 @@ def test_the_device_is_armed_no_longer_than_it_plays(play: Run, checked: Desk) -
 
     def look() -> None:
         nonlocal armed
-        armed += checked.firmware.state is not State.IDLE
+        armed += checked.end.state is not State.IDLE
 
     checked.each_ms = look
     assert play(*SHORT, "--trials", 2).code == 0
@@ -169,7 +169,7 @@ def test_another_grip_than_asked_is_no_trial(play: Run, checked: Desk) -> None:
     assert "0 of 4 trials" in refused.out
 
     def slip() -> None:
-        checked.hand.held_N = 2.0 if checked.firmware.state is State.PLAYING else 3.0
+        checked.hand.held_N = 2.0 if checked.end.state is State.PLAYING else 3.0
 
     checked.each_ms = slip
     refused = play(*SHORT, "--grips", 3)
@@ -184,7 +184,7 @@ def test_lost_telemetry_is_repeated_then_refused_by_name(play: Run, checked: Des
     state = {"seen": 0}
 
     def once() -> None:
-        playing = checked.firmware.state is State.PLAYING
+        playing = checked.end.state is State.PLAYING
         state["seen"] += playing
         checked.link.to_host.trouble = Trouble(loss=1.0 if playing and state["seen"] in range(50, 60) else 0.0)
 
@@ -197,7 +197,7 @@ def test_lost_telemetry_is_repeated_then_refused_by_name(play: Run, checked: Des
 
     def always() -> None:
         state["seen"] += 1
-        playing = checked.firmware.state is State.PLAYING
+        playing = checked.end.state is State.PLAYING
         checked.link.to_host.trouble = Trouble(loss=1.0 if playing and state["seen"] % 20 == 0 else 0.0)
 
     checked.each_ms = always
@@ -212,7 +212,7 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(play: 
     started = {"trials": 0, "ms": 0}
 
     def look() -> None:
-        playing = checked.firmware.state is State.PLAYING
+        playing = checked.end.state is State.PLAYING
         started["ms"] = started["ms"] + 1 if playing else 0
         started["trials"] += started["ms"] == 1
         if started["trials"] == 2 and started["ms"] == 100:
@@ -226,7 +226,7 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(play: 
                 checked.link.unplug()
             else:
                 checked.wrong = lambda readings: replace(readings, current_A=float("nan"))
-        if how == "lease" and started["trials"] == 2 and checked.firmware.state is State.IDLE:
+        if how == "lease" and started["trials"] == 2 and checked.end.state is State.IDLE:
             checked.link.plug()
 
     checked.each_ms = look
@@ -250,14 +250,14 @@ def test_what_ends_a_trial_leaves_the_ones_before_whole_and_nothing_of_it(play: 
 
 def test_a_coil_that_has_become_too_warm_is_let_cool_and_no_fault(play: Run, checked: Desk) -> None:
     def look() -> None:
-        if checked.firmware.state is State.ARMED:
-            checked.firmware.heat(95.0 - 1e-6, 25.0)
+        if checked.end.state is State.ARMED:
+            checked.end.heat(95.0 - 1e-6, 25.0)
 
     checked.each_ms = look
     outcome = play(*SHORT)
     assert outcome.code == 1
     assert "start refused: the coil is too hot to play: let it cool (device saw 95)" in outcome.out
-    assert (checked.firmware.state, checked.firmware.look().fault) == (State.IDLE, None)
+    assert (checked.end.state, checked.end.look().fault) == (State.IDLE, None)
     assert not files()
 
 
@@ -267,8 +267,8 @@ def test_ctrl_c_disarms(play: Run, checked: Desk) -> None:
     outcome = play(*SHORT)
     assert outcome.code == 130, outcome.out + outcome.err
     assert "stopped; the device is disarmed" in outcome.err
-    assert checked.firmware.state is State.IDLE
-    assert checked.firmware.look().fault is None
+    assert checked.end.state is State.IDLE
+    assert checked.end.look().fault is None
     assert not [name for name in files() if not name.startswith("sweep_")]
 
 
@@ -362,7 +362,7 @@ def test_a_device_that_dies_half_way_leaves_nothing_half(
 ) -> None:
     playing = 0
 
-    def killing(news: Told) -> None:
+    def killing(news: News) -> None:
         nonlocal playing
         if isinstance(news, Samples):
             playing += sum(STATES[record.state] is State.PLAYING for record in news.records)

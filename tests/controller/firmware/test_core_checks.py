@@ -53,7 +53,7 @@ EXCITED = replace(BARE, host_starts=True)
 REST = Readings(0, 200, 3.0, 0.0, 0.0)
 
 
-class Told:
+class News:
     """The device, and a host that tells it one thing after the other."""
 
     def __init__(self) -> None:
@@ -119,7 +119,7 @@ IMAGE = image_of(table(), DT_S, 3e-4, TAIL)
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE, EXCITED], ids=["all", "bare", "excited"])
 def test_every_number_of_a_configuration_is_asked_for(settings: Settings) -> None:
-    device, data = Told(), configuration_of(settings)
+    device, data = News(), configuration_of(settings)
     answers = set()
     for place, name in enumerate(NAMES):
         at = HEADER.size + 8 * place
@@ -157,7 +157,7 @@ def odd_images() -> Iterator[bytes]:
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE], ids=["all", "bare"])
 def test_every_number_of_an_image_is_asked_for(settings: Settings) -> None:
-    device = Told()
+    device = News()
     assert isinstance(device.configure(configuration_of(settings)), m.Done)
     assert isinstance(device.upload(IMAGE), m.Done)
     answers = []
@@ -169,7 +169,7 @@ def test_every_number_of_an_image_is_asked_for(settings: Settings) -> None:
     assert isinstance(again, m.UploadReady)
 
 
-def test_where_the_host_starts_there_is_one_waveform(device: Told) -> None:
+def test_where_the_host_starts_there_is_one_waveform(device: News) -> None:
     one = table(1, 1)
     assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
     others = (table(1, 2), table(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
@@ -185,7 +185,7 @@ def test_where_the_host_starts_there_is_one_waveform(device: Told) -> None:
     assert device.core.look().library_sha256 == m.NO_HASH
 
 
-def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: Told) -> None:
+def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: News) -> None:
     """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
     device.configure(configuration_of(SETTINGS))
     device.tell(m.Telemetry(1))
@@ -206,8 +206,8 @@ def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(devic
 
 
 @pytest.fixture
-def device() -> Told:
-    return Told()
+def device() -> News:
+    return News()
 
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
@@ -222,7 +222,7 @@ def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
     assert len(decoder.feed(core.bytes_to_send())) == 1
 
 
-def test_a_stop_before_any_configuration_is_latched(device: Told) -> None:
+def test_a_stop_before_any_configuration_is_latched(device: News) -> None:
     device.core.step(REST)
     device.tell(m.EmergencyStop(), m.Reset())
     device.core.step(REST)

@@ -92,7 +92,7 @@ class Teensy:
         c.stub_receive.argtypes = [ctypes.c_char_p, ctypes.c_size_t]
         c.stub_send.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
         c.stub_period_us.restype, c.stub_enable_rose_early.restype = ctypes.c_float, ctypes.c_bool
-        self.ticks, self.told, self.now_s = 0, list[t.Told](), 0.0
+        self.ticks, self.told, self.now_s = 0, list[t.News](), 0.0
         self._room = ctypes.create_string_buffer(1 << 16)
         self.show(ACCELEROMETER, ZERO)
         self.show(GRIP, 400)

@@ -49,12 +49,12 @@ def test_a_sound_device_passes_every_step_and_may_then_be_armed(desk: Desk, chec
     told: list[Result] = []
     with pytest.raises(DeviceError, match="has not passed the bring-up check"):
         check.device.arm(0.5)
-    results = run_steps(check, told=told.append)
+    results = run_steps(check, tell=told.append)
     assert results == told
     assert [r.passed for r in results] == [True] * len(STEPS), results
     assert passed(results)
     assert desk.requests[0] == "press the emergency stop"
-    assert desk.firmware.state is State.IDLE
+    assert desk.end.state is State.IDLE
     check.device.checked()
     assert check.wait(check.at_rest, 2.0)
     check.device.arm(0.5)
@@ -96,7 +96,7 @@ def test_the_emergency_stop_has_to_come_out_again(desk: Desk, check: Check) -> N
     desk.obeys["release"] = lambda: None
     found = result(check, "emergency-stop")
     assert (found.passed, found.seen) == (False, "not released within 0.7 s")
-    assert desk.firmware.state is State.FAULT
+    assert desk.end.state is State.FAULT
 
 
 @pytest.mark.parametrize("held_N", [0.0, 3.0])
@@ -124,7 +124,7 @@ def test_a_pulse_with_a_reversed_encoder_fails(desk: Desk, request: pytest.Fixtu
     [
         (lambda desk: None, "no contact within 0.7 s"),
         (lambda desk: desk.asked("press"), "fault: emergency stop|no contact"),
-        (lambda desk: (desk.hand.tap(desk.now_s, 0.2), setattr(desk.hand, "held_N", 0.3)), "no contact.*not held"),
+        (lambda desk: (desk.hand.tap(desk.now_s(), 0.2), setattr(desk.hand, "held_N", 0.3)), "no contact.*not held"),
     ],
 )
 def test_a_trial_without_a_tap_fails_and_leaves_nothing_armed(
@@ -134,7 +134,7 @@ def test_a_trial_without_a_tap_fails_and_leaves_nothing_armed(
     found = result(check, "trial-tap")
     assert not found.passed
     assert re.search(seen, found.seen), found.seen
-    assert desk.firmware.state in (State.IDLE, State.FAULT)
+    assert desk.end.state in (State.IDLE, State.FAULT)
 
 
 def test_a_stop_meanwhile_fails_what_drives(desk: Desk, check: Check) -> None:
@@ -152,7 +152,7 @@ def test_a_lossy_link_and_a_slow_clock_fail(desk: Desk, check: Check) -> None:
     desk.link.set_trouble(Trouble(loss=0.1))
     assert not result(check, "link").passed
     desk.link.set_trouble(Trouble())
-    check.device._clock = lambda: 1.1 * desk.now_s
+    check.device.now_s = lambda: 1.1 * desk.now_s()
     found = result(check, "link")
     assert not found.passed, found.seen
 

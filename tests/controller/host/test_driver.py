@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from controller.host.connection import UnpluggedError
 from controller.host.driver import Device, DeviceError, LinkLostError
-from controller.host.transport import UnpluggedError
 from controller.protocol.codes import Kind, LinkNotice
 from controller.protocol.events import Happened, Samples
 from controller.protocol.image import sha256
@@ -21,9 +21,14 @@ from transopt.base.errors import InputError
 class VirtualStream:
     """The host's side of a world, whose time passes while the host waits."""
 
+    name, harmless = "device", False
+
     def __init__(self, world: World) -> None:
         self.world, self.gone, self.closed = world, False, 0
         world.host_alive = False  # the driver pumps, not the world
+
+    def now_s(self) -> float:
+        return self.world.now_s
 
     def read(self, timeout_s: float) -> bytes:
         end_s = self.world.now_s + timeout_s
@@ -47,7 +52,7 @@ class VirtualStream:
 def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, VirtualStream, Callable[[], Device]]:
     world = World(trouble, seed)
     stream = VirtualStream(world)
-    return world, stream, lambda: Device(stream, clock=lambda: world.now_s, session=world.session)
+    return world, stream, lambda: Device(stream, session=world.session)
 
 
 def armed(device: Device) -> None:

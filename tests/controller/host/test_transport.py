@@ -12,7 +12,8 @@ import pytest
 import serial
 
 from controller.host import transport as t
-from controller.host.transport import PortError, Transport, UnpluggedError
+from controller.host.connection import PortError, UnpluggedError
+from controller.host.transport import Transport
 
 WAIT_S = 5.0
 

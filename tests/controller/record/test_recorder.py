@@ -14,7 +14,7 @@ from controller.host.monitor import Monitor, event_line
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Changed, Happened, Logged, Samples
 from controller.protocol.messages import Record
-from controller.record.judge import contact_s, judge, through_pole
+from controller.record.played import contact_s, played_tap, through_pole
 from controller.record.recorder import AFTER_S, BEFORE_S, Contact, Recorder
 from controller.record.telemetry import read_csv
 from controller.servo.interface import Fault, Notice, State
@@ -77,7 +77,9 @@ def test_a_contact_becomes_a_file_when_its_time_has_passed(tmp_path: Path) -> No
     assert set(table["state"]) == {"armed"}
     lines = (tmp_path / "out" / "events.csv").read_text().splitlines()
     assert lines == ["tick,time_s,event,speed_m_s,grip_N", "3000,0.3,contact,0.2,3.1"]
-    assert recorder.in_words() == f"; {tmp_path}/out: telemetry.csv, events.csv, tap_001.csv, all whole"
+    assert (
+        recorder.in_words() == f"; {tmp_path}/out: telemetry.csv, telemetry.npz, events.csv, tap_001.csv, all whole"
+    )
 
 
 def test_an_event_may_come_before_or_after_its_records(tmp_path: Path) -> None:
@@ -144,7 +146,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("controller.record.recorder.os.write", full)
+        patched.setattr("controller.record.telemetry.os.write", full)
         with pytest.raises(InputError, match=r"telemetry.csv: cannot be written \(No space left on device\)"):
             fed(recorder, 1100)
     recorder.close()
@@ -196,33 +198,38 @@ def played(
         counts=np.round(z / settings.count_m),
         acceleration_m_s2=9.81 + np.interp(ticks * DT_S, fine, sensed),
         current_A=np.zeros(ticks.size),
+        command_A=np.zeros(ticks.size),
+        feedback_A=np.zeros(ticks.size),
+        winding_C=np.full(ticks.size, 25.0),
         missed=0,
     )
 
 
 @pytest.mark.parametrize("late_s", [0.0, 3e-4, -2e-4])
 def test_latency_and_error_are_found(library: Library, stated: Settings, late_s: float) -> None:
-    found = judge(played(library, stated, late_s=late_s), library, stated, 1.0, BANDWIDTH_HZ)
+    found = played_tap(played(library, stated, late_s=late_s), library, stated, 1.0, BANDWIDTH_HZ).compared
     assert found.latency_s == pytest.approx(late_s, abs=5e-6)
     assert found.nrmse < 0.01
     assert found.peak_m_s2 == pytest.approx(found.predicted_peak_m_s2, rel=0.01)
 
 
 def test_what_is_too_large_is_an_error_and_a_gain_is_none(library: Library, stated: Settings) -> None:
-    assert judge(played(library, stated, size=1.1), library, stated, 1.0, BANDWIDTH_HZ).nrmse == pytest.approx(
-        0.1, abs=0.01
-    )
-    assert judge(played(library, stated, gain=0.5), library, stated, 0.5, BANDWIDTH_HZ).nrmse < 0.01
-    assert judge(played(library, stated, gain=0.5), library, stated, 1.0, BANDWIDTH_HZ).nrmse > 0.4
+    def error(size: float, gain: float, stated_gain: float) -> float:
+        contact = played(library, stated, size=size, gain=gain)
+        return played_tap(contact, library, stated, stated_gain, BANDWIDTH_HZ).compared.nrmse
+
+    assert error(1.1, 1.0, 1.0) == pytest.approx(0.1, abs=0.01)
+    assert error(1.0, 0.5, 0.5) < 0.01
+    assert error(1.0, 0.5, 1.0) > 0.4
 
 
 def test_another_accelerometer_looks_like_latency(library: Library, stated: Settings) -> None:
     """The lag of one pole, 64 us at 2.5 kHz, belongs to the sensor and not to the device."""
-    found = judge(played(library, stated), library, stated, 1.0, bandwidth_Hz=1e6)
+    found = played_tap(played(library, stated), library, stated, 1.0, bandwidth_Hz=1e6).compared
     assert found.latency_s == pytest.approx(1 / (2 * np.pi * 2500.0), abs=5e-6)
 
 
-def test_where_there_is_nothing_to_judge(library: Library, stated: Settings) -> None:
+def test_where_there_is_nothing_to_compare(library: Library, stated: Settings) -> None:
     good = played(library, stated)
     cases = {
         "20 records were lost": (replace(good, missed=20), 1.0),
@@ -231,10 +238,12 @@ def test_where_there_is_nothing_to_judge(library: Library, stated: Settings) -> 
         "not all of it was recorded": (replace(good, counts=-good.counts), 1.0),
     }
     for why, (case, gain) in cases.items():
-        found = judge(case, library, stated, gain, BANDWIDTH_HZ)
-        assert (found.why, np.isnan(found.nrmse), np.isnan(found.latency_s)) == (why, True, True)
+        found = played_tap(case, library, stated, gain, BANDWIDTH_HZ)
+        assert (found.why, found.verdict) == (why, why)
+        assert np.isnan(found.compared.nrmse)
+        assert np.isnan(found.compared.latency_s)
     sparse = replace(good, **{name: getattr(good, name)[::3] for name in ("ticks", "counts", "acceleration_m_s2")})
-    assert judge(sparse, library, stated, 1.0, BANDWIDTH_HZ).why == "telemetry of every tick is needed"
+    assert played_tap(sparse, library, stated, 1.0, BANDWIDTH_HZ).why == "telemetry of every tick is needed"
 
 
 def test_contact_is_where_the_approach_leads(library: Library, stated: Settings) -> None:

@@ -1,26 +1,23 @@
 """The experiment: figures of merit on known signals, nominal taps played open loop, users, pace."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from controller.cli.tap_figure import tap_figure
 from controller.record.metrics import align, band_levels_dB, rate_hardness_N_m, spectral_error_dB
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.loop import run
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Played, Tap, approach_ticks, play_tap
+from controller.sim.experiment import Played, SimulatedTap, approach_ticks, play_tap
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, device_of
 from controller.sim.user import Habit, RepeatedTaps, TapUser, Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict, scene_of
 from transopt.base.errors import InputError
-from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library, speed_weights
 from transopt.recordings.reference import Reference, between
@@ -53,7 +50,7 @@ class Player:
 
 
 def play(library: Library, speed_m_s: float, grip_N: float, late: int = 0, **options: object) -> Played:
-    tap = Tap(speed_m_s, grip_N, phase=0.0, **options)  # type: ignore[arg-type]
+    tap = SimulatedTap(speed_m_s, grip_N, phase=0.0, **options)  # type: ignore[arg-type]
     return play_tap(library, Player(library, speed_m_s, grip_N, late=late, gain=tap.gain), tap)
 
 
@@ -179,7 +176,7 @@ class TestNominalTap:
         assert m.nrmse < 1e-4
 
     def test_phase_is_latency_when_nobody_blends(self, library: Library) -> None:
-        tap = Tap(0.2, 3.0, phase=0.37)
+        tap = SimulatedTap(0.2, 3.0, phase=0.37)
         m = play_tap(library, Player(library, 0.2, 3.0), tap).metrics
         assert m.latency_s == pytest.approx(-0.37 * DT, abs=1e-7)
         # Kinks of the held command meet the spline between its knots.
@@ -192,7 +189,7 @@ class TestNominalTap:
 
     def test_same_seed_same_tap_and_phase_of_its_own(self, library: Library) -> None:
         def once(seed: int) -> Played:
-            tap = Tap(0.2, 3.0, seed=seed, imperfections=Imperfections(mismatch=0.1))
+            tap = SimulatedTap(0.2, 3.0, seed=seed, imperfections=Imperfections(mismatch=0.1))
             return play_tap(library, Player(library, 0.2, 3.0), tap)
 
         first, second, other = once(1), once(1), once(2)
@@ -258,7 +255,7 @@ class TestNothingPlayed:
                 events = (Event(readings.tick, Fault.EMERGENCY_STOP),) if readings.tick == 100 else ()
                 return Output(0.0, State.FAULT, 0.0, 0.0, 25.0, events)
 
-        m = play_tap(library, Broken(library, 0.2, 3.0), Tap(0.2, 3.0)).metrics
+        m = play_tap(library, Broken(library, 0.2, 3.0), SimulatedTap(0.2, 3.0)).metrics
         assert m.faults == (Fault.EMERGENCY_STOP,)
         assert m.verdict.startswith("fault: emergency stop")
 
@@ -299,15 +296,6 @@ class TestPace:
         assert clock.slept_s == 0.0
 
 
-def test_figure_shows_a_tap_with_and_without_motor_data(library: Library, tmp_path: Path) -> None:
-    played = play(library, 0.2, 3.0)
-    save_figure(tap_figure(played), tmp_path / "a.png")
-    unknown = np.full_like(played.winding_C, np.nan)
-    save_figure(tap_figure(replace(played, winding_C=unknown)), tmp_path / "b.png")
-    for name in ("a.png", "b.png"):
-        assert (tmp_path / name).stat().st_size > 20_000
-
-
 class TestClosedLoop:
     """The servo of this project on the simulator, which find out for themselves what the player was told."""
 
@@ -315,21 +303,21 @@ class TestClosedLoop:
     @pytest.mark.parametrize("grip", [1.0, 5.0])
     def test_nominal_tap_is_on_time_and_as_predicted(self, library: Library, speed: float, grip: float) -> None:
         servo = Servo(Settings.of(library), bank(library))
-        m = play_tap(library, servo, Tap(speed, grip, imperfections=Imperfections())).metrics
+        m = play_tap(library, servo, SimulatedTap(speed, grip, imperfections=Imperfections())).metrics
         assert abs(m.latency_s) < 20e-6
         assert m.nrmse < 0.03
         assert not m.faults
 
     def test_between_the_nodes(self, library: Library) -> None:
         servo = Servo(Settings.of(library), bank(library))
-        m = play_tap(library, servo, Tap(0.26, 2.2, imperfections=Imperfections())).metrics
+        m = play_tap(library, servo, SimulatedTap(0.26, 2.2, imperfections=Imperfections())).metrics
         assert abs(m.latency_s) < 20e-6
         assert m.nrmse < 0.03
 
     def test_gain_scales_the_prediction_alike(self, library: Library) -> None:
         servo = Servo(Settings.of(library), bank(library))
         servo.set_gain(0.5)
-        assert play_tap(library, servo, Tap(0.3, 3.0, gain=0.5)).metrics.nrmse < 0.03
+        assert play_tap(library, servo, SimulatedTap(0.3, 3.0, gain=0.5)).metrics.nrmse < 0.03
 
     def test_random_taps_stay_within_every_limit(self, library: Library, scene: Scene) -> None:
         """Speeds and grips far outside the grid too, with tremor and a hand that lets go."""

@@ -12,7 +12,7 @@ import problems
 from controller.sim.experiment import strike_real
 from controller.sim.sensors import SensorBench, Sensors
 from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
-from controller.sim.true_device import Device, Ground, Joint, device_of, exponential, rates
+from controller.sim.true_device import Ground, Joint, TrueDevice, device_of, exponential, rates
 from controller.sim.user import (
     BRAKING_S,
     Habit,
@@ -139,7 +139,7 @@ class TestEnergy:
     def test_chain_without_dampers_keeps_its_energy(self) -> None:
         masses = tuple(LinearInGrip(m, 0.0) for m in (0.014, 0.026, 0.010))
         joints = tuple(Joint(LinearInGrip(k, 0.0), LinearInGrip(0.0, 0.0)) for k in (6e4, 9e3, 490.0))
-        device = Device(masses, joints, 1, 1, 1.25, None, None)
+        device = TrueDevice(masses, joints, 1, 1, 1.25, None, None)
         simulator = Simulator(device, still(3.0), DT)
         for _ in range(20):
             simulator.advance(2.0)
@@ -227,7 +227,7 @@ class TestSensors:
 
     def test_accelerometer_lags_by_its_pole(self, scene: Scene) -> None:
         """A steady acceleration is read as it is, a new one after the pole's time constant to 63 %."""
-        device = Device(
+        device = TrueDevice(
             (LinearInGrip(0.1, 0.0),), (Joint(LinearInGrip(0, 0), LinearInGrip(0, 0)),), 0, None, 1.0, None, None
         )
         sensors = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=500.0)

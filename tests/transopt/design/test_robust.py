@@ -10,7 +10,7 @@ import pytest
 import problems
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Tap, play_tap
+from controller.sim.experiment import SimulatedTap, play_tap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import device_of
 from controller.waveforms.bank import Method, bank
@@ -118,7 +118,7 @@ class TestPlayed:
 
     def test_on_its_own_device_and_on_another(self, own: Library, scene: Scene) -> None:
         def played(**on: Any) -> float:
-            tap = Tap(0.4, 3.0, imperfections=Imperfections(mismatch=0.1), seed=4)
+            tap = SimulatedTap(0.4, 3.0, imperfections=Imperfections(mismatch=0.1), seed=4)
             servo = Servo(Settings.of(own, amplifier_tolerance=0.1), bank(own, Method.BILINEAR))
             return play_tap(own, servo, tap, **on).metrics.nrmse_reference
 

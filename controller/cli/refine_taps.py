@@ -1,0 +1,229 @@
+"""Taps for a refinement: whoever holds the device learns where taps are missing."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from controller.cli.bench import Bench, simulated_bench
+from controller.cli.port import StoppedError, load, run
+from controller.host.driver import Device
+from controller.host.first_run import gain_to_play_at
+from controller.host.monitor import Monitor
+from controller.host.payload import Payload, payload_of
+from controller.protocol.codes import LinkNotice
+from controller.protocol.image import sha256
+from controller.record.recorder import Contact, Recorder, make_room
+from controller.refine.rounds import Heard, Node, hear, node_near, nodes_of
+from controller.sim.experiment import SimulatedTap
+from controller.sim.records import noise_seed
+from controller.sim.simulator import Imperfections
+from controller.sim.tapping import TappingHand
+from controller.sim.true_device import TrueDevice
+from transopt.base.errors import InputError
+from transopt.library.library import Library
+
+
+class EndedError(Exception):
+    """A round cannot be finished; the text says why."""
+
+
+class Hand(Protocol):
+    """Whoever holds the device; a context manager for the length of the refinement.
+
+    Attributes
+    ----------
+    amplifier_tolerance : by which the true amplifier may differ from the library's, see `Settings`.
+    """
+
+    @property
+    def amplifier_tolerance(self) -> float: ...
+
+    def asked(self, library: Library, number: int, taps: int) -> None:
+        """For so many taps at every node of a library, in a round."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+class PersonsHand:
+    """Of a person who reads the console."""
+
+    amplifier_tolerance = 0.0
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+
+    def asked(self, library: Library, number: int, taps: int) -> None:
+        missing = dict.fromkeys(nodes_of(library), taps)
+        words = f"round {number}: tap {taps} times at each of {len(missing)} nodes: {_nodes(library, missing)}"
+        self._console.print(words, highlight=False, soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class SimulatedHand:
+    """Taps as it is asked, by the mild user, with another phase and noise in every tap."""
+
+    def __init__(self, imperfections: Imperfections, seed: int, in_all: int) -> None:
+        self._imperfections, self._seed = replace(imperfections, mismatch=0.0), seed
+        self.amplifier_tolerance = imperfections.mismatch
+        console = Console(stderr=True)
+        columns = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._bar = self._progress.add_task("taps", total=in_all)
+        self.hand: TappingHand | None = None
+
+    def tapped(self) -> None:
+        self._progress.advance(self._bar)
+
+    def asked(self, library: Library, number: int, taps: int) -> None:
+        assert self.hand is not None
+        each = [(node, n) for node in nodes_of(library) for n in range(taps)]
+        self.hand.plan(library, [self._tap(library, number, *one) for one in each])
+
+    def _tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
+        return SimulatedTap(
+            speed_m_s=float(library.speeds_m_s[node[0]]),
+            grip_N=float(library.grips_N[node[1]]),
+            seed=noise_seed(self._seed, number, *node, n),
+            imperfections=self._imperfections,
+        )
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+
+def simulated_at(
+    library: Library, device: TrueDevice, imperfections: Imperfections, rounds: int, taps: int, seed: int
+) -> tuple[Bench, Hand]:
+    """The bench of a true device, mismatch included, and the hand on it.
+
+    Raises
+    ------
+    InputError : there is no C compiler.
+    """
+    simulated = SimulatedHand(imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
+    given = payload_of(library, amplifier_tolerance=imperfections.mismatch)
+    bench, simulated.hand = simulated_bench(given, device, (), tapped=simulated.tapped)
+    return bench, simulated
+
+
+class Taps:
+    """Puts a library in force and lets the user tap until every node has its taps.
+
+    Parameters
+    ----------
+    folder : each round on a device that cannot be had again is recorded in a folder of its own there.
+    taps : at each node.
+    seconds : after which a round ends with what there is; None waits.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        bench: Bench,
+        hand: Hand,
+        folder: Path,
+        taps: int,
+        seconds: float | None,
+        accelerometer_Hz: float,
+    ) -> None:
+        self._device, self._bench, self._hand, self._folder = device, bench, hand, folder
+        self._taps, self._seconds, self._accelerometer_Hz = taps, seconds, accelerometer_Hz
+
+    def __call__(self, library: Library, number: int) -> Mapping[Node, list[Heard]]:
+        """
+        Raises
+        ------
+        InputError : the device has not yet played at full gain, or refuses.
+        StoppedError : Ctrl-C.
+        EndedError : a fault or a lost lease.
+        """
+        given = payload_of(library, amplifier_tolerance=self._hand.amplifier_tolerance)
+        device = self._device
+        if gain_to_play_at(device, sha256(given.configuration)) < 1:
+            raise InputError(
+                f"refine: {device.name} has not played this configuration since its start: play its first taps "
+                "quietly with `transopt-play tap LIBRARY --port`, then refine"
+            )
+        folder = None if device.harmless else self._folder / f"round_{number}"
+        if folder is not None:
+            make_room(folder)
+        load(device, given, self._bench.console)
+        contacts = self._tapped(library, given, folder, number)
+        heard: dict[Node, list[Heard]] = {node: [] for node in nodes_of(library)}
+        for contact in contacts:
+            node = node_near(library, contact.speed_m_s, contact.grip_N)
+            if node is None:
+                continue
+            found = hear(contact, library, given.settings, node, self._accelerometer_Hz)
+            if isinstance(found, str):
+                self._say(f"tap {contact.number} does not count: {found}")
+            else:
+                heard[node].append(found)
+        return heard
+
+    def _say(self, words: str) -> None:
+        self._bench.console.print(words, highlight=False, soft_wrap=True)
+
+    def _tapped(self, library: Library, given: Payload, folder: Path | None, number: int) -> list[Contact]:
+        missing, seen = dict.fromkeys(nodes_of(library), self._taps), 0
+        self._hand.asked(library, number, self._taps)
+        hello, settings = self._device.hello, given.settings
+        recorder = Recorder(folder, hello.dt_s, settings.count_m, settings.surface_counts)
+        title = f"round {number} on {self._device.name}"
+        shown = Monitor(self._bench.console, title, hello.dt_s, settings.count_m)
+
+        def ended() -> bool:
+            nonlocal seen
+            for contact in recorder.contacts[seen:]:
+                seen += 1
+                self._count(library, contact, missing)
+            return self._bench.done(not missing)
+
+        stopped = run(self._device, recorder, shown, ended, self._seconds, 1.0)
+        if stopped:
+            raise StoppedError
+        if shown.faults:
+            raise EndedError(f"fault: {shown.faults[0].value}")
+        if shown.events[LinkNotice.LEASE_LOST]:
+            raise EndedError(LinkNotice.LEASE_LOST.value)
+        return recorder.contacts
+
+    def _count(self, library: Library, contact: Contact, missing: dict[Node, int]) -> None:
+        """Say what a tap counts for and what is left to be tapped."""
+        node = node_near(library, contact.speed_m_s, contact.grip_N)
+        at = f"tap {contact.number}: {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
+        if node is None or contact.missed:
+            why = f"{contact.missed} records were lost" if contact.missed else "near to no node"
+            self._say(f"{at}: {why}, does not count")
+            return
+        if node in missing:
+            missing[node] -= 1
+            if missing[node] == 0:
+                del missing[node]
+        self._say(f"{at}: counts for {_nodes(library, [node])}; missing: {_nodes(library, missing) or 'none'}")
+
+
+def _nodes(library: Library, nodes: Mapping[Node, int] | list[Node]) -> str:
+    """0.1 m/s at 1 N x 2, ..."""
+    counts = nodes if isinstance(nodes, Mapping) else {}
+    return ", ".join(
+        f"{library.speeds_m_s[iv]:g} m/s at {library.grips_N[ig]:g} N"
+        + (f" x {counts[iv, ig]}" if (iv, ig) in counts else "")
+        for iv, ig in nodes
+    )

@@ -1,0 +1,251 @@
+"""`transopt-play tap`: arm a device, let whoever holds it tap, and say how well its library was played.
+
+Heavy imports stand inside the command, so that help and errors come at once.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from controller.cli import port as sessions
+from controller.cli.options import imperfect, is_simulated, within
+from transopt.base import console as terminal
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from controller.cli.bench import Bench
+    from controller.cli.tables import Yardstick
+    from controller.host.payload import Payload
+    from controller.record.played import PlayedTap
+    from controller.sim.simulator import Imperfections
+    from controller.waveforms.bank import Bank
+    from transopt.library.library import Library
+
+
+def tap(
+    context: typer.Context,
+    library: Annotated[Path, typer.Argument(help="library.npz")],
+    simulate: Annotated[bool, typer.Option("--simulate", help="On the simulator, in virtual time.")] = False,
+    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
+    speed: Annotated[float | None, typer.Option(help="Incoming speed in m/s; default the grid's middle.")] = None,
+    grip: Annotated[float | None, typer.Option(help="Grip in N; default the grid's middle.")] = None,
+    gain: Annotated[
+        float | None,
+        typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
+            "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum."
+        ),
+    ] = "bilinear",
+    seed: Annotated[int, typer.Option(help="Of phase, noise and mismatch.")] = 0,
+    mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            help="True device of the simulator, before --mismatch: built-in scene, .toml or library.npz; "
+            "default the library's own model."
+        ),
+    ] = None,
+    crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
+    user: Annotated[str, typer.Option(help="mild, yielding, stopping or recorded.")] = "mild",
+    real_time: Annotated[bool, typer.Option("--real-time", help="Paced by the clock, to watch telemetry.")] = False,
+    taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default on Ctrl-C.")] = None,
+    seconds: sessions.Seconds = None,
+    accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
+    reset: sessions.Reset = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
+) -> None:
+    """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature."""
+    simulated = is_simulated(context, "tap", simulate, port)
+    if gain is not None:
+        within("gain", gain, 0.0, 1.0)
+    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
+    sessions.ends(taps, seconds)
+    from controller.host.payload import payload
+    from controller.record.recorder import make_room
+
+    if simulated:
+        wrong, full = imperfect(mismatch, seed, crossover), 1.0 if gain is None else gain
+        given, bench, title = _simulated(library, speed, grip, full, method, seed, wrong, device, user, real_time)
+    else:
+        assert port is not None
+        given, bench, title = payload(library), sessions.at_port(port), f"{library} on {port}"
+    if out is not None:
+        make_room(out, over=simulated)
+    _play(given, bench, title, gain, taps, seconds, accelerometer_hz, reset, out)
+
+
+def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -> tuple[float, float]:
+    """What was asked for, or the grid's middle node."""
+    speeds, grips = library.speeds_m_s, library.grips_N
+    speed = float(speeds[speeds.size // 2]) if speed_m_s is None else speed_m_s
+    return speed, float(grips[grips.size // 2]) if grip_N is None else grip_N
+
+
+def _simulated(
+    path: Path,
+    speed: float | None,
+    grip: float | None,
+    gain: float,
+    method: str,
+    seed: int,
+    wrong: "Imperfections",
+    device: str | None,
+    user: str,
+    real_time: bool,
+) -> "tuple[Payload, Bench, str]":
+    """What the simulated device shall play, the bench it is on, and both in words."""
+    from controller.cli.bench import simulated_bench
+    from controller.host.payload import payload_of
+    from controller.servo.loop import WallClock
+    from controller.sim.chosen_device import scene_like
+    from controller.sim.experiment import SimulatedTap
+    from controller.sim.true_device import device_of
+    from controller.sim.user import Habit
+    from controller.waveforms.bank import Method, bank
+    from controller.waveforms.prediction import scene_of
+    from transopt.library.file import load_library
+
+    methods, habits = [choice.value for choice in Method], [choice.value for choice in Habit]
+    if method not in methods:
+        raise InputError(f"--method {method}: must be one of {', '.join(methods)}")
+    if user not in habits:
+        raise InputError(f"--user {user}: must be one of {', '.join(habits)}")
+    library = load_library(path)
+    speed_m_s, grip_N = _middle(library, speed, grip)
+    table = bank(library, Method(method))
+    if method == Method.ONLINE.value:
+        table = _solved_for(library, table, speed_m_s, grip_N)
+    given = payload_of(
+        library, None if method == Method.BILINEAR.value else table, amplifier_tolerance=wrong.mismatch
+    )
+    settings = given.settings
+    within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
+    within("grip", grip_N, 0.0, 50.0, " N, what a hand does")
+    if settings.assumed_grip_N == 0 and grip_N > 0:
+        raise InputError(f"--grip {grip_N:g}: this library is of the free device, which nobody holds: give --grip 0")
+    if method == Method.PROPORTIONAL.value and settings.wall is None:
+        raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
+    wanted = SimulatedTap(speed_m_s, grip_N, gain, Habit(user), seed, wrong)
+    true = device_of(scene_of(library) if device is None else scene_like(device))
+    bench, _ = simulated_bench(given, true, [wanted], clock=WallClock() if real_time else None)
+    title = f"{path}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
+    return given, bench, title + ("" if device is None else f", on the device of {device}")
+
+
+def _solved_for(library: "Library", table: "Bank", speed_m_s: float, grip_N: float) -> "Bank":
+    """A table of the one transient that is solved for this speed and grip."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from controller.waveforms import online_bank
+
+    tap = online_bank.fresh(library, table).at(speed_m_s, grip_N)
+    if tap.silent:
+        return table
+    return replace(
+        table,
+        speeds_m_s=[tap.speed_m_s],
+        grips_N=[tap.grip_N],
+        command_A=np.array(tap.samples_A)[None, None],
+        transient_A=[[tap.transient_A]],
+        feedback_A=[[tap.feedback_A]],
+    )
+
+
+def _play(
+    given: "Payload",
+    bench: "Bench",
+    title: str,
+    gain: float | None,
+    taps: int | None,
+    seconds: float | None,
+    accelerometer_Hz: float,
+    reset: bool,
+    out: Path | None,
+) -> None:
+    """Arm, let the user tap, record, and say of each tap how well it was played."""
+    from controller.cli.tables import figures_table, taps_table
+    from controller.host.first_run import gain_to_play_at, remember
+    from controller.host.monitor import Monitor
+    from controller.protocol.codes import LinkNotice
+    from controller.protocol.image import sha256
+    from controller.record.played import played_tap
+    from controller.record.recorder import Recorder
+    from controller.servo.interface import Notice
+
+    settings, configuration = given.settings, sha256(given.configuration)
+    console = terminal.console()
+    with sessions.connected(bench.port, reset) as device:
+        sessions.load(device, given, bench.console)
+        hello = device.hello
+        played_at = gain_to_play_at(device, configuration, gain)
+        title = f"{title}, gain {played_at:g}"
+        recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts, over=device.harmless)
+        shown = Monitor(bench.console, title, hello.dt_s, settings.count_m)
+
+        def ended() -> bool:
+            return bench.done(taps is not None and len(recorder.contacts) >= taps)
+
+        stopped = sessions.run(device, recorder, shown, ended, seconds, played_at)
+    played = [
+        played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
+        for contact in recorder.contacts
+    ]
+    console.print(taps_table(played, shown.events, title))
+    console.print(figures_table(played, given.library, shown.events, _yardstick(given.library, played)))
+    remark = bench.remark()
+    if remark:
+        console.print(remark, highlight=False)
+    if out is not None:
+        drawn = _draw(played, title, out)
+        console.print(recorder.in_words().removeprefix("; ") + drawn, highlight=False, soft_wrap=True)
+    finished = shown.events[Notice.FINISHED] > 0 and played_at > 0
+    if finished and not shown.faults and not device.harmless:
+        remember(hello.boot, configuration)
+    if shown.faults:
+        console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
+    if stopped:
+        typer.echo(sessions.STOPPED, err=True)
+        raise typer.Exit(130)
+    lost = shown.events[LinkNotice.LEASE_LOST]
+    if lost:
+        console.print(LinkNotice.LEASE_LOST.value, style="red", highlight=False)
+    if shown.faults or lost or not finished:
+        raise typer.Exit(1)
+
+
+def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
+    """What the library's own scene knows beside the telemetry."""
+    from controller.cli.tables import Yardstick
+    from controller.sim.experiment import strike_real
+    from controller.sim.true_device import device_of
+    from controller.waveforms.prediction import scene_of
+
+    scene = scene_of(library)
+    try:
+        device = device_of(scene)
+    except InputError:  # a black box
+        return Yardstick(float("nan"), float("nan"))
+    target, real = scene.recordings.simulated, float("nan")
+    if target is not None and played:
+        speed_m_s = played[0].contact.speed_m_s
+        real = strike_real(device, target, speed_m_s, target.grip_N, 10e-3, scene.time.dt_s).rate_hardness_N_m
+    return Yardstick(device.force_per_current_N_A, real)
+
+
+def _draw(played: "list[PlayedTap]", title: str, out: Path) -> str:
+    """The first tap that could be compared, else the first; the figure's name, to be put behind others."""
+    from controller.cli.tap_figure import tap_figure
+    from transopt.base.plotting import save_figure
+
+    shown = next((tap for tap in played if not tap.why), played[0] if played else None)
+    if shown is None:
+        return ""
+    save_figure(tap_figure(shown, title), out / "tap.png")
+    return "; tap.png"

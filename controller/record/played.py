@@ -1,0 +1,228 @@
+"""How well a device played a tap, from its own sensors, which is all that a device of any kind can tell.
+
+The simulator's truth is not to be had here: measurement and prediction are brought to what can be measured. Contact
+is where the approach, a parabola through the encoder's counts, would have met the surface. What the library says is
+passed through the accelerometer's own pole. Both are low-passed as recordings are, and compared until the hand can
+react, since nobody predicts what it does of its own accord afterwards.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import signal
+
+from controller.record.metrics import MOST_SHIFT_S, align, rate_hardness_N_m, spectral_error_dB
+from controller.record.recorder import Contact
+from controller.servo.settings import Settings
+from controller.waveforms.prediction import REACTION_S, Prediction, predict
+from transopt.base.signals import FloatArray, Signal, lowpass, nrmse
+from transopt.library.library import Library
+from transopt.problem.problem import verdict
+
+FIT_S = 0.03  # of straight approach that the parabola is laid through
+LEAST_FIT = 10  # records of it
+REST_S = 0.02  # before the waveform: what the accelerometer reads there is gravity and offset
+CUTOFF_HZ = 1000.0  # as recordings are prepared
+NOTHING = float("nan")
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What a played tap is beside its prediction and its recorded reference, until the hand can react.
+
+    Attributes
+    ----------
+    latency_s : the one shift within 1 ms that aligns played and predicted, positive if played late.
+    nrmse : after it, against the prediction.
+    nrmse_reference : after it, against the recorded tap.
+    peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration|, low-passed alike.
+    spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
+    """
+
+    latency_s: float
+    nrmse: float
+    nrmse_reference: float
+    peak_m_s2: float
+    predicted_peak_m_s2: float
+    reference_peak_m_s2: float
+    spectral_error_dB: float
+
+
+NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
+
+
+@dataclass(frozen=True)
+class PlayedTap:
+    """One tap.
+
+    Attributes
+    ----------
+    contact : what was recorded.
+    times_s : (n,) of its records, from the moment at which the stylus would have met the surface undriven.
+    position_m : (n,) from the surface.
+    gain : that was played at.
+    prediction : of the library at the contact's speed and grip.
+    compared : NaN throughout where `why` says why nothing can be compared.
+    """
+
+    contact: Contact
+    times_s: FloatArray
+    position_m: FloatArray
+    gain: float
+    prediction: Prediction
+    compared: Compared
+    why: str = ""
+
+    @property
+    def peak_current_A(self) -> float:
+        """As measured."""
+        return float(np.abs(self.contact.current_A).max())
+
+    @cached_property
+    def acceleration_m_s2(self) -> FloatArray:
+        """(n,) less what the accelerometer read at rest."""
+        return self.contact.acceleration_m_s2 - resting_m_s2(self.contact)
+
+    @property
+    def verdict(self) -> str:
+        """In words: what limits the tap, or what a hand can feel of its error."""
+        if self.why:
+            return self.why
+        return verdict(self.compared.nrmse_reference, self.prediction.floor, self.prediction.repeatability)
+
+    def rate_hardness_N_m(self, force_per_current_N_A: float) -> float:
+        """Of the rendered surface, from the measured current; NaN if nothing was compared."""
+        if self.why:
+            return NOTHING
+        return rate_hardness_N_m(self.times_s, force_per_current_N_A * self.contact.current_A, self.contact.speed_m_s)
+
+
+def contact_s(contact: Contact, settings: Settings) -> float:
+    """When the stylus would have met the surface undriven, after the tick at which the waveform began [s].
+
+    The tangent at `lead` after that tick of a parabola through the counts up to it; nothing has moved before. NaN if
+    the stylus was not coming in, or too little of that was recorded.
+    """
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    seen = (times <= 0) & (times > -FIT_S)
+    if seen.sum() < LEAST_FIT:
+        return NOTHING
+    z = (contact.counts[seen] - settings.surface_counts) * settings.count_m
+    a, b, c = np.polynomial.polynomial.polyfit(times[seen], z, 2)
+    lead = settings.lead_s
+    slope = b + 2 * c * lead
+    return float(lead - (a + b * lead + c * lead**2) / slope) if slope < 0 else NOTHING
+
+
+def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
+    """(N,) samples of a signal from rest behind one pole, the signal joined by straight lines between them."""
+    pole = 2 * np.pi * bandwidth_Hz * dt_s
+    kept = np.exp(-pole)
+    # x' = p (u - x) over one step with u going straight from u_0 to u_1.
+    mean = (1 - kept) / pole
+    return np.asarray(signal.lfilter([1 - mean, mean - kept], [1.0, -kept], values))
+
+
+def before_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
+    """(N,) what `through_pole` was given; noise beyond the bandwidth grows."""
+    pole = 2 * np.pi * bandwidth_Hz * dt_s
+    kept = np.exp(-pole)
+    mean = (1 - kept) / pole
+    # Minimum phase: (mean - kept) / (1 - mean) < 1 for every pole.
+    return np.asarray(signal.lfilter([1.0, -kept], [1 - mean, mean - kept], values))
+
+
+def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: float) -> Signal | str:
+    """What the accelerometer read, less what it read at rest, over the time from contact; or why there is nothing.
+
+    Parameters
+    ----------
+    first_s, last_s : what has to be in it, with the shift that an alignment needs on both sides.
+    """
+    if contact.missed:
+        return f"{contact.missed} records were lost"
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    step = float(times[1] - times[0]) if times.size > 1 else float("nan")
+    if not step <= 1.5 * contact.dt_s:
+        return "telemetry of every tick is needed"
+    begin = contact_s(contact, settings)
+    if not (times[0] - begin <= first_s - MOST_SHIFT_S and last_s + MOST_SHIFT_S <= times[-1] - begin):
+        return "not all of it was recorded"
+    return Signal(float(times[0] - begin), step, contact.acceleration_m_s2 - resting_m_s2(contact))
+
+
+def resting_m_s2(contact: Contact) -> float:
+    """What the accelerometer read before the waveform; NaN if there is nothing from before it."""
+    times = (contact.ticks - contact.tick) * contact.dt_s
+    resting = contact.acceleration_m_s2[(times < 0) & (times >= -REST_S)]
+    return float(resting.mean()) if resting.size else NOTHING
+
+
+def played_tap(
+    contact: Contact,
+    library: Library,
+    settings: Settings,
+    gain: float,
+    bandwidth_Hz: float,
+    *,
+    as_recorded: bool = False,
+) -> PlayedTap:
+    """Compare a recorded contact with what the library says of it.
+
+    Parameters
+    ----------
+    gain : of the device.
+    bandwidth_Hz : of the accelerometer, one pole.
+    as_recorded : the hand is known to move as those in the library's recordings did; what they gave the stylus of
+        their own accord is taken off what was measured.
+    """
+    prediction = predict(library, contact.speed_m_s, contact.grip_N, gain)
+    compared = _compare(contact, prediction, settings, gain, bandwidth_Hz, as_recorded)
+    return PlayedTap(
+        contact=contact,
+        times_s=(contact.ticks - contact.tick) * contact.dt_s - contact_s(contact, settings),
+        position_m=(contact.counts - settings.surface_counts) * settings.count_m,
+        gain=gain,
+        prediction=prediction,
+        compared=NOT_COMPARED if isinstance(compared, str) else compared,
+        why=compared if isinstance(compared, str) else "",
+    )
+
+
+def _compare(
+    contact: Contact, prediction: Prediction, settings: Settings, gain: float, bandwidth_Hz: float, as_recorded: bool
+) -> Compared | str:
+    """Figures, or why there are none."""
+    if gain == 0:
+        return "nothing is played at gain 0"
+    if prediction.silent or not np.any(prediction.acceleration_m_s2):
+        return "the library is silent there"
+    until = prediction.times_s <= REACTION_S
+    at = prediction.times_s[until]
+    measured = since_contact(contact, settings, float(at[0]), float(at[-1]))
+    if isinstance(measured, str):
+        return measured
+    if as_recorded:
+        own = contact.speed_m_s / prediction.speed_m_s * prediction.own_m_s2
+        known = through_pole(own, contact.dt_s, bandwidth_Hz)
+        measured = replace(
+            measured, values=measured.values - np.interp(measured.times_s, prediction.times_s, known, 0.0)
+        )
+
+    def sensed(acceleration_m_s2: FloatArray) -> FloatArray:
+        behind = through_pole(acceleration_m_s2, contact.dt_s, bandwidth_Hz)
+        return lowpass(Signal(float(at[0]), contact.dt_s, behind), CUTOFF_HZ).values[until]
+
+    played, expected = lowpass(measured, CUTOFF_HZ), sensed(prediction.acceleration_m_s2)
+    aligned = align(played.times_s, played.values, at, expected)
+    reference = sensed(gain * prediction.reference_m_s2)
+    return Compared(
+        latency_s=aligned.latency_s,
+        nrmse=aligned.nrmse,
+        nrmse_reference=nrmse(aligned.played_m_s2, reference),
+        peak_m_s2=float(np.abs(aligned.played_m_s2).max()),
+        predicted_peak_m_s2=float(np.abs(expected).max()),
+        reference_peak_m_s2=float(np.abs(reference).max()),
+        spectral_error_dB=spectral_error_dB(aligned.played_m_s2, reference, contact.dt_s),
+    )

@@ -1,0 +1,108 @@
+"""The port `sim:`: a device that is computed, behind the same bytes as one on a serial port, in virtual time.
+
+    host session  <- bytes ->  virtual link  <- bytes ->  compiled core  <- readings, command ->  simulated world
+
+Time passes only while the host waits in `read`, by one servo period at a time: nothing sleeps, and the same seed
+gives the same run. The core is the firmware's, compiled for this machine.
+"""
+
+from typing import Protocol
+
+from controller.firmware.build import NoCompilerError
+from controller.firmware.core_device import CoreDevice, DeviceEnd
+from controller.protocol.capacity import Capacity, Hardware
+from controller.servo.interface import Output, Readings
+from controller.servo.loop import SLEEP_S, Clock
+from controller.servo.settings import Settings
+from controller.sim.virtual_link import Link
+from transopt.base.errors import InputError
+
+SIMULATED = "sim:"
+BOOT = 1
+
+
+class World(Protocol):
+    """What the device's sensors see and its motor moves."""
+
+    def readings(self, tick: int) -> Readings: ...
+
+    def advance(self, output: Output) -> None:
+        """Let one servo period pass under what the device answered."""
+        ...
+
+
+class SimulatedPort:
+    """A `controller.host.connection.Connection`.
+
+    Parameters
+    ----------
+    dt_s : servo period of the device.
+    link : between host and device; without one bytes arrive at once and whole.
+    clock : paces the run, for people who watch; without one nothing waits.
+
+    Attributes
+    ----------
+    ticks : servo periods that have passed.
+    behind_s : how far a paced run fell behind its clock at most.
+    """
+
+    name, harmless = SIMULATED, True
+
+    def __init__(
+        self, end: DeviceEnd, world: World, dt_s: float, *, link: Link | None = None, clock: Clock | None = None
+    ) -> None:
+        self.end, self.world, self.dt_s = end, world, dt_s
+        self.link = Link() if link is None else link
+        self.ticks, self.behind_s = 0, 0.0
+        self._clock, self._began_s = clock, 0.0 if clock is None else clock.now_s()
+
+    def now_s(self) -> float:
+        return self.ticks * self.dt_s
+
+    def step(self) -> None:
+        """One servo period."""
+        now_s = self.now_s()
+        self.end.receive(self.link.to_device.arrived(now_s))
+        self.world.advance(self.end.step(self.world.readings(self.ticks)))
+        self.link.device_sends(self.end.bytes_to_send(), now_s)
+        self.ticks += 1
+        if self._clock is not None:
+            ahead_s = self.now_s() - (self._clock.now_s() - self._began_s)
+            self.behind_s = max(self.behind_s, -ahead_s)
+            if ahead_s >= SLEEP_S:
+                self._clock.sleep(ahead_s)
+
+    def read(self, timeout_s: float) -> bytes:
+        end_s = self.now_s() + timeout_s
+        while True:
+            self.step()
+            data = self.link.to_host.arrived(self.now_s())
+            if data or self.now_s() >= end_s:
+                return data
+
+    def write(self, data: bytes) -> None:
+        self.link.host_sends(data, self.now_s())
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def core_end(settings: Settings, samples: int = 0) -> CoreDevice:
+    """The compiled core, on hardware that is good for these settings, with room for so many samples of waveforms.
+
+    Raises
+    ------
+    InputError : there is no C compiler.
+    """
+    known = Hardware()
+    hardware = Hardware(
+        current_A=max(known.current_A, settings.current_limit_A),
+        command_A=max(known.command_A, settings.command_limit_A),
+        dt_s=settings.dt_s,
+    )
+    usual = Capacity().samples
+    flags = () if samples <= usual else (f"-DTD_MAX_LIBRARY_SAMPLES={usual << (samples // usual).bit_length()}",)
+    try:
+        return CoreDevice(BOOT, hardware, flags)
+    except NoCompilerError as missing:
+        raise InputError(f"--simulate runs the device's own C code: {missing}") from None
