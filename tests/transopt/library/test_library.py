@@ -63,6 +63,8 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         "slew_A_per_s": None,
         "supply_V": None,
         "temperature_C": None,
+        "stroke_m": None,
+        "velocity_m_s": None,
     }
     assert len(meta["weights"]["tracking"]) == 600
     assert set(meta["versions"]) == {"transopt", "casadi", "numpy", "scipy", "python"}
