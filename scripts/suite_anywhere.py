@@ -29,9 +29,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from shuffled import VARIABLE as ORDER
-from writing import write_text
 
 from controller.firmware.build import NoCompilerError, compiler
+from transopt.base.writing import write_text
 
 ROOT = Path(__file__).parents[1]
 # What a run leaves behind or brings itself; all else belongs to the copy that is given another extension.
