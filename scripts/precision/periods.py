@@ -99,7 +99,8 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
     coil = None if case.small.thermal is None else case.small.thermal.coil
     references = np.broadcast_to(reference.motor_m_s2, fine.shape)
     found = replay(stage, grid, fine, references, coil, budgets=budget)
-    limits, thermal = case.problem.limits, case.small.thermal
+    current_A, command_A = case.problem.limits.current_A, case.problem.command_bound_A
+    thermal = case.small.thermal
     violation = {}
     for rate, run in zip(commands_A, found, strict=True):
         excess = [
