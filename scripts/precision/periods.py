@@ -105,8 +105,8 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
     for rate, run in zip(commands_A, found, strict=True):
         excess = [
             0.0,
-            run.peak_current_A / limits.current_A - 1,
-            run.peak_command_A / case.problem.command_bound_A - 1,
+            run.peak_current_A / current_A - 1,
+            run.peak_command_A / command_A - 1,
         ]
         if thermal is not None:
             headroom = float(thermal.model.headroom_K[np.isfinite(thermal.model.headroom_K)].max())
