@@ -18,7 +18,7 @@ from controller.servo.settings import Settings
 from controller.waveforms.prediction import REACTION_S, Prediction, predict
 from transopt.base.signals import FloatArray, Signal, lowpass, nrmse
 from transopt.library.library import Library
-from transopt.problem.problem import verdict
+from transopt.problem.answer import verdict
 
 FIT_S = 0.03  # of straight approach that the parabola is laid through
 LEAST_FIT = 10  # records of it
