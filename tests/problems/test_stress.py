@@ -193,7 +193,7 @@ class TestJudge:
         warm = StressCase("start", horizon=Horizon(stages=SHORT), coil=Coil(below_K=1e-6)).problem()
         assert warm.thermal is not None
         model = replace(warm.thermal.model, headroom_K=np.full_like(warm.thermal.model.headroom_K, -1.0))
-        hot = replace(warm, thermal=replace(warm.thermal, model=model))
+        hot = warm.replaced(replace(warm.thermal, model=model))
         assert admits_a_command(hot) == Verdict("", decided=True)
 
 

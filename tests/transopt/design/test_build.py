@@ -315,7 +315,7 @@ class TestAdmission:
         [
             ({"reached": {"current": 4.00001}}, "replayed current 4.000010 A, limit 4 A"),
             ({"reached": {"current": np.nan}}, "replayed current nan A"),
-            ({"reached": {"command": 6.1}}, "command 6.100000 A, limit 6 A"),
+            ({"reached": {"current": 4.0, "command": 6.1}}, "command 6.100000 A, limit 6 A"),
             ({"winding_C": 100.5}, "winding 100.500 C, limit 100 C"),
             ({"winding_C": 100.002}, "winding 100.002 C, limit 100 C"),
             ({"winding_C": np.nan}, "winding nan C"),

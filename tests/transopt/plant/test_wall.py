@@ -275,6 +275,7 @@ def check_closed_loop(problem: TransientProblem) -> Designed:
         final.transient_command(command)[None],
         final.reference_m_s2[None],
         final.thermal.coil,
+        limits=[final.limits],
         walls=[final.wall],
     )
     assert np.abs(played.command_A - command).max() <= 1e-9

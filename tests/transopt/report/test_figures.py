@@ -20,7 +20,6 @@ from transopt.library.figures import library_figure
 from transopt.library.library import ARRAYS, Library
 from transopt.plant.chain import Link, chain
 from transopt.problem.answer import Status
-from transopt.problem.limits.limit import Limits
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import PreparedTap
@@ -107,7 +106,6 @@ def make_entry(speed_m_s: float = 0.1, grip_N: float = 3.0, nrmse: float = 0.1, 
 def make_build(entries: list[list[Entry]]) -> Build:
     scene = SimpleNamespace(
         limits=SimpleNamespace(steady_current_A=1.25, transient_current_A=LIMIT_A),
-        current_limits=lambda: Limits(LIMIT_A, 6.0),
     )
     return Build(cast(Any, scene), [], entries, None, "riccati", 0.0)
 

@@ -55,13 +55,13 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
             return problem
         grid, coil = replace(problem.grid, stages=stages), varied.coil()
         assert coil is not None
-        return replace(
+        short = replace(
             problem,
             grid=grid,
             reference_m_s2=problem.reference_m_s2[:stages],
             tracking_weights=np.ones(stages),
-            thermal=temperature_limit(coil, problem.stage.amplifier, grid, varied.budget()),
         )
+        return with_limit(short, temperature_limit(coil, problem.stage.amplifier, grid, varied.budget()))
 
     return make
 

@@ -14,12 +14,16 @@ from transopt.base.errors import InputError
 from transopt.library.library import ARRAYS, MULTIPLIERS, Library
 from transopt.plant.discretise import AFTER, Motion, discretise
 from transopt.problem.answer import Multipliers
-from transopt.problem.limits import KINDS, limits_of
+from transopt.problem.heat import Budget
+from transopt.problem.limits import KINDS, limits_of, needed_outputs
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, SIDES, VELOCITY, Limit, Limits, Row, transposed
+from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, SIDES, Limit, Limits, Row, Setting, transposed
+from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.limits.velocity import VelocityLimit
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.problem.stage_data import Stages, stages, stated_rows
@@ -31,7 +35,7 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
 from transopt.solvers.statement import state, variable
 
-LINEAR = ("current", "command", "slew", "supply")
+MOTION = {"current_A": 2.0, "stroke_m": 0.01, "velocity_m_s": 1.0}
 COIL = Coil(below_K=20.0, tau_w_s=12.0)
 
 
@@ -39,7 +43,25 @@ def all_limits(pole_Hz: float | None = 1050.0, *, walled: bool = False, coil: Co
     """A short problem with every kind of limit that its amplifier allows."""
     current = Current(limit_A=2.0, pole_Hz=pole_Hz, slew=0.2, supply=1.1)
     surface = Surface(500.0) if walled else None
-    return StressCase("all", current=current, horizon=Horizon(stages=40), coil=coil, surface=surface).problem()
+    case = StressCase("all", current=current, horizon=Horizon(stages=40), coil=coil, surface=surface)
+    problem = case.problem()
+    plain, grid, speed = problem.stage, problem.grid, case.demand.speed_m_s
+    stage = discretise(
+        plain.plant, plain.amplifier, grid.dt_s, position=plain.Cp is not None, outputs=needed_outputs(MOTION)
+    )
+    setting = Setting(
+        stage=stage,
+        grid=grid,
+        circuit=None,
+        coil=None,
+        budget=Budget(),
+        wall=problem.wall,
+        reference_m_s2=problem.reference_m_s2,
+        nominal_m=-speed * grid.switching_times_s,
+        nominal_m_s=np.full(grid.stages, -speed),
+    )
+    of_motion = (kind.posed(MOTION, setting) for kind in (StrokeLimit, VelocityLimit))
+    return replace(problem, stage=stage, limits=limits_of(*problem.limits, *of_motion))
 
 
 PROBLEMS: dict[str, Callable[[], TransientProblem]] = {
@@ -68,7 +90,13 @@ class TestValues:
     def test_the_problems_have_every_kind(self) -> None:
         assert [limit.name for limit in all_limits().limits] == [kind.name for kind in KINDS]
         # An ideal amplifier has no range, and no pole that would tell di/dt.
-        assert [limit.name for limit in all_limits(None).limits] == ["current", "slew", "temperature"]
+        assert [limit.name for limit in all_limits(None).limits] == [
+            "current",
+            "slew",
+            "stroke",
+            "velocity",
+            "temperature",
+        ]
 
     def test_current(self, problem: TransientProblem) -> None:
         command = drawn_command(problem)
@@ -94,6 +122,17 @@ class TestValues:
             volts = circuit.R_ohm * i + circuit.L_H * w * (felt - i) + circuit.emf_V_s_m * speed
             np.testing.assert_allclose(value_of(problem, row, command), volts, rtol=1e-12, atol=1e-12)
 
+    def test_stroke_and_velocity(self, problem: TransientProblem) -> None:
+        """y and dy/dt of the motor mass a period later, from the states, with the nominal motion's part there."""
+        command, stage = drawn_command(problem), problem.stage
+        states = stage.states(np.append(command, 0.0))[1:, : stage.plant.order]
+        for row, output in (("stroke", stage.plant.Ce), ("velocity", stage.plant.Ce @ stage.plant.A)):
+            limit = problem.limits[row]
+            assert isinstance(limit, OutputLimit)
+            wanted = states @ output[0] + limit.nominal[1:]
+            found = value_of(problem, row, command)
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
     def test_temperature(self, problem: TransientProblem) -> None:
         """No row, since it is no sum of outputs; the certificate reads the limit's own course."""
         command, thermal = drawn_command(problem), problem.thermal
@@ -113,7 +152,10 @@ class TestValues:
     def test_bounds_are_those_that_were_asked_for(self, problem: TransientProblem) -> None:
         for limit, row in problem.rows():
             assert row.name in limit.row_names
-            assert (row.lower, row.upper) == (-limit.stated, limit.stated)
+            # What an output may do within a servo period is taken off.
+            room = limit.stated - (limit.margin if isinstance(limit, OutputLimit) else 0.0)
+            assert (row.lower, row.upper) == (-room, room)
+            assert 0 < room <= limit.stated
 
     def test_many_commands_at_once(self) -> None:
         problem = all_limits()
@@ -151,10 +193,10 @@ class TestTransposed:
     def test_a_row_of_every_output(self) -> None:
         """The outputs that only a limit asks for as well, at the switching instant and a period later."""
         problem = all_limits()
-        stage, further = problem.stage, ("position", "state 1")
+        stage, further = problem.stage, ("position", "velocity", "state 1")
         stage = discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=further)
         problem = replace(problem, stage=stage)
-        names = [CURRENT, COMMAND, HELD, VELOCITY, *further, *(name + AFTER for name in further)]
+        names = [CURRENT, COMMAND, HELD, *further, *(name + AFTER for name in further)]
         motion = stage.motion(drawn_command(problem))
         sizes = {name: np.abs(motion.outputs[name]).max() if name in motion.outputs else 1.0 for name in names}
         random = np.random.default_rng(3)
@@ -209,7 +251,6 @@ class TestOneSourceOfRows:
         of_program = A @ point.ravel()
         command = np.cumsum(movement) * stage.current_A
         motion = problem.stage.motion(command)
-        assert [limit.name for limit in problem.limits] == [n for n in LINEAR if n in problem.limits]
         of_stages = (x[:-1] @ given.arrays["G"].T + np.outer(movement, given.arrays["d"])) * given.limits.unit
         single = {row.name: row.single for row in stated_rows(problem, stage)}
         seen = []
@@ -292,7 +333,7 @@ ARRAYS_ROWS = {row for kind in KINDS for row in kind.row_names}
 
 
 class TestLimitsThatAreNotThere:
-    @pytest.mark.parametrize("kind", [CommandLimit, SlewLimit, SupplyLimit])
+    @pytest.mark.parametrize("kind", [CommandLimit, SlewLimit, SupplyLimit, StrokeLimit, VelocityLimit])
     def test_no_rows_no_multipliers_and_no_stage_data(self, kind: type[Limit]) -> None:
         """The amplifier's range goes with its pole."""
         problem = all_limits(None if kind is CommandLimit else 1050.0, coil=None).without(kind.name)
