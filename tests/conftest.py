@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -35,6 +36,12 @@ from transopt.scene_file import load_scene
 
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
 IMPACTS = Path(__file__).parents[2] / "shared" / "data" / "impacts"
+
+# Hypothesis would fail an example that takes 0.2 s, which on a busy machine any does.
+hypothesis.settings.register_profile(
+    "any machine", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("any machine")
 
 
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
