@@ -297,6 +297,8 @@ def main() -> int:
         results.append(result)
         failed = "no report" if result.broken else len(result.failures)
         told(row(environment.name, result.passed, failed, result.skipped, f"{result.seconds:.0f}"))
+        for name in result.failures:
+            print(f"failed: {name}", file=sys.stderr, flush=True)
     bad = [result for result in results if result.failures or result.broken]
     for result in bad:
         for line in explained(result):

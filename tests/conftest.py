@@ -15,6 +15,8 @@ import pytest
 import problems
 from controller.bank import Bank, bank
 from controller.interface import State
+from controller.limits import LEASE_MOST_MS
+from controller.session import Session
 from controller.settings import Settings
 from problems.simulate import recordings
 from tests.command_bench import Run, Terminal
@@ -34,6 +36,7 @@ from transopt.reference import Reference, build_references
 from transopt.scene import Scene
 from transopt.scene_file import load_scene
 
+WAIT_S = 60.0  # longer than a busy machine ever leaves a process waiting
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
 IMPACTS = Path(__file__).parents[2] / "shared" / "data" / "impacts"
 
@@ -245,6 +248,22 @@ def play(terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, li
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     library.save(tmp_path / "library.npz")
     return partial(terminal, "transopt-play")
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A host that takes no pause for the end, and a lease as long as there is: for a device in real time.
+
+    It runs beside everything else on this machine, and either of the two may wait for a processor.
+    """
+    arm = Session.arm
+
+    def armed(self: Session, gain: float, lease_ms: int, *, trial: bool = False) -> None:
+        arm(self, gain, max(lease_ms, LEASE_MOST_MS), trial=trial)
+
+    monkeypatch.setattr(Session, "arm", armed)
+    monkeypatch.setattr("controller.session.SILENCE_S", WAIT_S)
+    monkeypatch.setattr("controller.requests.GIVE_UP_S", WAIT_S)
 
 
 @pytest.fixture
