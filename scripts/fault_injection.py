@@ -22,7 +22,7 @@ import numpy as np
 from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import approach_ticks
+from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import Habit, TapUser, Tremor

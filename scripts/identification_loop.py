@@ -27,6 +27,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from common.experiment import play_tap
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -36,8 +37,8 @@ from controller.refine.rounds import nodes_of
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
-from controller.sim.experiment import SimulatedTap, play_tap
 from controller.sim.records import noise_seed
+from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import TrueDevice
 from controller.waveforms.bank import bank

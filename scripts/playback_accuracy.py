@@ -16,11 +16,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from common.experiment import Metrics, play_tap
 
 from controller.record.metrics import align
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Metrics, SimulatedTap, play_tap
+from controller.sim.simulated_tap import SimulatedTap
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import predict
 from transopt.base.errors import InputError

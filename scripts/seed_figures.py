@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import seed.device as seed_device
+from common.experiment import Played
 from seed.comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
 from seed.plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
 from seed.report import (
@@ -32,7 +33,6 @@ from seed.report import (
 )
 
 import problems
-from controller.sim.experiment import Played
 from controller.waveforms.bank import Method
 from controller.waveforms.inversions import unlimited_optimum
 from controller.waveforms.prediction import scene_of

@@ -14,6 +14,7 @@ code 1 if a test failed, or nothing was run.
 """
 
 import argparse
+import itertools
 import json
 import os
 import shutil
@@ -105,7 +106,7 @@ class Probed:
     kernel :
         OpenBLAS's own name for the kernel in use, empty if numpy has another library.
     error :
-        The last line of what was said if Python ended otherwise than it should, or warned.
+        The exception or the warning that Python ended with, without its traceback.
     """
 
     found: tuple[str, ...] = ()
@@ -125,7 +126,8 @@ def probe(variables: dict[str, str]) -> Probed:
         check=False,
     )
     if done.returncode:
-        return Probed(error=(done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1])
+        last = itertools.takewhile(lambda line: not line.startswith(" "), reversed(done.stderr.splitlines()))
+        return Probed(error=" ".join(reversed(list(last))) or f"exit code {done.returncode}")
     found, exponentials = json.loads(done.stdout)
     kernels = [line.split(":", 1)[1].strip() for line in done.stderr.splitlines() if line.startswith("Core:")]
     return Probed(tuple(found), tuple(exponentials), kernels[0] if kernels else "")
@@ -290,10 +292,13 @@ def main() -> int:
         if reason:
             told(row(environment.name, f"cannot be run: {reason}", "", "", ""))
             continue
+        print(f"running: {environment.name}", file=sys.stderr, flush=True)
         result = run(environment, arguments.tests)
         results.append(result)
         failed = "no report" if result.broken else len(result.failures)
         told(row(environment.name, result.passed, failed, result.skipped, f"{result.seconds:.0f}"))
+        for name in result.failures:
+            print(f"failed: {name}", file=sys.stderr, flush=True)
     bad = [result for result in results if result.failures or result.broken]
     for result in bad:
         for line in explained(result):

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -40,7 +41,14 @@ from transopt.recordings.reference import Reference, build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
+WAIT_S = 60.0  # longer than a busy machine ever leaves a process waiting
 STAGES = 60  # of the short case of error against run time: 6 ms, of which 2 saturate
+
+# Hypothesis would fail an example that takes 0.2 s, which on a busy machine any does.
+hypothesis.settings.register_profile(
+    "any machine", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
+hypothesis.settings.load_profile("any machine")
 
 
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
@@ -248,6 +256,22 @@ def play(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     library.save(tmp_path / "library.npz")
     return partial(terminal, "transopt-play")
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A host that takes no pause for the end, and a lease as long as there is: for a device in real time.
+
+    It runs beside everything else on this machine, and either of the two may wait for a processor.
+    """
+    arm = Session.arm
+
+    def armed(self: Session, gain: float, lease_ms: int, *, trial: bool = False) -> None:
+        arm(self, gain, max(lease_ms, LEASE_MOST_MS), trial=trial)
+
+    monkeypatch.setattr(Session, "arm", armed)
+    monkeypatch.setattr("controller.session.SILENCE_S", WAIT_S)
+    monkeypatch.setattr("controller.requests.GIVE_UP_S", WAIT_S)
 
 
 @pytest.fixture

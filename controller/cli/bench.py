@@ -11,8 +11,8 @@ from rich.console import Console
 from controller.host.connection import Connection
 from controller.host.payload import Payload
 from controller.servo.loop import Clock
-from controller.sim.experiment import SimulatedTap
 from controller.sim.port import SimulatedPort, core_end
+from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.tapping import TappingHand
 from controller.sim.true_device import TrueDevice
 from controller.sim.user import Habit

@@ -16,7 +16,6 @@ from controller.record.sweep_plan import PlannedSweep, check_plan
 from controller.record.trial_file import write_measurement
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in, scene_like
-from controller.sim.experiment import SimulatedTap
 from controller.sim.records import (
     Record,
     heat_record,
@@ -26,6 +25,7 @@ from controller.sim.records import (
     true_coil,
 )
 from controller.sim.sensors import SEED_SENSORS
+from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.prediction import scene_of
 from transopt.base import console as terminal

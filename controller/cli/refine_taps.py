@@ -18,8 +18,8 @@ from controller.protocol.codes import LinkNotice
 from controller.protocol.image import sha256
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.refine.rounds import Heard, Node, hear, node_near, nodes_of
-from controller.sim.experiment import SimulatedTap
 from controller.sim.records import noise_seed
+from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import TappingHand
 from controller.sim.true_device import TrueDevice

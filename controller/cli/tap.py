@@ -103,7 +103,7 @@ def _simulated(
     from controller.host.payload import payload_of
     from controller.servo.loop import WallClock
     from controller.sim.chosen_device import scene_like
-    from controller.sim.experiment import SimulatedTap
+    from controller.sim.simulated_tap import SimulatedTap
     from controller.sim.true_device import device_of
     from controller.sim.user import Habit
     from controller.waveforms.bank import Method, bank
@@ -223,7 +223,7 @@ def _play(
 def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     """What the library's own scene knows beside the telemetry."""
     from controller.cli.tables import Yardstick
-    from controller.sim.experiment import strike_real
+    from controller.sim.simulated_tap import strike_real
     from controller.sim.true_device import device_of
     from controller.waveforms.prediction import scene_of
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from controller.record.sweep_plan import PlannedSweep
 from controller.servo.interface import Readings
-from controller.sim.experiment import STEPS_AT_CONTACT, approach_ticks
 from controller.sim.open_loop import Sensed, play_still
 from controller.sim.sensors import Sensors
+from controller.sim.simulated_tap import STEPS_AT_CONTACT, approach_ticks
 from controller.sim.simulator import Coil, Imperfections, Simulator
 from controller.sim.true_device import TrueDevice
 from controller.sim.user import TapUser

@@ -7,8 +7,8 @@ import numpy as np
 
 from controller.record.recorder import AFTER_S as RECORDED_S
 from controller.servo.interface import Output, Readings, State
-from controller.sim.experiment import AFTER_S, SimulatedTap, approach_ticks, tap_simulator
 from controller.sim.sensors import SEED_SENSORS
+from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, tap_simulator
 from controller.sim.simulator import Simulator
 from controller.sim.true_device import TrueDevice
 from transopt.library.library import Library

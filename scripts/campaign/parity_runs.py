@@ -11,7 +11,7 @@ from controller.firmware.replay import ARM, DISARM, EXCITE, GAIN, NEGATIVE, RESE
 from controller.protocol.image import bank_of, image_of
 from controller.servo.interface import Readings, State
 from controller.servo.settings import Settings
-from controller.sim.experiment import approach_ticks
+from controller.sim.simulated_tap import approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import Habit, TapUser, Tremor

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import optimize, signal
 
-from controller.sim.experiment import Struck, strike_real
 from controller.sim.sensors import SEED_SENSORS
+from controller.sim.simulated_tap import Struck, strike_real
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
 from controller.sim.user import TapUser

@@ -291,7 +291,7 @@ def test_heat_is_not_measured_by_any_device(play: Run, desk: Desk) -> None:
 
 
 @pytest.fixture
-def served() -> Iterator[CompiledDevice]:
+def served(patient: None) -> Iterator[CompiledDevice]:
     try:
         compiled = CompiledDevice(plant_of(StillHand(), StillHand.period_s))
     except NoCompilerError as missing:

@@ -295,7 +295,7 @@ class Served:
 
 
 @pytest.fixture
-def served() -> Iterator[tuple[Served, str]]:
+def served(patient: None) -> Iterator[tuple[Served, str]]:
     try:
         master, slave = os.openpty()
     except OSError as error:

@@ -9,12 +9,13 @@ import pytest
 from controller.record.sweep_plan import FREE_LOW_HZ, Purpose, check_plan, sweep_plan
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import SimulatedTap, play_tap
 from controller.sim.open_loop import play_still, true_device
 from controller.sim.records import heat_record, noise_seed, object_record, sweep_records, true_coil
+from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, TrueDevice, device_of
 from controller.sim.user import StillHand
+from scripts.common.experiment import play_tap
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, Desk
 from transopt.base.errors import InputError

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import linalg
 
 import problems
-from controller.sim.experiment import strike_real
 from controller.sim.sensors import SensorBench, Sensors
+from controller.sim.simulated_tap import strike_real
 from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
 from controller.sim.true_device import Ground, Joint, TrueDevice, device_of, exponential, rates
 from controller.sim.user import (

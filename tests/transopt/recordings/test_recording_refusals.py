@@ -32,7 +32,10 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.recordings.recording import load_recording
 
 FUZZED = settings(
-    max_examples=150, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=150,
+    deadline=None,
+    database=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 

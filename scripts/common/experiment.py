@@ -1,8 +1,7 @@
-"""One tap on the simulator without the protocol between, and the truth of it, which no device could tell.
+"""One tap of servo and simulator without the protocol between, and the truth of it, which no device could tell.
 
-For scripts and tests that compare servo, library and truth; what the commands show comes over the port `sim:`
-(`controller.sim.port`), of which `tap_simulator` makes the world. Figures as in the seed paper (Fiene, Kuchenbecker,
-Niemeyer 2006), Sec. 6.
+What the commands show comes over a port, from a device's own sensors; this is for scripts and tests that compare
+servo, library and truth. Figures as in the seed paper (Fiene, Kuchenbecker, Niemeyer 2006), Sec. 6.
 """
 
 from collections import Counter
@@ -13,41 +12,16 @@ import numpy as np
 from controller.record.metrics import align, rate_hardness_N_m, spectral_error_dB
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.loop import Clock, Observer, Servo, run
-from controller.sim.simulator import NONE, Imperfections, Simulator, Trace
+from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, strike_real, tap_simulator
+from controller.sim.simulator import Trace
 from controller.sim.true_device import TrueDevice, device_of
-from controller.sim.user import Habit, RecordedUser, TapUser, Tremor, User
 from controller.waveforms.prediction import Prediction, predict, scene_of
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
-from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.scene import Scene
 
-APPROACH_S, APPROACH_M = 60e-3, 5e-3  # the straight way in: at least so long and so far
-AFTER_S = 20e-3  # simulated after the window
 UNTOUCHED_S = 0.5e-3  # before the lead the motion is the user's alone
-STEPS_AT_CONTACT = 8  # integration steps per segment while a real object is struck
-
-
-@dataclass(frozen=True)
-class SimulatedTap:
-    """What a user does to a device.
-
-    Attributes
-    ----------
-    gain : that the servo was set to; for the prediction.
-    phase : of the contact within a servo tick, 0 to 1; drawn from the seed if None.
-    """
-
-    speed_m_s: float
-    grip_N: float
-    gain: float = 1.0
-    habit: Habit = Habit.MILD
-    seed: int = 0
-    imperfections: Imperfections = NONE
-    tremor: Tremor | None = None
-    grip_rate_N_s: float = 0.0
-    phase: float | None = None
 
 
 @dataclass(frozen=True)
@@ -120,79 +94,10 @@ class Played:
     behind_s: float
 
 
-@dataclass(frozen=True)
-class Struck:
-    """A real object struck by the undriven device; times from contact, (K,) each."""
-
-    times_s: FloatArray
-    acceleration_m_s2: FloatArray
-    motor_m: FloatArray
-    contact_N: FloatArray
-    rate_hardness_N_m: float
-
-
-def approach_ticks(speed_m_s: float, dt_s: float) -> int:
-    """Whole servo periods of straight approach before a contact."""
-    return int(np.ceil(max(APPROACH_S, APPROACH_M / speed_m_s) / dt_s))
-
-
-def strike_real(
-    device: TrueDevice,
-    target: SimulatedTaps,
-    speed_m_s: float,
-    grip_N: float,
-    duration_s: float,
-    dt_s: float,
-) -> Struck:
-    """The same stylus, undriven, strikes a real object at z = 0 (seed Fig. 1); the mild user goes on."""
-    approach = 100
-    simulator = Simulator(
-        device,
-        TapUser(speed_m_s, grip_N, approach * dt_s),
-        dt_s,
-        target=target,
-        steps=STEPS_AT_CONTACT,
-        trace=True,
-    )
-    for _ in range(approach + int(np.ceil(duration_s / dt_s))):
-        simulator.advance(0.0)
-    trace = simulator.trace()
-    times = trace.times_s - approach * dt_s
-    hardness = rate_hardness_N_m(times, trace.contact_N, speed_m_s)
-    return Struck(times, trace.acceleration_m_s2, trace.motor_m, trace.contact_N, hardness)
-
-
 def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
     """When the motor mass would have met z = 0 undriven: its last straight motion before the lead, continued."""
     k = int(np.searchsorted(trace.times_s, expected_s - lead_s - UNTOUCHED_S)) - 1
     return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
-
-
-def _user(library: Library, tap: SimulatedTap, contact_s: float) -> User:
-    if tap.habit is Habit.RECORDED:
-        prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
-        scale = tap.speed_m_s / prediction.speed_m_s
-        own = scale * prediction.own_m_s2
-        return RecordedUser(tap.speed_m_s, tap.grip_N, contact_s, prediction.times_s, own)
-    return TapUser(tap.speed_m_s, tap.grip_N, contact_s, tap.habit, tap.tremor, tap.grip_rate_N_s)
-
-
-def tap_simulator(
-    library: Library, tap: SimulatedTap, device: TrueDevice, *, trace: bool = False
-) -> tuple[Simulator, float]:
-    """The device in the hand of a user who is on the way to the surface, and when the hand means to be there [s].
-
-    Parameters
-    ----------
-    device : the true one, before the tap's imperfections.
-    trace : keep the truth at every step.
-    """
-    dt = library.time_grid().dt_s
-    phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
-    expected = (approach_ticks(tap.speed_m_s, dt) + phase) * dt
-    user = _user(library, tap, expected)
-    simulator = Simulator(device, user, dt, imperfections=tap.imperfections, seed=tap.seed, trace=trace)
-    return simulator, expected
 
 
 def play_tap(

@@ -11,12 +11,13 @@ from controller.servo.interface import Event, Fault, Notice, Output, Readings, S
 from controller.servo.loop import run
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
-from controller.sim.experiment import Played, SimulatedTap, approach_ticks, play_tap
+from controller.sim.simulated_tap import SimulatedTap, approach_ticks
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, device_of
 from controller.sim.user import Habit, RepeatedTaps, TapUser, Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict, scene_of
+from scripts.common.experiment import Played, play_tap
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library, speed_weights

@@ -1,0 +1,112 @@
+"""One tap as a simulated hand does it: what is asked of it, and the simulator on which it is under way.
+
+Of these the world behind the port `sim:` is made (`controller.sim.tapping`); `scripts.common.experiment` plays one
+without the protocol between and asks for the truth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.record.metrics import rate_hardness_N_m
+from controller.sim.simulator import NONE, Imperfections, Simulator
+from controller.sim.true_device import TrueDevice
+from controller.sim.user import Habit, RecordedUser, TapUser, Tremor, User
+from controller.waveforms.prediction import predict
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library
+from transopt.recordings.settings import SimulatedTaps
+
+APPROACH_S, APPROACH_M = 60e-3, 5e-3  # the straight way in: at least so long and so far
+AFTER_S = 20e-3  # simulated after the window
+STEPS_AT_CONTACT = 8  # integration steps per segment while a real object is struck
+
+
+@dataclass(frozen=True)
+class SimulatedTap:
+    """What a user does to a device.
+
+    Attributes
+    ----------
+    gain : that the servo was set to; for the prediction.
+    phase : of the contact within a servo tick, 0 to 1; drawn from the seed if None.
+    """
+
+    speed_m_s: float
+    grip_N: float
+    gain: float = 1.0
+    habit: Habit = Habit.MILD
+    seed: int = 0
+    imperfections: Imperfections = NONE
+    tremor: Tremor | None = None
+    grip_rate_N_s: float = 0.0
+    phase: float | None = None
+
+
+@dataclass(frozen=True)
+class Struck:
+    """A real object struck by the undriven device; times from contact, (K,) each."""
+
+    times_s: FloatArray
+    acceleration_m_s2: FloatArray
+    motor_m: FloatArray
+    contact_N: FloatArray
+    rate_hardness_N_m: float
+
+
+def approach_ticks(speed_m_s: float, dt_s: float) -> int:
+    """Whole servo periods of straight approach before a contact."""
+    return int(np.ceil(max(APPROACH_S, APPROACH_M / speed_m_s) / dt_s))
+
+
+def strike_real(
+    device: TrueDevice,
+    target: SimulatedTaps,
+    speed_m_s: float,
+    grip_N: float,
+    duration_s: float,
+    dt_s: float,
+) -> Struck:
+    """The same stylus, undriven, strikes a real object at z = 0 (seed Fig. 1); the mild user goes on."""
+    approach = 100
+    simulator = Simulator(
+        device,
+        TapUser(speed_m_s, grip_N, approach * dt_s),
+        dt_s,
+        target=target,
+        steps=STEPS_AT_CONTACT,
+        trace=True,
+    )
+    for _ in range(approach + int(np.ceil(duration_s / dt_s))):
+        simulator.advance(0.0)
+    trace = simulator.trace()
+    times = trace.times_s - approach * dt_s
+    hardness = rate_hardness_N_m(times, trace.contact_N, speed_m_s)
+    return Struck(times, trace.acceleration_m_s2, trace.motor_m, trace.contact_N, hardness)
+
+
+def _user(library: Library, tap: SimulatedTap, contact_s: float) -> User:
+    if tap.habit is Habit.RECORDED:
+        prediction = predict(library, tap.speed_m_s, tap.grip_N, tap.gain)
+        scale = tap.speed_m_s / prediction.speed_m_s
+        own = scale * prediction.own_m_s2
+        return RecordedUser(tap.speed_m_s, tap.grip_N, contact_s, prediction.times_s, own)
+    return TapUser(tap.speed_m_s, tap.grip_N, contact_s, tap.habit, tap.tremor, tap.grip_rate_N_s)
+
+
+def tap_simulator(
+    library: Library, tap: SimulatedTap, device: TrueDevice, *, trace: bool = False
+) -> tuple[Simulator, float]:
+    """The device in the hand of a user who is on the way to the surface, and when the hand means to be there [s].
+
+    Parameters
+    ----------
+    device : the true one, before the tap's imperfections.
+    trace : keep the truth at every step.
+    """
+    dt = library.time_grid().dt_s
+    phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
+    expected = (approach_ticks(tap.speed_m_s, dt) + phase) * dt
+    user = _user(library, tap, expected)
+    simulator = Simulator(device, user, dt, imperfections=tap.imperfections, seed=tap.seed, trace=trace)
+    return simulator, expected
