@@ -15,6 +15,8 @@ import pytest
 
 import problems
 from controller.host.payload import payload
+from controller.host.session import Session
+from controller.protocol.capacity import LEASE_MOST_MS
 from controller.servo.interface import State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, bank
@@ -270,8 +272,8 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         arm(self, gain, max(lease_ms, LEASE_MOST_MS), trial=trial)
 
     monkeypatch.setattr(Session, "arm", armed)
-    monkeypatch.setattr("controller.session.SILENCE_S", WAIT_S)
-    monkeypatch.setattr("controller.requests.GIVE_UP_S", WAIT_S)
+    monkeypatch.setattr("controller.host.session.SILENCE_S", WAIT_S)
+    monkeypatch.setattr("controller.host.requests.GIVE_UP_S", WAIT_S)
 
 
 @pytest.fixture
