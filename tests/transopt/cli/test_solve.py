@@ -178,7 +178,7 @@ class TestSolve:
             raise KeyboardInterrupt
 
         target = {
-            "recordings": "transopt.cli.solve._recordings",
+            "recordings": "transopt.scene.recordings.recordings_of",
             "entries": "transopt.design.entry.replay",
             "writing": "transopt.report.figures.bode_figure",
         }[instant]
