@@ -31,8 +31,8 @@ class Responses:
     velocity: FloatArray
 
 
-def responses(problem: TransientProblem) -> Responses:
-    """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses."""
+def _impulse(problem: TransientProblem) -> FloatArray:
+    """(N + 1, n + 1) states of plant and amplifier after one ampere of command over the first period."""
     plant, amplifier, N = problem.stage.plant, problem.stage.amplifier, problem.grid.stages
     assert amplifier is not None
     n, w = plant.order, 2 * np.pi * amplifier.pole_Hz
@@ -44,6 +44,19 @@ def responses(problem: TransientProblem) -> Responses:
     states = np.zeros((N + 1, n + 1))
     for k in range(1, N + 1):
         states[k] = A @ states[k - 1] + (b if k == 1 else 0.0)
+    return states
+
+
+def states(problem: TransientProblem) -> FloatArray:
+    """(N + 1, N, n + 1) states of the plant and the current at tau_0 to tau_N by the commands."""
+    found = _impulse(problem)
+    return np.stack([linalg.toeplitz(each, np.zeros(problem.grid.stages)) for each in found.T], axis=-1)
+
+
+def responses(problem: TransientProblem) -> Responses:
+    """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses."""
+    plant, N, states = problem.stage.plant, problem.grid.stages, _impulse(problem)
+    n = plant.order
 
     def of(row: FloatArray) -> FloatArray:
         return linalg.toeplitz(states @ row, np.zeros(N))

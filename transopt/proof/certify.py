@@ -372,7 +372,7 @@ def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers
         sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]
         for side, mu, slack in sides:
             active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
-            label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}"
+            label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}".rstrip()
             rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
     found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

@@ -1,0 +1,142 @@
+"""Limits of a user's own, from files outside the package: recognised, solved, certified, replayed, priced, named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from tests.benches import dense
+from transopt.base.errors import InputError
+from transopt.design.build import Build, build_library
+from transopt.design.verify import verify_library
+from transopt.library.file import load_library
+from transopt.problem.answer import OBJECTIVE_SCALE, Status
+from transopt.proof.certify import certify
+from transopt.recordings.recording import Recording
+from transopt.solvers.own import own_limit
+
+JOINT = (
+    "to.own_limit('joint_force', 'N', lambda s: 6e4 * s.state(1) + 8 * (s.state(4) - s.state(5)), lower=-3, upper=3)"
+)
+AREA = "to.own_limit('area', '1', lambda s: (s.current / 4) ** 2 + (s.velocity / 0.45) ** 2, upper=1.0)"
+POWER = "to.own_limit('power', 'W', lambda s: 1.25 * s.current * s.velocity, lower=-1.2)"
+
+
+def solved(folder: Path, taps: list[Recording], limit: str) -> Build:
+    """The fastest tap of the default scene over 15 ms, at one grip, with this limit in a file beside the scene."""
+    (folder / "my_limits.py").write_text(f"import casadi as ca\nimport transopt as to\nLIMITS = [{limit}]\n")
+    text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
+    text = text.replace("[limits]", '[limits]\nown = ["my_limits.py"]').replace("[1.0, 3.0, 5.0]", "[3.0]")
+    text = text.replace("stages = 600", "stages = 150")
+    scene = folder / "mine.toml"
+    scene.write_text(text, encoding="utf-8")
+    return build_library(problems.load(scene), taps)
+
+
+def test_a_linear_one_is_recognised_and_solved_by_the_compiled_method(tmp_path: Path, taps: list[Recording]) -> None:
+    build = solved(tmp_path, taps, JOINT)
+    entry = build.entries[-1][0]
+    assert entry.status is Status.OPTIMAL, entry.shortfalls
+    assert "joint_force 3 N" in entry.binding
+    assert [price.limit for price in entry.prices].count("joint_force") == 1
+    problem, command = entry.problem, entry.solution.command_A
+    # The same by a dense solve, the states from the plant's own matrices.
+    force = dense.states(problem) @ np.array([6e4, 0, 0, 8, -8, 0, 0])
+    _, J = dense.optimum(problem, force[:-1], np.full(150, -3.0), np.full(150, 3.0))
+    assert entry.certificate.objective == pytest.approx(J, abs=1e-6 * max(J, OBJECTIVE_SCALE))
+    assert np.abs(force[:-1] @ command).max() <= 3.0 + 1e-6
+    # A command that leaves it, or a lost multiplier, is noticed.
+    m = entry.solution.multipliers
+    lost = m.with_pair("joint_force", np.zeros(150), np.zeros(150))
+    assert certify(problem, command, m).accepted
+    assert not certify(problem, command, lost).accepted
+    assert not certify(problem, 1.01 * command, m).accepted
+
+
+@pytest.mark.parametrize(("limit", "name", "value"), [(AREA, "area", 1.0), (POWER, "power", -1.2)])
+def test_what_is_not_linear_goes_to_ipopt_and_is_certified(
+    tmp_path: Path, taps: list[Recording], limit: str, name: str, value: float
+) -> None:
+    build = solved(tmp_path, taps, limit)
+    entry = build.entries[-1][0]
+    assert entry.status is Status.OPTIMAL, entry.shortfalls
+    assert entry.solution.solver == "casadi-ipopt"
+    assert f"{name} {value:g}" in entry.binding
+    assert entry.certificate.is_stationary
+    # The bound is rigorous in either case: that of the problem without the limit, or by the gap where it is convex.
+    assert entry.certificate.lower_bound <= entry.certificate.objective * (1 + 1e-9)
+    assert entry.certificate.accepted == (name == "area")
+    motion = entry.problem.stage.motion(entry.solution.command_A)
+    velocity = motion.velocity_m_s + entry.problem.limits[name].rows(entry.problem)[0].nominal["velocity"]  # type: ignore[attr-defined]
+    current = motion.current_A
+    taken = (current / 4) ** 2 + (velocity / 0.45) ** 2 if name == "area" else -1.25 * current * velocity
+    assert taken.max() <= abs(value) * (1 + 1e-6)
+
+
+def test_the_gradient_of_a_law_is_that_of_differences(tmp_path: Path, taps: list[Recording]) -> None:
+    entry = solved(tmp_path, taps, POWER).entries[-1][0]
+    problem, command = entry.problem, entry.solution.command_A
+    from transopt.proof.certify import reduced_gradient
+
+    m = entry.solution.multipliers
+    (row,) = problem.limits["power"].rows(problem)
+    weight = m.upper("power") - m.lower("power")
+
+    def lagrangian(c: np.ndarray) -> float:
+        motion = problem.stage.motion(c)
+        return problem.objective(c, problem.accelerations(c)) + float(weight @ row.value(motion, c))
+
+    bare = problem.replaced(problem.limits["power"])
+    only = m.with_pair("current", m.upper("current") * 0, m.upper("current") * 0)
+    only = only.with_pair("command", only.upper("current"), only.upper("current"))
+    g = reduced_gradient(bare, command, problem.stage.motion(command), only)
+    for k in (5, 12, 20):
+        step = 1e-5 * np.eye(command.size)[k]
+        slope = (lagrangian(command + step) - lagrangian(command - step)) / 2e-5
+        assert g[k] == pytest.approx(slope, rel=1e-5, abs=1e-9)
+
+
+@pytest.mark.parametrize("limit", [JOINT, AREA])
+def test_the_library_needs_no_file(tmp_path: Path, taps: list[Recording], limit: str) -> None:
+    build = solved(tmp_path, taps, limit)
+    assert build.library is not None
+    build.library.save(tmp_path / "library.npz")
+    (tmp_path / "my_limits.py").unlink()
+    again = load_library(tmp_path / "library.npz")
+    assert not any(check.shortfalls for check in verify_library(again))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("LIMITS = []", "no list LIMITS"),
+        (
+            "import transopt as to\nLIMITS = [to.own_limit('current', 'A', lambda s: s.current, upper=1)]",
+            "no other limit",
+        ),
+        (
+            "import transopt as to\nLIMITS = [to.own_limit('x', 'A', lambda s: s.current)]",
+            "state lower, upper or both",
+        ),
+        ("import transopt as to\nLIMITS = [to.own_limit('x', 'A', lambda s: 1.0, upper=1)]", "depends on an output"),
+        ("import nothing_of_that_name", "line 1: ModuleNotFoundError"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "bad.py").write_text(text)
+    scene = problems.scene_path("wood_on_foam").read_text().replace("[limits]", '[limits]\nown = ["bad.py"]')
+    (tmp_path / "mine.toml").write_text(scene)
+    with pytest.raises(InputError, match=words) as refused:
+        problems.load(tmp_path / "mine.toml")
+    assert "\n" not in str(refused.value)
+
+
+def test_what_is_linear_and_what_is_convex() -> None:
+    linear = own_limit("a", "A", lambda s: 2 * s.current - s.command + 0.1 * s.stage, upper=1.0)
+    assert linear.coefficients == (2.0, -1.0)
+    table = linear.table(3)
+    np.testing.assert_allclose(table["offsets"], [0.0, 0.1, 0.2])
+    assert own_limit("b", "", lambda s: s.current**2, upper=1.0).convex == (False, True)
+    assert own_limit("c", "", lambda s: s.current * s.velocity, upper=1.0).convex == (False, False)
+    assert own_limit("d", "", lambda s: s.current**4, upper=1.0).convex == (False, False)  # true, and not proven
