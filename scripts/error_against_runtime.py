@@ -29,9 +29,9 @@ from precision.wheels import PIP_LINE, hpipm, wheels
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from transopt.base.console import make_folder
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
+from transopt.base.terminal import make_folder
 from transopt.base.writing import write_csv, write_text
 from transopt.solvers import program
 from transopt.solvers.statement import state

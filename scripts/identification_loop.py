@@ -44,7 +44,7 @@ from controller.sim.true_device import TrueDevice
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from problems.generators.strikes import write_csv
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure

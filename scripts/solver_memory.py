@@ -29,7 +29,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import Stages, without_limits
 from transopt.recordings.reference import build_references
 from transopt.scene.strikes import recordings
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 
 SCENES = ("wood_on_foam", "hot_coil", "rapid_tapping", "walled", "low_supply", "ideal_amplifier", "small_coil")
 SOURCE = Path(__file__).with_suffix(".c")
@@ -80,9 +80,9 @@ def cases() -> Iterator[Stages]:
 
 def written(stages: Stages) -> bytes:
     """A problem as `solver_memory.c` reads it."""
-    names = [name for name, kind in native.PROBLEM_FIELDS if kind is native.DOUBLES]
-    integers = [stages.sizes[name] for name, kind in native.PROBLEM_FIELDS if kind is native.ct.c_int]
-    numbers = [stages.numbers[name] for name, kind in native.PROBLEM_FIELDS if kind is native.ct.c_double]
+    names = [name for name, kind in extension.PROBLEM_FIELDS if kind is extension.DOUBLES]
+    integers = [stages.sizes[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_int]
+    numbers = [stages.numbers[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_double]
     arrays = [stages.arrays[name] for name in names]
     head = struct.pack(f"{len(integers)}i{len(numbers)}d", *integers, *numbers)
     lengths = struct.pack(f"{len(arrays)}q", *(array.size for array in arrays))
@@ -91,25 +91,25 @@ def written(stages: Stages) -> bytes:
 
 def expected(stages: Stages) -> list[list[float]]:
     """What the installed extension says of a problem, as the driver prints it."""
-    buffers = native.Buffers(stages.sizes)
-    answers = [native.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)]
+    buffers = extension.Buffers(stages.sizes)
+    answers = [extension.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)]
     sums = [buffers.command.sum()]
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
-        run = native.LinearPass(stages)
+        run = extension.LinearPass(stages)
         for _ in range(2):
             answers.append(run.solve(1e-9))
             sums.append(run.buffers.command.sum())
-            if answers[-1].code > native.ACCURACY:
+            if answers[-1].code > extension.ACCURACY:
                 break
     return [
-        [a.code, a.iterations, a.objective if a.code <= native.ACCURACY else 0.0, total]
+        [a.code, a.iterations, a.objective if a.code <= extension.ACCURACY else 0.0, total]
         for a, total in zip(answers, sums, strict=True)
     ]
 
 
 def main() -> int:
     compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None or not native.available:
+    if compiler is None or not extension.available:
         print("no C compiler, or the extension is not built: nothing to check")
         return MISSING
     given = list(cases())
@@ -132,7 +132,7 @@ def main() -> int:
                 return 1
             found = [[float(word) for word in line.split()[1:]] for line in done.stdout.splitlines()]
             codes = [[row[0] for row in rows] for rows in (found, wanted)]
-            answered = np.array([row[0] <= native.ACCURACY for row in wanted])
+            answered = np.array([row[0] <= extension.ACCURACY for row in wanted])
             if codes[0] != codes[1] or not np.allclose(
                 np.array(found)[answered], np.array(wanted)[answered], rtol=TOLERANCE, atol=TOLERANCE
             ):

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from controller.cli.options import within
-from transopt.base import console
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
@@ -161,7 +160,7 @@ def _boot() -> int:
 
 def main() -> None:
     """Entry point."""
-    console.run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from controller.cli import port as port_commands
 from controller.cli import record as record_commands
 from controller.cli.refine import refine
 from controller.cli.tap import tap
-from transopt.base import console as terminal
+from transopt.base import terminal
 
 app = typer.Typer(
     no_args_is_help=True,

@@ -18,7 +18,7 @@ from controller.host.sweeps import AbortedError, Sweeps, Trial, free_numbers
 from controller.protocol.image import sha256
 from controller.record.recorder import Recorder, make_room
 from controller.record.sweep_plan import PlannedSweep
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 

@@ -28,7 +28,7 @@ from controller.sim.sensors import SEED_SENSORS
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.waveforms.prediction import scene_of
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.library.file import load_library
 

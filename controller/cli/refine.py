@@ -14,7 +14,7 @@ import typer
 from controller.cli.options import imperfect, is_simulated, within
 from controller.cli.port import STOPPED, Reset, at_port, connected
 from controller.cli.record import Crossover, Mismatch, SceneName, Seed, Simulate
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import typer
 
 from controller.cli import port as sessions
 from controller.cli.options import imperfect, is_simulated, within
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""How fast the stylus comes in and when it will touch, from encoder counts (DESIGN 2 and 7).
+"""How fast the stylus comes in and when it will touch, from encoder counts.
 
 A parabola is fitted by least squares to the last readings and evaluated `lead` ahead of the newest, which is where
 the contact lies when the waveform has to start. A line would have to be short, since a hand that accelerates at

@@ -1,4 +1,4 @@
-"""What makes the servo give up, in one table (DESIGN 7)."""
+"""What makes the servo give up, in one table."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

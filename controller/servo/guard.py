@@ -6,7 +6,7 @@ from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE
 
 CEILING_C = 1000.0  # nothing is hotter; an estimate that ran off to infinity could not be cooled down again
 DYING_TICKS = 4.0  # of the present current: until the answer to a reading is felt, and what is left then
-UPDATE_S = 0.01  # DESIGN 7: at 10 kHz the rise per tick of a slow node is lost in single precision
+UPDATE_S = 0.01  # at 10 kHz the rise per tick of a slow node is lost in single precision
 
 
 class Guard:

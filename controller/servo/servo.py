@@ -1,4 +1,4 @@
-"""The servo: sensors in, command and events out, once per servo period (DESIGN 7).
+"""The servo: sensors in, command and events out, once per servo period.
 
     IDLE     no command                                     arm() -> ARMED
     ARMED    feedback                                       contact or excite() -> PLAYING, disarm() -> IDLE

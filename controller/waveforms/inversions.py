@@ -14,7 +14,7 @@ from transopt.problem.stage import hand_over_rows, linear_stage
 
 
 def unlimited_optimum(problem: TransientProblem) -> FloatArray:
-    """(N,) commands [A] that minimise J of DESIGN 4 without limits, hand-over kept.
+    """(N,) commands [A] that minimise J without limits, hand-over kept.
 
     V_k(x) = x' P x + 2 p' x backwards over x+ = A x + b u, e = C x + E u - r, u the command's movement, with the
     optimal u = K x + k before the hand-over and the prescribed one in it (Joseph's form, so P stays semidefinite).

@@ -1,4 +1,4 @@
-"""The stress suite: `python -m problems.stress.__main__ --cases 1000 --seed 1`.
+"""The stress suite: `python -m problems.stress --cases 1000 --seed 1`.
 
 Every case has to end in one of two ways: a certified, cleanly replayed optimum, or a refusal that names its cause.
 Anything else, a warning, a NaN, a hang and the death of a worker included, is bad and makes the exit code 1.
@@ -27,7 +27,6 @@ from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.families import directed, long_cases
 from problems.stress.judge import CERTIFIED, Outcome, judge
-from transopt.base import console
 from transopt.base.errors import InputError
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
@@ -209,7 +208,7 @@ def _at_least(lowest: int, kind: Callable[[str], float]) -> Callable[[str], floa
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser("python -m problems.stress.__main__", description=main.__doc__, allow_abbrev=False)
+    parser = _Parser("python -m problems.stress", description=main.__doc__, allow_abbrev=False)
     parser.add_argument("--cases", type=_at_least(1, int), default=1000, help="random cases (1000)")
     parser.add_argument("--seed", type=_at_least(0, int), default=1, help="of the random cases (1)")
     parser.add_argument("--jobs", type=_at_least(1, int), default=os.cpu_count() or 1, help="worker processes")
@@ -226,8 +225,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     families, seed, case = options.directed, options.seed, options.case
     chosen = [*directed(), *long_cases()] if families else [drawn(seed, index) for index in range(options.cases)]
-    command = "python -m problems.stress.__main__ " + ("--directed" if families else f"--seed {seed}")
-    output = console.console()
+    command = "python -m problems.stress " + ("--directed" if families else f"--seed {seed}")
+    output = terminal.console()
     if case is not None:
         one = chosen[case] if families and case < len(chosen) else drawn(seed, case)
         if families and case >= len(chosen):
@@ -258,4 +257,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    console.run(lambda: sys.exit(main()))
+    terminal.run(lambda: sys.exit(main()))

@@ -38,12 +38,11 @@ from transopt.proof.certify import certify
 from transopt.recordings.reference import build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
-from transopt.solvers import casadi_ipopt, casadi_piqp, riccati, sparse_kkt, unlimited
-from transopt.solvers import lq_pass as riccati_lq
-from transopt.solvers import program as transcribe
+from transopt.solvers import casadi_ipopt, casadi_piqp, lq_pass, riccati, sparse_kkt, unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import state_program
 
 WIDE_SPEEDS, WIDE_GRIPS = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 10)
 ONLINE_TAPS = 1000
@@ -116,7 +115,7 @@ class Peer:
 def project_solver(problem: TransientProblem, solver: str) -> Peer:
     """A solver of the project, its object reused; set-up is what a first call with nothing cached takes longer."""
     options = SolverOptions(solver)
-    transcribe.state_program.cache_clear()
+    state_program.cache_clear()
     for module in (casadi_piqp, casadi_ipopt):
         module.solver_object.cache_clear()
     first, second = (elapsed_ms(lambda: solve(problem, options)) for _ in range(2))
@@ -135,7 +134,7 @@ def project_solver(problem: TransientProblem, solver: str) -> Peer:
 def unlimited_solver(
     name: str, options: str, method: Callable[[TransientProblem], Solution], problem: TransientProblem
 ) -> Peer:
-    for cached in (transcribe.state_program, riccati_lq.recursions, sparse_kkt.pattern):
+    for cached in (state_program, lq_pass.recursions, sparse_kkt.pattern):
         cached.cache_clear()
     first, second = (elapsed_ms(lambda: method(problem)) for _ in range(2))
     solution = method(problem)

@@ -22,8 +22,8 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.solvers import casadi_piqp
-from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import Shape, program_shape, state_program
 from transopt.solvers.statement import state
 
 DUMP_SCHEMA = 1
@@ -100,7 +100,7 @@ class QP:
         return lower, upper
 
 
-def stage_order(shape: transcribe.Shape) -> NDArray[np.intp]:
+def stage_order(shape: Shape) -> NDArray[np.intp]:
     """(m,) the program's rows, the dynamics of all stages and then the hand-over, sorted by stage.
 
     Methods that find the structure of an optimal-control problem themselves (HPIPM) need the rows of a stage
@@ -132,7 +132,7 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         if present:
             raise InputError(f"{name}: has {part}, which the plain QP of current and command limits does not state")
     statement, stage = state(problem), linear_stage(problem)
-    data = transcribe.state_program(statement.shape).qp_data(p=statement.p)
+    data = state_program(statement.shape).qp_data(p=statement.p)
     boxed = np.flatnonzero(np.isfinite(statement.lower_x) | np.isfinite(statement.upper_x))
     V = statement.lower_x.size
     identity = sparse.csc_array((np.ones(boxed.size), (np.arange(boxed.size), boxed)), shape=(boxed.size, V))
@@ -172,8 +172,8 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
 
 def solved(qp: QP, problem: TransientProblem, objective: float, tolerance: float) -> QP:
     """The QP with its reference point and multipliers, from the project's PIQP; `objective` is J of its rollout."""
-    shape, statement = transcribe.program_shape(problem), state(problem)
-    program = transcribe.state_program(shape)
+    shape, statement = program_shape(problem), state(problem)
+    program = state_program(shape)
     data = program.qp_data(p=statement.p)
     result = casadi_piqp.solver_object(shape, SolverOptions("casadi-piqp", tolerance))(
         h=data["H"],
@@ -193,7 +193,7 @@ def solved(qp: QP, problem: TransientProblem, objective: float, tolerance: float
 def project_multipliers(problem: TransientProblem, qp: QP, y: FloatArray) -> Multipliers:
     """Multipliers y (m + b,) of the QP as those of the problem, in SI: what `transopt.proof.certify` takes."""
     on_rows = np.empty(qp.rows)
-    on_rows[stage_order(transcribe.program_shape(problem))] = y[: qp.rows]
+    on_rows[stage_order(program_shape(problem))] = y[: qp.rows]
     on_variables = np.zeros(qp.q.size)
     on_variables[qp.boxed] = y[qp.rows :]
     return state(problem).multipliers(on_variables, on_rows)

@@ -8,7 +8,7 @@ import pytest
 import transopt as to
 from tests.benches.places import ROOT
 from transopt.library.library import Library
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
@@ -23,7 +23,7 @@ def test_readme_has_the_three_examples() -> None:
     assert "transopt" not in re.sub("#.*", "", NUMPY)
 
 
-@pytest.mark.skipif(not native.available, reason="the extension is not built")
+@pytest.mark.skipif(not extension.available, reason="the extension is not built")
 def test_online(
     library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

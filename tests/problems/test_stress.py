@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from problems.stress.__main__ import START_S, main, run_cases, summary
+from problems.stress import START_S, main, run_cases, summary
 from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
 from problems.stress.families import SMALL_A, directed, rescaled
 from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
 from problems.stress.oracle import Verdict, admits_a_command
-from transopt.base import console
 from transopt.design.optimum import Designed, optimum
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.limits.command import CommandLimit
@@ -228,7 +227,7 @@ def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: st
     limit_s = 8.0 if family == "hang" else 100.0
     outcomes = dict(run_cases(cases, 1, limit_s, judged))  # type: ignore[arg-type]
     assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
-    _, lines = summary(cases, outcomes, "python -m problems.stress.__main__")
+    _, lines = summary(cases, outcomes, "python -m problems.stress")
     assert any("--case 1" in line for line in lines)
 
 
@@ -258,7 +257,7 @@ def test_the_runner_goes_on_after_a_worker_that_dies_while_it_starts(tmp_path: P
 def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock leaps past the deadline of the first worker, then stands still."""
     readings = chain([0.0], repeat(2 * START_S))
-    monkeypatch.setattr("problems.stress.__main__.monotonic", lambda: next(readings))
+    monkeypatch.setattr("problems.stress.monotonic", lambda: next(readings))
     cases = [StressCase(name) for name in ("one", "two", "three")]
     outcomes = dict(run_cases(cases, 1, 100.0, fine))
     assert [outcomes[index].kind for index in range(3)] == ["bad: worker did not start", CERTIFIED, CERTIFIED]
@@ -279,7 +278,7 @@ def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pyt
 )
 def test_wrong_options_end_in_one_line(arguments: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as left:
-        console.run(lambda: main(arguments.split()))
+        terminal.run(lambda: main(arguments.split()))
     assert left.value.code == 2
     printed = capsys.readouterr()
     assert printed.out == ""

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 import transopt as to
 from transopt.design.verify import verify_library
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 
 FITS = 400  # characters of a `repr`
 LARGEST_HTML = 200_000
@@ -176,7 +176,7 @@ class TestShown:
             assert len(repr(each)) <= FITS, f"{type(each).__name__}: {len(repr(each))} characters"
             assert repr(each).startswith(f"{type(each).__name__}("), type(each)
 
-    @pytest.mark.skipif(not native.available, reason="the extension is not built")
+    @pytest.mark.skipif(not extension.available, reason="the extension is not built")
     def test_what_solves_online_fits_too(self, library: to.Library) -> None:
         online = to.Online(library)
         assert len(repr(online)) <= FITS

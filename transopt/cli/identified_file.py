@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.cli.identified_file import check_place, next_step
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.cli.compare import compare
 from transopt.cli.export import export
 from transopt.cli.identify import app as identify

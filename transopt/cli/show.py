@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from transopt.base import console as terminal
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 

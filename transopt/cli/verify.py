@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from transopt.base import console as terminal
+from transopt.base import terminal
 
 
 def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:

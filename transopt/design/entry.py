@@ -1,4 +1,4 @@
-"""The design of library entries: optimum, floor, baselines, certificate, replay, admission (DESIGN 4)."""
+"""The design of library entries: optimum, floor, baselines, certificate, replay, admission."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Why no command meets all limits: which limit, by how much, when, and what would do (DESIGN 4)."""
+"""Why no command meets all limits: which limit, by how much, when, and what would do."""
 
 from collections.abc import Callable
 from dataclasses import replace

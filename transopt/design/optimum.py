@@ -1,4 +1,4 @@
-"""The optimum of one entry: the smallest problem that has it, solved (DESIGN 4)."""
+"""The optimum of one entry: the smallest problem that has it, solved."""
 
 from dataclasses import dataclass, replace
 

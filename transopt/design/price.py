@@ -1,4 +1,4 @@
-"""What binds, in the user's words: the price of each limit and the least limit that would not bind (DESIGN 4)."""
+"""What binds, in the user's words: the price of each limit and the least limit that would not bind."""
 
 from dataclasses import dataclass
 

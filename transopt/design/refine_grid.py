@@ -1,4 +1,4 @@
-"""Nodes added to a library's grid until the blend between them is as good as wanted (DESIGN 6, 'Between nodes').
+"""Nodes added to a library's grid until the blend between them is as good as wanted.
 
 A blend of feasible commands is feasible, but it is not the optimum. Its excess at (v, F) is the NRMSE of the bilinear
 blend of the node commands, played through the device of grip F against the reference at v, minus the NRMSE of the

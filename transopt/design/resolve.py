@@ -1,4 +1,4 @@
-"""A library's entries solved again for corrected references, under the limits that they had (DESIGN 4)."""
+"""A library's entries solved again for corrected references, under the limits that they had."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace

@@ -1,4 +1,4 @@
-"""The winding's temperature over one transient, as the optimal-control problem states it (DESIGN 3.3)."""
+"""The winding's temperature over one transient, as the optimal-control problem states it."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache

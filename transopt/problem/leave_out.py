@@ -1,4 +1,4 @@
-"""What a problem does not need: limits that no admissible command can reach (DESIGN 4, leaving out)."""
+"""What a problem does not need: limits that no admissible command can reach."""
 
 from dataclasses import dataclass, replace
 

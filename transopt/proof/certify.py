@@ -1,4 +1,4 @@
-"""Certificate of optimality without a solver (DESIGN 4)."""
+"""Certificate of optimality without a solver."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Independent continuous-time replay of commands (DESIGN 4).
+"""Independent continuous-time replay of commands.
 
 Simulated by `continuous`, which shares nothing but the plant's matrices with the design model; every limit is checked
 at every fine step.

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from transopt.base.console import make_folder
+from transopt.base.terminal import make_folder
 from transopt.design.build import Build
 from transopt.report.publish import LEFTOVERS, files_of, publish
 

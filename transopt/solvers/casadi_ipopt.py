@@ -8,8 +8,8 @@ import numpy as np
 
 from transopt.problem.answer import Solution, Status
 from transopt.problem.problem import TransientProblem
-from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import Shape, program_shape, state_program
 from transopt.solvers.statement import state
 
 LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
@@ -25,9 +25,9 @@ STATUS = {
 
 
 @lru_cache(maxsize=16)
-def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Function:
+def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
     """One solver object for every problem of one shape."""
-    program = transcribe.state_program(shape)
+    program = state_program(shape)
     # What is quadratic is told so, and takes Mehrotra's steps.
     quadratic = {
         "hessian_constant": "yes",
@@ -60,7 +60,7 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     """Solve the program as an NLP, quadratic or not."""
-    shape = transcribe.program_shape(problem)
+    shape = program_shape(problem)
     nlp = solver_object(shape, options)
     start = time.perf_counter()
     statement = state(problem)

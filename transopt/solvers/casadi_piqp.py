@@ -8,8 +8,8 @@ import numpy as np
 
 from transopt.problem.answer import Solution, Status
 from transopt.problem.problem import TransientProblem
-from transopt.solvers import program as transcribe
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import Shape, program_shape, state_program
 from transopt.solvers.statement import state
 
 # Raw strings of the plugin; anything else is a breakdown.
@@ -21,9 +21,9 @@ STATUS = {
 
 
 @lru_cache(maxsize=16)
-def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Function:
+def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
     """One solver object for every problem of one shape."""
-    data = transcribe.state_program(shape).qp_data
+    data = state_program(shape).qp_data
     settings = {
         "eps_abs": options.tolerance,
         "eps_rel": 0.0,
@@ -43,8 +43,8 @@ def solver_object(shape: transcribe.Shape, options: SolverOptions) -> ca.Functio
 
 def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     """Solve the QP; equality rows hold dynamics and hand-over, everything else is a box or a row of a limit."""
-    shape = transcribe.program_shape(problem)
-    qp, program = solver_object(shape, options), transcribe.state_program(shape)
+    shape = program_shape(problem)
+    qp, program = solver_object(shape, options), state_program(shape)
     start = time.perf_counter()
     statement = state(problem)
     data = program.qp_data(p=statement.p)

@@ -13,7 +13,7 @@ import scipy
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import Row
 from transopt.problem.problem import TransientProblem
-from transopt.solvers import program as transcribe
+from transopt.solvers.program import state_program
 from transopt.solvers.sparse_kkt import pattern
 from transopt.solvers.statement import Statement, state, variable
 
@@ -42,7 +42,7 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
                 return None
             least = max(least, over)
     statement = state(problem.without(*problem.nonlinear))
-    shape, program = statement.shape, transcribe.state_program(statement.shape)
+    shape, program = statement.shape, state_program(statement.shape)
     data = program.qp_data(p=statement.p)
     A = scipy.sparse.csc_array((np.asarray(data["A"].nonzeros()), *pattern(shape, "A")), shape=data["A"].shape)
     wide_x, wide_g = _widths(statement, limits)
@@ -117,5 +117,5 @@ def _widths(statement: Statement, limits: Collection[str]) -> tuple[FloatArray, 
             column = variable(shape, row.single)
             wide_x[:, column] = np.where(np.isfinite(upper[:, column]), row.unit / stage.current_A, 0.0)
         else:
-            wide_g[transcribe.state_program(shape).rows[row.name]] = 1.0
+            wide_g[state_program(shape).rows[row.name]] = 1.0
     return np.append(np.zeros(shape.first), wide_x.ravel()), wide_g

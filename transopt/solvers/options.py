@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field
 
 from transopt.base.errors import InputError
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 
 FALLBACK = "casadi-piqp"
 
 
 def default_solver() -> str:
     """The project's own method, or the best of the others where its extension is missing or of another version."""
-    return "riccati" if native.available else FALLBACK
+    return "riccati" if extension.available else FALLBACK
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class SolverOptions:
     """Attributes
     ----------
     solver : name, the same in files, on the command line and in reports.
-    tolerance : absolute tolerance on residuals and gap, in units of DESIGN 4's objective scale of 1e-3 and of
+    tolerance : absolute tolerance on residuals and gap, in units's objective scale of 1e-3 and of
         the limit current. The default leaves three digits to the certificate's tolerance.
     max_iterations : at least 1.
     """

@@ -1,4 +1,4 @@
-"""The optimal-control problem, stated once, in CasADi (DESIGN 4).
+"""The optimal-control problem, stated once, in CasADi.
 
 Every solver reads its data from this statement. Variables are stage-wise [dc_k, e_k, x_(k+1), th_(k+1)], k = 0..N-1:
 the command's movement, the linear states of `linear` in physical scale, and where the temperature is in the problem

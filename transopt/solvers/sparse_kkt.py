@@ -10,16 +10,16 @@ from transopt.base.signals import FloatArray
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.problem.stage_data import stated_rows
-from transopt.solvers import program as transcribe
+from transopt.solvers.program import Shape, state_program
 from transopt.solvers.statement import state
 
 REFINEMENTS = 2
 
 
 @lru_cache(maxsize=16)
-def pattern(shape: transcribe.Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def pattern(shape: Shape, name: str) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Row indices and column starts of a matrix of the program; reading them off takes longer than the solve."""
-    sparsity = transcribe.state_program(shape).qp_data.sparsity_out(name)
+    sparsity = state_program(shape).qp_data.sparsity_out(name)
     return np.asarray(sparsity.row(), dtype=np.int32), np.asarray(sparsity.colind(), dtype=np.int32)
 
 
@@ -30,7 +30,7 @@ def movement(problem: TransientProblem) -> FloatArray:
     no_boxes = [limit.name for limit in problem.limits if sums & set(limit.row_names)]
     statement = state(problem.without(*problem.nonlinear, *no_boxes))
     shape = statement.shape
-    data = transcribe.state_program(shape).qp_data(p=statement.p)
+    data = state_program(shape).qp_data(p=statement.p)
     H, A = (
         scipy.sparse.csc_array((np.asarray(data[name].nonzeros()), *pattern(shape, name)), shape=data[name].shape)
         for name in ("H", "A")

@@ -66,7 +66,7 @@ class Statement:
         return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.current_A)
 
     def held(self, command_A: FloatArray) -> FloatArray:
-        """`stagewise.held`."""
+        """`stage_data.held`."""
         return held(self.problem, command_A)
 
     def multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:

@@ -1,4 +1,4 @@
-"""The problem without its limits: one Riccati pass (DESIGN 2, the floor; DESIGN 4, leaving out).
+"""The problem without its limits: one Riccati pass.
 
 The hand-over stays, because a waveform that does not end is no transient. Where the answer lies inside all
 limits it is the answer to the limited problem too, with every multiplier zero.
@@ -16,7 +16,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import hand_over_rows, layout, linear_stage
 from transopt.solvers import sparse_kkt
 from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 
 GAP = 1e-8  # of max(J, 1e-3): a hundredth of what a certificate may have, a hundred times what rounding leaves
 REFINEMENTS = 4
@@ -129,11 +129,11 @@ def _solution(problem: TransientProblem, run: Pass, found: _Candidate, start_s: 
 
 def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | None:
     """The pass of the extension, if it is there and its gap small enough."""
-    if not native.available or layout(problem).states > native.MOST_STATES:
+    if not extension.available or layout(problem).states > extension.MOST_STATES:
         return None
-    run = native.LinearPass(stage_data.without_limits(problem))
+    run = extension.LinearPass(stage_data.without_limits(problem))
     answer = run.solve(GAP)
-    if answer.code not in (native.SOLVED, native.ACCURACY) or not answer.relative_gap <= GAP:
+    if answer.code not in (extension.SOLVED, extension.ACCURACY) or not answer.relative_gap <= GAP:
         return None
     return Solution(
         status=Status.OPTIMAL,

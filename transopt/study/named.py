@@ -9,9 +9,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from transopt.base.console import make_folder
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
+from transopt.base.terminal import make_folder
 from transopt.base.writing import table, write_csv, write_text
 from transopt.scene.scene import Scene
 from transopt.study.executors import Pool

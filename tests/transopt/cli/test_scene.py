@@ -47,7 +47,7 @@ class TestScene:
     def test_keys_with_unit_default_value_and_bounds(self, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         from rich.console import Console
 
-        monkeypatch.setattr("transopt.base.console.console", lambda: Console(width=200))
+        monkeypatch.setattr("transopt.base.terminal.console", lambda: Console(width=200))
         outcome = run("scene", "keys")
         assert outcome.code == 0
         rows = rows_of(outcome.out)

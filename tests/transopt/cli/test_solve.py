@@ -99,7 +99,7 @@ class TestSolve:
     ) -> None:
         from rich.console import Console
 
-        monkeypatch.setattr("transopt.base.console.console", lambda: Console(width=columns))
+        monkeypatch.setattr("transopt.base.terminal.console", lambda: Console(width=columns))
         outcome = run("solve", quick_scene)
         header = next(line for line in outcome.out.splitlines() if "NRMSE" in line)
         assert "what binds" in header

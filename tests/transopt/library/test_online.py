@@ -25,10 +25,10 @@ from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
 
-pytestmark = pytest.mark.skipif(not native.available, reason="the extension is not built")
+pytestmark = pytest.mark.skipif(not extension.available, reason="the extension is not built")
 
 
 @pytest.fixture(scope="module")

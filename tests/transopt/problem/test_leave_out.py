@@ -20,9 +20,9 @@ from transopt.proof.certify import certify, inside
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
-from transopt.solvers import program as transcribe
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import size
 from transopt.solvers.statement import state
 
 DT_S = 1e-4
@@ -66,7 +66,7 @@ class TestForcedIn:
         assert "slew" not in reduced.problem.limits
         assert "no command inside +-6 A moves by more than 12 A per tick, limit 12 A" in reduced.left_out["slew"]
         check_same(whole, reduced.problem)
-        assert transcribe.size(whole) == transcribe.size(reduced.problem)
+        assert size(whole) == size(reduced.problem)
         assert bounds_stated(whole) == bounds_stated(reduced.problem) + 2 * whole.grid.stages
 
     def test_slew_is_kept_where_it_can_matter(self, make_problem: ProblemMaker) -> None:
@@ -80,7 +80,7 @@ class TestForcedIn:
         assert "supply" not in reduced.problem.limits
         assert "takes more than 12.9 V, limit 13 V" in reduced.left_out["supply"]
         check_same(whole, reduced.problem)
-        larger, smaller = transcribe.size(whole), transcribe.size(reduced.problem)
+        larger, smaller = size(whole), size(reduced.problem)
         assert larger.rows == smaller.rows + 2 * whole.grid.stages - 1
         assert larger.nonzeros > smaller.nonzeros
         kept = leave_out(entry(scene, references[-1], 5.0, limits={"supply_V": 12.5}).without("temperature"))
@@ -92,7 +92,7 @@ class TestForcedIn:
         assert reduced.problem.thermal is None
         assert "limit 100 C" in reduced.left_out["temperature"]
         check_same(whole, reduced.problem, "casadi-ipopt")
-        larger, smaller = transcribe.size(whole), transcribe.size(reduced.problem)
+        larger, smaller = size(whole), size(reduced.problem)
         assert larger.states >= smaller.states + 2
         assert larger.rows > smaller.rows
         assert larger.nonzeros > smaller.nonzeros
@@ -123,7 +123,7 @@ class TestForcedIn:
         assert reduced.problem.stage.Cp is None
         assert "above the surface over the hand-over" in reduced.left_out["feedback"]
         check_same(whole, reduced.problem)
-        larger, smaller = transcribe.size(whole), transcribe.size(reduced.problem)
+        larger, smaller = size(whole), size(reduced.problem)
         assert larger.states == smaller.states + 4  # position, velocity, a demand and its predecessor
         assert larger.variables > smaller.variables
         assert larger.nonzeros > smaller.nonzeros
@@ -140,7 +140,7 @@ class TestForcedIn:
         small = replace(whole, stage=without_position(stage))
         assert small.stage.A.shape[0] == stage.A.shape[0] - 1
         check_same(whole, small)
-        larger, smaller = transcribe.size(whole), transcribe.size(small)
+        larger, smaller = size(whole), size(small)
         assert larger.states == smaller.states + 1
         assert larger.nonzeros > smaller.nonzeros
         arm = discretise(held.stage.plant, held.stage.amplifier, DT_S, position=True)

@@ -15,10 +15,10 @@ from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, reduced_gradient
-from transopt.solvers import program as transcribe
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
+from transopt.solvers.program import state_program
 from transopt.solvers.statement import state
 
 VARIANTS = [
@@ -103,7 +103,7 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
     solution = solve(problem)
     statement = state(problem)
     shape, stage, p = statement.shape, statement.stage, statement.p
-    program = transcribe.state_program(shape)
+    program = state_program(shape)
     nz = shape.variables - 1
     z = np.zeros((shape.stages + 1, nz))
     movement = np.diff(solution.command_A, prepend=0.0) / stage.current_A

@@ -33,7 +33,7 @@ from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers import choose, riccati
 from transopt.solvers.choose import solve
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Shape, state_program
 from transopt.solvers.statement import state
@@ -278,15 +278,15 @@ class TestAbsence:
     def test_the_default_and_the_report_say_so(self, build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
         assert SolverOptions().solver == "riccati"
         assert "not built" not in build_markdown(build)
-        monkeypatch.setattr(native, "available", False)
+        monkeypatch.setattr(extension, "available", False)
         assert SolverOptions().solver == "casadi-piqp"
         assert "own solver is not built" in build_markdown(build)
 
     def test_one_of_another_version_is_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Its arrays may mean something else; before there was a number to ask for, none had one."""
         monkeypatch.setattr(
-            native.ct, "CDLL", lambda path: SimpleNamespace(tr_interface=lambda: native.INTERFACE - 1)
+            extension.ct, "CDLL", lambda path: SimpleNamespace(tr_interface=lambda: extension.INTERFACE - 1)
         )
-        assert native._library() is None
-        monkeypatch.setattr(native.ct, "CDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
-        assert native._library() is None
+        assert extension._library() is None
+        monkeypatch.setattr(extension.ct, "CDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
+        assert extension._library() is None

@@ -18,11 +18,10 @@ from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify, gradient_rounding
-from transopt.solvers import lq_pass as riccati_lq
-from transopt.solvers import sparse_kkt, unlimited
+from transopt.solvers import lq_pass, sparse_kkt, unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.lq_pass import BLOCK, Gains, Pass, Tracking
-from transopt.solvers.native import extension as native
+from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
 
 
@@ -234,14 +233,14 @@ class TestWhenThePassFallsShort:
 
     @staticmethod
     def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
-        exact = riccati_lq.Pass.factored
-        monkeypatch.setattr(native, "available", False)
+        exact = lq_pass.Pass.factored
+        monkeypatch.setattr(extension, "available", False)
 
         def spoilt(run: Pass) -> Gains:
             gains = exact(run)
             return Gains(gains.feedback, factor * gains.inverse_factor)
 
-        monkeypatch.setattr(riccati_lq.Pass, "factored", spoilt)
+        monkeypatch.setattr(lq_pass.Pass, "factored", spoilt)
 
     def test_a_small_error_is_refined_away(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
         problem = make_problem(0.2, 3.0)
@@ -289,7 +288,7 @@ def test_blocks_are_filled_up(make_problem: ProblemMaker) -> None:
         np.testing.assert_allclose(answer.multipliers.hand_over, other.multipliers.hand_over, atol=1e-12)
 
 
-@pytest.mark.skipif(not native.available, reason="the extension is not built")
+@pytest.mark.skipif(not extension.available, reason="the extension is not built")
 class TestCompiledPass:
     """The pass of the extension against the one in CasADi's virtual machine, and its cached gains."""
 
@@ -329,11 +328,11 @@ class TestCompiledPass:
         problem = make_problem(0.2, 3.0)
         r = problem.reference_m_s2
         other = replace(problem, reference_m_s2=np.roll(r, 7))
-        run = native.LinearPass(without_limits(problem))
-        assert run.solve(unlimited.GAP).code == native.SOLVED
+        run = extension.LinearPass(without_limits(problem))
+        assert run.solve(unlimited.GAP).code == extension.SOLVED
         run.reference[:] = np.roll(run.reference, 7)
-        assert run.solve(unlimited.GAP).code == native.SOLVED
-        afresh = native.LinearPass(without_limits(problem))
+        assert run.solve(unlimited.GAP).code == extension.SOLVED
+        afresh = extension.LinearPass(without_limits(problem))
         afresh.reference[:] = run.reference
         afresh.solve(unlimited.GAP)
         np.testing.assert_array_equal(run.command_A(), afresh.command_A())
@@ -343,20 +342,20 @@ class TestCompiledPass:
     def test_in_shared_memory_no_pass_takes_anothers_gains(self, make_problem: ProblemMaker) -> None:
         """Nor what an interior point leaves there."""
         light, firm = (without_limits(make_problem(0.2, grip)) for grip in (1.0, 5.0))
-        alone = native.LinearPass(light)
-        assert alone.solve(unlimited.GAP).code == native.SOLVED
-        shared = native.Buffers(light.sizes)
-        first, second = (native.LinearPass(stages, shared) for stages in (light, firm))
+        alone = extension.LinearPass(light)
+        assert alone.solve(unlimited.GAP).code == extension.SOLVED
+        shared = extension.Buffers(light.sizes)
+        first, second = (extension.LinearPass(stages, shared) for stages in (light, firm))
         for other in (second, None, second):
-            assert first.solve(unlimited.GAP).code == native.SOLVED
+            assert first.solve(unlimited.GAP).code == extension.SOLVED
             np.testing.assert_array_equal(first.command_A(), alone.command_A())
             if other is None:
-                native.interior_point(firm, shared, tolerance=1e-9, max_iterations=5)
+                extension.interior_point(firm, shared, tolerance=1e-9, max_iterations=5)
             else:
-                assert other.solve(unlimited.GAP).code == native.SOLVED
+                assert other.solve(unlimited.GAP).code == extension.SOLVED
                 assert np.abs(other.command_A() - alone.command_A()).max() > 0.1
 
     def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.2, 3.0, stages=30)
-        run = native.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))
-        assert all(run.solve(unlimited.GAP).code not in (native.SOLVED, native.ACCURACY) for _ in range(2))
+        run = extension.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))
+        assert all(run.solve(unlimited.GAP).code not in (extension.SOLVED, extension.ACCURACY) for _ in range(2))

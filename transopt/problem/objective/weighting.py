@@ -1,4 +1,4 @@
-"""Weighting of the tracking error by what the hand feels (DESIGN 4)."""
+"""Weighting of the tracking error by what the hand feels."""
 
 from dataclasses import dataclass
 

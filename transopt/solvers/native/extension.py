@@ -142,7 +142,7 @@ class LinearPass:
 
     Parameters
     ----------
-    stages : `stagewise.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
+    stages : `stage_data.without_limits`. The reference stands in units of its norm, so |r| is part of the weight: two
         references share gains only if they share rho |r|^2, as those of one (grip, speed) do.
     buffers : of the same sizes, where there are any. Who else solves in them costs this pass its gains.
 

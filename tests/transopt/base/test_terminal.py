@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tests.benches.commands import MAINS, Terminal, assert_refused
-from transopt.base.console import run
+from transopt.base.terminal import run
 
 
 @pytest.mark.parametrize(
