@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from controller.cli.options import within
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:

@@ -27,6 +27,7 @@ from problems.stress.cases import StressCase
 from problems.stress.draw import drawn
 from problems.stress.families import directed, long_cases
 from problems.stress.judge import CERTIFIED, Outcome, judge
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it

@@ -16,6 +16,7 @@ from problems.stress.draw import drawn
 from problems.stress.families import SMALL_A, directed, rescaled
 from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
 from problems.stress.oracle import Verdict, admits_a_command
+from transopt.base import terminal
 from transopt.design.optimum import Designed, optimum
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.limits.command import CommandLimit

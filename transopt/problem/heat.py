@@ -214,7 +214,7 @@ class Budget:
     headroom_K : rise above the start temperature allowed to one tap; None for no such budget.
     tap_rate_Hz : taps per second for ever, each the same; None for a single tap.
     idle_A : current in the pause between taps, without ripple; None: none, or with a wall what its feedback asks for
-        at the end of the window (`parts.thermal_of`).
+        at the end of the window (`limits.temperature.leaning`).
     """
 
     headroom_K: float | None = None

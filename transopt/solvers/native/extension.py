@@ -1,4 +1,4 @@
-"""The compiled interior point (`solvers/riccati.c`) through ctypes, which releases the GIL; no CasADi.
+"""The compiled interior point (`riccati.c`) through ctypes, which releases the GIL; no CasADi.
 
 The extension is optional. Where it could not be built, `available` is False.
 """
