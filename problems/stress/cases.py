@@ -5,7 +5,7 @@ is refused here as it is for a user. Directed families are in `problems.stress.f
 `problems.stress.draw`.
 """
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -323,17 +323,19 @@ class StressCase:
             "slew_A_per_s": None if current.slew is None else current.slew * current.limit_A / grid.dt_s,
             "supply_V": None if current.supply is None else current.supply * circuit.R_ohm * current.limit_A,
         }
-        return TransientProblem(
+        plain = TransientProblem(
             stage=stage,
             grid=grid,
             reference_m_s2=reference,
             tracking_weights=self.demand.tracking(N),
             rho=self.demand.rho,
-            limits=posed(asked, setting),
+            limits=posed({"current_A": current.limit_A}, replace(setting, coil=None)),
             hand_over_samples=self.horizon.hand_over,
             wall=wall,
             error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,
         )
+        # A reference that is refused is named before the limits that it cannot be held to.
+        return replace(plain, limits=posed(asked, setting))
 
 
 def _short(value: object) -> str:

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from problems.stress import START_S, main, run_cases, summary
 from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
 from problems.stress.families import SMALL_A, directed, rescaled
 from problems.stress.judge import CERTIFIED, Outcome, judge, judge_design, played
 from problems.stress.oracle import Verdict, admits_a_command
+from problems.stress.run import START_S, main, run_cases, summary
 from transopt.base import terminal
 from transopt.design.optimum import Designed, optimum
 from transopt.problem.answer import Certificate, Status
@@ -258,7 +258,7 @@ def test_the_runner_goes_on_after_a_worker_that_dies_while_it_starts(tmp_path: P
 def test_the_runner_goes_on_after_a_worker_that_starts_too_late(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock leaps past the deadline of the first worker, then stands still."""
     readings = chain([0.0], repeat(2 * START_S))
-    monkeypatch.setattr("problems.stress.monotonic", lambda: next(readings))
+    monkeypatch.setattr("problems.stress.run.monotonic", lambda: next(readings))
     cases = [StressCase(name) for name in ("one", "two", "three")]
     outcomes = dict(run_cases(cases, 1, 100.0, fine))
     assert [outcomes[index].kind for index in range(3)] == ["bad: worker did not start", CERTIFIED, CERTIFIED]

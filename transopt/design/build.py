@@ -103,8 +103,8 @@ def build_library(
     ----------
     recordings : of the scene (`reference.read_recordings`, or `transopt.scene.strikes.recordings`).
     progress : called with the number of entries that have just been finished.
-    refinement : of this scene (`refine_grid.refine_grid`); its grid is solved in place of the scene's own, with references
-        at added speeds derived from the recorded ones (`reference.between`).
+    refinement : of this scene (`refine_grid.refine_grid`); its grid is solved in place of the scene's own, with
+        references at added speeds derived from the recorded ones (`reference.between`).
 
     Raises
     ------

@@ -48,12 +48,16 @@ class Price:
     def sentence(self) -> str:
         enough = "binds however wide it is"
         if np.isfinite(self.enough):
-            enough = f"would not bind from {rounded_up(self.enough):.8g} {self.unit} on"
+            enough = f"would not bind from {_stated(f'{rounded_up(self.enough):.8g}', self.unit)} on"
+        bound, step = _stated(f"{self.bound:g}", self.unit), _stated(f"{self.step:g}", self.step_unit)
         return (
-            f"{self.limit} {self.bound:g} {self.unit}: {self.step:g} {self.step_unit} more: "
-            f"NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; "
-            f"{enough}"
+            f"{self.limit} {bound}: {step} more: NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; {enough}"
         )
+
+
+def _stated(number: str, unit: str) -> str:
+    """A number with its unit; a limit of a user's own may have none."""
+    return f"{number} {unit}".rstrip()
 
 
 def _round_step(size: float) -> float:

@@ -12,6 +12,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
+from transopt.problem.answer import Certificate
 from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import LEGEND, aftermath, columns_of, entry_cells, percent, refinement_summary, summary
@@ -229,6 +230,14 @@ def _raw_over_motor(reference: Reference) -> float:
     return float(np.linalg.norm(reference.raw_m_s2)) / motor if motor > 0 else float("inf")
 
 
+def _certificate_row(certificate: Certificate) -> dict[str, Any]:
+    """A certificate's numbers, one violation for each unit that a limit is stated in."""
+    row = asdict(certificate)
+    del row["violations"]
+    row |= {f"primal_violation_{unit}": by for unit, by in certificate.stated_violations.items()}
+    return row | {"relative_gap": certificate.relative_gap, "relative_bound": certificate.relative_bound}
+
+
 def build_json(build: Build) -> str:
     """The text of report.json: the report's numbers, with units in their names; NaN becomes null."""
     shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
@@ -255,11 +264,7 @@ def build_json(build: Build) -> str:
             "size": None if e.size is None else asdict(e.size),
             "weighted_nrmse": e.weighted_nrmse,
             "spread": None if e.spread is None else asdict(e.spread),
-            "certificate": {
-                **asdict(e.certificate),
-                "relative_gap": e.certificate.relative_gap,
-                "relative_bound": e.certificate.relative_bound,
-            },
+            "certificate": _certificate_row(e.certificate),
             "replay_step_error": e.played.step_error,
             "solver": e.solution.solver,
             "solver_message": e.solution.message,
