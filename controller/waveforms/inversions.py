@@ -27,7 +27,7 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
     r = problem.reference_m_s2
     wanted = (r if problem.error_filter is None else problem.error_filter.apply(r)) / np.linalg.norm(r)
     weights = problem.tracking_weights / len(problem.devices)
-    movement = problem.movement_weight * stage.current_A**2
+    movement = problem.movement.weight * stage.current_A**2
     rows, constants = hand_over_rows(problem, stage)
     rows[:, -1] -= 1.0
     P, p = np.zeros_like(A), np.zeros(b.size)

@@ -29,7 +29,7 @@ def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
         opti.subject_to(z[:, k + 1] == advance(z[:, k], dc[k]))
         opti.subject_to(opti.bounded(-limits.current_A, z[n - 1, k], limits.current_A))
         opti.subject_to(opti.bounded(-range_A, z[n, k + 1], range_A))
-        cost += (stage.C @ z[:n, k] - wanted[k]) ** 2 / float(r @ r) + problem.movement_weight * dc[k] ** 2
+        cost += (stage.C @ z[:n, k] - wanted[k]) ** 2 / float(r @ r) + problem.movement.weight * dc[k] ** 2
         if k >= problem.free_stages:
             opti.subject_to(z[n, k + 1] == 0)
     if problem.thermal is not None:

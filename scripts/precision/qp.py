@@ -159,7 +159,7 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         hand_over_samples=problem.hand_over_samples,
         reference_m_s2=r,
         tracking_weights=problem.tracking_weights,
-        movement_weight=problem.movement_weight,
+        movement_weight=problem.movement.weight,
         dt_s=problem.grid.dt_s,
         objective_scale=OBJECTIVE_SCALE,
         # What remains of the tracking error where nothing moves.

@@ -133,7 +133,7 @@ class Entry:
     @property
     def weighted_nrmse(self) -> float:
         """NRMSE as the scene's error filter hears it; the plain one without a filter."""
-        return self.nrmse if self.problem.reference_is_zero else self.problem.weighted_nrmse(self.predicted_m_s2)
+        return self.nrmse if self.problem.reference_is_zero else self.problem.tracking.nrmse(self.predicted_m_s2)
 
     @property
     def verdict(self) -> str:

@@ -123,7 +123,6 @@ def prices(
     stage, r = problem.stage, problem.reference_m_s2
     motion, free = stage.motion(command_A), stage.motion(unlimited_A)
     error, floor = nrmse(motion.acceleration_m_s2, r), nrmse(free.acceleration_m_s2, r)
-    movement = np.diff(command_A, prepend=0.0)
     gains: dict[str, float] = {}
     for box in boxes(problem, command_A, motion, multipliers):
         gain = float(box.by_upper.sum()) + float(box.by_lower.sum())
@@ -134,7 +133,7 @@ def prices(
         if gain <= WORTH_SAYING:
             continue
         # The current limit also stands in the movement term, as its unit.
-        gain += 2 * problem.movement_weight * float(movement @ movement) / limit.stated * limit.scales_movement
+        gain += problem.movement.relief(command_A) * limit.scales_movement
         without = _without(problem, limit, unlimited_A, options)
         # No step beyond what is enough: from there on nothing is bought.
         lacking = max(without.enough - limit.stated, LEAST_STEP * limit.stated)

@@ -223,7 +223,7 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         status=status.name,
         nrmse=played.nrmse,
         floor=designed.floor,
-        weighted_nrmse=played.nrmse if problem.reference_is_zero else problem.weighted_nrmse(predicted),
+        weighted_nrmse=played.nrmse if problem.reference_is_zero else problem.tracking.nrmse(predicted),
         free_peak_A=designed.free_peak_A,
         peak_current_A=played.peak_current_A,
         peak_command_A=played.peak_command_A,

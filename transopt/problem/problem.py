@@ -11,11 +11,12 @@ from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver, feedback_command
 from transopt.problem.limits.limit import Limit, Limits, Row
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.movement import Movement
+from transopt.problem.objective.tracking import Tracking
 from transopt.problem.objective.weighting import ErrorFilter
 
 ZERO_REFERENCE_M_S2 = 1e-3  # a reference with a smaller rms is zero
 LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
-SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class TransientProblem:
     minimise  sum_k w_k (F e)_k^2 / sum_k r_k^2 + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2,  e_k = y''_k - r_k,
     over the commands c_0..c_(N-1), dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A`,
     subject to the stage model, the limits, and the hand-over: over the last `hand_over_samples` the command is
-    what the wall's feedback asks for, zero without a wall.
+    what the wall's feedback asks for, zero without a wall. Each term is a room: `objective.tracking`,
+    `objective.movement`; so is each limit, in `limits`.
 
     Attributes
     ----------
@@ -124,10 +126,14 @@ class TransientProblem:
         return min(self.command_bound_A, *(limit.reach_A(self.grid) for limit in self.limits))
 
     @property
-    def movement_weight(self) -> float:
-        """rho (1e-4 s / dt)^2 / (N I^2): the weight of dc_k^2 [1/A^2]."""
-        step = SMOOTHNESS_STEP_S / self.grid.dt_s
-        return self.rho * step**2 / (self.grid.stages * self.limits.current_A**2)
+    def tracking(self) -> Tracking:
+        """The first term."""
+        return Tracking(self.reference_m_s2, self.tracking_weights, self.error_filter)
+
+    @property
+    def movement(self) -> Movement:
+        """The second term."""
+        return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.current_A)
 
     @property
     def devices(self) -> tuple[StageModel, ...]:
@@ -138,24 +144,9 @@ class TransientProblem:
         """(S, N) y'' of every device, the entry's own first."""
         return np.stack([device.rollout(command_A)[0] for device in self.devices])
 
-    def weighted_error(self, accelerations_m_s2: FloatArray) -> FloatArray:
-        """(..., N) F e."""
-        error = accelerations_m_s2 - self.reference_m_s2
-        return error if self.error_filter is None else self.error_filter.apply(error)
-
     def objective(self, command_A: FloatArray, accelerations_m_s2: FloatArray) -> float:
         """J of a command (N,) and the accelerations (S, N) it was rolled out to; dimensionless."""
-        r = self.reference_m_s2
-        error = np.atleast_2d(self.weighted_error(accelerations_m_s2))
-        movement = np.diff(command_A, prepend=0.0)
-        tracking = float(np.mean(error**2 @ self.tracking_weights)) / float(r @ r)
-        return tracking + self.movement_weight * float(movement @ movement)
-
-    def weighted_nrmse(self, acceleration_m_s2: FloatArray) -> float:
-        """|F e| / |F r|: the NRMSE as the filter hears it."""
-        r = self.reference_m_s2
-        filtered = r if self.error_filter is None else self.error_filter.apply(r)
-        return float(np.linalg.norm(self.weighted_error(acceleration_m_s2)) / np.linalg.norm(filtered))
+        return self.tracking.value(accelerations_m_s2) + self.movement.value(command_A)
 
     def encoder_at_ticks(self, motion: Motion) -> FloatArray:
         """(N,) y of the motor mass at the ticks t_k."""

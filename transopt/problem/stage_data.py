@@ -31,12 +31,10 @@ def kelvin(problem: TransientProblem) -> float:
 
 def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, FloatArray]:
     """Reference (N,) in units of |r|, weights (N,) and the movement's weight (1,) of the statement."""
-    r = problem.reference_m_s2
-    filtered = r if problem.error_filter is None else problem.error_filter.apply(r)
     return {
-        "r": filtered / (np.linalg.norm(r) or 1.0),
-        "w": problem.tracking_weights,
-        "rho": np.array([problem.movement_weight * stage.current_A**2]),
+        "r": problem.tracking.unit_reference,
+        "w": problem.tracking.weights,
+        "rho": np.array([problem.movement.weight * stage.current_A**2]),
     }
 
 

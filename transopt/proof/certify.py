@@ -24,11 +24,6 @@ SILENT = 1e-12  # of the limit: what rounding leaves of no transient at all over
 DRAWS = 4  # of last bits, of which none may speak for rounding alone
 
 
-def _moved(by_movement: FloatArray) -> FloatArray:
-    """Transpose of dc_k = c_k - c_(k-1)."""
-    return np.asarray(by_movement - np.append(by_movement[1:], 0.0))
-
-
 @dataclass(frozen=True)
 class Box:
     """One limit's row along the horizon, lower <= value <= upper, with its multipliers.
@@ -162,13 +157,7 @@ def reduced_gradient(
 
 def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> FloatArray:
     problem, command_A, motion = effect.problem, effect.command_A, effect.motion
-    m, r = multipliers, problem.reference_m_s2
-    scale = 2 / (float(r @ r) * len(problem.devices))
-
-    def by_acceleration(acceleration_m_s2: FloatArray) -> FloatArray:
-        weighted = scale * problem.tracking_weights * problem.weighted_error(acceleration_m_s2)
-        return weighted if problem.error_filter is None else problem.error_filter.transpose(weighted)
-
+    m, tracking, devices = multipliers, problem.tracking, len(problem.devices)
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
     through, by_command = transposed(by_row, motion, command_A)
     by_current, by_encoder = through.current_A, through.encoder_m
@@ -182,14 +171,12 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
         dt, late = problem.grid.dt_s, problem.stage.whole_delay + 1
         by_feedback = feedback_command_transpose(-tail, problem.stage.amplifier, dt)
         by_encoder = earlier_by(late, problem.wall.feedback_transpose(by_feedback, dt))
-    movement = np.diff(command_A, prepend=0.0)
-    by_movement = 2 * problem.movement_weight * movement
-    by_error = by_acceleration(motion.acceleration_m_s2)
+    by_error = tracking.gradient(motion.acceleration_m_s2, devices)
     own = Motion(by_error, by_current, through.velocity_m_s, by_encoder, through.outputs)
-    gradient = problem.stage.adjoint(own) + _moved(by_movement) + by_command
+    gradient = problem.stage.adjoint(own) + problem.movement.gradient(command_A) + by_command
     for device, acceleration in zip(problem.spread, effect.accelerations_m_s2[1:], strict=True):
-        tracking = replace(Motion.zero(acceleration.size), acceleration_m_s2=by_acceleration(acceleration))
-        gradient = gradient + device.adjoint(tracking)
+        by_error = tracking.gradient(acceleration, devices)
+        gradient = gradient + device.adjoint(replace(Motion.zero(acceleration.size), acceleration_m_s2=by_error))
     return np.asarray(gradient)
 
 

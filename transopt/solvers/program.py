@@ -284,9 +284,9 @@ def state_program(shape: Shape) -> Program:
     for row in shape.rows:
         rows[row.name] = ca.vec(stage.value(row.name, before[:, row.first :], movement[:, row.first :]))
     for law in shape.laws:
-        m = law.outputs
-        G, d = ca.MX.sym(f"G_{law.name}", m, n), ca.MX.sym(f"d_{law.name}", m)
-        nominal, unit = ca.MX.sym(f"nominal_{law.name}", m, N), ca.MX.sym(f"unit_{law.name}")
+        outputs = law.outputs
+        G, d = ca.MX.sym(f"G_{law.name}", outputs, n), ca.MX.sym(f"d_{law.name}", outputs)
+        nominal, unit = ca.MX.sym(f"nominal_{law.name}", outputs, N), ca.MX.sym(f"unit_{law.name}")
         symbols |= {f"G_{law.name}": G, f"d_{law.name}": d, f"nominal_{law.name}": nominal, f"unit_{law.name}": unit}
         function = ca.Function.deserialize(law.text).map(N)
         value = function(G @ before + d @ movement + nominal, ca.DM(np.arange(N)[None]))

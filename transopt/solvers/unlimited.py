@@ -32,16 +32,15 @@ def tracking(problem: TransientProblem) -> Tracking:
     stage = linear_stage(problem, physical_scale=False)
     rows, constants = hand_over_rows(problem, stage)
     rows[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-    r, devices = problem.reference_m_s2, len(problem.devices)
-    wanted = r if problem.error_filter is None else problem.error_filter.apply(r)
+    term, devices = problem.tracking, len(problem.devices)
     return Tracking(
         A=stage.A,
         B=stage.A[:, -1].copy(),
         C=stage.C,
         D=stage.E,
-        reference=np.tile((wanted / np.linalg.norm(r))[:, None], devices),
-        weights=np.tile(problem.tracking_weights[:, None] / devices, devices),
-        movement_weights=np.full(r.size, problem.movement_weight * stage.current_A**2),
+        reference=np.tile(term.unit_reference[:, None], devices),
+        weights=np.tile(term.weights[:, None] / devices, devices),
+        movement_weights=np.full(term.weights.size, problem.movement.weight * stage.current_A**2),
         rule_gains=rows,
         rule_offsets=constants,
     )

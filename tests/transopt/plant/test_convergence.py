@@ -156,7 +156,7 @@ def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipli
         current.append(Ci @ x + Di * c[k])
         x = A @ x + B * c[k]
     norm, movement = sum(r * r), np.diff(c, prepend=mpmath.mpf(0))
-    weight = mpmath.mpf(problem.movement_weight)
+    weight = mpmath.mpf(problem.movement.weight)
     J = sum(w * np.array(error) ** 2) / norm + weight * sum(movement**2)
     by_movement = 2 * weight * movement
     limit, bound = mpmath.mpf(problem.limits.current_A), mpmath.mpf(problem.command_bound_A)

@@ -91,7 +91,7 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
     filtering = np.array([[response[i - j] if i >= j else 0.0 for j in range(N)] for i in range(N)])
     r = problem.reference_m_s2
     weights = np.sqrt(problem.tracking_weights) / np.linalg.norm(r)
-    moves = np.sqrt(problem.movement_weight) * (np.eye(N) - np.eye(N, k=-1))
+    moves = np.sqrt(problem.movement.weight) * (np.eye(N) - np.eye(N, k=-1))
     free = problem.free_stages
     matrix = np.vstack([weights[:, None] * (filtering @ plant), moves])[:, :free]
     right = np.concatenate([weights * (filtering @ r), np.zeros(N)])
@@ -135,7 +135,7 @@ def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: Prob
     answers = [optimum(problem, SolverOptions()) for problem in (plain, weighted)]
     assert all(designed.certificate.accepted for designed in answers)
     motions = [plain.stage.rollout(designed.solution.command_A)[0] for designed in answers]
-    heard = [weighted.weighted_nrmse(motion) for motion in motions]
+    heard = [weighted.tracking.nrmse(motion) for motion in motions]
     raw = [nrmse(motion, plain.reference_m_s2) for motion in motions]
     assert heard[1] < heard[0] * (1 - 1e-3)
     assert raw[0] < raw[1] * (1 - 1e-3)

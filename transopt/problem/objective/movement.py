@@ -1,0 +1,47 @@
+"""The second term of the objective: how much the command moves, which keeps the problem strictly convex."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+
+SMOOTHNESS_STEP_S = 1e-4  # the servo period at which rho is stated
+
+
+@dataclass(frozen=True)
+class Movement:
+    """rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2 with dc_k = c_k - c_(k-1) and c_(-1) = 0.
+
+    Attributes
+    ----------
+    rho : >= 0.
+    stages : N.
+    dt_s : servo period.
+    current_A : I, the limit on the current, as the unit of the command.
+    """
+
+    rho: float
+    stages: int
+    dt_s: float
+    current_A: float
+
+    @property
+    def weight(self) -> float:
+        """rho (1e-4 s / dt)^2 / (N I^2), of dc_k^2 [1/A^2]."""
+        step = SMOOTHNESS_STEP_S / self.dt_s
+        return self.rho * step**2 / (self.stages * self.current_A**2)
+
+    def value(self, command_A: FloatArray) -> float:
+        """The term at a command (N,)."""
+        movement = np.diff(command_A, prepend=0.0)
+        return self.weight * float(movement @ movement)
+
+    def gradient(self, command_A: FloatArray) -> FloatArray:
+        """(N,) of the term by the commands [1/A]."""
+        by_movement = 2 * self.weight * np.diff(command_A, prepend=0.0)
+        return np.asarray(by_movement - np.append(by_movement[1:], 0.0))
+
+    def relief(self, command_A: FloatArray) -> float:
+        """By how much the term falls for each ampere that I is raised, the command as it is [1/A]."""
+        return 2 * self.value(command_A) / self.current_A
