@@ -171,9 +171,9 @@ class Online:
         ----------
         winding_C, housing_C : temperatures at the start; the library's own without them. Without a housing's the
             library's is taken, but none that is hotter than the winding.
-        limits : values in place of the library's own: `current_A`, `command_A`, `slew_A_per_s`, `supply_V` and
-            `temperature_C` of the winding. Without a certified optimum the blend is then played only if it keeps
-            them, and nothing otherwise.
+        limits : values in place of the library's own, by the keys that a scene's `limits` has, `command_A` of the
+            amplifier and `temperature_C` of the winding. Without a certified optimum the blend is then played only
+            if it keeps them, and nothing otherwise.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class Online:
         """
         start = time.perf_counter()
         limits = limits or {}
-        posing = with_limits(limits, self._posing, self._library.meta)
+        posing = with_limits(limits, self._posing, self._library.meta) if limits else self._posing
         place = self._library.located(speed_m_s, grip_N)
         coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
         if place.silent and not remark:

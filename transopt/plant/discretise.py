@@ -270,6 +270,8 @@ def plant_outputs(plant: StateSpace, names: Sequence[str]) -> dict[str, FloatArr
     ------
     InputError : an output that the plant does not have.
     """
+    if not names:
+        return {}
     known = {"position": plant.Ce, "velocity": plant.Ce @ plant.A} if plant.Ce.any() else {}
     known |= {f"state {j + 1}": np.eye(1, plant.order, j) for j in range(plant.order)}
     missing = [name for name in names if name not in known]

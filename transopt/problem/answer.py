@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 
@@ -109,6 +110,7 @@ class Multipliers:
         return replace(self, pairs=pairs, slope=np.minimum(np.maximum(self.slope, -1.0), 1.0))
 
 
+@lru_cache(maxsize=8)
 def _nothing(stages: int) -> FloatArray:
     nothing = np.zeros(stages)
     nothing.flags.writeable = False  # it stands for all of them

@@ -1,6 +1,7 @@
 """The optimal-control problem of one library entry: terms of the objective, limits, hand-over."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -81,6 +82,10 @@ class TransientProblem:
 
     def rows(self) -> tuple[tuple[Limit, Row], ...]:
         """Every row of every limit."""
+        return self._rows
+
+    @cached_property
+    def _rows(self) -> tuple[tuple[Limit, Row], ...]:
         return tuple((limit, row) for limit in self.limits for row in limit.rows(self))
 
     def without(self, *names: str) -> "TransientProblem":
@@ -98,7 +103,7 @@ class TransientProblem:
         """Names of the limits that a quadratic program cannot have."""
         return tuple(limit.name for limit in self.limits if not limit.linear)
 
-    @property
+    @cached_property
     def thermal(self) -> TemperatureLimit | None:
         """The limit that has states of its own; None in a quadratic problem."""
         found = self.limits.get(TemperatureLimit.name)

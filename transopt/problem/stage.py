@@ -128,8 +128,8 @@ class LinearStage:
     A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
         `problem.current_scale_A`.
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / |r| from x_k and dc_k.
-    outputs : named output -> (n,), scalar: its value in SI by x_k and by dc_k.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
+    device : the entry's own, whose outputs have names. where : its states among x.
     """
 
     A: FloatArray
@@ -137,8 +137,14 @@ class LinearStage:
     current_A: float
     C: FloatArray
     E: FloatArray
-    outputs: Mapping[str, tuple[FloatArray, float]]
     feedback: FloatArray
+    device: StageModel
+    where: Layout
+
+    @cached_property
+    def outputs(self) -> Mapping[str, tuple[FloatArray, float]]:
+        """Named output -> (n,), scalar: its value in SI by x_k and by dc_k."""
+        return _named(self.device, self.where, self.units)
 
     def row(self, row: Row) -> tuple[FloatArray, float]:
         """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
@@ -237,8 +243,9 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         current_A=current,
         C=C * units / norm,
         E=E * current / norm,
-        outputs=_named(problem.stage, where, units),
         feedback=feedback * units,
+        device=problem.stage,
+        where=where,
     )
 
 

@@ -100,8 +100,8 @@ def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow
         first = 1 if row.waits else 0
         last = problem.free_stages if problem.wall is None and tuple(row.outputs) == (COMMAND,) else N
         at = slice(first, last)
-        lower[at] = (np.broadcast_to(row.lower, N)[at] - np.broadcast_to(row.offset, N)[at]) / limit.stated
-        upper[at] = (np.broadcast_to(row.upper, N)[at] - np.broadcast_to(row.offset, N)[at]) / limit.stated
+        for asked, bound in zip((lower, upper), row.bounds(N), strict=True):
+            asked[at] = ((bound - row.offset) / limit.stated)[at]
         single = SINGLE.get(tuple(row.outputs), "")
         if single == "movement" and row.outputs[HELD] != -row.outputs[COMMAND]:
             single = ""

@@ -125,8 +125,7 @@ def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
         value = row.value(effect.motion, effect.command_A)
-        lower, upper = np.broadcast_to(row.lower, N), np.broadcast_to(row.upper, N)
-        yield Box(limit, value, lower, upper, m.lower(row.name), m.upper(row.name))
+        yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name))
     thermal = problem.thermal
     if thermal is not None:
         model = thermal.model

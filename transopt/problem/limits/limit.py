@@ -9,6 +9,8 @@ same rows.
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache, reduce
+from operator import add
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -57,10 +59,14 @@ class Row:
 
     def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
         """(..., N) what a command (..., N) with this motion makes of it."""
-        total: Any = self.offset
-        for output, by in self.outputs.items():
-            total = total + by * output_values(output, motion, command_A)
-        return np.asarray(total)
+        parts: list[Any] = [by * output_values(output, motion, command_A) for output, by in self.outputs.items()]
+        if isinstance(self.offset, np.ndarray) or self.offset or not parts:
+            parts.append(self.offset)
+        return np.asarray(reduce(add, parts))
+
+    def bounds(self, stages: int) -> tuple[FloatArray, FloatArray]:
+        """(stages,) lower and upper."""
+        return _along(self.lower, stages), _along(self.upper, stages)
 
     def by_outputs(self, motion: Motion, command_A: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
         """Output -> gradient (N,) by it, for a gradient (N,) by the value."""
@@ -75,6 +81,18 @@ class Row:
     def waits(self) -> bool:
         """Whether the command c_k has no say in the value of stage k: in that of the first nobody has."""
         return not any(name == COMMAND or name.endswith(AFTER) for name in self.outputs)
+
+
+def _along(value: FloatArray | float, stages: int) -> FloatArray:
+    """(stages,) of a number or of as many."""
+    return value if isinstance(value, np.ndarray) else _everywhere(value, stages)
+
+
+@lru_cache(maxsize=16)
+def _everywhere(value: float, stages: int) -> FloatArray:
+    found = np.full(stages, value)
+    found.flags.writeable = False  # it stands for all of them
+    return found
 
 
 def output_values(name: str, motion: Motion, command_A: FloatArray) -> FloatArray:
