@@ -9,8 +9,9 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
 from transopt.problem.baselines import clipped_optimum, seed_inversion
+from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import hand_over_rows, linear_stage
+from transopt.problem.stage import linear_stage
 
 
 def unlimited_optimum(problem: TransientProblem) -> FloatArray:
@@ -28,7 +29,7 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
     wanted = (r if problem.error_filter is None else problem.error_filter.apply(r)) / np.linalg.norm(r)
     weights = problem.tracking_weights / len(problem.devices)
     movement = problem.movement.weight * stage.current_A**2
-    rows, constants = hand_over_rows(problem, stage)
+    rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0
     P, p = np.zeros_like(A), np.zeros(b.size)
     laws = []

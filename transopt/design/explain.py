@@ -8,9 +8,9 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_up
 from transopt.problem.answer import Multipliers, Status
+from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import wall_growth
 from transopt.proof.certify import Box, boxes, certify
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.feasibility import least_widening
@@ -27,7 +27,7 @@ def unstable_wall(problem: TransientProblem) -> str:
     """Whether the pressing wall grows by itself on this device; empty if it does not."""
     if problem.wall is None:
         return ""
-    wall, growth = problem.wall.wall, wall_growth(problem)
+    wall, growth = problem.wall.wall, hand_over.growth(problem)
     if growth <= 1 + GROWS:
         return ""
     keys = (

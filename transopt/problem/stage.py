@@ -6,15 +6,14 @@ the input.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.amplifier import prefilter_coefficients
-from transopt.plant.discretise import Motion, StageModel, state_scale
+from transopt.plant.discretise import StageModel, state_scale
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Row
 from transopt.problem.problem import TransientProblem
 
@@ -274,31 +273,3 @@ def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tup
         VELOCITY: (of_device(stage.Cv[0]), 0.0),
         **{name: of_output(name) for name in stage.output_names},
     }
-
-
-def hand_over_rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
-    h, n = problem.hand_over_samples, stage.units.size
-    if problem.wall is None:
-        return np.zeros((h, n)), np.zeros(h)
-    tail = np.arange(problem.free_stages, problem.grid.stages)
-    amplifier, dt = problem.stage.amplifier, problem.grid.dt_s
-    now, before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt)
-    pressing = problem.wall.pressing.astype(float)
-    earlier = np.where(tail > 0, pressing[tail - 1], 0.0)
-    rows = now * pressing[tail, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
-    without = problem.hand_over_command(Motion.zero(problem.grid.stages))
-    return rows / stage.current_A, without[tail] / stage.current_A
-
-
-def wall_growth(problem: TransientProblem) -> float:
-    """Largest factor per tick by which a motion under the pressing wall alone grows; below 1 it dies out."""
-    assert problem.wall is not None
-    stage = linear_stage(problem, physical_scale=True)
-    everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones(problem.grid.stages, dtype=bool)))
-    rows, _ = hand_over_rows(everywhere, stage)
-    # c_k = rows x_k, so the movement is that less the command held before.
-    held = rows[-1].copy()
-    held[-1] -= 1.0
-    loop = stage.A + np.outer(stage.A[:, -1], held)
-    return float(np.abs(np.linalg.eigvals(loop)).max())

@@ -12,10 +12,11 @@ from transopt.base.signals import FloatArray
 from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.heat import mean_current
+from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, hand_over_rows, layout, linear_stage
+from transopt.problem.stage import LinearStage, layout, linear_stage
 
 SIZE_BOUND = 2.0  # of the limit current
 WINDING = "winding"  # row of the recursion's first state
@@ -245,7 +246,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
     where, m = layout(problem), 0 if problem.thermal is None else problem.thermal.model.nodes
     values = tracking_values(problem, stage)
     limits = _rows(problem, stage) if limited else _no_rows(where.states)
-    gains, offsets = hand_over_rows(problem, stage)
+    gains, offsets = hand_over.rows(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
     nothing = np.zeros(4)
     heat = (

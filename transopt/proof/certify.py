@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.plant.discretise import Motion
-from transopt.plant.wall import earlier_by, feedback_command_transpose
 from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit, tolerated, transposed
 from transopt.problem.limits.own import LawRow
 from transopt.problem.limits.temperature import TemperatureLimit
@@ -159,17 +159,13 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
     m, tracking, devices = multipliers, problem.tracking, len(problem.devices)
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
     through, by_command = transposed(by_row, motion, command_A)
-    by_current, by_encoder = through.current_A, through.encoder_m
+    by_current = through.current_A
     if problem.thermal is not None and by_heating.any():
         heating = problem.thermal.model.heating
         through_current, directly = heating.gradient(motion.current_A, command_A, m.slope)
         by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
-    tail = np.append(np.zeros(problem.free_stages), m.hand_over)
-    by_command = by_command + tail
-    if problem.wall is not None:
-        dt, late = problem.grid.dt_s, problem.stage.whole_delay + 1
-        by_feedback = feedback_command_transpose(-tail, problem.stage.amplifier, dt)
-        by_encoder = earlier_by(late, problem.wall.feedback_transpose(by_feedback, dt))
+    by_tail, by_encoder = hand_over.transposed(problem, m.hand_over)
+    by_command = by_command + by_tail
     by_error = tracking.gradient(motion.acceleration_m_s2, devices)
     own = Motion(by_error, by_current, through.velocity_m_s, by_encoder, through.outputs)
     gradient = problem.stage.adjoint(own) + problem.movement.gradient(command_A) + by_command
@@ -265,7 +261,7 @@ def certify(
         return replace(Certificate.nothing(), objective=objective)
 
     over = [float(box.excess.max()) for box in limits]
-    tail = (command_A - problem.hand_over_command(effect.motion))[problem.free_stages :]
+    tail = hand_over.residual(problem, command_A, effect.motion)
     off = float(np.abs(tail).max())
     violations = {"A": max(off, 0.0)}
     for by, box in zip(over, limits, strict=True):

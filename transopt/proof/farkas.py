@@ -6,6 +6,7 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
+from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import TEMPERATURE, admissible, boxes, kink_gap, reduced_gradient
 
@@ -48,7 +49,7 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
             stated = np.isfinite(bound)
             total += float(mu[stated] @ (value[stated] - bound[stated]))
             size += float(mu[stated] @ (np.abs(value[stated]) + np.abs(bound[stated])))
-    tail = (command_A - problem.hand_over_command(motion))[problem.free_stages :]
+    tail = hand_over.residual(problem, command_A, motion)
     total += float(ray.hand_over @ tail)
     g = reduced_gradient(limits_alone, command_A, motion, ray)
     loss = float(np.abs(g) @ (problem.command_bound_A + np.abs(command_A)))

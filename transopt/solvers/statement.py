@@ -7,10 +7,11 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
+from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import COMMAND, CURRENT, Limit
 from transopt.problem.limits.own import LawRow
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import LinearStage, hand_over_rows, linear_stage
+from transopt.problem.stage import LinearStage, linear_stage
 from transopt.problem.stage_data import (
     SIZE_BOUND,
     StatedRow,
@@ -114,7 +115,7 @@ def _parameters(
         # CasADi reads matrices column by column.
         values |= {name: value.T.ravel() for name, value in heat_values(problem, stage.current_A).items()}
     if where.feedback_delay is not None:
-        by_state, _ = hand_over_rows(problem, stage)
+        by_state, _ = hand_over.rows(problem, stage)
         values["T"] = by_state[:, where.wall].ravel()
     given = {row.name: row for row in rows}
     for row in shape.rows:
@@ -165,7 +166,7 @@ def _row_bounds(
 ) -> tuple[FloatArray, FloatArray]:
     program = state_program(shape)
     lower, upper = np.zeros(program.g.numel()), np.zeros(program.g.numel())
-    _, constant = hand_over_rows(problem, stage)
+    _, constant = hand_over.rows(problem, stage)
     for kind in ("size_above", "size_below"):
         upper[program.rows.get(kind, slice(0, 0))] = np.inf
     lower[program.rows["hand_over"]] = upper[program.rows["hand_over"]] = constant

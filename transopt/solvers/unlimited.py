@@ -12,8 +12,9 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.problem import stage_data
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
+from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import hand_over_rows, layout, linear_stage
+from transopt.problem.stage import layout, linear_stage
 from transopt.solvers import sparse_kkt
 from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
 from transopt.solvers.native import extension
@@ -30,7 +31,7 @@ def tracking(problem: TransientProblem) -> Tracking:
     J is in units of 1: outputs and reference by |r|.
     """
     stage = linear_stage(problem, physical_scale=False)
-    rows, constants = hand_over_rows(problem, stage)
+    rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
     term, devices = problem.tracking, len(problem.devices)
     return Tracking(

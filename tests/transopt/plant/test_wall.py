@@ -14,8 +14,9 @@ from transopt.plant.discretise import discretise
 from transopt.plant.wall import FeedbackLoop, HandOver, Wall
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import pressing
+from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import hand_over_rows, linear_stage
+from transopt.problem.stage import linear_stage
 from transopt.proof.certify import certify, reduced_gradient
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
@@ -153,7 +154,7 @@ class TestHandOver:
         problem = pressing(problem, problem.encoder_at_ticks(motion))
         stage = linear_stage(problem)
         x, movement = np.zeros(stage.units.size), np.diff(command, prepend=0.0) / stage.current_A
-        rows, constant = hand_over_rows(problem, stage)
+        rows, constant = hand_over.rows(problem, stage)
         found = []
         for k in range(N):
             if k >= problem.free_stages:

@@ -17,9 +17,8 @@ from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
 from transopt.plant.wall import earlier_by
 from transopt.problem.answer import Status
 from transopt.problem.leave_out import encoder_course, silence
-from transopt.problem.limits import limits_of
+from transopt.problem.limits import hand_over, limits_of
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import wall_growth
 from transopt.proof.certify import certify
 from transopt.solvers.choose import solve
 from transopt.solvers.feasibility import least_widening
@@ -119,7 +118,7 @@ class TestWhatCancelsAtTheSwitchingInstants:
 
 def test_a_wall_that_grows_by_itself_is_named() -> None:
     shaky = StressCase("wall", DrawnDevice(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
-    assert wall_growth(shaky) > 1
+    assert hand_over.growth(shaky) > 1
     assert "latency_ticks (5)" in unstable_wall(shaky)
     for surface, lower in (
         (
@@ -134,7 +133,7 @@ def test_a_wall_that_grows_by_itself_is_named() -> None:
         remark = unstable_wall(StressCase("wall", DrawnDevice(moving_kg=1e-4), surface=surface).problem())
         assert remark.endswith(lower)
     calm = StressCase("wall", surface=Surface(200.0)).problem()
-    assert wall_growth(calm) < 1
+    assert hand_over.growth(calm) < 1
     assert unstable_wall(calm) == ""
 
 

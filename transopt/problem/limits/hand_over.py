@@ -1,0 +1,60 @@
+"""Hand-over: over the last `hand_over_samples` the command is what the wall's feedback asks for, zero without a wall.
+
+It is the one constraint that is no box: an equation for each of the last commands, c_k = feedback of the encoder's
+course. So it is no `Limit`; its multipliers, of either sign, stand beside those of the limits. The wall's end follows
+from it: nothing is left of the transient when the waveform is over, and the loop of the wall alone has to be calm.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.plant.amplifier import prefilter_coefficients
+from transopt.plant.discretise import Motion
+from transopt.plant.wall import earlier_by, feedback_command_transpose
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import LinearStage, linear_stage
+
+
+def residual(problem: TransientProblem, command_A: FloatArray, motion: Motion) -> FloatArray:
+    """(h,) by how much a command (N,) with this motion differs from what is asked for over the hand-over [A]."""
+    return np.asarray((command_A - problem.hand_over_command(motion))[problem.free_stages :])
+
+
+def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gradients by the commands (N,) and by the encoder's course (N,) for a gradient (h,) by the residual."""
+    tail = np.append(np.zeros(problem.free_stages), by_residual)
+    if problem.wall is None:
+        return tail, np.zeros(problem.grid.stages)
+    dt, late = problem.grid.dt_s, problem.stage.whole_delay + 1
+    by_feedback = feedback_command_transpose(-tail, problem.stage.amplifier, dt)
+    return tail, earlier_by(late, problem.wall.feedback_transpose(by_feedback, dt))
+
+
+def rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
+    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
+    h, n = problem.hand_over_samples, stage.units.size
+    if problem.wall is None:
+        return np.zeros((h, n)), np.zeros(h)
+    tail = np.arange(problem.free_stages, problem.grid.stages)
+    amplifier, dt = problem.stage.amplifier, problem.grid.dt_s
+    now, before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt)
+    pressing = problem.wall.pressing.astype(float)
+    earlier = np.where(tail > 0, pressing[tail - 1], 0.0)
+    by_state = now * pressing[tail, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
+    without = problem.hand_over_command(Motion.zero(problem.grid.stages))
+    return by_state / stage.current_A, without[tail] / stage.current_A
+
+
+def growth(problem: TransientProblem) -> float:
+    """Largest factor per tick by which a motion under the pressing wall alone grows; below 1 it dies out."""
+    assert problem.wall is not None
+    stage = linear_stage(problem, physical_scale=True)
+    everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones(problem.grid.stages, dtype=bool)))
+    by_state, _ = rows(everywhere, stage)
+    # c_k = rows x_k, so the movement is that less the command held before.
+    held = by_state[-1].copy()
+    held[-1] -= 1.0
+    loop = stage.A + np.outer(stage.A[:, -1], held)
+    return float(np.abs(np.linalg.eigvals(loop)).max())
