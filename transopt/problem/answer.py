@@ -185,8 +185,8 @@ class Certificate:
         return {unit: self.violation(unit) for unit in dict.fromkeys(("A", "V", "K", *self.violations))}
 
     def violation(self, unit: str) -> float:
-        """Largest excess over a limit in this unit."""
-        return self.violations.get(unit, 0.0)
+        """Largest excess over a limit in this unit; infinite where the numbers are not finite."""
+        return self.violations.get(unit, 0.0 if self.finite else float("inf"))
 
     @property
     def relative_gap(self) -> float:
