@@ -288,7 +288,7 @@ class Online:
         if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
             proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
             if not proof.accepted:
-                relaxed = problem.replaced(problem.thermal.relaxed(problem.limits.current_A))
+                relaxed = problem.replaced(problem.thermal.relaxed())
                 bound = self._by_interior_point(relaxed)
                 if bound is not None:
                     lower = certify(relaxed, bound.command_A, bound.multipliers).lower_bound

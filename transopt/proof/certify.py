@@ -309,10 +309,10 @@ def _bent(problem: TransientProblem, multipliers: Multipliers) -> bool:
 def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     """Rigorous lower bound on J where the warming copper makes the problem nonconvex, from its own multipliers.
 
-    Any multipliers of the convex problem (`ThermalLimit.relaxed`) bound its optimum, which bounds this one's: those
-    are taken under which heat has the price that it has here: what is stationary here is stationary there too.
+    Any multipliers of the convex problem (`TemperatureLimit.relaxed`) bound its optimum, which bounds this one's:
+    those are taken under which heat has the price that it has here: what is stationary here is stationary there too.
     All that the bound then lacks is what the limits differ by, price times slack. Minus infinity where taps repeat:
-    there the two problems price heat over different times.
+    there a price comes back through the pause, and its inverse is not at hand.
 
     Parameters
     ----------
@@ -322,7 +322,7 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     thermal = problem.thermal
     if thermal is None or thermal.model.closure is not None:
         return -np.inf
-    relaxed_limit = thermal.relaxed(problem.limits.current_A)
+    relaxed_limit = thermal.relaxed()
     relaxed = problem.replaced(relaxed_limit)
     prices = relaxed_limit.model.prices(effect.by_heating(admissible(problem, multipliers)))
     priced = multipliers.with_pair(TEMPERATURE, np.zeros_like(prices), np.maximum(prices, 0.0))

@@ -97,7 +97,7 @@ def global_bound(problem: TransientProblem, options: SolverOptions) -> float:
     replaced by a convex limit that every admissible command meets, a limit that is not linear by none.
     """
     thermal = problem.thermal
-    relaxed = problem if thermal is None else problem.replaced(thermal.relaxed(problem.limits.current_A))
+    relaxed = problem if thermal is None else problem.replaced(thermal.relaxed())
     relaxed = relaxed.without(*(name for name in problem.nonlinear if name != TemperatureLimit.name))
     return max(
         (proof.lower_bound for _, proof in _answers(relaxed, options)),

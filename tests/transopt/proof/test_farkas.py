@@ -31,7 +31,7 @@ def warm() -> TransientProblem:
     problem = case.problem()
     thermal = problem.thermal
     assert thermal is not None
-    problem = with_limit(problem, thermal.relaxed(problem.limits.current_A))
+    problem = with_limit(problem, thermal.relaxed())
     assert problem.thermal is not None
     rest, full = np.zeros(40), np.full(40, 1e-3)
     full[problem.free_stages :] = 0.0
@@ -82,7 +82,7 @@ def test_no_multiplier_counts_where_there_is_no_limit() -> None:
     problem = case.problem()
     thermal = problem.thermal
     assert thermal is not None
-    problem = with_headroom(with_limit(problem, thermal.relaxed(4.0)), np.array([np.inf, 5.0]))
+    problem = with_headroom(with_limit(problem, thermal.relaxed()), np.array([np.inf, 5.0]))
     command = 0.5 * solve(problem.without("temperature")).command_A
     motion = problem.stage.motion(command)
     assert problem.thermal is not None

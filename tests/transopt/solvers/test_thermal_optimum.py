@@ -141,7 +141,7 @@ class TestOptimum:
         """Below the convex problem's optimum, as a dual bound has to be, and below it by almost nothing."""
         problem, answer = tight[headroom]
         assert problem.thermal is not None
-        relaxed = with_limit(problem, problem.thermal.relaxed(problem.limits.current_A))
+        relaxed = with_limit(problem, problem.thermal.relaxed())
         least = solve(relaxed, SolverOptions("casadi-ipopt"))
         optimum_of_relaxed = certify(relaxed, least.command_A, least.multipliers).objective
         effect = Effect(problem, answer.command_A)

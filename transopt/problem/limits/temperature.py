@@ -14,13 +14,13 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.coil import COPPER_PER_K, PWM_RIPPLE_A, RESISTANCE_REFERENCE_C, CoilModel, effective_square
+from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel, effective_square
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.wall import HandOver, reference_course
-from transopt.problem.heat import Budget, HeatModel, heat_model, winding_limit_C
+from transopt.problem.heat import STEADY_MARGIN, Budget, HeatModel, heat_model, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
 
-ROUNDING = 1e-6  # relative, for the heating within one step that the recursion leaves out
+ROUNDING = 1e-6  # relative, of the steady state of a period that is short beside the time constants
 BETWEEN_INSTANTS_K = 1e-3  # the problem states the temperature at the switching instants
 
 
@@ -100,49 +100,43 @@ class TemperatureLimit(Limit):
         h = self.model.heating.mean_square(current_A, command_A)
         return np.asarray(self.model.rise(h)[1:, 0] + self.model.unpowered_C)
 
-    def relaxed(self, peak_A: float) -> "TemperatureLimit":
-        """A convex limit that every admissible command meets: it bounds J from below.
+    def relaxed(self) -> "TemperatureLimit":
+        """A convex limit that every admissible command meets, so that the least J under it bounds J from below.
 
-        Over one horizon the copper is taken at the unpowered temperature, below which it never is. Over repeated
-        taps it is at the limit whenever the limit binds: by the energy balance of the period,
-        mean(T) - T_ambient = R_th mean(P (1 + alpha (T - 25))), a course that stays below the limit has
-        mean(P) R_th (1 + alpha (limit - 25 - ripple)) <= limit - T_ambient, with P = R i_eff^2.
+        The copper's resistance R (1 + alpha (T - 25)) is replaced by one that it never falls below. The temperatures
+        are then sums of the heatings with weights >= 0, none of them above its true value, and the heatings are
+        convex in the commands.
 
-        Parameters
-        ----------
-        peak_A : limit current, which bounds the ripple of the winding's temperature.
+        One tap: the copper is never colder than without current, over each step at the colder of its ends.
+
+        Taps that repeat: call rest the ambient with two nodes and, with one, the housing, which that node holds
+        fixed. At the hottest of the instants at which the limit is stated the winding is x above rest. Nothing but
+        the copper heats it, so it cools no faster than
+
+            dT_w/dt = -(T_w - T_h) / tau_w,    T_w >= T_h >= rest.
+
+        Within a period it therefore keeps at least exp(-period / tau_w) of x. The energy balance of the housing over
+        a period, mean(T_w - T_h) = R_wh / R mean(T_w - rest) with R = R_wh + R_ha for two nodes and R_wh for one,
+        says that it keeps at least 1 - (period / tau_w) R_wh / R of x too. With `kept` the larger of the two, the
+        resistance is never below R_low(x), that at rest + kept x. At instant k the winding then is at least
+        R_low(x) L_k + c_k above rest, L_k >= 0 linear in the heatings and c_k >= 0 from the pause, and at most x:
+
+            L_k <= (x - c_k) / R_low(x),
+
+        which grows with x. So it holds with x the whole headroom, and this is the convex limit.
         """
         model, coil = self.model, self.coil
         if self.period_s is None:
-            return replace(self, model=replace(model, copper=0.0))
-        N, limit = model.gain.size, self.limit_C
-        share = N * self.dt_s / self.period_s
-
-        def resistance(temperature_C: float) -> float:
-            return coil.R_ohm * (1 + COPPER_PER_K * (temperature_C - RESISTANCE_REFERENCE_C))
-
-        energy = resistance(limit) * (
-            (peak_A + PWM_RIPPLE_A) ** 2 * N * self.dt_s
-            + (self.budget.pause_A + PWM_RIPPLE_A) ** 2 * (1 - share) * self.period_s
-        )
-        # What one period brings in also leaves in one period, from a winding that is nowhere above its limit.
-        energy = min(energy, self.period_s * (limit - coil.ambient_C) / (coil.R_wh_K_W + coil.R_ha_K_W))
-        ripple = energy * coil.R_wh_K_W / coil.tau_w_s
-        allowed = (limit - coil.ambient_C) / ((coil.R_wh_K_W + coil.R_ha_K_W) * resistance(limit - ripple))
-        pause = (1 - share) * (self.budget.pause_A + PWM_RIPPLE_A) ** 2
-        headroom = np.full(N, np.inf)
-        headroom[-1] = allowed * (1 + ROUNDING) - pause
-        mean = HeatModel(
-            heating=model.heating,
-            M=np.eye(1),
-            b=np.array([share / N]),
-            gain=np.ones(N),
-            copper=0.0,
-            headroom_K=headroom,
-            closure=None,
-            unpowered_C=np.zeros(N),
-        )
-        return replace(self, model=mean)
+            after = coil.R_ohm * (1 + COPPER_PER_K * (model.unpowered_C - RESISTANCE_REFERENCE_C))
+            return replace(self, model=replace(model, gain=np.minimum(model.gain, after), copper=0.0))
+        # The margin makes up for what the recursion leaves out, so that commands keep the relaxed limit as well whose
+        # true temperature just keeps the stated one.
+        headroom = (model.headroom_K + STEADY_MARGIN * (self.limit_C - coil.rest_C)) * (1 + ROUNDING)
+        lapse = self.period_s / coil.tau_w_s
+        total = coil.R_wh_K_W + (coil.R_ha_K_W if coil.nodes == 2 else 0.0)
+        kept = max(float(np.exp(-lapse)), 1 - lapse * coil.R_wh_K_W / total)
+        coldest = model.gain + model.copper * kept * max(float(headroom.min()), 0.0)
+        return replace(self, model=replace(model, gain=coldest, copper=0.0, headroom_K=headroom))
 
     def bound_C(self, problem: Posed) -> float:
         """What the winding cannot exceed, whatever is commanded: the limit current held throughout."""
