@@ -10,7 +10,7 @@ from transopt.design.explain import unstable_wall
 from transopt.library.library import Library
 from transopt.plant.continuous import AFTER_S
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Status
-from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
+from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits
@@ -55,40 +55,43 @@ def admit(
     shortfalls = played.shortfalls(problem, command_A, predicted_m_s2)
     if not shortfalls:
         return Status.OPTIMAL, []
-    status, causes = _of_the_wall(played, problem)
-    if not causes:
-        status, causes = _between_instants(played, problem, command_A)
-    # A cause that explains some of it is no cause.
-    if len(causes) < len(shortfalls) and status is not Status.UNSTABLE_WALL:
-        return Status.REPLAY_VIOLATION, shortfalls
-    return status, causes
-
-
-def _of_the_wall(played: Replay, problem: TransientProblem) -> tuple[Status, list[str]]:
-    """What a wall does that no transient can help: it grows by itself, or asks for too much when left alone."""
-    if problem.wall is None:
-        return Status.REPLAY_VIOLATION, []
-    wall, limit = problem.wall.wall, problem.limits.current_A
     unstable = unstable_wall(problem)
     if unstable:
         return Status.UNSTABLE_WALL, [unstable]
-    if played.after_peak_A > limit and played.after_peak_A == played.peak_current_A:
-        return Status.HAND_OVER, [
-            f"hand-over: within {AFTER_S * 1e3:g} ms after the waveform the wall alone asks for "
-            f"{played.after_peak_A:.3g} A, limit {limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} "
-            f"N/m), feedback.damping_N_s_m ({wall.damping_N_s_m:g} N s/m) or the speed"
-        ]
-    return Status.REPLAY_VIOLATION, []
+    left = [limit for limit in problem.limits if played.leaves(limit)]
+    late = [limit for limit in left if problem.wall is not None and played.leaves_late(limit)]
+    between = [limit.unresolved(problem, command_A, played.peak(limit)) for limit in left if limit not in late]
+    # A cause that explains some of it is no cause.
+    if len(left) < len(shortfalls) or not all(between):
+        return Status.REPLAY_VIOLATION, shortfalls
+    return (
+        (Status.HAND_OVER, [_after_hand_over(played, problem, late), *between])
+        if late
+        else (
+            Status.UNRESOLVED,
+            between,
+        )
+    )
 
 
-def _between_instants(played: Replay, problem: TransientProblem, command_A: FloatArray) -> tuple[Status, list[str]]:
-    """Limits that hold at the switching instants, as stated, and not between them."""
-    found = []
-    for limit in problem.limits:
-        peak = played.peak(limit)
-        if peak > limit.stated + limit.replay_tolerance and (said := limit.unresolved(problem, command_A, peak)):
-            found.append(said)
-    return Status.UNRESOLVED, found
+def _after_hand_over(played: Replay, problem: TransientProblem, late: list[Limit]) -> str:
+    """What the wall does with the limits when the waveform has ended, which no transient can help any more."""
+    assert problem.wall is not None
+    wall = problem.wall.wall
+    asked = " and ".join(
+        f"a {limit.label} of {played.peak(limit):.6g} {limit.unit}, {played.peak(limit) - limit.stated:.2g} "
+        f"{limit.unit} over its limit of {limit.stated:g} {limit.unit}"
+        for limit in late
+    )
+    keys = {
+        "feedback.stiffness_N_m": (wall.stiffness_N_m, "N/m"),
+        "feedback.damping_N_s_m": (wall.damping_N_s_m, "N s/m"),
+    }
+    stated = [f"{key} ({value:g} {unit})" for key, (value, unit) in keys.items() if value > 0]
+    return (
+        f"hand-over: within {AFTER_S * 1e3:g} ms after the last command the wall alone asks for {asked}; lower "
+        f"{', '.join(stated)} or the speed"
+    )
 
 
 @dataclass(frozen=True)

@@ -298,7 +298,8 @@ def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, bud
                 f"thermal: tap_rate_Hz = {budget.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
                 "amplifier's delay: lower it"
             )
-        paused = linalg.expm(pause * pause_s)
+        with np.errstate(over="ignore", invalid="ignore"):  # a current in the pause under which the coil runs away
+            paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
         margin_K = STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
     return HeatModel(

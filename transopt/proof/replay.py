@@ -32,9 +32,10 @@ class Replay:
     nrmse : of that acceleration against the reference.
     peak_current_A, peak_command_A : over all t.
     after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
-    after_peak_A : largest |i| there, all of it the wall's feedback.
     reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in; 0
         where nothing of it can be seen between the ticks.
+    reached_while_stated : the same up to the last switching instant, tau_(N-1): what comes later follows from the
+        last command and, with a wall, from its feedback alone.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
     command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
@@ -48,8 +49,8 @@ class Replay:
     peak_current_A: float
     peak_command_A: float
     after_peak_m_s2: float
-    after_peak_A: float
     reached: Mapping[str, float]
+    reached_while_stated: Mapping[str, float]
     winding_C: float
     housing_C: float
     command_A: FloatArray
@@ -67,14 +68,20 @@ class Replay:
         """Largest size over all t of what a limit bounds; NaN where the replay was not asked about it."""
         return self.winding_C if limit.name == TemperatureLimit.name else self.reached.get(limit.name, float("nan"))
 
+    def leaves(self, limit: Limit) -> bool:
+        """Whether a limit is left at any time; a NaN leaves every limit."""
+        return not self.peak(limit) <= limit.stated + limit.replay_tolerance
+
+    def leaves_late(self, limit: Limit) -> bool:
+        """Whether a limit that is watched after the waveform is left, but only after the last switching instant."""
+        early = self.reached_while_stated.get(limit.name, np.inf)
+        return limit.after_the_waveform and self.leaves(limit) and early <= limit.stated + limit.replay_tolerance
+
     def shortfalls(self, problem: TransientProblem, command_A: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
         """What speaks against admitting this command (N,), one sentence each; empty if clean."""
-        found = []
+        found: list[str] = []
         tolerance_A = tolerated(problem.limits.current_A)
-        for limit in problem.limits:
-            peak = self.peak(limit)
-            if not peak <= limit.stated + limit.replay_tolerance:
-                found.append(limit.replayed(peak))
+        found.extend(limit.replayed(self.peak(limit)) for limit in problem.limits if self.leaves(limit))
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
         feedback_off = float(np.abs(self.command_A - command_A).max())
@@ -97,15 +104,20 @@ def replayed_errors(
     return np.array([nrmse(a, r) for a, r in zip(found, references_m_s2, strict=True)])
 
 
-def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid) -> list[dict[str, float]]:
-    """Of each command, by limit: the largest size of the values that it watches."""
+def _reached(
+    run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid: TimeGrid
+) -> list[tuple[dict[str, float], dict[str, float]]]:
+    """Of each command, by limit: the largest size of the values that it watches, and the largest up to tau_(N-1)."""
     instants = np.append(grid.switching_times_s, grid.end_s)
     playing = (run.times_s >= grid.switching_times_s[0]) & (run.times_s <= grid.end_s)
+    # The sample just before an instant has its time, but the command before it.
+    stated = np.arange(run.times_s.size) <= run.at_switching[-1]
     found = []
     for m, of_entry in enumerate(limits):
-        posed, peaks = _Posed(stage, grid, of_entry), {limit.name: 0.0 for limit in of_entry}
+        posed = _Posed(stage, grid, of_entry)
+        peaks, early = ({limit.name: 0.0 for limit in of_entry} for _ in range(2))
         for limit in of_entry:
-            at = slice(None) if limit.after_the_waveform else playing
+            at = np.ones_like(playing) if limit.after_the_waveform else playing
             motion = Motion(
                 run.acceleration_m_s2[m, at],
                 run.current_A[m, at],
@@ -117,9 +129,10 @@ def _reached(run: Trajectory, limits: Sequence[Limits], stage: StageModel, grid:
                 offset = row.offset
                 if isinstance(offset, np.ndarray):
                     offset = np.interp(run.times_s[at], instants[: offset.size], offset)
-                value = replace(row, offset=offset).value(motion, run.felt_A[m, at])
-                peaks[limit.name] = np.maximum(peaks[limit.name], np.abs(value).max()).item()
-        found.append(peaks)
+                size = np.abs(replace(row, offset=offset).value(motion, run.felt_A[m, at]))
+                peaks[limit.name] = np.maximum(peaks[limit.name], size.max()).item()
+                early[limit.name] = np.maximum(early[limit.name], size[stated[at]].max()).item()
+        found.append((peaks, early))
     return found
 
 
@@ -189,17 +202,19 @@ def replay(
     winding, housing = (
         (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
     )
-    reached: Sequence[Mapping[str, float]] = [{}] * M if limits is None else _reached(run, limits, stage, grid)
+    reached = [({}, {})] * M if limits is None else _reached(run, limits, stage, grid)
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+        errors = [nrmse(own, wanted) for own, wanted in zip(acceleration, references_m_s2, strict=True)]
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
             current_A=current[m],
-            nrmse=nrmse(acceleration[m], references_m_s2[m]),
+            nrmse=errors[m],
             peak_current_A=float(np.abs(run.current_A[m]).max()),
             peak_command_A=float(np.abs(command[m]).max()),
             after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
-            after_peak_A=float(np.abs(run.current_A[m, after]).max()),
-            reached=reached[m],
+            reached=reached[m][0],
+            reached_while_stated=reached[m][1],
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
             command_A=command[m],

@@ -19,6 +19,7 @@ class CommandLimit(Limit):
     implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("command",)
     in_every_file: ClassVar[bool] = True
+    after_the_waveform: ClassVar[bool] = True
 
     limit_A: float
 

@@ -14,7 +14,13 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel, effective_square
+from transopt.plant.coil import (
+    COPPER_PER_K,
+    RESISTANCE_REFERENCE_C,
+    CoilModel,
+    effective_square,
+    following_square_mean,
+)
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.wall import HandOver, reference_course
 from transopt.problem.heat import STEADY_MARGIN, Budget, HeatModel, heat_model, winding_limit_C
@@ -193,17 +199,29 @@ class TemperatureLimit(Limit):
         return f"winding {peak:.3f} C, limit {self.limit_C:.8g} C"
 
     def unresolved(self, problem: Posed, command_A: FloatArray, peak: float) -> str:
-        motion = problem.stage.motion(command_A)
+        motion, model, dt_s = problem.stage.motion(command_A), self.model, problem.grid.dt_s
         hottest = float(self.temperatures_C(motion.current_A, command_A).max())
+        if hottest > self.limit_C + self.replay_tolerance:
+            return ""
+        over = f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C"
+        shorter = f"lower time.dt_s ({dt_s * 1e3:g} ms)"
         # No winding warms faster than by the limit current with no heat leaving.
         resistance = self.coil.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
         power_W = resistance * float(effective_square(np.asarray(problem.limits.current_A)))
-        warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * problem.grid.dt_s
-        if hottest > self.limit_C + self.replay_tolerance or peak - hottest > warming_K:
+        warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * dt_s
+        if peak - hottest <= warming_K:
+            return f"{over} within a servo period, in which it may warm by {warming_K:.3g} K; {shorter}"
+        if problem.stage.amplifier is None:
+            return ""
+        # The recursion takes |mean of i| for the mean of |i|, which is less where the current changes its sign.
+        decays = np.full(command_A.size, problem.stage.amplifier.rate_rad_s * dt_s)
+        heating = following_square_mean(motion.current_A, command_A, decays)
+        truly = float((model.rise(heating)[1:, 0] + model.unpowered_C).max())
+        if peak - truly > warming_K:
             return ""
         return (
-            f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C within a servo period, in which it may "
-            f"warm by {warming_K:.3g} K; lower time.dt_s ({problem.grid.dt_s * 1e3:g} ms)"
+            f"{over}: where the current changes its sign within a servo period it heats more than the problem "
+            f"states, here by {truly - hottest:.3g} K; {shorter}"
         )
 
 
