@@ -25,7 +25,7 @@ REMARKS = {
     Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)|"
     r"coil: no steady state .*; (lower|raise) ",
     Status.HAND_OVER: r"hand-over: .*\d.* A.* limit .*(would do|lower)",
-    Status.PRECISION: r"precision: the gap of .*; lower limits.current_A .* or time.stages",
+    Status.PRECISION: r"precision: the gap of .*; (lower limits.current_A .* or time.stages|weights.rho .* would do)",
     Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick; lower ",
     Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*; lower time.dt_s",
     Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",

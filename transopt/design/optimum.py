@@ -19,7 +19,8 @@ from transopt.solvers.options import SolverOptions
 
 NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
 ROUNDED = 0.2  # of a gap: what the last bits make of it, and no method that computes so gets far below it
-MOST_MASKS = 5  # solves until the wall pushes exactly where it was assumed to
+MOST_MASKS = 12  # solves until the wall pushes exactly where it was assumed to
+STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the movement under which a flat J may have its optimum found
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,10 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
 def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:
     """The optimum with the wall pressing where its own answer makes it press, and whether that was found.
 
-    The ticks are taken from the answer again and again; the search ends with an answer that is none, for where an
-    arbitrary command makes the wall press says nothing.
+    The ticks are taken from the answer again and again; the search ends where they come back to what was tried, and
+    with an answer that is none, for where an arbitrary command makes the wall press says nothing.
     """
-    spent = 0.0
+    spent, tried = 0.0, {_mask(problem)}
     for _ in range(MOST_MASKS):
         designed = _solved(problem, options)
         spent += designed.solution.solve_time_s
@@ -93,8 +94,11 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
         if not designed.is_proven:
             return designed, False
         again = pressing(problem, encoder_course(problem, designed.solution.command_A))
-        if _same_mask(problem, again):
+        if _mask(again) == _mask(problem):
             return designed, True
+        if _mask(again) in tried:
+            return designed, False
+        tried.add(_mask(again))
         problem = again
     return designed, False
 
@@ -110,14 +114,36 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
         return replace(designed, solution=replace(answer, status=Status.PRECISION), remarks=[rounding])
     if small.wall is None and inside(small, np.zeros(small.grid.stages)):
         # Doing nothing is a way out, whatever the solver called it.
-        return designed
+        return _flat(designed, options)
     unstable = unstable_wall(small)
     if unstable:
         # Feasible or not, an end that has to follow a wall which grows by itself is no end.
         return replace(designed, solution=replace(answer, status=Status.UNSTABLE_WALL), remarks=[unstable])
     remarks = infeasibility(small, options)
-    answer = replace(answer, status=Status.INFEASIBLE) if remarks else answer
-    return replace(designed, solution=answer, remarks=remarks)
+    if not remarks:
+        return _flat(designed, options)
+    return replace(designed, solution=replace(answer, status=Status.INFEASIBLE), remarks=remarks)
+
+
+def _flat(designed: Designed, options: SolverOptions) -> Designed:
+    """With the reason, if no method finds the optimum because J hardly depends on some movements of the command.
+
+    That is so where the same problem has a certified optimum under a larger weight of the movement.
+    """
+    problem = designed.problem
+    for rho in STEADIER:
+        if rho <= problem.rho:
+            continue
+        found = _solved(replace(problem, rho=rho), options)
+        if found.is_proven and found.certificate.accepted:
+            said = (
+                f"precision: the gap of {designed.certificate.relative_gap:.1e}, limit "
+                f"{Certificate.GAP_TOLERANCE:.0e}, is what double precision leaves where J hardly depends on some "
+                f"movements of the command; weights.rho {rho:g} would do ({problem.rho:g})"
+            )
+            answer = replace(designed.solution, status=Status.PRECISION)
+            return replace(designed, solution=answer, remarks=[said])
+    return designed
 
 
 def _rounding(problem: TransientProblem, answer: Solution) -> str:
@@ -128,23 +154,26 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     is another matter on every processor.
     """
     double = certify(problem, answer.command_A, answer.multipliers)
-    if problem.thermal is not None or not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
+    if not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
         return ""
-    wide = replace(
-        problem,
-        stage=problem.stage.extended(),
-        spread=tuple(device.extended() for device in problem.spread),
-        reference_m_s2=problem.reference_m_s2.astype(np.longdouble),
-    )
-    extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
+    extended = double
+    if problem.thermal is None:  # the temperature's recursion has no other precision
+        wide = replace(
+            problem,
+            stage=problem.stage.extended(),
+            spread=tuple(device.extended() for device in problem.spread),
+            reference_m_s2=problem.reference_m_s2.astype(np.longdouble),
+        )
+        extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
     by_command = gradient_rounding(problem, answer.command_A, answer.multipliers)
     rounding = float(by_command @ (problem.command_bound_A + np.abs(answer.command_A)))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""
     taken = float(np.abs(answer.command_A).max())
+    in_extended = "" if extended is double else f", in extended precision {extended.relative_gap:.1e}"
     return (
-        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision, in extended "
-        f"precision {extended.relative_gap:.1e}, limit {double.GAP_TOLERANCE:.0e}; lower limits.current_A "
+        f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision{in_extended}, limit "
+        f"{double.GAP_TOLERANCE:.0e}; lower limits.current_A "
         f"({problem.limits.current_A:.4g} A, the "
         f"answer takes {taken:.4g} A) or time.stages ({problem.grid.stages})"
     )
@@ -175,12 +204,10 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
     return Designed(problem, answer, proof, rest, floor, 0.0, left_out, None, hopeless)
 
 
-def _same_mask(problem: TransientProblem, other: TransientProblem) -> bool:
-    """Over the hand-over and the tick before it, which the prefilter remembers."""
+def _mask(problem: TransientProblem) -> bytes:
+    """Where the wall pushes over the hand-over and the tick before it, which the prefilter remembers."""
     assert problem.wall is not None
-    assert other.wall is not None
-    first = max(problem.free_stages - 1, 0)
-    return bool(np.array_equal(problem.wall.pressing[first:], other.wall.pressing[first:]))
+    return problem.wall.pressing[max(problem.free_stages - 1, 0) :].tobytes()
 
 
 def _hand_over_excess(problem: TransientProblem) -> str:
@@ -251,7 +278,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if free_inside and not proven:
         answer = free
     answer = replace(answer, solve_time_s=spent)
-    too_deep = "" if proven else _hand_over_excess(small)
+    # A wall that grows by itself asks for anything: that is its name then.
+    too_deep = "" if proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep])
     return designed(answer, program.size(small), [])

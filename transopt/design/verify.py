@@ -10,6 +10,7 @@ from transopt.design.explain import unstable_wall
 from transopt.library.library import Library
 from transopt.plant.continuous import AFTER_S
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Status
+from transopt.problem.leave_out import encoder_course, pressing
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
@@ -61,6 +62,8 @@ def admit(
     left = [limit for limit in problem.limits if played.leaves(limit)]
     late = [limit for limit in left if problem.wall is not None and played.leaves_late(limit)]
     between = [limit.unresolved(problem, command_A, played.peak(limit)) for limit in left if limit not in late]
+    if problem.wall is not None and not left and (elsewhere := _pushes_elsewhere(played, problem, command_A)):
+        return Status.HAND_OVER, [elsewhere]
     # A cause that explains some of it is no cause.
     if len(left) < len(shortfalls) or not all(between):
         return Status.REPLAY_VIOLATION, shortfalls
@@ -71,6 +74,22 @@ def admit(
             Status.UNRESOLVED,
             between,
         )
+    )
+
+
+def _pushes_elsewhere(played: Replay, problem: TransientProblem, command_A: FloatArray) -> str:
+    """Whether the wall pushes at other ticks of the hand-over than the optimum was sought for; empty if not."""
+    assert problem.wall is not None
+    truly = pressing(problem, encoder_course(problem, command_A)).wall
+    assert truly is not None
+    ticks = int(np.sum((truly.pressing != problem.wall.pressing)[max(problem.free_stages - 1, 0) :]))
+    if not ticks:
+        return ""
+    off = float(np.abs(played.command_A - command_A).max())
+    return (
+        f"hand-over: the stylus grazes the surface, and the wall pushes at {ticks} of its ticks other than the "
+        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.current_A):.0e} A; lower "
+        f"time.stages ({problem.grid.stages}) so that it ends at another depth"
     )
 
 

@@ -21,7 +21,7 @@ from transopt.solvers.native import extension
 
 GAP = 1e-8  # of max(J, 1e-3): a hundredth of what a certificate may have, a hundred times what rounding leaves
 REFINEMENTS = 4
-DAMPINGS = (1e-12, 1e-9, 1e-6)
+DAMPINGS = (1e-12, 1e-9, 1e-6, 1e-3, 1.0)
 DAMPED_PASSES = 30
 
 
@@ -164,7 +164,10 @@ def solve_in_casadi(problem: TransientProblem) -> Solution:
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # a breakdown shows in the gap
         run = Pass(tracking(problem))
-        found = _by_riccati_pass(problem, run)
+        # Where nothing is asked of the command, none is as good as any, and no matrix of it can be factorised.
+        found = _judged(problem, run, run.at_rest(), "rest")
+        if not found.gap <= GAP:
+            found = _by_riccati_pass(problem, run)
         if not found.gap <= GAP:
             found = min(found, _by_sparse_kkt(problem, run), key=lambda candidate: candidate.gap)
         if not found.gap <= GAP:
