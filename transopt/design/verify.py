@@ -88,8 +88,8 @@ def _pushes_elsewhere(played: Replay, problem: TransientProblem, command_A: Floa
     off = float(np.abs(played.command_A - command_A).max())
     return (
         f"hand-over: the stylus grazes the surface, and the wall pushes at {ticks} of its ticks other than the "
-        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.current_A):.0e} A; lower "
-        f"time.stages ({problem.grid.stages}) so that it ends at another depth"
+        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.current_A):.0e} A; "
+        f"lower time.stages ({problem.grid.stages}) so that it ends at another depth"
     )
 
 

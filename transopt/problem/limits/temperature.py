@@ -217,7 +217,7 @@ class TemperatureLimit(Limit):
         decays = np.full(command_A.size, problem.stage.amplifier.rate_rad_s * dt_s)
         heating = following_square_mean(motion.current_A, command_A, decays)
         truly = float((model.rise(heating)[1:, 0] + model.unpowered_C).max())
-        if peak - truly > warming_K:
+        if not peak - truly <= warming_K:
             return ""
         return (
             f"{over}: where the current changes its sign within a servo period it heats more than the problem "
