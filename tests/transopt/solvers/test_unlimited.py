@@ -265,7 +265,7 @@ class TestWhenThePassFallsShort:
         assert proof.dual_residual < 1e-14
 
     def test_where_any_command_is_optimal_none_is_the_answer(self, make_problem: ProblemMaker) -> None:
-        """Without weights pass and sparse system would break down; rest is as good as any command, which is proven."""
+        """Without weights pass and sparse system would break down; rest is as good as any command, and proven."""
         problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
         answer = unlimited.solve(problem)
         assert not answer.command_A.any()

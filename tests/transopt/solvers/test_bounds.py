@@ -1,0 +1,85 @@
+"""Every certified answer lies above the lower bound that is stated beside it, where the temperature binds too."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from problems.stress.cases import Coil, Current, Demand, Horizon, StressCase
+from transopt.design.optimum import optimum
+from transopt.problem.answer import Certificate
+from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect, relaxed_bound
+from transopt.solvers.choose import global_bound
+from transopt.solvers.options import SolverOptions
+
+# What an answer may lie below the optimum that it is proven to be: it may leave its limits by a millionth.
+ROUNDING = 1e-8
+
+
+def drawn(seed: int) -> TransientProblem:
+    """A tap on the default device whose coil has little room: one and two nodes, repeated or not."""
+    random = np.random.default_rng(seed)
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+    coil = Coil(
+        tau_w_s=between(1e-2, 1e3),
+        tau_h_s=between(1e-2, 1e4),
+        below_K=between(1e-2, 30.0),
+        warming=between(2.0, 30.0),
+        nodes=1 + seed % 2,
+        tap_share=between(0.02, 0.8) if seed // 2 % 2 else None,
+    )
+    current = Current(limit_A=between(0.3, 8.0), pole_Hz=None if random.random() < 0.2 else between(300.0, 2e4))
+    demand = Demand(speed_m_s=between(0.1, 1.0))
+    return StressCase("bounds", current=current, horizon=Horizon(stages=60), demand=demand, coil=coil).problem()
+
+
+def answers(seeds: range) -> list[tuple[TransientProblem, np.ndarray, Certificate, list[float]]]:
+    """Of those whose temperature binds: problem, command, certificate, and every bound that there is."""
+    found = []
+    for seed in seeds:
+        problem = drawn(seed)
+        designed = optimum(problem, SolverOptions())
+        answer = designed.solution
+        if designed.is_proven and answer.multipliers.upper("temperature").any():
+            effect = Effect(problem, answer.command_A)
+            bounds = [
+                designed.certificate.lower_bound,
+                global_bound(problem, SolverOptions()),
+                relaxed_bound(effect, answer.multipliers),
+            ]
+            found.append((problem, answer.command_A, designed.certificate, bounds))
+    return found
+
+
+def worst(seeds: range) -> tuple[int, float, float]:
+    """How many answers; how far the highest of their bounds lies above J; and how far the stated one lies below."""
+    made = answers(seeds)
+    above = [(max(bounds) - proof.objective) / max(proof.objective, 1e-3) for _, _, proof, bounds in made]
+    return len(made), max(above), float(np.median([proof.relative_bound for *_, proof, _ in made]))
+
+
+def test_certified_answers_lie_above_their_bounds() -> None:
+    count, above, below = worst(range(60))
+    assert count >= 25
+    assert above <= ROUNDING
+    assert below < Certificate.BOUND_TOLERANCE
+
+
+@pytest.mark.long
+def test_a_thousand_certified_answers_lie_above_their_bounds() -> None:
+    count, above, _ = worst(range(1000, 3000))
+    assert count >= 800
+    assert above <= ROUNDING
+
+
+def test_the_bound_of_a_cooler_limit_is_too_high_for_the_stated_one() -> None:
+    """The comparison can fail: what bounds the problem with a fiftieth less room does not bound this one."""
+    (problem, _, proof, _), *_ = answers(range(2, 12))
+    thermal = problem.thermal
+    assert thermal is not None
+    less = replace(thermal.model, headroom_K=0.98 * thermal.model.headroom_K)
+    assert global_bound(problem.replaced(replace(thermal, model=less)), SolverOptions()) > proof.objective
