@@ -131,7 +131,7 @@ def _reached(
                     offset = np.interp(run.times_s[at], instants[: offset.size], offset)
                 size = np.abs(replace(row, offset=offset).value(motion, run.felt_A[m, at]))
                 peaks[limit.name] = np.maximum(peaks[limit.name], size.max()).item()
-                early[limit.name] = np.maximum(early[limit.name], size[stated[at]].max()).item()
+                early[limit.name] = np.maximum(early[limit.name], size[stated[at]].max(initial=0.0)).item()
         found.append((peaks, early))
     return found
 
