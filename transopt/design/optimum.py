@@ -242,20 +242,20 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
         proof = prove(problem, answer.command_A, answer.multipliers, options) if proof is None else proof
         return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
 
-    free_inside = inside(problem, free.command_A)
-    proof = certify(problem, free.command_A, free.multipliers) if free_inside else None
-    if proof is not None and not proof.is_stationary:
+    inside_all = inside(problem, free.command_A)
+    free_proof = certify(problem, free.command_A, free.multipliers) if inside_all else None
+    if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
         other = unlimited.solve_in_casadi(small)
         its_proof = certify(problem, other.command_A, other.multipliers)
-        if inside(problem, other.command_A) and its_proof.relative_gap < proof.relative_gap:
-            free, proof = other, its_proof
-    if proof is not None and free.status is Status.OPTIMAL and proof.is_stationary:
+        if inside(problem, other.command_A) and its_proof.relative_gap < free_proof.relative_gap:
+            free, free_proof = other, its_proof
+    if free_proof is not None and free.status is Status.OPTIMAL and free_proof.is_stationary:
         left_out["limits"] = (
             f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
             f"command {np.abs(free.command_A).max():.3g} A of {problem.command_bound_A:g} A"
         )
-        return designed(free, None, [], proof)
+        return designed(free, None, [], free_proof)
     hopeless = unavoidable(small)
     if hopeless:
         return designed(replace(free, status=Status.INFEASIBLE), None, hopeless)
@@ -275,7 +275,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
             answer, proof = solve_certified(small, options)
             spent += answer.solve_time_s
     proven = answer.status is Status.OPTIMAL and proof.is_stationary
-    if free_inside and not proven:
+    least_gap = proof.relative_gap if proof.excess <= 1 else np.inf
+    if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
         answer = free
     answer = replace(answer, solve_time_s=spent)
     # A wall that grows by itself asks for anything: that is its name then.

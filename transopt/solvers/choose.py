@@ -26,8 +26,9 @@ __all__ = [
     "solve_certified",
 ]
 
-NEARLY_INSIDE = 1e3  # times what is tolerated of the temperature
-SMALLER = (1e-9, 1e-8, 1e-7)  # by which a command is made smaller to be inside
+NEARLY_INSIDE = 100.0  # times what is tolerated of the temperature: rounding of a steady state that builds up slowly
+NEARLY_PROVEN = 100.0  # times the gap that is tolerated
+ROOM = 1.5  # times what was missed, by which the limit is taken narrower then
 MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
 SOLVERS = {
     "riccati": riccati.solve,
@@ -118,8 +119,8 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
         proof = certify(problem, answer.command_A, answer.multipliers)
-        if not proof.is_stationary:
-            answer, proof = _pulled_inside(problem, answer, proof)
+        if not proof.is_stationary and _nearly_proven(problem, proof):
+            answer, proof = _pulled_inside(problem, proof, replace(options, solver=name))
         if proof.is_stationary:
             # What is proven is proven, though the method ran on for digits that it does not have.
             yield replace(answer, status=Status.OPTIMAL), proof
@@ -133,19 +134,22 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
                 return  # the linear program tells: no other method needs to search
 
 
-def _pulled_inside(problem: TransientProblem, answer: Solution, proof: Certificate) -> tuple[Solution, Certificate]:
-    """An answer that is proven but for a last digit of the temperature, made smaller by as little as that takes.
+def _nearly_proven(problem: TransientProblem, proof: Certificate) -> bool:
+    """Whether all that an answer lacks may be the last digits of its temperature."""
+    gap = proof.relative_gap / Certificate.GAP_TOLERANCE
+    return problem.thermal is not None and 1 < proof.excess < NEARLY_INSIDE and gap < NEARLY_PROVEN
 
-    Without a wall whatever is smaller keeps all other limits as well.
-    """
-    if problem.thermal is None or problem.wall is not None or not 1 < proof.excess < NEARLY_INSIDE:
-        return answer, proof
-    for share in SMALLER:
-        nearer = replace(answer, command_A=(1 - share) * answer.command_A)
-        found = certify(problem, nearer.command_A, nearer.multipliers)
-        if found.is_stationary:
-            return nearer, found
-    return answer, proof
+
+def _pulled_inside(
+    problem: TransientProblem, proof: Certificate, options: SolverOptions
+) -> tuple[Solution, Certificate]:
+    """The answer under a temperature limit that is narrower by little more than what was missed, and its proof."""
+    thermal = problem.thermal
+    assert thermal is not None
+    headroom = thermal.model.headroom_K - ROOM * proof.excess * thermal.tolerance
+    narrower = replace(thermal, model=replace(thermal.model, headroom_K=headroom))
+    answer = solve(problem.replaced(narrower), options)
+    return answer, certify(problem, answer.command_A, answer.multipliers)
 
 
 def feasible(problem: TransientProblem) -> bool:
