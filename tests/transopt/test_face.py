@@ -15,6 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import transopt as to
+from tests.benches.libraries import resized
 from transopt.design.verify import verify_library
 from transopt.solvers.native import extension
 
@@ -45,9 +46,9 @@ class TestNames:
     def test_reading_a_library_loads_no_optimiser_and_no_figures(self, library: to.Library, tmp_path: Path) -> None:
         library.save(tmp_path / "library.npz")
         program = (
-            "import sys, transopt as to\n"
+            "import sys, controller, transopt as to\n"
             "print(to.load_library('library.npz').at(0.33, 2.0).command_A.size)\n"
-            "print({'casadi', 'matplotlib', 'pydantic'} & set(sys.modules))\n"
+            "print({'casadi', 'matplotlib', 'pydantic', 'serial'} & set(sys.modules))\n"
         )
         assert python(program, tmp_path).split() == ["600", "set()"]
 
@@ -214,17 +215,7 @@ class TestInANotebook:
 
     def test_a_large_library_stays_small(self, library: to.Library) -> None:
         """20 speeds and 10 grips: the first rows, and some of the waveforms."""
-        from transopt.library.library import ARRAYS
-
-        arrays = {}
-        for name, stated in ARRAYS.items():
-            array = library.array(name)
-            for axis, letter in enumerate(stated.shape):
-                times = {"v": 5, "g": 4}.get(letter, 1)
-                array = np.repeat(array, times, axis=axis)
-            arrays[name] = array
-        arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 12)
-        large = to.Library.of(arrays, library.meta)
+        large = resized(library, 20, 12)
         html = large._repr_html_()
         assert len(html) < LARGEST_HTML
         assert "and 200 more" in html

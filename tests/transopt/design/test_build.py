@@ -12,7 +12,6 @@ import problems
 from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
-from transopt.base.signals import nrmse
 from transopt.design.build import Build, build_library
 from transopt.design.verify import admit, verify_library
 from transopt.library.library import Library
@@ -67,16 +66,6 @@ def test_unsaturated_entries_reach_their_floor(build: Build) -> None:
         assert "inside all limits" in entry.left_out["limits"]
 
 
-def test_saturated_entries_beat_the_better_baseline(build: Build) -> None:
-    compared = 0
-    for entry in build.all_entries():
-        better = min(entry.baselines.seed, entry.baselines.clipped)
-        if better > entry.floor + 0.02:
-            compared += 1
-            assert entry.nrmse <= 0.7 * better
-    assert compared == 2
-
-
 def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
     """Free motion after the end, by the design model: no term of the problem holds it down, so it is shown."""
     for entry in build.entries[3]:
@@ -98,13 +87,6 @@ def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
     clipped = [entry.baselines.clipped for entry in build.entries[3]]
     np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
     assert all(0.12 < entry.baselines.seed < 0.16 for row in build.entries[:3] for entry in row)
-
-
-def test_an_optimum_at_the_old_limit_is_far_off(make_problem: ProblemMaker) -> None:
-    for grip, expected in ((1.0, 0.60), (3.0, 0.65), (5.0, 0.69)):
-        problem = make_problem(0.4, grip, current_A=1.25)
-        acceleration, _ = problem.stage.rollout(solve(problem).command_A)
-        assert nrmse(acceleration, problem.reference_m_s2) == pytest.approx(expected, abs=0.01)
 
 
 def test_independent_checker_finds_nothing(library: Library, tmp_path: Path) -> None:
@@ -137,13 +119,6 @@ def test_progress_counts_the_entries(scene: Scene, taps: list[Recording]) -> Non
     done: list[int] = []
     build_library(scene, taps, progress=done.append)
     assert sum(done) == 12
-
-
-def test_second_method_gives_the_same_library(scene: Scene, taps: list[Recording], build: Build) -> None:
-    other = build_library(scene, taps, options=SolverOptions("casadi-ipopt"))
-    for ours, theirs in zip(build.all_entries(), other.all_entries(), strict=True):
-        scale = max(ours.certificate.objective, 1e-3)
-        assert abs(ours.certificate.objective - theirs.certificate.objective) <= 1e-6 * scale
 
 
 def test_an_entry_that_one_solver_cannot_prove_goes_to_the_other(
@@ -234,16 +209,6 @@ def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording]
     assert_entries_are_proven(build)
     assert build.library is not None
     assert build.library.meta["amplifier"] is None
-    assert all(not check.shortfalls for check in verify_library(build.library))
-    assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
-
-
-def test_slew_limit_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
-    limits = scene.limits.model_copy(update={"slew_A_per_s": 5000.0})
-    build = build_library(scene.model_copy(update={"limits": limits}), taps)
-    assert_entries_are_proven(build)
-    assert build.library is not None
-    assert "slew" in "".join(entry.binding for entry in build.all_entries())
     assert all(not check.shortfalls for check in verify_library(build.library))
     assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
 
@@ -372,10 +337,6 @@ class TestVerify:
     def test_a_waveform_of_another_node(self, library: Library) -> None:
         swapped = library.command_A[::-1].copy()
         assert all(check.shortfalls for check in verify_library(replace(library, command_A=swapped)))
-
-    def test_another_plant(self, library: Library) -> None:
-        softer = library.plant_A * 0.999
-        assert all(check.shortfalls for check in verify_library(replace(library, plant_A=softer)))
 
     def test_a_status_that_is_not_optimal(self, library: Library) -> None:
         status = library.status.astype("U100")

@@ -12,7 +12,7 @@ from tests.benches.commands import Outcome, Terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal, highpass
 from transopt.design.build import Build, build_library
-from transopt.design.refine_grid import CLOSER_LOOK, MARGIN, Refinement, refine_grid
+from transopt.design.refine_grid import Refinement, refine_grid
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -53,10 +53,6 @@ class TestBetween:
             of_slow, of_middle, of_fast = (getattr(r, name) / r.speed_m_s for r in (slow, middle, fast))
             np.testing.assert_allclose(of_middle, (of_slow + of_fast) / 2, rtol=1e-12, atol=1e-12)
         assert middle.between_m_s == (0.1, 0.2)
-
-    def test_beside_a_node_it_is_the_scaled_tap(self, references: list[Reference]) -> None:
-        beside = between(references, 0.2 * (1 + 1e-9))
-        np.testing.assert_allclose(beside.motor_m_s2, references[1].motor_m_s2, rtol=1e-6, atol=1e-6)
 
     def test_it_is_a_reference_of_its_speed(self, scene: Scene, references: list[Reference]) -> None:
         """z_nom integrates r_raw - r from dz/dt = -v, and r = H r_raw, since every step is linear in (r, v)."""
@@ -131,24 +127,12 @@ class TestTolerance:
         expected = [(p.excess_before, p.excess_after) for p in points]
         np.testing.assert_allclose(expected, excess(scene, references, at, library, refined.library), atol=1e-9)
 
-    def test_margins_cover_a_kink_anywhere_in_an_interval(self) -> None:
-        at, kinks = np.linspace(0, 1, 5), np.linspace(0.001, 0.999, 997)
-        # Interpolating max(0, x - k) from its values at 0 and 1; the error is largest at k.
-        error = (1 - kinks) * at[:, None] - np.maximum(0, at[:, None] - kinks)
-        worst = kinks * (1 - kinks)
-        assert np.all(error[2] >= CLOSER_LOOK / MARGIN * worst)
-        assert np.all(error.max(axis=0) >= MARGIN * worst)
-
     def test_nothing_to_blend_at_a_node(self, scene: Scene, refinement: Refinement) -> None:
         """Optimum and blend are the same commands there; replayed side by side, each stage may round otherwise."""
         nodes = [p for p in refinement.points if p not in refinement.off(refinement.grid)]
         assert len(nodes) == refinement.entries
         rounding = scene.time.stages * np.finfo(float).eps  # of an NRMSE, which is of the size of 1 at most
         assert max(abs(p.excess_after) for p in nodes) <= rounding
-
-    def test_generous_tolerance_keeps_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
-        found = refine_grid(scene, taps, 0.5)
-        assert (found.grid, found.rounds, found.shortfall) == (scene.grid, 0, "")
 
 
 class TestSmallGrids:
@@ -182,15 +166,6 @@ class TestSmallGrids:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize("tolerance", [0.0, -0.1, 1.0, float("nan")])
-    def test_tolerance(self, scene: Scene, taps: list[Recording], tolerance: float) -> None:
-        with pytest.raises(InputError, match=f"--grid-tolerance {tolerance:g}: must be between 0 and 1"):
-            refine_grid(scene, taps, tolerance)
-
-    def test_cap_below_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
-        with pytest.raises(InputError, match="--grid-cap 11: the scene's own grid has 12 entries"):
-            refine_grid(scene, taps, 0.02, cap=11)
-
     def test_cap_ends_it_with_what_remains(self, scene: Scene, taps: list[Recording]) -> None:
         found = refine_grid(scene, taps, 0.02, cap=16)
         assert found.entries <= 16

@@ -82,17 +82,6 @@ def test_the_datasheet_comes_back() -> None:
     assert replace(fit.coil, ambient_C=25.0).continuous_current_A() == pytest.approx(1.248, abs=0.005)
 
 
-def test_without_noise_the_parameters_are_exact() -> None:
-    run = measured()
-    assert run.current is not None
-    i = np.where(np.abs(run.current.values) > 0.5, 1.1, 0.0)
-    coil = CoilModel(R_OHM, **TRUTH, limit_C=1e9, ambient_C=22.0, start_winding_C=22.0, start_housing_C=22.0)  # type: ignore[arg-type]
-    winding, _ = coil.simulate(effective_square(i)[None, :-1], np.full(i.size - 1, 1.0))
-    exact = replace(run, current=replace(run.current, values=i), winding=Signal(0.0, 1.0, winding[0]), housing=None)
-    # What is left is that a step's mean is taken between its ends.
-    np.testing.assert_allclose(values(fitted(exact)), list(TRUTH.values()), rtol=2e-3)
-
-
 @pytest.mark.parametrize(
     "kind",
     [

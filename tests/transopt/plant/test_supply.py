@@ -15,7 +15,6 @@ from transopt.design.explain import infeasibility
 from transopt.design.optimum import Designed, optimum
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
-from transopt.problem.limits.limit import transposed
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
 from transopt.proof.replay import replay
@@ -122,34 +121,6 @@ class TestVoltage:
             supply = supply_of(entry(speed, supply_V=9.0))
             assert supply.nominal_m_s[0] == pytest.approx(-speed, rel=1e-2)
             assert supply.nominal_V[0] == pytest.approx(-1.25 * speed, rel=1e-2)
-
-    def test_transpose(self, entry: Maker) -> None:
-        problem = entry(supply_V=9.0)
-        rows, N = supply_of(problem).rows(problem), problem.grid.stages
-        random = np.random.default_rng(2)
-        current, velocity, command, by_before, by_after = random.standard_normal((5, N))
-        motion = replace(Motion.zero(N), current_A=current, velocity_m_s=velocity)
-        zero = stated(problem, Motion.zero(N), np.zeros(N))
-        before, after = (v - z for v, z in zip(stated(problem, motion, command), zero, strict=True))
-        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), motion, command)
-        forwards = before @ by_before + after @ by_after
-        assert forwards == pytest.approx(
-            current @ through.current_A + velocity @ through.velocity_m_s + command @ directly, rel=1e-12
-        )
-
-    def test_the_whole_chain_backwards(self, entry: Maker) -> None:
-        """Commands to voltages and back, through the motion's adjoint."""
-        problem = entry(supply_V=9.0)
-        rows, N = supply_of(problem).rows(problem), problem.grid.stages
-        random = np.random.default_rng(3)
-        command, by_before, by_after = random.standard_normal((3, N))
-        zero = stated(problem, Motion.zero(N), np.zeros(N))
-        motion = problem.stage.motion(command)
-        found = stated(problem, motion, command)
-        through, directly = transposed(zip(rows, (by_before, by_after), strict=True), motion, command)
-        gradient = directly + problem.stage.adjoint(through)
-        forwards = (found[0] - zero[0]) @ by_before + (found[1] - zero[1]) @ by_after
-        assert forwards == pytest.approx(command @ gradient, rel=1e-11)
 
 
 @pytest.fixture(scope="module")

@@ -57,15 +57,6 @@ def test_units_become_si(tmp_path: Path) -> None:
         np.testing.assert_allclose(signal.values, TAP_M_S2 + offset, rtol=1e-9, atol=1e-9)
 
 
-def test_arguments_override_the_file(tmp_path: Path) -> None:
-    recording = load(tmp_path, VALID[".csv"], speed_m_s=0.4, grip_N=0)
-    assert (recording.speed_m_s, recording.grip_N) == (0.4, 0.0)
-    # Also where the file's own value is of no use.
-    useless = csv(comments="# speed_m_s: fast\n# grip_N: -1\n")
-    recording = load(tmp_path, useless, speed_m_s=0.4, grip_N=2.0)
-    assert (recording.speed_m_s, recording.grip_N) == (0.4, 2.0)
-
-
 @pytest.mark.parametrize(
     "content",
     [

@@ -8,7 +8,7 @@ import pytest
 
 from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
 from transopt.base.errors import InputError
-from transopt.identify.device.chain import HAND, SHARED, DriveChain
+from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import GripResponse, fit_chain, fit_per_grip, refit, scaled_to
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
@@ -114,14 +114,6 @@ def test_noise_beyond_the_stated_one_widens_the_intervals(measured: Measured) ->
     loud = fit_chain(measured(DEFAULT, noise=3.0), INSTRUMENT, DEFAULT, random_starts=0)
     ratio = np.sqrt(np.diag(loud.covariance) / np.diag(quiet.covariance))
     assert np.all((ratio > 2.5) & (ratio < 3.5))
-
-
-def test_one_held_grip_makes_a_hand_without_slopes(measured: Measured) -> None:
-    fit = fit_chain(measured(DEFAULT, (0.0, 3.0)), INSTRUMENT, DEFAULT, random_starts=0)
-    names, values, covariance = fit.stated()
-    assert names == (*SHARED, *(f"hand.{name}.constant" for name in HAND))
-    np.testing.assert_allclose(values[4:], DEFAULT.hand_at(3.0), rtol=0.1)
-    assert covariance.shape == (9, 9)
 
 
 def test_the_free_device_alone_is_refused_with_what_to_do(measured: Measured) -> None:
