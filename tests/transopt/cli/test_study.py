@@ -175,6 +175,7 @@ class TestCommandLine:
             return (status, ["said so"]) if len(calls) == 2 else real(*given)
 
         monkeypatch.setattr(sweep, "admit", second_differs)
+        monkeypatch.setattr("transopt.study.plan.TOGETHER", 1)
         few = ("--vary", "limits.current_A=2,3", "--speed", 0.4, "--grip", "3,5", "--executor", "serial")
         assert run(scene_file, *few, "--out", "out").code == code
         rows = read(Path("out/rows.csv"))
