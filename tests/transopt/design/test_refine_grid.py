@@ -19,7 +19,7 @@ from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
 from transopt.report.grid_figure import grid_figure
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -166,13 +166,6 @@ class TestSmallGrids:
 
 
 class TestRefusals:
-    def test_cap_ends_it_with_what_remains(self, scene: Scene, taps: list[Recording]) -> None:
-        found = refine_grid(scene, taps, 0.02, cap=16)
-        assert found.entries <= 16
-        for words in ("not met", "--grid-cap 16", "worst remaining excess", "m/s", "raise --grid-cap"):
-            assert words in found.shortfall
-        assert refinement_summary(found) == found.shortfall
-
     def test_an_optimum_that_no_solver_can_prove(self, scene: Scene, taps: list[Recording]) -> None:
         with pytest.raises(InputError, match=r"--grid-tolerance: no proven optimum at 0\.4 m/s"):
             refine_grid(scene, taps, 0.02, options=SolverOptions(max_iterations=2))
@@ -199,7 +192,8 @@ class TestCommandLine:
         outcome = self.solve(terminal, "--grid-tolerance", "0.001", "--grid-cap", "3")
         assert outcome.code == 1
         message = "grid tolerance 0.1 % not met with 3 entries (3 speeds x 1 grips, --grid-cap 3)"
-        assert message in outcome.out
+        for words in (message, "worst remaining excess", "m/s", "raise --grid-cap"):
+            assert words in outcome.out
         assert load_library(Path("here/library.npz")).speeds_m_s.size == 3
         assert "not met" in Path("here/report.md").read_text()
 
@@ -215,20 +209,6 @@ class TestWhatIsWritten:
         assert said["points"] == len(refinement.points)
         assert meta["scene"]["grid"]["speeds_m_s"] == refinement.grid.speeds_m_s
         assert {source["grid_speed_m_s"] for source in meta["sources"]} == set(scene.grid.speeds_m_s)
-
-    def test_a_library_as_it_stood_says_nothing(self, library: Library) -> None:
-        assert library.meta["grid_refinement"] is None
-
-    def test_report(self, refined: Build) -> None:
-        text = build_markdown(refined)
-        for words in (
-            "## Between the nodes",
-            "| of the scene | 4 | 3 | 12 |",
-            "| refined |",
-            "not recorded but derived",
-        ):
-            assert words in text
-        assert '"between_m_s": [' in build_json(refined)
 
     def test_figure(self, refinement: Refinement) -> None:
         before, after, bar = grid_figure(refinement).axes
