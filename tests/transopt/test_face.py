@@ -121,7 +121,6 @@ class TestSolving:
 
     def test_a_grid_tolerance_adds_nodes(self) -> None:
         made = to.build("second_order", grid_tolerance=0.2)
-        assert made.refinement is not None
         assert made.refinement.tolerance == 0.2
 
     def test_the_report_is_what_the_command_writes(self, build: to.Build, tmp_path: Path) -> None:
@@ -158,7 +157,6 @@ def reached(value: Any, seen: set[int]) -> Iterator[Any]:
 class TestShown:
     def test_every_object_fits_a_terminal(self, build: to.Build, taps: list[to.Recording]) -> None:
         library = build.library
-        assert library is not None
         shown = list(reached([build, taps, library.at(0.33, 2.0), to.verify(library)], set()))
         shown += [replace(build, library=None), library.problem(3, 2), library.stage(0), library.posing()]
         names = {type(each).__name__ for each in shown}
@@ -205,7 +203,6 @@ class TestInANotebook:
     @pytest.mark.parametrize("what", ["library", "build", "entry"])
     def test_a_table_and_a_figure(self, build: to.Build, what: str) -> None:
         shown = {"library": build.library, "build": build, "entry": build.entries[3][2]}[what]
-        assert shown is not None
         html = shown._repr_html_()
         assert len(html) < LARGEST_HTML
         assert html.startswith("<table>")
@@ -229,7 +226,6 @@ class TestInANotebook:
 
 class TestFigures:
     def test_a_library_and_its_build_draw_the_same_curves(self, build: to.Build) -> None:
-        assert build.library is not None
         one, other = build.library.plot(), build.plot()
         for mine, its in zip(one.axes, other.axes, strict=True):
             for a, b in zip(mine.get_lines(), its.get_lines(), strict=True):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import problems
+from problems.stress.judge import played
 from tests.benches.limits import with_limit
 from tests.benches.places import IMPACTS
 from tests.conftest import ProblemMaker
@@ -18,7 +19,6 @@ from transopt.library.library import Library
 from transopt.problem.answer import Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.proof.certify import certify
-from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
 from transopt.scene.scene import Scene
@@ -110,7 +110,6 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
         pytest.approx(0.25, abs=0.02),
         pytest.approx(0.51, abs=0.02),
     )
-    assert build.library is not None
     assert "scaled to every grid speed" in build.library.meta["sources"][0]["speed_source"]
     assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
 
@@ -149,7 +148,6 @@ def test_temperature_that_could_bind_is_kept_and_proven(
         # Not left out for the bound, as it is from 25 C on: the answer itself is shown to stay inside, or it is in.
         assert "cannot pass" not in entry.left_out.get("temperature", "")
         thermal = entry.problem.thermal
-        assert thermal is not None
         highest = [
             thermal.temperatures_C(
                 each.problem.stage.rollout(each.solution.command_A)[1], each.solution.command_A
@@ -185,7 +183,6 @@ def test_every_part_left_out_has_its_reason(build: Build) -> None:
     for entry in build.all_entries():
         assert set(entry.left_out) >= {"feedback", "position", "supply", "slew", "temperature"}
         assert "25.55 C" in entry.left_out["temperature"]
-    assert build.library is not None
     limits = build.library.meta["left_out"]["limits"]
     assert limits[3][1] is None
     assert limits[0][0].startswith("the unlimited optimum is inside all limits")
@@ -208,7 +205,6 @@ def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: s
 def test_ideal_amplifier_builds_and_verifies(scene: Scene, taps: list[Recording], tmp_path: Path) -> None:
     build = build_library(scene.model_copy(update={"amplifier": "ideal"}), taps)
     assert_entries_are_proven(build)
-    assert build.library is not None
     assert build.library.meta["amplifier"] is None
     assert all(not check.shortfalls for check in verify_library(build.library))
     assert_independent_check_is_clean(build.library, tmp_path / "library.npz")
@@ -227,18 +223,10 @@ class TestAdmission:
         limit = temperature_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
         problem = with_limit(problem, limit)
         predicted, _ = problem.stage.rollout(solution.command_A)
-        (played,) = replay(
-            problem.stage,
-            problem.grid,
-            solution.command_A[None],
-            problem.reference_m_s2[None],
-            coil,
-            limits=[problem.limits],
-        )
         return {
             "status": solution.status,
             "certificate": certify(problem, solution.command_A, solution.multipliers),
-            "played": played,
+            "played": played(problem, solution.command_A),
             "problem": problem,
             "command_A": solution.command_A,
             "predicted_m_s2": predicted,

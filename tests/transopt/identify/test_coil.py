@@ -130,7 +130,6 @@ def test_records_that_fall_short_say_what_to_record(kind: dict[str, Any], messag
 def test_a_unit_that_is_wrong_is_asked_for() -> None:
     """It fits as well as the right one."""
     run = measured(3)
-    assert run.current is not None
     in_mA = replace(run, current=run.current.scaled(1e3))
     assert any(
         "K/W is that of no such motor" in text and "current_A in A" in text for text in fitted(in_mA).shortfalls()
@@ -139,7 +138,6 @@ def test_a_unit_that_is_wrong_is_asked_for() -> None:
 
 def test_an_ambient_that_drifts_is_told() -> None:
     run = measured(ambient=True)
-    assert run.ambient is not None
     rising = replace(run.ambient, values=run.ambient.values + np.linspace(0, 6, run.ambient.values.size))
     found = fitted(replace(run, ambient=rising)).shortfalls()
     assert any("the ambient drifts by" in text for text in found)
@@ -147,7 +145,6 @@ def test_an_ambient_that_drifts_is_told() -> None:
 
 def test_records_that_tell_nothing_are_refused() -> None:
     run = measured(heating_s=100.0, cooling_s=100.0)
-    assert run.current is not None
     assert run.winding is not None
     n = run.current.values.size
     with pytest.raises(InputError, match=r"^heat\.npz: no column current_A; record it too"):
@@ -169,8 +166,6 @@ def test_records_that_tell_nothing_are_refused() -> None:
 
 
 def write(run: Measurement, path: Path) -> Path:
-    assert run.current is not None
-    assert run.winding is not None
     np.savez(path, time_s=run.current.times_s, current_A=run.current.values, winding_C=run.winding.values)
     return path
 
@@ -179,7 +174,6 @@ def test_the_command_writes_part_and_figure(tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "MODEL.json"
     identify_coil(write(measured(housing=False), tmp_path / "heat.npz"), out)
     part = load_model(out).coil
-    assert part is not None
     assert part.parameters == list(NAMES)
     assert part.R_ha_K_W == pytest.approx(14.0, rel=0.01)
     assert part.verdict.startswith("supports temperature limits")
@@ -196,7 +190,6 @@ def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path) -> None:
         identify_coil(heat, out, resistance_ohm=R_OHM)
     assert stop.value.exit_code == 1
     part = load_model(out).coil
-    assert part is not None
     assert part.verdict.startswith("not to be relied upon: current flows for 200 s")
 
 

@@ -72,7 +72,6 @@ def test_hold_preserves_the_step_response(make_problem: ProblemMaker) -> None:
     """The defining property of a zero-order hold: a constant command gives the continuous step response."""
     problem = make_problem(stages=200)
     amplifier = problem.stage.amplifier
-    assert amplifier is not None
     _, current = problem.stage.rollout(np.full(200, 2.0))
     times = 1e-4 * np.arange(200)
     np.testing.assert_allclose(current, 2 * (1 - np.exp(-amplifier.rate_rad_s * times)), atol=1e-12)

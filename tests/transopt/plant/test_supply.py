@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from problems.stress.judge import played
 from tests.benches.limits import supply_of, with_rail
 from tests.conftest import is_stationary
 from transopt.design.entry import design_grip, entry_problem, scene_stage
@@ -17,7 +18,6 @@ from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
-from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve
@@ -79,8 +79,6 @@ def flow_of(problem: TransientProblem) -> np.ndarray:
 def voltages(problem: TransientProblem, command_A: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """(N,) R i + L di/dt + k_e w just before and after tau_k, di/dt by one-sided differences of the current."""
     motor, transmission = scene.motor, scene.transmission
-    assert motor is not None
-    assert transmission is not None
     plant, flow, h = problem.stage.plant, flow_of(problem), 1e-7
     n, nominal_m_s = plant.order, supply_of(problem).nominal_m_s
     period, onward, back = expm(flow * 1e-4), expm(flow * h), expm(-flow * h)
@@ -154,20 +152,14 @@ class TestBinding:
         before, after = voltages(problem, command, scene)
         peak = max(np.abs(before).max(), np.abs(after).max())
         assert peak == pytest.approx(9, abs=1e-5)
-        (played,) = replay(
-            problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None, limits=[problem.limits]
-        )
-        assert played.reached["supply"] == pytest.approx(9, abs=1e-9)
+        assert played(problem, command).reached["supply"] == pytest.approx(9, abs=1e-9)
 
     @pytest.mark.parametrize("supply_V", [5.0, 7.0])
     def test_lower_rails_are_kept_between_the_instants_too(self, entry: Maker, supply_V: float) -> None:
         """There the back-EMF is left to itself, 1e-3 of the limit being allowed; measured less than 1e-9."""
         problem = entry(supply_V=supply_V)
         command = optimum(problem, SolverOptions()).solution.command_A
-        (played,) = replay(
-            problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None, limits=[problem.limits]
-        )
-        assert supply_V * (1 - 1e-6) <= played.reached["supply"] <= supply_V * (1 + 1e-6)
+        assert supply_V * (1 - 1e-6) <= played(problem, command).reached["supply"] <= supply_V * (1 + 1e-6)
 
     def test_binding_says_so(self, nine_volts: Designed) -> None:
         text = binding_limits(nine_volts.problem, nine_volts.solution.command_A, nine_volts.solution.multipliers)

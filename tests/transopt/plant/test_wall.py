@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from problems.stress.judge import played
 from tests.conftest import WalledMaker
 from transopt.base.errors import InputError
 from transopt.design.optimum import Designed, optimum
@@ -18,7 +19,6 @@ from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
 from transopt.proof.certify import certify, reduced_gradient
-from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
@@ -117,7 +117,6 @@ class TestHandOver:
     ) -> None:
         """Encoder memory, derivative filter, delay line, prefilter: all of it as states, against the plain law."""
         problem = rebuilt(walled(500, 0.4, latency_ticks=latency), amplifier)
-        assert problem.wall is not None
         N = problem.grid.stages
         command = np.random.default_rng(4).uniform(-1, 1, N)
         motion = problem.stage.motion(command)
@@ -186,7 +185,6 @@ def fine_loop(
     (100 us) and delay (68 us) are multiples of; the law is written out.
     """
     plant, hand_over, N = problem.stage.plant, problem.wall, transient_A.size
-    assert hand_over is not None
     wall, v_in, per_tick, late = hand_over.wall, hand_over.approach_m_s, 25, 17
     n, w = plant.order, 2 * np.pi * 1050.0
     flow = np.zeros((n + 2, n + 2))
@@ -229,20 +227,11 @@ def check_closed_loop(problem: TransientProblem) -> Designed:
     assert designed.certificate.accepted
     final, command = designed.problem, designed.solution.command_A
     assert final.wall is not None
-    assert final.thermal is not None
     predicted, _ = final.stage.rollout(command)
-    (played,) = replay(
-        final.stage,
-        final.grid,
-        final.transient_command(command)[None],
-        final.reference_m_s2[None],
-        final.thermal.coil,
-        limits=[final.limits],
-        walls=[final.wall],
-    )
-    assert np.abs(played.command_A - command).max() <= 1e-9
-    assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-9 * np.abs(predicted).max()
-    assert played.shortfalls(final, command, predicted) == []
+    run = played(final, command)
+    assert np.abs(run.command_A - command).max() <= 1e-9
+    assert np.abs(run.acceleration_m_s2 - predicted).max() <= 1e-9 * np.abs(predicted).max()
+    assert run.shortfalls(final, command, predicted) == []
     return designed
 
 

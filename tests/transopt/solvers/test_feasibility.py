@@ -32,13 +32,11 @@ def test_the_least_widening_is_the_least() -> None:
     problem = walled(0.3)
     everything = ("current", "command", "slew")
     found = least_widening(problem, everything)
-    assert found is not None
     assert found[0] > 1.1
     for factor, feasible in ((1.001 * found[0], True), (0.999 * found[0], False)):
         wide = replace(problem, limits=limits_of(*(limit.wider(factor) for limit in problem.limits)))
         assert [limit.name for limit in wide.limits] == list(everything)
         again = least_widening(wide, everything)
-        assert again is not None
         assert (again[0] == 1.0) == feasible
         # A thousandth of room is little: what the first method cannot settle goes to the next.
         _, proof = solve_certified(wide, SolverOptions())
@@ -48,7 +46,6 @@ def test_the_least_widening_is_the_least() -> None:
 def test_a_feasible_problem_needs_no_wider_limits() -> None:
     problem = StressCase("plain", horizon=SHORT).problem()
     found = least_widening(problem, ("current", "command"))
-    assert found is not None
     assert found[0] == 1.0
 
 
@@ -133,7 +130,6 @@ def test_silence_over_a_wall_is_the_walls_own_command() -> None:
     problem, command = silence(StressCase("wall", surface=Surface(200.0)).problem())
     assert np.abs(command).max() > 0.01
     law = problem.wall
-    assert law is not None
     feedback = law.feedback(encoder_course(problem, command), problem.grid.dt_s)
     assert np.array_equal(feedback > 0, law.pressing)
     assert np.abs(problem.transient_command(command)).max() <= 1e-12

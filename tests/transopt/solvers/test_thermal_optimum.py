@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import problems
+from problems.stress.judge import played
 from tests.benches.limits import with_limit
 from transopt.base.errors import InputError
 from transopt.design.build import build_library
@@ -23,7 +24,6 @@ from transopt.problem.heat import STEADY_MARGIN
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, certify, inside, relaxed_bound
-from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
@@ -106,7 +106,6 @@ class TestOptimum:
     ) -> None:
         """Below the convex problem's optimum, as a dual bound has to be, and below it by almost nothing."""
         problem, answer = tight[headroom]
-        assert problem.thermal is not None
         relaxed = with_limit(problem, problem.thermal.relaxed(problem.limits.current_A))
         least = solve(relaxed, SolverOptions("casadi-ipopt"))
         optimum_of_relaxed = certify(relaxed, least.command_A, least.multipliers).objective
@@ -150,15 +149,7 @@ class TestHotStart:
         assert designed.solution.status is Status.OPTIMAL
         assert designed.certificate.accepted
         assert np.abs(designed.solution.command_A).max() > 1
-        assert problem.thermal is not None
-        (played,) = replay(
-            problem.stage,
-            problem.grid,
-            designed.solution.command_A[None],
-            problem.reference_m_s2[None],
-            problem.thermal.coil,
-        )
-        assert played.winding_C <= 100 + 1e-5
+        assert played(problem, designed.solution.command_A).winding_C <= 100 + 1e-5
 
     def test_at_the_limit_over_an_equally_hot_housing_is_refused_by_name(self, entry: Maker) -> None:
         """No command at all is cool enough, the ripple of Eq. 7 alone heats: few stages say so soon."""
@@ -224,25 +215,17 @@ class TestRepetition:
         """From a cold start; measured 0.57 K below the steady state then, which itself is met to 1e-3 K."""
         problem, answer = repeated
         thermal = problem.thermal
-        assert thermal is not None
         coil = thermal.coil
         maps = period_map(coil, answer.command_A, 1 / RATE_Hz)
         _, current = problem.stage.rollout(answer.command_A)
         predicted = float(thermal.temperatures_C(current, answer.command_A).max())
-        (played,) = replay(
-            problem.stage,
-            problem.grid,
-            answer.command_A[None],
-            problem.reference_m_s2[None],
-            coil,
-            budgets=[thermal.budget],
-        )
+        replayed_C = played(problem, answer.command_A).winding_C
         taps = round(5 * coil.tau_h_s * RATE_Hz)
         start = np.linalg.matrix_power(maps[-1], taps) @ [coil.ambient_C, coil.ambient_C, 1.0]
         peak = max(float((step @ start)[0]) for step in maps)
         assert peak < thermal.limit_C
         assert peak == pytest.approx(predicted, abs=1.0)
-        assert peak == pytest.approx(played.winding_C, abs=1.0)
+        assert peak == pytest.approx(replayed_C, abs=1.0)
 
         transition, offset = maps[-1][:2, :2], maps[-1][:2, 2]
         steady = np.append(np.linalg.solve(np.eye(2) - transition, offset), 1.0)
@@ -251,7 +234,7 @@ class TestRepetition:
         assert predicted == pytest.approx(thermal.limit_C - STEADY_MARGIN * (thermal.limit_C - 60), abs=1e-6)
         assert forever <= thermal.limit_C
         assert -2e-3 <= predicted - forever <= 1e-6
-        assert played.winding_C == pytest.approx(forever, abs=5e-4)
+        assert replayed_C == pytest.approx(forever, abs=5e-4)
 
     def test_its_own_multipliers_claim_no_bound(self, repeated: tuple[TransientProblem, Solution]) -> None:
         problem, answer = repeated
@@ -283,14 +266,12 @@ class TestRepetitionOnAWall:
         for idle in (None, 0.0):
             data["thermal"]["idle_A"] = idle
             build = build_library(Scene.model_validate(data), own)
-            assert build.library is not None
             build.library.save(tmp_path / "library.npz")
             (check,) = verify_library(load_library(tmp_path / "library.npz"))
             assert not check.shortfalls
             (entry,) = build.all_entries()
             hottest.append(entry.played.winding_C)
             thermal = entry.problem.thermal
-            assert thermal is not None
             if idle is None:
                 at_the_end = entry.solution.command_A[-1]
                 # Known before the solve, from the reference's course: not to the last digit.

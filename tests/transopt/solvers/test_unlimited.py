@@ -80,21 +80,6 @@ def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_sta
     assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
 
 
-@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
-def test_gradient_by_differences(stages: int, ny: int, rule_stages: int) -> None:
-    data = random_tracking(stages, ny, rule_stages)
-    free = np.random.default_rng(5).standard_normal(data.free_stages)
-    run = Pass(data)
-    point = run.at(free)
-    movement, error = rolled_out(data, free)
-    np.testing.assert_allclose(point.movement, movement, atol=1e-11)
-    np.testing.assert_allclose(point.error, error, atol=1e-11)
-    for k, step in enumerate(np.eye(data.free_stages)):
-        # The objective is quadratic: central differences are exact for any step.
-        up, down = (np.sum(residuals(data, free + sign * step) ** 2) for sign in (1, -1))
-        assert run.gradient(point)[k] == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
-
-
 @pytest.mark.parametrize("ideal", [False, True])
 def test_agrees_with_solvers_whose_limits_are_far_away(make_problem: ProblemMaker, ideal: bool) -> None:
     problem = make_problem(0.3, 3.0, ideal=ideal, stages=60, current_A=40.0, **({} if ideal else {"command_A": 60.0}))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from problems.stress.cases import Coil, Current, Horizon, StressCase, Surface
+from problems.stress.judge import played
 from tests.benches.limits import supply_of
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
@@ -134,7 +135,6 @@ class TestValues:
     def test_temperature(self, problem: TransientProblem) -> None:
         """No row, since it is no sum of outputs; the certificate reads the limit's own course."""
         command, thermal = drawn_command(problem), problem.thermal
-        assert thermal is not None
         assert thermal.rows(problem) == ()
         motion = problem.stage.motion(command)
         (box,) = (
@@ -220,15 +220,7 @@ class TestLimitsThatAreNotThere:
         proof = certify(problem, answer.command_A, answer.multipliers)
         assert proof.accepted
         assert ("V" in proof.violations) == ("supply" in problem.limits)
-        (run,) = replay(
-            problem.stage,
-            problem.grid,
-            answer.command_A[None],
-            problem.reference_m_s2[None],
-            None,
-            limits=[problem.limits],
-        )
-        assert set(run.reached) == {limit.name for limit in problem.limits}
+        assert set(played(problem, answer.command_A).reached) == {limit.name for limit in problem.limits}
 
     def test_no_temperature(self) -> None:
         problem = all_limits().without("temperature")
@@ -318,7 +310,6 @@ class TestCollection:
             if limit.name != "temperature":
                 assert limit.wider(factor).stated == pytest.approx(factor * limit.stated)
         thermal = all_limits().thermal
-        assert thermal is not None
         assert thermal.wider(factor).room == pytest.approx(thermal.room + (factor - 1) * max(thermal.room, 1.0))
 
     @pytest.mark.parametrize("number", [0.0, -1.0, np.nan, np.inf])
