@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from transopt.library.arrays import absent, declared
+from transopt.library.arrays import absent, content_hash, declared
 from transopt.library.export import export_library
 from transopt.library.library import ARRAYS, MULTIPLIERS, Library
 from transopt.problem.limits import KINDS
@@ -46,3 +46,15 @@ def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, t
     with np.load(tmp_path / "library.npz") as file:
         assert set(file.files) == wanted
     assert {name for name in loadmat(tmp_path / "library.mat") if not name.startswith("__")} == wanted
+
+
+def test_the_hash_tells_names_types_shapes_and_bytes_apart() -> None:
+    one = {"a": np.zeros(4), "b": np.ones(2)}
+    others = [
+        {"a": np.zeros(4), "c": np.ones(2)},
+        {"a": np.zeros(4, dtype=np.float32), "b": np.ones(2)},
+        {"a": np.zeros((2, 2)), "b": np.ones(2)},
+        {"a": np.zeros(4), "b": np.array([1.0, 2.0])},
+    ]
+    assert content_hash(one) == content_hash(dict(reversed(one.items())))
+    assert len({content_hash(each) for each in [one, *others]}) == 5

@@ -13,7 +13,7 @@ from transopt.design.verify import verify_library
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
 from transopt.plant.continuous import accurate, fine
-from transopt.plant.discretise import Motion, TimeGrid, discretise
+from transopt.plant.discretise import Motion, TimeGrid, discretise, state_scale
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
@@ -154,3 +154,17 @@ def test_a_stiff_undamped_mode_does_not_die_out_in_the_replay() -> None:
     predicted, _ = stage.rollout(command)
     (played,) = replay(stage, grid, command[None], predicted[None], None)
     assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-6 * np.abs(predicted).max()
+
+
+@pytest.mark.parametrize("stages", [1, 20, 21, 90, 400, 3000])
+def test_state_scale_is_the_peak_under_the_square_wave(stages: int) -> None:
+    """Tick by tick, at most ten periods of 40 ticks; a state that nothing moves keeps 1."""
+    random = np.random.default_rng(stages)
+    A, B = random.standard_normal((5, 5)), random.standard_normal(5)
+    A *= 0.98 / np.abs(np.linalg.eigvals(A)).max()
+    A[4, :4], B[4] = 0.0, 0.0
+    x, peak = np.zeros(5), np.zeros(5)
+    for k in range(-(-min(stages, 400) // 20) * 20):
+        x = A @ x + B * (3.0 if k // 20 % 2 == 0 else -3.0)
+        peak = np.maximum(peak, np.abs(x))
+    np.testing.assert_allclose(state_scale(A, B, 3.0, stages), np.append(peak[:4], 1.0), rtol=1e-10)

@@ -94,3 +94,14 @@ def test_the_scene_states_it(scene: Scene) -> None:
     data["weights"]["error_filter"] = "pacinian"
     stated = Scene.model_validate(data).error_filter()
     np.testing.assert_array_equal(stated.b, pacinian(DT_S).b)
+
+
+def test_floor_far_from_the_peak() -> None:
+    """-20 dB at the ends; at 10 Hz and 3 kHz the wide skirts of Q 0.5 still add: -18.1 and -15.8 dB."""
+    f = pacinian(DT_S)
+    _, response = signal.freqz(f.b, f.a, worN=[0.0, 1.0, 10.0, 3000.0, 5000.0], fs=1 / DT_S)
+    decibels = 20 * np.log10(np.abs(response))
+    assert decibels[[0, 4]] == pytest.approx(-20, abs=1e-6)
+    assert decibels[1] == pytest.approx(-20, abs=0.1)
+    assert decibels[2] == pytest.approx(-18.14, abs=0.02)
+    assert decibels[3] == pytest.approx(-15.85, abs=0.02)
