@@ -15,16 +15,17 @@ accelerometer and grip sensor. Exit code 1 if a latency is above 20 us rms over 
 the one shift above 3 %: with ideal sensors of every tap, with real ones of the mean over the rounds.
 """
 
-import argparse
 import math
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from campaign.compiled_device import CompiledDevice
+from common.command import Seed, at_least, run
 from scipy import signal
+from typer import Option
 
 import problems
 from controller.host.driver import Device
@@ -309,7 +310,7 @@ def solved() -> Library:
     return library
 
 
-def run(library: Library, rounds: int, seed: int, folder: Path) -> bool:
+def play(library: Library, rounds: int, seed: int, folder: Path) -> bool:
     """With real and with ideal sensors; whether all is as asked."""
     nodes = [(float(v), float(F)) for F in library.grips_N for v in library.speeds_m_s]
     hand = StraightTaps(nodes, library.time_grid().dt_s)
@@ -322,24 +323,16 @@ def run(library: Library, rounds: int, seed: int, folder: Path) -> bool:
     return good
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--library", type=Path, help="library.npz; without it wood_on_foam is solved")
-    parser.add_argument("--rounds", type=int, default=4, help="taps at each condition")
-    parser.add_argument("--seed", type=int, default=0, help="of the sensors' noise")
-    parser.add_argument("--out", type=Path, help="keep the recordings in this new folder")
-    arguments = parser.parse_args()
-    if arguments.rounds < 1 or arguments.seed < 0:
-        parser.error("--rounds must be at least 1, --seed at least 0")
-    try:
-        library = solved() if arguments.library is None else load_library(arguments.library)
-        if arguments.out is not None:
-            return 0 if run(library, arguments.rounds, arguments.seed, arguments.out) else 1
-        with tempfile.TemporaryDirectory(prefix="transopt-") as folder:
-            return 0 if run(library, arguments.rounds, arguments.seed, Path(folder)) else 1
-    except InputError as error:
-        parser.error(str(error))
+def main(
+    library: Annotated[Path | None, Option(help="library.npz; without it wood_on_foam is solved")] = None,
+    rounds: Annotated[int, at_least(1, "taps at each condition")] = 4,
+    seed: Seed = 0,
+    out: Annotated[Path | None, Option(help="keep the recordings in this new folder")] = None,
+) -> int:
+    given = solved() if library is None else load_library(library)
+    with tempfile.TemporaryDirectory(prefix="transopt-") as folder:
+        return 0 if play(given, rounds, seed, out or Path(folder)) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

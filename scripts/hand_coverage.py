@@ -9,18 +9,15 @@ than 99 %.
 `--bias`: what noise, the low-pass and the accelerometer's pole do to a fit of hands that do not scatter.
 """
 
-import argparse
-import json
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import Annotated
 from unittest import mock
 
 import numpy as np
+from common.command import JsonFile, Seed, at_least, run, write_json
+from typer import Option
 
 from problems.generators.tapping_trials import Sensors, Spread, recorded, second_order_hands, session, surface
-from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
 from transopt.base.writing import table
 from transopt.identify.hand import tap as hand_tap
@@ -146,29 +143,24 @@ def bias_rows() -> list[list[str]]:
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--bias", action="store_true")
-    options = parser.parse_args(arguments)
-    if options.bias:
-        print(
-            "\n".join(
-                table(["mean (standard deviation) of the error, %", "mass", "damping", "stiffness"], bias_rows())
-            )
-        )
+def main(
+    repeats: Annotated[int, at_least(1, "experiments")] = 200,
+    seed: Seed = 1,
+    json: JsonFile = None,
+    bias: Annotated[bool, Option("--bias", help="what biases a fit")] = False,
+) -> int:
+    if bias:
+        head = ["mean (standard deviation) of the error, %", "mass", "damping", "stiffness"]
+        print("\n".join(table(head, bias_rows())))
         return 0
-    coverage = experiments(options.repeats, options.seed)
+    coverage = experiments(repeats, seed)
     head = ["coefficient", "truth", "bias", "scatter", "width of the interval", "covered %"]
     print("\n".join(table(head, coverage_rows(coverage))))
-    if options.json:
+    if json is not None:
         covered = dict(zip(COEFFICIENTS, coverage.covered.tolist(), strict=True))
-        with whole_file(options.json) as file:
-            file.write(json.dumps({"repeats": options.repeats, "seed": options.seed, "covered": covered}).encode())
+        write_json({"repeats": repeats, "seed": seed, "covered": covered}, json)
     return int(not np.all((coverage.covered >= COVERED[0]) & (coverage.covered <= COVERED[1])))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)
