@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import hand_coverage
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -199,13 +200,13 @@ def test_bootstrap_agrees_with_theory(hand: HandFit) -> None:
     assert np.sqrt(hand.covariance[5, 5]) == pytest.approx(error, rel=0.1)
 
 
-def test_intervals_cover_the_truth(scripts: Any) -> None:
+def test_intervals_cover_the_truth() -> None:
     """20 repeats of the experiment; `scripts/hand_coverage.py` makes 200. At 95 % one in 10^4 falls below 14."""
-    coverage = scripts.hand_coverage.experiments(20, 5)
+    coverage = hand_coverage.experiments(20, 5)
     assert np.all(coverage.covered >= 14 / 20)
     # All six together, 120 intervals that come in pairs: 84 % would be a chance of 10^-4 even so.
     assert coverage.covered.mean() >= 0.84
-    rows = scripts.hand_coverage.coverage_rows(coverage)
+    rows = hand_coverage.coverage_rows(coverage)
     assert [row[0] for row in rows] == list(COEFFICIENTS)
 
 
