@@ -3,10 +3,10 @@
     python scripts/error_against_runtime.py --out DIR [--quick] [--case NAME] [--method FILE.py] [--dump DIR]
 
 Writes work_precision.png, error_against_runtime.md and rows.csv into --out: four minutes of one core, one with
---quick. --method adds the curve of your own solve(qp) (see `precision.qp.QP`), which may take a second argument, tolerance,
-and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}); a run of it is cut at ten seconds and has failed,
-unless it hangs inside native code, or on Windows, where nothing can cut it. --dump writes the QPs as NPZ, to be used
-without this project.
+--quick. --method adds the curve of your own solve(qp) (see `precision.qp.QP`), which may take a second argument,
+tolerance, and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}); a run of it is cut at ten seconds and
+has failed, unless it hangs inside native code, or on Windows, where nothing can cut it. --dump writes the QPs as NPZ,
+to be used without this project.
 """
 
 import sys

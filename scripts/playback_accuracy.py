@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 from common.command import JsonFile, LibraryFile, at_least, run, write_json
-from common.experiment import Metrics, play_tap
+from common.experiment import Played, play_tap
 
 from controller.record.metrics import align
 from controller.servo.servo import Servo
@@ -70,16 +70,16 @@ class Point:
         return self.nrmse_blend <= self.interpolation + MOST_NRMSE
 
 
-def once(library: Library, table: Bank, tap: SimulatedTap) -> Metrics:
+def once(library: Library, table: Bank, tap: SimulatedTap) -> Played:
     """One nominal tap with a fresh servo.
 
     Raises
     ------
     RuntimeError : it was not played.
     """
-    metrics = play_tap(library, Servo(Settings.of(library), table), tap).metrics
+    metrics = play_tap(library, Servo(Settings.of(library), table), tap)
     if not metrics.played or metrics.faults:
-        raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.verdict}")
+        raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.events}")
     return metrics
 
 
@@ -117,8 +117,8 @@ def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed
     return Point(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
-        latency_s=played.metrics.latency_s,
-        nrmse=played.metrics.nrmse,
+        latency_s=played.latency_s,
+        nrmse=played.nrmse,
         nrmse_blend=align(played.times_s, played.acceleration_m_s2, prediction.times_s, blend).nrmse,
         interpolation=nrmse(prediction.acceleration_m_s2, blend),
     )

@@ -90,7 +90,7 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
             above.plot(played.times_s * 1e3, played.acceleration_m_s2 / g, **line)
             below.plot(played.times_s * 1e3, played.current_A, **one.line)
         if predicted:
-            text = f"NRMSE {100 * first.metrics.nrmse_reference:.1f} %"
+            text = f"NRMSE {100 * first.nrmse_reference:.1f} %"
             above.text(0.97, 0.93, text, transform=above.transAxes, ha="right", va="top", fontsize=SMALL_PT)
         for limit in limits_A:
             for sign in (1, -1):
