@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
 
-import numpy as np
 import pytest
 
 from controller.firmware.build import NoCompilerError, compiler
@@ -20,7 +19,7 @@ from controller.protocol.wire import DELIMITER, Decoder, decode, encode
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
 from controller.sim.virtual_link import Trouble
-from controller.waveforms.bank import Bank, Method
+from scripts.campaign.compiled_device import smooth_bank
 from scripts.campaign.rehearsal import Rehearsal
 from tests.benches.servo import AMPLIFIER, DT_S
 
@@ -28,27 +27,8 @@ SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, AMPLIFIER, window_ticks=20)
 CONFIGURATION = configuration_of(SETTINGS)
 
 
-def table(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.0) -> Bank:
-    """A bank of smooth pulses that end in 10 zeros."""
-    shape = np.zeros(samples)
-    shape[: samples - 10] = np.sin(np.linspace(0, 3 * np.pi, samples - 10)) * np.linspace(1, 0.2, samples - 10) + 0.01
-    size = np.linspace(0.5, 1.0, speeds * grips).reshape(speeds, grips, 1)
-    norms = np.linalg.norm(shape) * size[..., 0] * peak_A
-    return Bank(
-        method=Method.BILINEAR,
-        speeds_m_s=np.linspace(0.1, 0.4, speeds).tolist() if speeds > 1 else [0.2],
-        grips_N=np.linspace(1.0, 5.0, grips).tolist() if grips > 1 else [3.0],
-        command_A=peak_A * size * shape,
-        transient_A=norms.tolist(),
-        feedback_A=(0.0 * norms).tolist(),
-        grip_min_N=0.5,
-        by_grip=True,
-        nearest=False,
-    )
-
-
 def image(**sizes: int) -> bytes:
-    return image_of(table(**sizes), DT_S, SETTINGS.lead_s, 10)
+    return image_of(smooth_bank(**sizes), DT_S, SETTINGS.lead_s, 10)
 
 
 IMAGE = image()
@@ -126,10 +106,24 @@ class Talker:
     def heard(self) -> list[Packed]:
         return [m.read_frame(payload).message for payload in self.decoder.feed(self.device.bytes_to_send())]
 
+    def tell(self, *messages: Packed) -> list[Packed]:
+        """All that it says while these come."""
+        said = []
+        for message in messages:
+            self.sequence += 1
+            said += self.put(message)
+        return said
+
     def ask(self, message: Packed) -> Packed:
-        self.sequence += 1
-        (answer,) = (x for x in self.put(message) if not isinstance(x, m.Event))
+        (answer,) = (x for x in self.tell(message) if not isinstance(x, m.Event))
         return answer
+
+    def configure(self, configuration: bytes) -> Packed:
+        return self.tell(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))[-1]
+
+    def upload(self, image: bytes) -> Packed:
+        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
+        return self.tell(m.UploadBegin(len(image), sha256(image)), *chunks, m.Commit())[-1]
 
     def refused(self, message: Packed) -> Reason:
         answer = self.ask(message)
@@ -142,13 +136,11 @@ class Talker:
             assert isinstance(self.ask(message), m.Done), message
 
     def configured(self, configuration: bytes = CONFIGURATION) -> "Talker":
-        self.done(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))
+        assert isinstance(self.configure(configuration), m.Done)
         return self
 
     def loaded(self, image: bytes = IMAGE) -> "Talker":
-        assert self.ask(m.UploadBegin(len(image), sha256(image))) == m.UploadReady(0)
-        self.put(m.Data(0, image))
-        self.done(m.Commit())
+        assert isinstance(self.upload(image), m.Done)
         return self
 
     def ready(self) -> "Talker":
