@@ -78,10 +78,7 @@ def measure_all(cases: Sequence[Case], methods: Sequence[Method], effort: Effort
         task = progress.add_task("", total=total)
         for case in cases:
             rows += measure(
-                case,
-                methods,
-                effort,
-                told=lambda text, done: progress.update(task, description=text, advance=done),
+                case, methods, effort, told=lambda text, done: progress.update(task, description=text, advance=done)
             )
             if periods:
                 progress.update(task, description=f"{case.name}: servo rates")

@@ -105,11 +105,7 @@ def measure(line: Line, libraries: list[bytes], seed: int) -> Result:
     )
 
 
-def main(
-    runs: Annotated[int, at_least(1, "uploads per line")] = 5,
-    seed: Seed = 0,
-    json: JsonFile = None,
-) -> int:
+def main(runs: Annotated[int, at_least(1, "uploads per line")] = 5, seed: Seed = 0, json: JsonFile = None) -> int:
     libraries = images(runs)
     built = compiler().version.splitlines()[0]
     here = {**machine(), "python": platform.python_version(), "compiler": built}

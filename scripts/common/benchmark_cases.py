@@ -223,9 +223,7 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
     """The scene's own library and the wide one, warm and from process start."""
     taps, taps_of_wide = recordings(scene), recordings(wide(scene))
     times = timed(
-        runs,
-        library=lambda: build_library(scene, taps),
-        wide=lambda: build_library(wide(scene), taps_of_wide),
+        runs, library=lambda: build_library(scene, taps), wide=lambda: build_library(wide(scene), taps_of_wide)
     )
     told = "solved, certified, priced, replayed, baselines"
     library = build_library(scene, taps).library

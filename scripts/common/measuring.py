@@ -35,9 +35,7 @@ def elapsed_ms(run: Callable[[], object]) -> float:
 
 
 def take_turns(
-    methods: Mapping[str, Callable[[], object]],
-    runs: Mapping[str, int],
-    told: Callable[[], None] = lambda: None,
+    methods: Mapping[str, Callable[[], object]], runs: Mapping[str, int], told: Callable[[], None] = lambda: None
 ) -> dict[str, FloatArray]:
     """(runs of it,) wall times [ms] of each method.
 

@@ -1,12 +1,14 @@
 """A host session, a link and the compiled device on one virtual clock; and a host that speaks frame by frame."""
 
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 
-from controller.firmware.build import NoCompilerError, compiler
+from controller.firmware.build import NoCompilerError, build, compiler
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.capacity import Hardware
@@ -25,6 +27,7 @@ from tests.benches.servo import AMPLIFIER, DT_S
 
 SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, AMPLIFIER, window_ticks=20)
 CONFIGURATION = configuration_of(SETTINGS)
+SANITIZERS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 
 
 def image(**sizes: int) -> bytes:
@@ -47,6 +50,23 @@ def need_compiler() -> None:
         compiler()
     except NoCompilerError as missing:
         pytest.skip(str(missing))
+
+
+def clean_answers(name: str, files: list[Path], argument: Path, flags: tuple[str, ...] = ()) -> None:
+    """A program of the core says the same under the sanitizers as without them, and nothing of their own."""
+    programs = build(name, files, flags=flags), checked(name, files, flags)
+    command = [[str(program), str(argument)] for program in programs]
+    said = [subprocess.run(c, capture_output=True, text=True, check=True, timeout=100) for c in command]
+    assert [run.stderr for run in said] == ["", ""]
+    assert said[0].stdout == said[1].stdout
+
+
+def checked(name: str, files: list[Path], flags: tuple[str, ...] = ()) -> Path:
+    """Built under the sanitizers, where the compiler has them."""
+    try:
+        return build(f"{name}-checked", files, flags=(*flags, *SANITIZERS))
+    except NoCompilerError as refused:
+        pytest.skip(f"no sanitizers here: {refused}")
 
 
 def started(boot: int, hardware: Hardware | None = None, samples: int | None = None) -> CoreDevice:

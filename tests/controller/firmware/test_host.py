@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from controller.cli.device import simulated
-from controller.firmware.build import CORE, FIRMWARE, STRICT, NoCompilerError, build, sources
+from controller.firmware.build import CORE, FIRMWARE, STRICT, build, sources
 from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device
 from controller.host.payload import excitation, excitation_settings
@@ -35,7 +35,7 @@ from controller.sim.user import Habit, StillHand, TapsInTurn, TapUser
 from controller.waveforms.bank import Bank
 from scripts.campaign.compiled_device import CompiledDevice
 from tests.benches.commands import Terminal, assert_refused
-from tests.benches.device import Talker
+from tests.benches.device import Talker, checked
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
@@ -44,7 +44,6 @@ pytestmark = pytest.mark.usefixtures("c_compiler")
 
 DT_S = 1e-4
 QUIET = Sensors(accelerometer_noise_g_rtHz=0.0, grip_noise_N=0.0, current_noise_A=0.0)
-CHECKS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 FILES = [*sources(CORE), *sources(FIRMWARE / "host")]
 WAIT_S = 60.0  # for a process on a busy machine; nothing is judged by it
 
@@ -145,10 +144,7 @@ class Both:
 def program(request: pytest.FixtureRequest) -> Path:
     if request.param == "plain":
         return build("transopt-device", FILES, flags=STRICT)
-    try:
-        return build("transopt-device-checked", FILES, flags=CHECKS)
-    except NoCompilerError as refused:
-        pytest.skip(f"no sanitizers here: {refused}")
+    return checked("transopt-device", FILES)
 
 
 def test_taps_go_as_on_the_simulator(
@@ -205,10 +201,7 @@ def _but_for_rounding(both: Both) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [({"ground": Ground(friction_N=0.1)}, "knows no friction")],
-)
+@pytest.mark.parametrize(("change", "message"), [({"ground": Ground(friction_N=0.1)}, "knows no friction")])
 def test_what_the_compiled_plant_cannot_do_is_refused(
     user: TapsInTurn, change: dict[str, object], message: str
 ) -> None:

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import hand_coverage
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -26,7 +25,7 @@ from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify.hand.chain import NAMES, OF_HAND, _simulate, fit_chain
-from transopt.identify.hand.lines import COEFFICIENTS, LEAST_TRIALS, HandFit, fit_hand, grip_groups
+from transopt.identify.hand.lines import LEAST_TRIALS, HandFit, fit_hand, grip_groups
 from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement, load_measurement
 from transopt.plant.chain import Link, chain
@@ -198,16 +197,6 @@ def test_bootstrap_agrees_with_theory(hand: HandFit) -> None:
     error = np.sqrt(np.sum(away**2 * left**2)) / np.sum(away**2)
     assert line.intervals[1, 1] - line.intervals[1, 0] == pytest.approx(2 * 1.99 * error, rel=0.1)
     assert np.sqrt(hand.covariance[5, 5]) == pytest.approx(error, rel=0.1)
-
-
-def test_intervals_cover_the_truth() -> None:
-    """20 repeats of the experiment; `scripts/hand_coverage.py` makes 200. At 95 % one in 10^4 falls below 14."""
-    coverage = hand_coverage.experiments(20, 5)
-    assert np.all(coverage.covered >= 14 / 20)
-    # All six together, 120 intervals that come in pairs: 84 % would be a chance of 10^-4 even so.
-    assert coverage.covered.mean() >= 0.84
-    rows = hand_coverage.coverage_rows(coverage)
-    assert [row[0] for row in rows] == list(COEFFICIENTS)
 
 
 def test_a_bent_dependence_is_no_line(cut_taps: list[HandTap]) -> None:
