@@ -3,7 +3,7 @@
     python scripts/device_end_to_end.py [--library LIBRARY] [--rounds 4] [--out DIR] [--seed 0]
 
 The compiled device serves a pseudo-terminal in real time; its scripted hand taps at every speed and grip of the
-library's grid in turn, over and over. Motion and noise depend on the device's ticks alone, so the figures do not
+library's grid in turn, straight in and on. Motion and noise depend on the device's ticks alone, so the figures do not
 depend on the machine; a tap of which a busy machine loses records is left to the hand's next round. Each tap is
 recorded and compared with the library's prediction as `transopt-play tap` does it (`controller.record.played`): at
 the speed and the grip that the device reported, behind the accelerometer's own pole, from the moment at which the
@@ -36,7 +36,6 @@ from controller.sim.plant_file import plant_bytes
 from controller.sim.sensors import SEED_SENSORS, Sensors
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
-from controller.sim.user import TapsInTurn
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from transopt.base.errors import InputError
@@ -48,11 +47,62 @@ from transopt.scene.strikes import recordings
 
 MOST_LATENCY_S, MOST_NRMSE = 20e-6, 0.03
 IDEAL = Sensors(accelerometer_noise_g_rtHz=0.0, accelerometer_bandwidth_Hz=1e6, grip_hysteresis=0.0, grip_noise_N=0.0)
-REST_S = 3.0  # after each round of the hand, in which the device is armed
+FIRST_REST_S = 3.0  # the device is configured, loaded and armed in this time
+REST_S, STARTING_S, STRAIGHT_S, ONWARD_S, RETREAT_S = 0.1, 0.03, 0.25, 0.11, 0.3
 MOST_ROUNDS = 3  # of the hand, per round asked for, if a busy machine loses records
 LEASE_MS = 1000  # the machine may have more to do
 HEAD = ("m/s", "N", "reported m/s", "N", "taps", "latency rms us", "NRMSE %: worst tap", "mean", "kept")
 Node = tuple[float, float]  # speed [m/s], grip [N]
+
+
+def eased(part: float) -> float:
+    """From 0 to 1 as hands move (Flash and Hogan 1985)."""
+    part = min(max(part, 0.0), 1.0)
+    return part**3 * (10 - 15 * part + 6 * part**2)
+
+
+class StraightTaps:
+    """The given taps in turn after a rest, over and over; straight in, and straight on until the window is over.
+
+    The hand moves straight for so long that what its start has set swinging is gone at the contact.
+    """
+
+    CYCLE_S = REST_S + STARTING_S + STRAIGHT_S + ONWARD_S + RETREAT_S
+
+    def __init__(self, taps: list[Node], dt_s: float) -> None:
+        self.taps = taps
+        self.period_s = math.ceil((FIRST_REST_S + len(taps) * self.CYCLE_S) / dt_s) * dt_s
+
+    def _at(self, time_s: float) -> tuple[int, float]:
+        into = time_s % self.period_s - FIRST_REST_S
+        if into < 0:
+            return 0, 0.0
+        tap = min(int(into / self.CYCLE_S), len(self.taps) - 1)
+        return tap, into - tap * self.CYCLE_S
+
+    def _height_m(self, tap: int) -> float:
+        return self.taps[tap % len(self.taps)][0] * (STARTING_S / 2 + STRAIGHT_S)
+
+    def intention_m(self, time_s: float) -> float:
+        tap, into = self._at(time_s)
+        speed, moving = self.taps[tap][0], into - REST_S
+        if moving <= 0:
+            return self._height_m(tap)
+        started = min(moving, STARTING_S)
+        onward = min(moving, STARTING_S + STRAIGHT_S + ONWARD_S)
+        z = self._height_m(tap) - speed * (started**2 / (2 * STARTING_S) + onward - started)
+        return z + (self._height_m(tap + 1) - z) * self._back(into)
+
+    def carried_m_s2(self, time_s: float) -> float:
+        return 0.0
+
+    def grip_N(self, time_s: float) -> float:
+        tap, into = self._at(time_s)
+        grip, following = self.taps[tap][1], self.taps[(tap + 1) % len(self.taps)][1]
+        return grip + (following - grip) * self._back(into)
+
+    def _back(self, into_s: float) -> float:
+        return eased((into_s - (self.CYCLE_S - RETREAT_S)) / RETREAT_S)
 
 
 @dataclass(frozen=True)
@@ -97,7 +147,7 @@ def recorded(
     """
     settings = Settings.of(library)
     dt_s, bandwidth_Hz = settings.dt_s, sensors.accelerometer_bandwidth_Hz
-    hand = TapsInTurn(nodes, math.ceil((TapsInTurn(nodes).period_s + REST_S) / dt_s) * dt_s)
+    hand = StraightTaps(nodes, dt_s)
     true = Imperfections(crossover_A=0.0, sensors=sensors)
     simulator = Simulator(device_of(scene_of(library)), hand, dt_s, imperfections=true, seed=seed)
     with (

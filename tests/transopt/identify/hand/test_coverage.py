@@ -7,7 +7,7 @@ from problems.generators.tapping_trials import Spread, recorded, second_order_ha
 from transopt.base.signals import FloatArray
 from transopt.identify.hand.lines import fit_hand
 from transopt.identify.hand.tap import cut_tap
-from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
+from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 
 LINES = (SEED_HAND_MASS_KG, SEED_HAND_DAMPING_N_S_M, SEED_HAND_STIFFNESS_N_M)
 TRUTH = np.array([value for line in LINES for value in (line.constant, line.per_newton)])
