@@ -33,7 +33,8 @@ from controller.protocol.image import (
 )
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, bank
-from tests.benches.device import CONFIGURATION, IMAGE, SETTINGS, table
+from scripts.campaign.compiled_device import smooth_bank as table
+from tests.benches.device import CONFIGURATION, IMAGE, SETTINGS
 from tests.benches.servo import AMPLIFIER, DT_S, WALL
 from transopt.base.errors import InputError
 from transopt.library.library import Library
@@ -140,7 +141,7 @@ def test_what_cannot_become_an_image() -> None:
         ({"grip_min_N": math.nan}, Reason.BAD_VALUE),
         ({"grip_min_N": -1.0}, Reason.BAD_VALUE),
         ({"tail_samples": 0}, Reason.NO_ZERO_TAIL),
-        ({"tail_samples": 11}, Reason.NO_ZERO_TAIL),
+        ({"tail_samples": 12}, Reason.NO_ZERO_TAIL),
         ({"tail_samples": 61}, Reason.NO_ZERO_TAIL),
         ({"scale_A": 1.0}, Reason.OVER_LIMIT),
     ],
