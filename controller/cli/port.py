@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import SIMULATED, within
+from controller.cli.options import SIMULATED, LibraryFile, Port, Reset, Seconds, within
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -29,17 +29,14 @@ if TYPE_CHECKING:
 
 LISTEN_S = 0.05  # between two looks at whether to end
 STOPPED = "stopped; the device is disarmed"
-Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://HOST:PORT.")]
-Reset = Annotated[bool, typer.Option("--reset", help="Leave a latched fault first; its cause must be gone.")]
-Seconds = Annotated[float | None, typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.")]
-LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
 
 
-def at_port(name: str) -> "Bench":
+def person_at(name: str) -> "Bench":
     """A device on a port in the hand of whoever reads the terminal."""
     from controller.cli.bench import Bench
+    from controller.host.sweeps import request
 
-    return Bench(name, terminal.console())
+    return Bench(name, terminal.console(), hold=lambda grip_N: ConsolePerson().asked(request(grip_N)))
 
 
 def open_device(port: "str | Connection") -> "Device":
@@ -172,7 +169,7 @@ def monitor(
     from controller.servo.settings import Settings
 
     within("every", every, 1, 65535, " ticks")
-    ends(None, seconds)
+    within("for", seconds, 0.0, 1e9, " s")
     console = terminal.console()
     with connected(port) as device:
         hello = device.hello
@@ -307,11 +304,3 @@ def check(
         highlight=False,
         soft_wrap=True,
     )
-
-
-def ends(taps: int | None, seconds: float | None) -> None:
-    """What may end a run."""
-    if taps is not None:
-        within("taps", taps, 1, 1_000_000)
-    if seconds is not None:
-        within("for", seconds, 0.0, 1e9, " s")

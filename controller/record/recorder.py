@@ -22,10 +22,11 @@ from controller.protocol.codes import STATES
 from controller.protocol.events import Happened, News, Samples
 from controller.protocol.messages import Record
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
+from controller.record.trial_file import refuse_old
 from controller.servo.interface import Event, Fault, Notice, Output, Readings
-from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
+from transopt.base.terminal import make_folder
 
 EVENTS_NAME = "events.csv"
 EVENT_COLUMNS = "tick,time_s,event,speed_m_s,grip_N"
@@ -95,6 +96,7 @@ class Recorder:
 
     Attributes
     ----------
+    count_m : one encoder count.
     contacts : complete ones.
     records, missed : so far.
 
@@ -114,7 +116,7 @@ class Recorder:
         over: bool = False,
     ) -> None:
         self._folder, self._dt_s, self._over = folder, dt_s, over
-        self._count_m, self._surface_counts = count_m, surface_counts
+        self.count_m, self._surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
         self._first, self._every = 0, 1  # of the telemetry
@@ -251,7 +253,7 @@ class Recorder:
             "time_s,acceleration_m_s2,position_m,current_A",
         ]
         times = (contact.ticks - contact.tick) * self._dt_s
-        position = (contact.counts - self._surface_counts) * self._count_m
+        position = (contact.counts - self._surface_counts) * self.count_m
         columns = zip(times, contact.acceleration_m_s2, position, contact.current_A, strict=True)
         rows = [f"{t:.6f},{a:.6g},{z:.7f},{i:.6g}" for t, a, z, i in columns]
         with whole_file(path) as file:
@@ -270,10 +272,6 @@ def make_room(folder: Path, *, over: bool = False) -> None:
     ------
     InputError : it cannot.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        old = next((path.name for name in (CSV_NAME, EVENTS_NAME, "tap_*.csv") for path in folder.glob(name)), None)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
-    if old is not None and not over:
-        raise InputError(f"--out {folder}: holds a recording already ({old}); choose another folder")
+    make_folder(folder)
+    if not over:
+        refuse_old(folder, [CSV_NAME, EVENTS_NAME, *sorted(path.name for path in folder.glob("tap_*.csv"))])

@@ -43,6 +43,11 @@ class Sensors:
 SEED_SENSORS = Sensors()
 
 
+def noise_seed(seed: int, *place: int) -> int:
+    """Another noise for each trial of one device."""
+    return int(np.random.SeedSequence([seed, 7, *place]).generate_state(1, np.uint64)[0] >> 1)
+
+
 def _normal(random: np.random.Generator) -> Iterator[float]:
     while True:
         yield from random.standard_normal(NOISE_BLOCK).tolist()

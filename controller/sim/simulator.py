@@ -103,6 +103,12 @@ class Coil:
         self.housing_C += h * dt_s
 
 
+def true_device(device: TrueDevice, imperfections: Imperfections, seed: int) -> TrueDevice:
+    """The device that a simulator of this seed has, mismatch and amplifier's crossover included."""
+    known = replace(device, ground=imperfections.ground, crossover_A=imperfections.crossover_A)
+    return known.mismatched(imperfections.mismatch, np.random.default_rng([seed, 3]))
+
+
 class Simulator:
     """A device in a user's hand; implements `Plant`.
 
@@ -133,8 +139,7 @@ class Simulator:
         steps: int = 2,
         trace: bool = False,
     ) -> None:
-        known = replace(device, ground=imperfections.ground, crossover_A=imperfections.crossover_A)
-        self.device = known.mismatched(imperfections.mismatch, np.random.default_rng([seed, 3]))
+        self.device = true_device(device, imperfections, seed)
         self._user, self._dt_s, self._target = user, dt_s, target
         self._bench = SensorBench(imperfections.sensors, dt_s, seed, user.grip_N(0.0))
         self._bandwidth_Hz = imperfections.sensors.accelerometer_bandwidth_Hz
@@ -210,6 +215,11 @@ class Simulator:
     @property
     def housing_C(self) -> float:
         return float("nan") if self._coil is None else self._coil.housing_C
+
+    @property
+    def contact_N(self) -> float:
+        """Force of a real object on the stylus."""
+        return self._contact_N(self._x)
 
     def trace(self) -> Trace:
         """What was kept so far.

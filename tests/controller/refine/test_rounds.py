@@ -18,9 +18,8 @@ from controller.refine.learning import Ratio, condition, corrected, factors, rat
 from controller.refine.rounds import Heard, Node, Refined, fade_of, node_near, nodes_of, refine, smooth
 from controller.refine.tables import best_round, refine_table, summary
 from controller.servo.interface import State
-from controller.sim.open_loop import true_device
 from controller.sim.sensors import SEED_SENSORS
-from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.simulator import Imperfections, Simulator, true_device
 from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
