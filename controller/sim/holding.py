@@ -24,6 +24,7 @@ class HoldingHand:
         self._device, self._dt_s, self._imperfections, self._seed = device, dt_s, imperfections, seed
         self._holds = self._counts = 0
         self.hold(0.0)
+        self._way.clear()
 
     def hold(self, grip_N: float) -> None:
         """Still, with this grip, where the stylus hung at first."""
