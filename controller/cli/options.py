@@ -1,7 +1,7 @@
 """What the commands of `transopt-play` and `transopt-device` ask of their options, and the options several share."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,44 +14,41 @@ SIMULATED = "sim:"  # the name of the port, as `controller.sim.port` has it
 # Headings in the help under which stand the parameters that mean nothing on the other kind of port.
 ON_A_PORT, ON_THE_SIMULATOR = "With --port", "With --simulate"
 
+
+def with_port(words: str, *names: str) -> Any:
+    """An option that means something on a port only."""
+    return typer.Option(*names, help=words, rich_help_panel=ON_A_PORT)
+
+
+def with_simulate(words: str, *names: str) -> Any:
+    """An option that means something on the simulated device only."""
+    return typer.Option(*names, help=words, rich_help_panel=ON_THE_SIMULATOR)
+
+
 LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="On the simulated device, in virtual time.")]
-AnyPort = Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists, or socket://HOST:PORT.")]
 Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://HOST:PORT.")]
-Reset = Annotated[
-    bool,
-    typer.Option("--reset", help="Leave a latched fault first; its cause must be gone.", rich_help_panel=ON_A_PORT),
-]
-Seconds = Annotated[
-    float | None,
-    typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.", rich_help_panel=ON_A_PORT),
-]
-TapCount = Annotated[
-    int | None, typer.Option(help="End after so many; default: on Ctrl-C.", rich_help_panel=ON_A_PORT)
-]
-AccelerometerHz = Annotated[float, typer.Option(help="Bandwidth of its accelerometer.", rich_help_panel=ON_A_PORT)]
-CountUm = Annotated[float, typer.Option(help="One encoder count at the tip, in um.", rich_help_panel=ON_A_PORT)]
+AnyPort = Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists, or socket://HOST:PORT.")]
 Gain = Annotated[
     float | None,
     typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
 ]
+Reset = Annotated[bool, with_port("Leave a latched fault first; its cause must be gone.", "--reset")]
+Seconds = Annotated[float | None, with_port("End after so many seconds; default: on Ctrl-C.", "--for")]
+TapCount = Annotated[int | None, with_port("End after so many; default: on Ctrl-C.")]
+AccelerometerHz = Annotated[float, with_port("Bandwidth of its accelerometer.")]
+CountUm = Annotated[float, with_port("One encoder count at the tip, in um.")]
 TrueDeviceName = Annotated[
     str | None,
-    typer.Option(
+    with_simulate(
+        "Whose device it is, before --mismatch: built-in scene, .toml or library.npz; default the library's own, "
+        "without one wood_on_foam.",
         "--device",
-        help="Whose device it is, before --mismatch: built-in scene, .toml or library.npz; "
-        "default the library's own, without one wood_on_foam.",
-        rich_help_panel=ON_THE_SIMULATOR,
     ),
 ]
-Mismatch = Annotated[
-    float,
-    typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.", rich_help_panel=ON_THE_SIMULATOR),
-]
-Seed = Annotated[int, typer.Option(help="Of phase, noise and mismatch.", rich_help_panel=ON_THE_SIMULATOR)]
-Crossover = Annotated[
-    float, typer.Option(help="Half-width of the amplifier's dead band, in A.", rich_help_panel=ON_THE_SIMULATOR)
-]
+Mismatch = Annotated[float, with_simulate("Every parameter is off by up to this part; 0.1: 10 %.")]
+Seed = Annotated[int, with_simulate("Of phase, noise and mismatch.")]
+Crossover = Annotated[float, with_simulate("Half-width of the amplifier's dead band, in A.")]
 
 
 def within(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:

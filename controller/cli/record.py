@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from controller.cli.options import (
-    ON_A_PORT,
     ON_THE_SIMULATOR,
     AccelerometerHz,
     AnyPort,
@@ -26,6 +25,8 @@ from controller.cli.options import (
     imperfect,
     is_simulated,
     numbers,
+    with_port,
+    with_simulate,
     within,
 )
 from transopt.base import terminal
@@ -67,10 +68,7 @@ def record_sweep(
     gain: Gain = None,
     patience: Annotated[float, typer.Option(help="How long to wait for the hand, in s.")] = 60.0,
     library: Annotated[
-        Path | None,
-        typer.Option(
-            help="Whose limits, amplifier and coil hold; else the built-in ones.", rich_help_panel=ON_A_PORT
-        ),
+        Path | None, with_port("Whose limits, amplifier and coil hold; else the built-in ones.")
     ] = None,
     accelerometer_hz: AccelerometerHz = 2500.0,
     count_um: CountUm = 24.5,
@@ -153,34 +151,16 @@ def record_tap(
     seconds: Seconds = None,
     count_um: CountUm = 24.5,
     real_object: Annotated[
-        bool,
-        typer.Option(
-            "--object",
-            help="The undriven device on the scene's object, with force_N.",
-            rich_help_panel=ON_THE_SIMULATOR,
-        ),
+        bool, with_simulate("The undriven device on the scene's object, with force_N.", "--object")
     ] = False,
-    speeds: Annotated[
-        str | None,
-        typer.Option(help="Speeds in m/s, like 0.15,0.25; default the grid's.", rich_help_panel=ON_THE_SIMULATOR),
-    ] = None,
+    speeds: Annotated[str | None, with_simulate("Speeds in m/s, like 0.15,0.25; default the grid's.")] = None,
     grips: Annotated[
-        str | None,
-        typer.Option(
-            help="Grips in N, like 1,3,5; default the library's, or the one of the scene's taps.",
-            rich_help_panel=ON_THE_SIMULATOR,
-        ),
+        str | None, with_simulate("Grips in N, like 1,3,5; default the library's, or the one of the scene's taps.")
     ] = None,
     repeats: Annotated[
-        int,
-        typer.Option(
-            help="Taps at each speed and grip; `transopt identify hand` wants 12 or more in all.",
-            rich_help_panel=ON_THE_SIMULATOR,
-        ),
+        int, with_simulate("Taps at each speed and grip; `transopt identify hand` wants 12 or more in all.")
     ] = 1,
-    force_noise: Annotated[
-        float, typer.Option(help="Rms of the force sensor, in N.", rich_help_panel=ON_THE_SIMULATOR)
-    ] = 0.02,
+    force_noise: Annotated[float, with_simulate("Rms of the force sensor, in N.")] = 0.02,
     scene: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from controller.cli.options import (
-    ON_A_PORT,
     AccelerometerHz,
     AnyPort,
     Crossover,
@@ -24,6 +23,7 @@ from controller.cli.options import (
     TrueDeviceName,
     imperfect,
     is_simulated,
+    with_port,
     within,
 )
 from controller.cli.port import STOPPED, connected, person_at
@@ -49,10 +49,7 @@ def refine(
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
     crossover: Crossover = 0.01,
-    seconds: Annotated[
-        float | None,
-        typer.Option("--for", help="End a round's taps after so many seconds.", rich_help_panel=ON_A_PORT),
-    ] = None,
+    seconds: Annotated[float | None, with_port("End a round's taps after so many seconds.", "--for")] = None,
     accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:

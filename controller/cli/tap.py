@@ -10,7 +10,6 @@ import typer
 
 from controller.cli import port as sessions
 from controller.cli.options import (
-    ON_THE_SIMULATOR,
     AccelerometerHz,
     AnyPort,
     Crossover,
@@ -25,6 +24,7 @@ from controller.cli.options import (
     TrueDeviceName,
     imperfect,
     is_simulated,
+    with_simulate,
     within,
 )
 from transopt.base import terminal
@@ -47,28 +47,17 @@ def tap(
     port: AnyPort = None,
     gain: Gain = None,
     out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
-    speed: Annotated[
-        float | None,
-        typer.Option(help="Incoming speed in m/s; default the grid's middle.", rich_help_panel=ON_THE_SIMULATOR),
-    ] = None,
-    grip: Annotated[
-        float | None, typer.Option(help="Grip in N; default the grid's middle.", rich_help_panel=ON_THE_SIMULATOR)
-    ] = None,
+    speed: Annotated[float | None, with_simulate("Incoming speed in m/s; default the grid's middle.")] = None,
+    grip: Annotated[float | None, with_simulate("Grip in N; default the grid's middle.")] = None,
     method: Annotated[
         str,
-        typer.Option(
-            help="How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
-            "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum.",
-            rich_help_panel=ON_THE_SIMULATOR,
+        with_simulate(
+            "How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
+            "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum."
         ),
     ] = "bilinear",
-    user: Annotated[
-        str, typer.Option(help="mild, yielding, stopping or recorded.", rich_help_panel=ON_THE_SIMULATOR)
-    ] = "mild",
-    real_time: Annotated[
-        bool,
-        typer.Option("--real-time", help="Paced by the clock, to watch telemetry.", rich_help_panel=ON_THE_SIMULATOR),
-    ] = False,
+    user: Annotated[str, with_simulate("mild, yielding, stopping or recorded.")] = "mild",
+    real_time: Annotated[bool, with_simulate("Paced by the clock, to watch telemetry.", "--real-time")] = False,
     device: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
