@@ -15,7 +15,6 @@ Every wait is bounded, by the session's own deadlines at the latest. Not thread-
 
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 
 from controller.host.connection import Connection, PortError, UnpluggedError
 from controller.host.session import Session
@@ -277,9 +276,7 @@ class Device:
     def __enter__(self) -> "Device":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         try:
             # An ARM that was not answered may have been heard.
             armed = self.session.device_state in (State.ARMED, State.PLAYING) or self.session.arming
