@@ -209,23 +209,36 @@ def no_long_pauses() -> Iterator[None]:
 
 
 def run(
+    bench: "Bench",
     device: "Device",
     recorder: "Recorder",
-    shown: "Monitor",
-    ended: Callable[[], bool],
-    seconds: float | None,
-    gain: float | None,
-) -> bool:
-    """Arm unless the gain is None, and take telemetry of every tick to screen and files; whether Ctrl-C ended it.
+    title: str,
+    *,
+    enough: Callable[[], bool] = lambda: False,
+    seconds: float | None = None,
+    gain: float | None = None,
+) -> "tuple[Monitor, bool]":
+    """Take telemetry of every tick to screen and files until whoever holds the device has tapped.
+
+    Parameters
+    ----------
+    enough : asked again and again; a person's run ends with it.
+    seconds : after which it ends at the latest.
+    gain : to arm with; None leaves the device idle.
+
+    Returns
+    -------
+    What was shown, and whether Ctrl-C ended it.
 
     Raises
     ------
     LinkLostError : the device is gone; the files are whole as far as they go.
     """
     from controller.host.driver import LinkLostError
+    from controller.host.monitor import Monitor
     from controller.servo.interface import State
 
-    stopped = False
+    stopped, shown = False, Monitor(bench.console, title, device.hello.dt_s, recorder.count_m)
     with recorder, shown, no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:
@@ -233,7 +246,7 @@ def run(
                 device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
-                _listen(device, seconds, ended, armed=gain is not None)
+                _listen(device, seconds, lambda: bench.done(enough()), armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -243,7 +256,7 @@ def run(
         finally:
             device.listeners.remove(recorder.take)
             device.listeners.remove(shown.take)
-    return stopped
+    return shown, stopped
 
 
 class ConsolePerson:

@@ -11,7 +11,6 @@ import typer
 from controller.cli.bench import Bench, simulated_bench, striking_bench
 from controller.cli.port import STOPPED, connected, load, run
 from controller.host.driver import Device
-from controller.host.monitor import Monitor
 from controller.host.payload import payload_of
 from controller.record.played import met_surface
 from controller.record.recorder import Contact, Recorder, make_room
@@ -29,30 +28,6 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.file import load_library
 
 
-def record_taps(
-    bench: Bench,
-    device: Device,
-    recorder: Recorder,
-    *,
-    taps: int | None = None,
-    seconds: float | None = None,
-    gain: float | None = None,
-) -> bool:
-    """Take down what the device says until whoever holds it has tapped; whether Ctrl-C ended it.
-
-    Parameters
-    ----------
-    taps, seconds : which end it with a person; None waits.
-    gain : of the library in force; None leaves the device idle.
-    """
-    shown = Monitor(bench.console, f"recording on {bench.name}", device.hello.dt_s, recorder.count_m)
-
-    def ended() -> bool:
-        return bench.done(taps is not None and len(recorder.contacts) >= taps)
-
-    return run(device, recorder, shown, ended, seconds, gain)
-
-
 def taps_by_a_person(
     bench: Bench, out: Path, trigger_m_s2: float, count_m: float, taps: int | None, seconds: float | None
 ) -> None:
@@ -60,7 +35,8 @@ def taps_by_a_person(
     make_room(out)
     with connected(bench.port) as device:
         recorder = Recorder(out, device.hello.dt_s, count_m, trigger_m_s2=trigger_m_s2)
-        stopped = record_taps(bench, device, recorder, taps=taps, seconds=seconds)
+        title, enough = f"recording on {bench.name}", lambda: taps is not None and len(recorder.contacts) >= taps
+        _, stopped = run(bench, device, recorder, title, enough=enough, seconds=seconds)
     bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
     if stopped:
         typer.echo(STOPPED, err=True)
@@ -129,7 +105,7 @@ class TapFiles:
         for tap, name in self._taps():
             hand.plan([motion_of(tap)])
             recorder = Recorder(None, settings.dt_s, settings.count_m, settings.surface_counts, trigger_m_s2)
-            record_taps(bench, device, recorder, gain=gain)
+            run(bench, device, recorder, name, gain=gain)
             if not recorder.contacts:
                 self._silent.append(name)
                 continue

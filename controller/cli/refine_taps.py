@@ -12,7 +12,6 @@ from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, load, run
 from controller.host.driver import Device
 from controller.host.first_run import gain_to_play_at
-from controller.host.monitor import Monitor
 from controller.host.payload import Payload, payload_of
 from controller.protocol.codes import LinkNotice
 from controller.protocol.image import sha256
@@ -185,17 +184,18 @@ class Taps:
         self._hand.asked(library, number, self._taps)
         hello, settings = self._device.hello, given.settings
         recorder = Recorder(folder, hello.dt_s, settings.count_m, settings.surface_counts)
-        title = f"round {number} on {self._device.name}"
-        shown = Monitor(self._bench.console, title, hello.dt_s, settings.count_m)
 
-        def ended() -> bool:
+        def enough() -> bool:
             nonlocal seen
             for contact in recorder.contacts[seen:]:
                 seen += 1
                 self._count(library, contact, missing)
-            return self._bench.done(not missing)
+            return not missing
 
-        stopped = run(self._device, recorder, shown, ended, self._seconds, 1.0)
+        title = f"round {number} on {self._device.name}"
+        shown, stopped = run(
+            self._bench, self._device, recorder, title, enough=enough, seconds=self._seconds, gain=1.0
+        )
         if stopped:
             raise StoppedError
         if shown.faults:

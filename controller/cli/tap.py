@@ -180,7 +180,6 @@ def _play(
     """Arm, let the user tap, record, and say of each tap how well it was played."""
     from controller.cli.tables import figures_table, taps_table
     from controller.host.first_run import gain_to_play_at, remember
-    from controller.host.monitor import Monitor
     from controller.protocol.codes import LinkNotice
     from controller.protocol.image import sha256
     from controller.record.played import played_tap
@@ -195,12 +194,8 @@ def _play(
         played_at = gain_to_play_at(device, configuration, gain)
         title = f"{title}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts, over=device.harmless)
-        shown = Monitor(bench.console, title, hello.dt_s, settings.count_m)
-
-        def ended() -> bool:
-            return bench.done(taps is not None and len(recorder.contacts) >= taps)
-
-        stopped = sessions.run(device, recorder, shown, ended, seconds, played_at)
+        enough = lambda: taps is not None and len(recorder.contacts) >= taps  # noqa: E731
+        shown, stopped = sessions.run(bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at)
     played = [
         played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
         for contact in recorder.contacts
