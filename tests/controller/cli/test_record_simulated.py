@@ -7,7 +7,6 @@ import pytest
 
 from controller.sim.sensors import SEED_SENSORS
 from tests.benches.commands import Run, assert_refused
-from tests.benches.desk import PORT, Desk
 from transopt.identify.measurement import load_measurement
 from transopt.recordings.recording import load_recording
 from transopt.scene.scene import Scene
@@ -112,36 +111,3 @@ def test_heat(play: Run) -> None:
     )
     assert outcome.code == 0, outcome.err
     assert load_measurement(Path("h/heat.npz")).require("winding", "").values.size == 91
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("sweep", "--out", "x"), "record sweep: name one device"),
-        (("sweep", "--simulate", "--out", "x", "--for", "hand"), "--for hand: must be one of amplifier, device"),
-        (("sweep", "--simulate", "--out", "x", "--grips", "a"), "--grips a: must be numbers with commas between"),
-        (("sweep", "--simulate", "--out", "x", "--high", 6000), "sweep: high 6000 Hz"),
-        (("sweep", "--simulate", "--out", "x", "--amplitude", 5), "the current reaches 5 A, the limit is 4 A"),
-        (("sweep", "--simulate", "--out", "x", "--mismatch", 2), "--mismatch 2: must be 0 to 0.5"),
-        (("sweep", "--simulate", "--out", "x", "--device", "none"), "none: no built-in scene"),
-        (("sweep", "--simulate", "--out", "x", "--count-um", 20), "--count-um: only with --port"),
-        (("tap", "--out", "x"), "record tap: name one device"),
-        (("tap", "--out", "x", "--simulate", *PORT), "record tap: name one device"),
-        (("tap", "--out", "x", "--simulate"), "name either a LIBRARY whose taps are played, or --object"),
-        (("tap", "library.npz", "--out", "x", "--simulate", "--object"), "name either a LIBRARY"),
-        (("tap", "library.npz", "--out", "x", *PORT), "library: only with --simulate"),
-        (("tap", "--out", "x", "--object", *PORT), "--object: only with --simulate"),
-        (("tap", "--out", "x", "--object", "--simulate", "--for", 3), "--for: only with --port"),
-        (("tap", "--out", "x", "--object", "--simulate", "--grips", "0,3"), "--grips 0: only a sweep"),
-        (("tap", "--out", "x", "--object", "--simulate", "--device", "own_taps"), "states no simulated object"),
-        (("tap", "none.npz", "--out", "x", "--simulate"), "none.npz: no such file"),
-        (("heat", "--out", "x"), "record heat: name the device"),
-        (("heat", "--simulate", "--out", "x", "--current", 9), "--current 9: must be 0 to 4 A"),
-        (("heat", "--simulate", "--out", "x", "--current", 2), "would pass its limit of 100 C"),
-        (("heat", "--simulate", "--out", "x", "--heating", 1, "--cooling", 1), "fewer than ten readings"),
-        (("heat", "--simulate", "--out", "/proc/x"), "--out /proc/x: cannot be written"),
-    ],
-)
-def test_bad_input_is_one_line(play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
-    assert_refused(play("record", *arguments), words)
-    assert desk.ticks == 0

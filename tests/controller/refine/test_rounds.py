@@ -374,23 +374,6 @@ class TestCommand:
     def test_a_device_that_has_not_played_yet(self, play: Run, ready: Desk) -> None:
         assert_refused(play("refine", "library.npz", *PORT, "--out", "x"), "has not played this configuration since")
 
-    @pytest.mark.parametrize(
-        ("arguments", "words"),
-        [
-            ((), "refine: name one device"),
-            (("--simulate", *PORT), "refine: name one device"),
-            (("--simulate", "--for", 3), "--for: only with --port"),
-            ((*PORT, "--mismatch", 0.1), "--mismatch: only with --simulate"),
-            (("--simulate", "--rounds", 0), "--rounds 0: must be 1 to 20"),
-            (("--simulate", "--taps", 1), "--taps 1: must be 2 to 100"),
-            (("--simulate", "--mismatch", 0.9), "--mismatch 0.9: must be 0 to 0.5"),
-            (("--simulate", "--device", "none"), "none: no built-in scene"),
-        ],
-    )
-    def test_bad_input_is_one_line(self, play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
-        assert_refused(play("refine", "library.npz", "--out", "x", *arguments), words)
-        assert desk.ticks == 0
-
     def test_never_over_the_library_itself(self, play: Run) -> None:
         outcome = play("refine", "library.npz", "--simulate", "--out", ".")
         assert_refused(outcome, "--out .: holds the library that is refined")
