@@ -10,7 +10,7 @@ from rich.table import Table
 
 from controller.protocol.codes import STATES
 from controller.protocol.events import Changed, Happened, Logged, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import STOP_PRESSED, Record
 from controller.servo.interface import Fault, Notice, State
 
 REFRESH_S = 0.1
@@ -78,7 +78,7 @@ class Monitor:
             table.add_row("current", f"{r.measured_current_A:+.3f} A, command {r.command_A:+.3f} A")
             table.add_row("acceleration", f"{r.acceleration_m_s2:+.2f} m/s²")
             table.add_row("winding", f"{r.winding_C:.1f} °C" if r.winding_C == r.winding_C else "not known")
-            table.add_row("emergency stop", "pressed" if r.flags & 1 else "released")
+            table.add_row("emergency stop", "pressed" if r.flags & STOP_PRESSED else "released")
         table.add_row("contacts", str(self.events[Notice.CONTACT]))
         table.add_row("records lost", str(self._missed))
         for line in self._recent:

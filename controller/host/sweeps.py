@@ -13,7 +13,7 @@ import numpy as np
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import Record, column
 from controller.record.trial_file import write_measurement
 from controller.servo.interface import Fault, Notice, State
 from transopt.base.signals import FloatArray
@@ -164,7 +164,7 @@ class Sweeps:
 
     def _window(self, name: str) -> FloatArray:
         size = round(WINDOW_S / self._dt_s)
-        return np.array([getattr(record, name) for _, record in self._ears.records[-size:]], dtype=float)
+        return column((record for _, record in self._ears.records[-size:]), name)
 
     def _ready(self) -> bool:
         """Whether for a whole window the stylus was still, and held as asked."""
@@ -244,24 +244,22 @@ class Sweeps:
         return self._kept(rows, first, negative)
 
     def _kept(self, rows: Sequence[tuple[int, Record]], first: int, negative: bool) -> Trial:
-        def column(name: str) -> FloatArray:
-            return np.array([getattr(record, name) for _, record in rows], dtype=float)
-
+        records = [record for _, record in rows]
         ticks = np.array([tick for tick, _ in rows], dtype=float) - first
         playing = (ticks >= 0) & (ticks < self._samples)
-        acceleration, grips = column("acceleration_m_s2"), column("grip_N")[playing]
+        acceleration, grips = column(records, "acceleration_m_s2"), column(records, "grip_N")[playing]
         if not (np.all(np.isfinite(acceleration)) and np.all(np.isfinite(grips))):
             raise _AgainError("a sensor gave no number")
         wrong = self._wrong_grip(grips)
         if wrong is not None:
             raise _AgainError(wrong)
-        command, transient = column("command_A"), column("transient_A")
+        command, transient = column(records, "command_A"), column(records, "transient_A")
         return Trial(
             time_s=ticks * self._dt_s,
             command_A=command,
-            current_A=column("measured_current_A"),
+            current_A=column(records, "measured_current_A"),
             acceleration_m_s2=acceleration,
-            position_m=column("encoder_counts") * self._count_m,
+            position_m=column(records, "encoder_counts") * self._count_m,
             # A sensor's zero may lie a little below.
             grip_N=0.0 if self._grip_N == 0 else max(float(grips.mean()), 0.0),
             negative=negative,

@@ -18,9 +18,11 @@ is dropped, but for EMERGENCY_STOP.
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import dataclass_transform
+
+import numpy as np
 
 from controller.protocol.codes import Kind
 from controller.protocol.packed import (
@@ -39,6 +41,7 @@ from controller.protocol.packed import (
     Tail,
     packed,
 )
+from transopt.base.signals import FloatArray
 
 PROTOCOL = 2
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
@@ -47,6 +50,7 @@ GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO an
 BODY_LIMIT = 1024
 NO_HASH = bytes(HASH_BYTES)
 NO_COUNTS = -(2**31)  # of an encoder that gave no number
+STOP_PRESSED = 1  # flag of a record
 
 
 class OtherProtocolError(ValueError):
@@ -292,7 +296,7 @@ class Event(Packed):
 
 @packed
 class Record(Packed):
-    """Telemetry of one tick; flags bit 0: emergency stop pressed."""
+    """Telemetry of one tick."""
 
     encoder_counts: I32
     grip_N: F32
@@ -326,6 +330,11 @@ class Log(Packed):
 KINDS: dict[type[Packed], Kind] = {message: kind for kind, message in MESSAGES.items()}
 DATA_LIMIT = BODY_LIMIT - Data.FORMAT.size  # bytes of an image in one frame
 RECORDS_LIMIT = (BODY_LIMIT - TelemetryData.FORMAT.size) // Record.FORMAT.size
+
+
+def column(records: Iterable[Record], name: str) -> FloatArray:
+    """(n,) one field of records."""
+    return np.array([getattr(record, name) for record in records], dtype=float)
 
 
 @dataclass(frozen=True, slots=True)

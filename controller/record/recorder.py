@@ -17,12 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.protocol.codes import STATES
 from controller.protocol.events import Happened, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import Record, column
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
 from controller.record.trial_file import refuse_old
-from controller.servo.interface import Event, Fault, Notice, Output, Readings
+from controller.servo.interface import Fault, Notice
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
 from transopt.base.terminal import make_folder
@@ -67,22 +66,6 @@ class Contact:
     path: Path | None = None
 
 
-def _readings(tick: int, record: Record, events: tuple[Event, ...]) -> tuple[Readings, Output]:
-    return (
-        Readings(
-            tick,
-            record.encoder_counts,
-            record.grip_N,
-            record.measured_current_A,
-            record.acceleration_m_s2,
-            bool(record.flags & 1),
-        ),
-        Output(
-            record.command_A, STATES[record.state], record.transient_A, record.feedback_A, record.winding_C, events
-        ),
-    )
-
-
 class Recorder:
     """Takes a session's news, as a listener of `driver.Device`.
 
@@ -123,7 +106,7 @@ class Recorder:
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
         self._open: list[Happened] = []
-        self._happened: dict[int, list[Event]] = {}  # by tick, of records that have not come
+        self._happened: dict[int, list[str]] = {}  # names by tick, of records that have not come
         self._telemetry: Telemetry | None = None
         self._events: Lines | None = None
         self._begun = False
@@ -183,7 +166,7 @@ class Recorder:
             if self._trigger_m_s2 is not None:
                 self._feel(tick, record, samples.every, self._trigger_m_s2)
             if self._telemetry is not None:
-                self._telemetry.record(*_readings(tick, record, tuple(self._happened.pop(tick, ()))))
+                self._telemetry.record(tick, record, ";".join(self._happened.pop(tick, ())))
         newest = self._kept[-1][0]
         after = round(AFTER_S / self._dt_s)
         while self._open and newest >= self._open[0].tick + after:
@@ -197,8 +180,7 @@ class Recorder:
             )
             # An event is sent at once and its record in a batch, which as a rule comes later.
             if isinstance(event.what, Notice | Fault):
-                happened = Event(event.tick, event.what, event.speed_m_s, event.grip_N)
-                self._happened.setdefault(event.tick, []).append(happened)
+                self._happened.setdefault(event.tick, []).append(event.what.name.lower())
         if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
             self._open.append(event)
 
@@ -215,26 +197,22 @@ class Recorder:
     def _complete(self, event: Happened) -> None:
         low, high = event.tick - round(BEFORE_S / self._dt_s), event.tick + round(AFTER_S / self._dt_s)
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
-        ticks = np.array([tick for tick, _ in rows], dtype=float)
+        ticks, records = np.array([tick for tick, _ in rows], dtype=float), [record for _, record in rows]
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
-
-        def column(name: str) -> FloatArray:
-            return np.array([getattr(record, name) for _, record in rows], dtype=float)
-
-        grip_N = event.grip_N if np.isfinite(event.grip_N) else float(column("grip_N")[ticks < event.tick].mean())
+        before_N = column(records, "grip_N")[ticks < event.tick]
         contact = Contact(
             number=len(self.contacts) + 1,
             tick=event.tick,
             speed_m_s=event.speed_m_s,
-            grip_N=grip_N,
+            grip_N=event.grip_N if np.isfinite(event.grip_N) else float(before_N.mean()),
             dt_s=self._dt_s,
             ticks=ticks,
-            counts=column("encoder_counts"),
-            acceleration_m_s2=column("acceleration_m_s2"),
-            current_A=column("measured_current_A"),
-            command_A=column("command_A"),
-            feedback_A=column("feedback_A"),
-            winding_C=column("winding_C"),
+            counts=column(records, "encoder_counts"),
+            acceleration_m_s2=column(records, "acceleration_m_s2"),
+            current_A=column(records, "measured_current_A"),
+            command_A=column(records, "command_A"),
+            feedback_A=column(records, "feedback_A"),
+            winding_C=column(records, "winding_C"),
             missed=missed,
             path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
         )

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.servo.interface import Output, Readings
+from controller.protocol.codes import STATES
+from controller.protocol.messages import STOP_PRESSED, Record
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 
@@ -102,13 +103,13 @@ class Telemetry:
         self._events: dict[int, str] = {}  # by number of the record
         self._records = self._stored = 0  # in the blocks and in the NPZ
 
-    def record(self, readings: Readings, output: Output) -> None:
-        """One tick."""
-        r, o = readings, output
-        measured = r.encoder_counts, r.grip_N, r.current_A, r.acceleration_m_s2, int(r.emergency_stop)
-        answer = o.command_A, o.state.value, o.transient_A, o.feedback_A, o.winding_C
-        self._rows.append((r.tick, r.tick * self._dt_s, *measured, *answer))
-        self._texts.append(";".join(event.what.name.lower() for event in o.events))
+    def record(self, tick: int, record: Record, events: str = "") -> None:
+        """One tick; events by their names, separated by semicolons."""
+        r = record
+        measured = r.encoder_counts, r.grip_N, r.measured_current_A, r.acceleration_m_s2, r.flags & STOP_PRESSED
+        answer = r.command_A, STATES[r.state].value, r.transient_A, r.feedback_A, r.winding_C
+        self._rows.append((tick, tick * self._dt_s, *measured, *answer))
+        self._texts.append(events)
         if len(self._rows) >= self._block_ticks:
             self.flush()
 
