@@ -126,24 +126,33 @@ def _explained(designed: Designed, options: SolverOptions) -> Designed:
 
 
 def _flat(designed: Designed, options: SolverOptions) -> Designed:
-    """With the reason, if no method finds the optimum because J hardly depends on some movements of the command.
+    """With the reason, if J is too flat for any method that computes in double precision to find its optimum.
 
-    That is so where the same problem has a certified optimum under a larger weight of the movement.
+    It hardly depends on some movements of the command where the same problem has a certified optimum under a larger
+    weight of the movement. Nor has it one to be found where even the linear system of the problem without limits
+    leaves a gap.
     """
-    problem = designed.problem
+    problem, answer = designed.problem, replace(designed.solution, status=Status.PRECISION)
+    gap = f"precision: the gap of {designed.certificate.relative_gap:.1e}, limit {Certificate.GAP_TOLERANCE:.0e},"
     for rho in STEADIER:
         if rho <= problem.rho:
             continue
         found = _solved(replace(problem, rho=rho), options)
         if found.is_proven and found.certificate.accepted:
             said = (
-                f"precision: the gap of {designed.certificate.relative_gap:.1e}, limit "
-                f"{Certificate.GAP_TOLERANCE:.0e}, is what double precision leaves where J hardly depends on some "
-                f"movements of the command; weights.rho {rho:g} would do ({problem.rho:g})"
+                f"{gap} is what double precision leaves where J hardly depends on some movements of the command; "
+                f"weights.rho {rho:g} would do ({problem.rho:g})"
             )
-            answer = replace(designed.solution, status=Status.PRECISION)
             return replace(designed, solution=answer, remarks=[said])
-    return designed
+    free = unlimited.solve(problem)
+    left = certify(problem, free.command_A, free.multipliers).relative_gap
+    if left <= Certificate.GAP_TOLERANCE:
+        return designed
+    said = (
+        f"{gap} has no digits to rest on: even without any limit double precision leaves one of {left:.1e}; lower "
+        f"limits.current_A ({problem.limits.current_A:.4g} A) or time.stages ({problem.grid.stages})"
+    )
+    return replace(designed, solution=answer, remarks=[said])
 
 
 def _rounding(problem: TransientProblem, answer: Solution) -> str:

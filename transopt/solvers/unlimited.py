@@ -89,23 +89,32 @@ def _by_riccati_pass(problem: TransientProblem, run: Pass) -> _Candidate:
 def _by_damped_passes(problem: TransientProblem, run: Pass, best: _Candidate) -> _Candidate:
     """The proximal point method: where weights of zero leave commands open, and where rounding eats the curvature.
 
-    Damping is stated relative to what one movement alone can do to the objective.
+    Damping is stated relative to what the first movement alone can do to the objective and, where that is so little
+    that nothing finite comes of it, relative to the objective of rest, which is of order one.
     """
     data = run.problem
     impulse = run.at(np.eye(1, max(problem.free_stages, 1))[0, : problem.free_stages])
     effect = float(np.sum(data.weights * (impulse.error - run.at_rest().error) ** 2) + data.movement_weights.sum())
-    for damping in DAMPINGS:
-        gains = run.factored(damping * (effect if 0 < effect < np.inf else 1.0))
-        found = _judged(problem, run, run.improved(run.at_rest(), gains), "damped Riccati passes")
-        for _ in range(DAMPED_PASSES):
-            again = _judged(problem, run, run.improved(found.point, gains), "damped Riccati passes")
-            if found.gap <= GAP or not again.gap < found.gap:
+    for scale in (effect if 0 < effect < np.inf else 1.0, 1.0):
+        for damping in DAMPINGS:
+            best = min(best, _damped(problem, run, damping * scale), key=lambda candidate: candidate.gap)
+            if best.gap <= GAP:
                 break
-            found = again
-        best = min(best, found, key=lambda candidate: candidate.gap)
-        if best.gap <= GAP:
+        if best.gap < np.inf:
             break
     return best
+
+
+def _damped(problem: TransientProblem, run: Pass, damping: float) -> _Candidate:
+    """Passes of one damping from rest, until the gap is small enough or falls no more."""
+    gains = run.factored(damping)
+    found = _judged(problem, run, run.improved(run.at_rest(), gains), "damped Riccati passes")
+    for _ in range(DAMPED_PASSES):
+        again = _judged(problem, run, run.improved(found.point, gains), "damped Riccati passes")
+        if found.gap <= GAP or not again.gap < found.gap:
+            break
+        found = again
+    return found
 
 
 def _by_sparse_kkt(problem: TransientProblem, run: Pass) -> _Candidate:
