@@ -20,7 +20,7 @@ from transopt.solvers.options import SolverOptions
 NEARLY_PROVEN = 1e-4  # a relative gap that rounding can make
 ROUNDED = 0.2  # of a gap: what the last bits make of it, and no method that computes so gets far below it
 MOST_MASKS = 12  # solves until the wall pushes exactly where it was assumed to
-STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the movement under which a flat J may have its optimum found
+STEADIER = 1e-3  # weight of the movement, that of a scene which states none, under which a flat J may have an optimum
 
 
 @dataclass(frozen=True)
@@ -134,14 +134,12 @@ def _flat(designed: Designed, options: SolverOptions) -> Designed:
     """
     problem, answer = designed.problem, replace(designed.solution, status=Status.PRECISION)
     gap = f"precision: the gap of {designed.certificate.relative_gap:.1e}, limit {Certificate.GAP_TOLERANCE:.0e},"
-    for rho in STEADIER:
-        if rho <= problem.rho:
-            continue
-        found = _solved(replace(problem, rho=rho), options)
+    if problem.rho < STEADIER:
+        found = _solved(replace(problem, rho=STEADIER), options)
         if found.is_proven and found.certificate.accepted:
             said = (
                 f"{gap} is what double precision leaves where J hardly depends on some movements of the command; "
-                f"weights.rho {rho:g} would do ({problem.rho:g})"
+                f"weights.rho {STEADIER:g} would do ({problem.rho:g})"
             )
             return replace(designed, solution=answer, remarks=[said])
     free = unlimited.solve(problem)
