@@ -70,9 +70,10 @@ def test_certified_answers_lie_above_their_bounds() -> None:
 
 
 @pytest.mark.long
-def test_a_thousand_certified_answers_lie_above_their_bounds() -> None:
-    count, above, _ = worst(range(1000, 3000))
-    assert count >= 800
+@pytest.mark.parametrize("first", range(1000, 3000, 100))
+def test_a_thousand_certified_answers_lie_above_their_bounds(first: int) -> None:
+    count, above, _ = worst(range(first, first + 100))
+    assert count >= 35
     assert above <= ROUNDING
 
 

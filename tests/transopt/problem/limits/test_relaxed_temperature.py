@@ -138,9 +138,10 @@ def test_a_command_whose_true_temperature_touches_the_limit_keeps_the_relaxed_on
 
 
 @pytest.mark.long
-def test_ten_thousand_commands_at_the_limit_keep_the_relaxed_one() -> None:
-    count, worst = kept_by_all(range(1000, 1440))
-    assert count >= 10_000
+@pytest.mark.parametrize("first", range(1000, 1440, 40))
+def test_ten_thousand_commands_at_the_limit_keep_the_relaxed_one(first: int) -> None:
+    count, worst = kept_by_all(range(first, first + 40))
+    assert count >= 900
     assert worst <= ROUNDING
 
 
