@@ -67,6 +67,14 @@ def test_good_records_of_a_device_raise_nothing(columns: dict, grip_N: float) ->
 # --------------------------------------------------------------------------------------------------- cycles, rates
 
 
+def test_too_few_cycles_name_the_band() -> None:
+    hasty = amplifier_trial(1, seconds=0.12)
+    found = checks.check_cycles("all files", [hasty], estimate_transfer([hasty]), 10.0)
+    message = only(found, Fault.TOO_FEW_CYCLES, fatal=False)
+    assert "cycles per octave below" in message
+    assert "Hz in 1 trials, must be at least 1; sweep" in message
+
+
 def test_cycles_are_counted_as_they_were_played() -> None:
     seconds, low, high = 8.0, 10.0, 4000.0
     sweep = amplifier_trial(1, seconds=seconds)

@@ -7,6 +7,7 @@ import pytest
 from scipy import linalg
 
 from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.draw import drawn
 from problems.stress.judge import played
 from transopt.base.errors import InputError
 from transopt.design.explain import unstable_wall
@@ -107,6 +108,7 @@ class TestWhatCancelsAtTheSwitchingInstants:
 def test_a_wall_that_grows_by_itself_is_named() -> None:
     shaky = StressCase("wall", DrawnDevice(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
     assert hand_over.growth(shaky) > 1
+    assert optimum(drawn(77, 723).problem(), SolverOptions()).solution.status is Status.UNSTABLE_WALL
     assert "latency_ticks (5)" in unstable_wall(shaky)
     for surface, lower in (
         (
