@@ -13,6 +13,7 @@ from transopt.base.errors import InputError
 from transopt.design.explain import unstable_wall
 from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
+from transopt.plant.wall import earlier_by
 from transopt.problem.answer import Status
 from transopt.problem.leave_out import encoder_course, silence
 from transopt.problem.limits import hand_over, limits_of
@@ -143,3 +144,8 @@ def test_a_zero_reference_over_a_wall_leaves_it_alone() -> None:
     assert designed.solution.status is Status.OPTIMAL
     assert designed.certificate.accepted
     assert np.abs(designed.solution.command_A).max() > 0.01
+
+
+def test_a_delay_longer_than_the_horizon() -> None:
+    np.testing.assert_array_equal(earlier_by(2, np.array([1.0, 2.0, 3.0])), [3.0, 0.0, 0.0])
+    np.testing.assert_array_equal(earlier_by(5, np.array([1.0, 2.0, 3.0])), np.zeros(3))

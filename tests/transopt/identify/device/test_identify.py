@@ -283,6 +283,11 @@ def test_a_current_that_is_read_at_another_tick_is_reported(held: list[Measureme
     assert "their intervals do not hold" in device_part(result).verdict
 
 
+def test_good_records_raise_no_doubt(found: DeviceResult) -> None:
+    assert "do not hold" not in found.verdict
+    assert [f for f in found.findings if f.fault in {Fault.SHIFTED, Fault.CURRENT_SCALE, Fault.BANDWIDTH}] == []
+
+
 def test_an_accelerometer_of_unknown_bandwidth_is_reported(held: list[Measurement]) -> None:
     result = identify([replace(run, accelerometer_Hz=None) for run in held], [], SETTINGS)
     assert any(finding.fault is Fault.BANDWIDTH for finding in result.findings)
