@@ -32,7 +32,7 @@ from xml.etree import ElementTree
 from shuffled import VARIABLE as ORDER
 
 from controller.firmware.build import NoCompilerError, compiler
-from transopt.base.writing import write_text
+from transopt.base.writing import table, write_text
 
 ROOT = Path(__file__).parents[1]
 # What a run leaves behind or brings itself; all else belongs to the copy that is given another extension.
@@ -248,10 +248,6 @@ def run(environment: Environment, tests: Sequence[str]) -> Result:
     return Result(environment, passed, skipped, seconds, tuple(map(told_by, failed)), broken)
 
 
-def row(*cells: object) -> str:
-    return "| " + " | ".join(map(str, cells)) + " |"
-
-
 def explained(result: Result) -> list[str]:
     """The tests that failed in one environment, and how to have it again."""
     variables = " ".join(f"{name}='{value}'" for name, value in result.environment.variables.items())
@@ -278,33 +274,23 @@ def main() -> int:
         for environment in chosen:
             print(f"{environment.name}: {obstacle(environment, here) or 'can be run'}")
         return 0
-    lines: list[str] = []
-
-    def told(line: str) -> None:
-        print(line, flush=True)
-        lines.append(line)
-
-    results = []
-    told(row(*HEAD))
-    told(row(*["---"] * len(HEAD)))
+    rows, results = [], []
     for environment in chosen:
         reason = obstacle(environment, here)
         if reason:
-            told(row(environment.name, f"cannot be run: {reason}", "", "", ""))
+            rows.append([environment.name, f"cannot be run: {reason}", "", "", ""])
             continue
         print(f"running: {environment.name}", file=sys.stderr, flush=True)
         result = run(environment, arguments.tests)
         results.append(result)
         failed = "no report" if result.broken else len(result.failures)
-        told(row(environment.name, result.passed, failed, result.skipped, f"{result.seconds:.0f}"))
-        for name in result.failures:
-            print(f"failed: {name}", file=sys.stderr, flush=True)
+        rows.append([environment.name, result.passed, failed, result.skipped, f"{result.seconds:.0f}"])
+        print(rows[-1], *result.failures, sep="\nfailed: ", file=sys.stderr, flush=True)
     bad = [result for result in results if result.failures or result.broken]
-    for result in bad:
-        for line in explained(result):
-            told(line)
+    text = "\n".join([*table(HEAD, rows), *(line for result in bad for line in explained(result))])
+    print(text)
     if arguments.write is not None:
-        write_text("\n".join(lines) + "\n", arguments.write)
+        write_text(text + "\n", arguments.write)
     return 1 if bad or not results else 0
 
 

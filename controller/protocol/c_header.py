@@ -4,6 +4,7 @@ A test compares the file with `header_text()`, so the two languages cannot drift
 """
 
 import struct
+import textwrap
 from dataclasses import fields
 from pathlib import Path
 
@@ -50,9 +51,8 @@ def _message(name: str, message: type[Packed]) -> list[str]:
 
 
 def _enumeration(title: str, prefix: str, members: dict[str, int]) -> list[str]:
-    body = [f"    {prefix}_{name.upper()} = {value}," for name, value in members.items()]
-    body[-1] = body[-1].rstrip(",")
-    return [f"/* {title} */", "enum {", *body, "};", ""]
+    body = textwrap.wrap(", ".join(f"{prefix}_{name.upper()}@=@{value}" for name, value in members.items()), 110)
+    return [f"/* {title} */", "enum {", *(f"    {line.replace('@', ' ')}" for line in body), "};", ""]
 
 
 def header_text() -> str:

@@ -13,14 +13,14 @@ from controller.protocol import messages as m
 from controller.protocol.codes import REASONS, Reason
 from controller.protocol.configuration import HEADER, NAMES, configuration_of
 from controller.protocol.image import HEADER as IMAGE_HEADER
-from controller.protocol.image import IMAGE_FIELDS, image_of
+from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
 from controller.protocol.packed import Packed
 from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Readings
 from controller.servo.settings import Settings
-from controller.waveforms.bank import Bank, Method
-from scripts.campaign.conversations import NUMBERS, TAIL, sha256
-from scripts.campaign.parity_runs import DT_S
+from scripts.campaign.compiled_device import DT_S, TAIL, smooth_bank
+from scripts.campaign.conversations import NUMBERS
+from tests.benches.device import REST, Talker
 from tests.benches.servo import AMPLIFIER, WALL
 from transopt.plant.coil import CoilModel
 
@@ -53,33 +53,6 @@ IMAGE_REASONS = (
 )
 BARE = Settings(DT_S, 3e-4, 4.0)
 EXCITED = replace(BARE, host_starts=True)
-REST = Readings(0, 200, 3.0, 0.0, 0.0)
-
-
-class News:
-    """The device, and a host that tells it one thing after the other."""
-
-    def __init__(self) -> None:
-        self.core, self._decoder = CoreDevice(1), Decoder()
-        self._sequence = 0
-        self.tell(m.Hello(m.MAGIC, m.PROTOCOL, 0))
-
-    def tell(self, *told: Packed) -> list[Packed]:
-        """What it answers."""
-        for message in told:
-            self._sequence = (self._sequence + 1) % 0x10000
-            self.core.receive(encode(m.Frame(self._sequence, 5, message).payload()))
-        return self.fetch()
-
-    def fetch(self) -> list[Packed]:
-        return [m.read_frame(payload).message for payload in self._decoder.feed(self.core.bytes_to_send())]
-
-    def configure(self, data: bytes) -> Packed:
-        return self.tell(m.Configure(0, data), m.ConfigureCommit(sha256(data)))[-1]
-
-    def upload(self, image: bytes) -> Packed:
-        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
-        return self.tell(m.UploadBegin(len(image), sha256(image)), *chunks, m.Commit())[-1]
 
 
 def reason(answer: Packed) -> Reason | None:
@@ -88,20 +61,12 @@ def reason(answer: Packed) -> Reason | None:
     return REASONS[answer.reason] if isinstance(answer, m.Refused) else None
 
 
-def table(speeds: int = 2, grips: int = 2, samples: int = 40) -> Bank:
-    command = np.zeros((speeds, grips, samples))
-    command[..., : samples - TAIL] = 1.0
-    norms = np.ones((speeds, grips)).tolist()
-    axes = np.linspace(0.1, 0.9, speeds).tolist(), np.linspace(1.0, 5.0, grips).tolist()
-    return Bank(Method.BILINEAR, *axes, command, norms, norms, 0.5, True, False)
-
-
-IMAGE = image_of(table(), DT_S, 3e-4, TAIL)
+IMAGE = image_of(smooth_bank(samples=40), DT_S, 3e-4, TAIL)
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE, EXCITED], ids=["all", "bare", "excited"])
 def test_every_number_of_a_configuration_is_asked_for(settings: Settings) -> None:
-    device, data = News(), configuration_of(settings)
+    device, data = Talker(), configuration_of(settings)
     answers = set()
     for place, name in enumerate(NAMES):
         at = HEADER.size + 8 * place
@@ -138,7 +103,7 @@ def with_number(settings: Settings, name: str, value: float) -> bytes:
         ("window_ticks", 1e15, Reason.BEYOND_HARDWARE),
     ],
 )
-def test_numbers_that_do_not_belong_together(device: News, name: str, value: float, expected: Reason) -> None:
+def test_numbers_that_do_not_belong_together(device: Talker, name: str, value: float, expected: Reason) -> None:
     assert reason(device.configure(with_number(BARE, name, value))) is expected
 
 
@@ -153,11 +118,11 @@ def test_numbers_that_do_not_belong_together(device: News, name: str, value: flo
         (replace(SETTINGS, encoder_limit_counts=1 << 30), Reason.BEYOND_HARDWARE),
     ],
 )
-def test_what_the_device_cannot_do(device: News, settings: Settings, expected: Reason) -> None:
+def test_what_the_device_cannot_do(device: Talker, settings: Settings, expected: Reason) -> None:
     assert reason(device.configure(configuration_of(settings))) is expected
 
 
-def test_other_formats(device: News) -> None:
+def test_other_formats(device: Talker) -> None:
     data = configuration_of(BARE)
     for at in (0, 4, 6):  # magic, version, count
         assert reason(device.configure(data[:at] + b"\7" + data[at + 1 :])) is Reason.BAD_FORMAT
@@ -181,12 +146,12 @@ def odd_images() -> Iterator[bytes]:
     for size in (1, 55, 56, len(IMAGE) - 1):
         yield IMAGE[:size]
     for sizes in ((64, 64, 12), (65, 1, 12), (1, 65, 12), (1, 1, 20_000), (1, 1, 20_001), (14, 1, 19_000)):
-        yield image_of(table(*sizes), DT_S, 3e-4, TAIL)
+        yield image_of(smooth_bank(*sizes), DT_S, 3e-4, TAIL)
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE], ids=["all", "bare"])
 def test_every_number_of_an_image_is_asked_for(settings: Settings) -> None:
-    device = News()
+    device = Talker()
     assert isinstance(device.configure(configuration_of(settings)), m.Done)
     assert isinstance(device.upload(IMAGE), m.Done)
     assert {reason(device.upload(image)) for image in odd_images()} == {None, *IMAGE_REASONS}
@@ -196,7 +161,7 @@ def test_every_number_of_an_image_is_asked_for(settings: Settings) -> None:
 
 
 def imaged(**others: object) -> bytes:
-    return image_of(replace(table(), **others), DT_S, 3e-4, TAIL)  # type: ignore[arg-type]
+    return image_of(replace(smooth_bank(samples=40), **others), DT_S, 3e-4, TAIL)  # type: ignore[arg-type]
 
 
 def with_header(**values: float) -> bytes:
@@ -213,7 +178,7 @@ def with_header(**values: float) -> bytes:
         (Reason.BAD_TIMING, [with_header(dt_s=2e-4), with_header(lead_s=0.0), with_header(dt_s=math.nan)]),
         (Reason.BAD_VALUE, [with_header(scale_A=math.inf), with_header(grip_min_N=math.nan)]),
         (Reason.BAD_VALUE, [with_header(grip_min_N=-1.0)]),
-        (Reason.NO_ZERO_TAIL, [with_header(tail_samples=tail) for tail in (0, TAIL + 1, 41)]),
+        (Reason.NO_ZERO_TAIL, [with_header(tail_samples=tail) for tail in (0, TAIL + 2, 41)]),
         (Reason.OVER_LIMIT, [with_header(scale_A=1.0)]),
         *(
             (Reason.BAD_AXES, [imaged(speeds_m_s=axis), imaged(grips_N=axis)])
@@ -226,12 +191,12 @@ def with_header(**values: float) -> bytes:
         (None, [IMAGE, imaged(command_A=np.zeros((2, 2, 40)))]),
     ],
 )
-def test_images_and_why_they_are_refused(device: News, expected: Reason | None, images: list[bytes]) -> None:
+def test_images_and_why_they_are_refused(device: Talker, expected: Reason | None, images: list[bytes]) -> None:
     device.configure(configuration_of(BARE))
     assert {reason(device.upload(image)) for image in images} == {expected}
 
 
-def test_peaks_are_those_of_the_current_from_rest(device: News) -> None:
+def test_peaks_are_those_of_the_current_from_rest(device: Talker) -> None:
     """A command of 6 A for one tick is 2.9 A of current, for ten ticks it is 6."""
     driven = replace(BARE, amplifier=AMPLIFIER)
     device.configure(configuration_of(driven))
@@ -239,7 +204,7 @@ def test_peaks_are_those_of_the_current_from_rest(device: News) -> None:
     for ticks, peak_A in ((1, 6.0), (2, 6.0), (10, 6.0), (1, -6.01)):
         command = np.zeros((1, 1, 40))
         command[..., :ticks] = peak_A
-        image = image_of(replace(table(1, 1), command_A=command), DT_S, 3e-4, TAIL)
+        image = image_of(replace(smooth_bank(1, 1, samples=40), command_A=command), DT_S, 3e-4, TAIL)
         fits = 6.0 * (1 - decay**ticks) <= 4.0 and abs(peak_A) <= 6.0
         assert reason(device.upload(image)) is (None if fits else Reason.OVER_LIMIT)
     # Beside a wall, whose feedback is taken away from it, the command alone may be larger.
@@ -247,10 +212,10 @@ def test_peaks_are_those_of_the_current_from_rest(device: News) -> None:
     assert reason(device.upload(image)) is None
 
 
-def test_where_the_host_starts_there_is_one_waveform(device: News) -> None:
-    one = table(1, 1)
+def test_where_the_host_starts_there_is_one_waveform(device: Talker) -> None:
+    one = smooth_bank(1, 1, samples=40)
     assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
-    others = (table(1, 2), table(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
+    others = (smooth_bank(1, 2), smooth_bank(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
     for other in others:
         answer = device.upload(image_of(other, DT_S, 3e-4, TAIL))
         assert isinstance(answer, m.Refused)
@@ -260,32 +225,32 @@ def test_where_the_host_starts_there_is_one_waveform(device: News) -> None:
     assert isinstance(device.configure(configuration_of(BARE)), m.Done)
     assert isinstance(device.upload(IMAGE), m.Done)
     assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
-    assert device.core.look().library_sha256 == m.NO_HASH
+    assert device.device.look().library_sha256 == m.NO_HASH
 
 
-def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: News) -> None:
+def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: Talker) -> None:
     """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
     device.configure(configuration_of(SETTINGS))
     device.tell(m.Telemetry(1))
     extreme = (1e300, -1e300, 3.4028235e38, 3.5e38, float("nan"))
     for tick in range(6000):
         pressed = tick % 50 == 10
-        device.core.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
+        device.device.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
         if tick % 50 == 20:
             device.tell(m.Reset())
         if tick % (700 if tick < 3000 else 2600) == 0:
-            device.fetch()
+            device.heard()
     for said in device.tell(m.EventAck(64)):
         assert not isinstance(said, m.Event)
     for tick in range(6000, 6500):
-        device.core.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
-    last = [said for said in device.fetch() if isinstance(said, m.Event)][-1]
+        device.device.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
+    last = [said for said in device.heard() if isinstance(said, m.Event)][-1]
     assert last.lost > 50
 
 
 @pytest.fixture
-def device() -> News:
-    return News()
+def device() -> Talker:
+    return Talker()
 
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
@@ -300,13 +265,13 @@ def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
     assert len(decoder.feed(core.bytes_to_send())) == 1
 
 
-def test_a_stop_before_any_configuration_is_latched(device: News) -> None:
-    device.core.step(REST)
+def test_a_stop_before_any_configuration_is_latched(device: Talker) -> None:
+    device.device.step(REST)
     device.tell(m.EmergencyStop(), m.Reset())
-    device.core.step(REST)
+    device.device.step(REST)
     assert isinstance(device.configure(configuration_of(BARE)), m.Refused)
-    device.core.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
+    device.device.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
     device.tell(m.Reset())
-    device.core.step(REST)
+    device.device.step(REST)
     assert isinstance(device.tell(m.Reset())[-1], m.Done)
     assert isinstance(device.configure(configuration_of(BARE)), m.Done)
