@@ -96,20 +96,19 @@ class TapFiles:
 
         Parameters
         ----------
+        gain : of the library in force; None leaves the device idle.
+        trigger_m_s2 : takes for a contact what the device does not report as one.
         more : columns of what is measured beside the device.
-
-        Raises
-        ------
-        typer.Exit : a tap was not heard.
         """
         for tap, name in self._taps():
             hand.plan([motion_of(tap)])
             recorder = Recorder(None, settings.dt_s, settings.count_m, settings.surface_counts, trigger_m_s2)
             run(bench, device, recorder, name, gain=gain)
-            if not recorder.contacts:
+            heard = [contact for contact in recorder.contacts if np.isfinite(met_surface(contact, settings)[0])]
+            if not heard:
                 self._silent.append(name)
                 continue
-            contact = recorder.contacts[0]
+            contact = heard[0]
             columns, scalars = measured(contact, settings, self._wrong.sensors.accelerometer_bandwidth_Hz)
             write_measurement(self._out / name, {**columns, **more(tap, contact)}, scalars)
             self._written.append(name)
