@@ -40,6 +40,7 @@ class Look(ctypes.Structure):
     boot : number of this start.
     events : number of the next event.
     oldest_event : number of the first event that is not acknowledged; `events` if all are.
+    arrived_bytes : of the image on its way.
     dropped_frames : sound ones that have arrived and were not for this session, out of order, or of no meaning.
     lost_frames : that found no room to go out.
     configuration_sha256, library_sha256, checked_sha256 : zeros for what is not there.
@@ -51,6 +52,7 @@ class Look(ctypes.Structure):
         ("boot", ctypes.c_uint32),
         ("events", ctypes.c_uint32),
         ("oldest_event", ctypes.c_uint32),
+        ("arrived_bytes", ctypes.c_uint32),
         ("dropped_frames", ctypes.c_uint32),
         ("lost_frames", ctypes.c_uint32),
         ("_state", ctypes.c_uint8),
@@ -64,6 +66,7 @@ class Look(ctypes.Structure):
     boot: int
     events: int
     oldest_event: int
+    arrived_bytes: int
     dropped_frames: int
     lost_frames: int
 

@@ -23,10 +23,12 @@
 #define CHUNK 8192
 #define BEHIND_MOST_S 0.25 /* after a longer sleep of the machine time is not caught up */
 #define LINE 128
+#define MOST_A 10.0 /* of the amplifier, current and command */
+#define DT_S 1e-4
 
 typedef struct {
     const char *listen, *plant;
-    double dt_s, current_A, command_A, delay_ms, loss, corruption, reset_s;
+    double delay_ms, loss, corruption, reset_s;
     long seed, boot;
 } options;
 
@@ -76,9 +78,7 @@ static bool parse(int argc, char **argv, options *said)
             said->listen = text;
         else if (strcmp(name, "--plant") == 0)
             said->plant = text;
-        else if (!number_of(name, "--dt", text, &said->dt_s) && !number_of(name, "--current", text, &said->current_A) &&
-                 !number_of(name, "--command", text, &said->command_A) &&
-                 !number_of(name, "--delay-ms", text, &said->delay_ms) &&
+        else if (!number_of(name, "--delay-ms", text, &said->delay_ms) &&
                  !number_of(name, "--loss", text, &said->loss) &&
                  !number_of(name, "--corruption", text, &said->corruption) &&
                  !number_of(name, "--reset-every", text, &said->reset_s) && !number_of(name, "--seed", text, &seed) &&
@@ -95,12 +95,8 @@ static bool parse(int argc, char **argv, options *said)
 /* Power gone and back: what it knew is lost, the hand and the stylus go on. */
 static void start_device(const options *said)
 {
-    td_port port = {0, {0, 0, 0}, NULL, NULL};
+    const td_port port = {(uint32_t)said->boot + boots++, {MOST_A, MOST_A, DT_S}, NULL, NULL};
 
-    port.boot = (uint32_t)said->boot + boots++;
-    port.hardware.current_A = said->current_A;
-    port.hardware.command_A = said->command_A;
-    port.hardware.dt_s = said->dt_s;
     td_device_start(&device, &port);
     tick = 0;
 }
@@ -182,14 +178,14 @@ static int run_real_time(const options *said, port_link *link)
     while (!ended && obey(said)) {
         double time_s = now_s();
 
-        if (time_s - started_s - (double)passed * said->dt_s > BEHIND_MOST_S)
-            started_s = time_s - (double)passed * said->dt_s;
+        if (time_s - started_s - (double)passed * DT_S > BEHIND_MOST_S)
+            started_s = time_s - (double)passed * DT_S;
         if (time_s >= reset_at_s) {
             start_device(said);
             reset_at_s = time_s + said->reset_s;
         }
         exchange(link);
-        for (; (double)(passed + 1) * said->dt_s <= time_s - started_s; passed++)
+        for (; (double)(passed + 1) * DT_S <= time_s - started_s; passed++)
             one_tick();
         exchange(link);
         link_wait(link, 1);
@@ -199,7 +195,7 @@ static int run_real_time(const options *said, port_link *link)
 
 int main(int argc, char **argv)
 {
-    options said = {NULL, NULL, 1e-4, 10.0, 10.0, 0, 0, 0, 0, 0, 1};
+    options said = {NULL, NULL, 0, 0, 0, 0, 0, 1};
     static port_link link = {-1, -1, -1, false};
     char name[LINK_NAME], where[LINK_NAME] = "pseudo-terminal";
     const char *wrong;

@@ -84,6 +84,7 @@ void td_probe_look(const td_device *device, td_probe_view *view)
     view->boot = device->port.boot;
     view->events = device->events.number;
     view->oldest_event = td_events_oldest(&device->events);
+    view->arrived_bytes = (uint32_t)store->arrived;
     view->dropped_frames = device->dropped_frames;
     view->lost_frames = device->output.lost;
     view->state = td_device_state(device);
