@@ -37,7 +37,7 @@ from controller.refine.rounds import nodes_of
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
-from controller.sim.records import noise_seed
+from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import TrueDevice

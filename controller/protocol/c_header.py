@@ -24,6 +24,8 @@ CAPACITY = {
     "samples": "TD_MAX_LIBRARY_SAMPLES",
     "upload_frames": "TD_UPLOAD_FRAMES",
 }
+# Of `capacity`, under the same names; what a host takes by default is not the device's business.
+LIMITS = [name for name in vars(capacity) if name.isupper() and name != "LEASE_DEFAULT_MS"]
 
 
 def _define(name: str, value: object, note: str = "") -> str:
@@ -122,19 +124,7 @@ def header_text() -> str:
         "",
         _define("TD_MAX_IMAGE_BYTES", _largest_image()),
         "",
-        _define("TD_PULSE_LIMIT_A", capacity.PULSE_LIMIT_A),
-        _define("TD_PULSE_LIMIT_S", capacity.PULSE_LIMIT_S),
-        _define("TD_LEASE_LEAST_MS", capacity.LEASE_LEAST_MS),
-        _define("TD_LEASE_MOST_MS", capacity.LEASE_MOST_MS),
-        _define("TD_TRIAL_GAIN", capacity.TRIAL_GAIN),
-        _define("TD_REST_SPEED_M_S", capacity.REST_SPEED_M_S),
-        _define("TD_LINK_SILENCE_MS", capacity.LINK_SILENCE_MS),
-        _define("TD_EVENT_REPEAT_MS", capacity.EVENT_REPEAT_MS),
-        _define("TD_EVENT_WINDOW", capacity.EVENT_WINDOW),
-        _define("TD_EVENT_QUEUE", capacity.EVENT_QUEUE),
-        _define("TD_TELEMETRY_HOLD_MS", capacity.TELEMETRY_HOLD_MS),
-        _define("TD_LONGEST_S", capacity.LONGEST_S),
-        _define("TD_ENCODER_MOST_COUNTS", capacity.ENCODER_MOST_COUNTS),
+        *(_define(f"TD_{name}", getattr(capacity, name)) for name in LIMITS),
         "",
         "#endif",
     ]

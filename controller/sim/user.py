@@ -34,7 +34,7 @@ class Habit(Enum):
 
 
 class User(Protocol):
-    """Functions of the simulator's time."""
+    """Functions of the simulator's time; most users give the device no acceleration of their own accord."""
 
     def intention_m(self, time_s: float) -> float:
         """Where the hand means to be along the surface normal."""
@@ -42,7 +42,7 @@ class User(Protocol):
 
     def carried_m_s2(self, time_s: float) -> float:
         """Acceleration that the hand gives to all it moves, of its own accord: r_u = r_raw - r."""
-        ...
+        return 0.0
 
     def grip_N(self, time_s: float) -> float: ...
 
@@ -70,7 +70,7 @@ def _after_reaction(habit: Habit, speed_m_s: float, after_s: float) -> float:
 
 
 @dataclass(frozen=True)
-class TapUser:
+class TapUser(User):
     """One tap: straight in at `speed_m_s`, the intention reaches the surface at `contact_s`.
 
     Attributes
@@ -93,14 +93,11 @@ class TapUser:
             z = -self.speed_m_s * REACTION_S - _after_reaction(self.habit, self.speed_m_s, t - REACTION_S)
         return z if self.tremor is None else z + self.tremor.at(time_s)
 
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
     def grip_N(self, time_s: float) -> float:
         return max(self.held_N + self.grip_rate_N_s * max(time_s - self.contact_s, 0.0), 0.0)
 
 
-class RecordedUser:
+class RecordedUser(User):
     """One tap by a hand that moves as in the recordings: along z_nom, giving all it moves the acceleration r_u.
 
     After the library's window it goes on straight.
@@ -206,8 +203,27 @@ def _height_m(speed_m_s: float) -> float:
     return speed_m_s * (STARTING_S / 2 + STRAIGHT_S) + STRAIGHT_M
 
 
-class RepeatedTaps:
-    """Taps without end at random speeds and grips, the hand yielding to each and retreating; for long runs.
+class _Taps(User):
+    """A hand that taps in cycles, yielding to each tap and retreating."""
+
+    tremor: Tremor | None = None
+
+    def _at(self, time_s: float) -> tuple[_Cycle, float]:
+        """The tap that is on, and the time by which its cycle goes."""
+        raise NotImplementedError
+
+    def intention_m(self, time_s: float) -> float:
+        cycle, into_s = self._at(time_s)
+        z = cycle.intention_m(into_s)
+        return z if self.tremor is None else z + self.tremor.at(time_s)
+
+    def grip_N(self, time_s: float) -> float:
+        cycle, into_s = self._at(time_s)
+        return cycle.held_N(into_s)
+
+
+class RepeatedTaps(_Taps):
+    """Taps without end at random speeds and grips; for long runs.
 
     Speeds are drawn evenly in their logarithm, grips evenly; the grip changes during the retreat.
 
@@ -225,7 +241,7 @@ class RepeatedTaps:
         tremor: Tremor | None = None,
     ) -> None:
         self._random = np.random.default_rng([seed, 4])
-        self._speeds_m_s, self._grips_N, self._tremor = speeds_m_s, grips_N, tremor
+        self._speeds_m_s, self._grips_N, self.tremor = speeds_m_s, grips_N, tremor
         self._next = self._draw()
         self._cycles: list[_Cycle] = []
         self._starts: list[float] = []
@@ -243,25 +259,19 @@ class RepeatedTaps:
         self._starts.append(start_s)
 
     def cycle(self, time_s: float) -> _Cycle:
+        """The tap that is on."""
         if not self._now.start_s <= time_s < self._now.end_s:
             while time_s >= self._cycles[-1].end_s:
                 self._append(self._cycles[-1].end_s)
             self._now = self._cycles[max(bisect_right(self._starts, time_s) - 1, 0)]
         return self._now
 
-    def intention_m(self, time_s: float) -> float:
-        z = self.cycle(time_s).intention_m(time_s)
-        return z if self._tremor is None else z + self._tremor.at(time_s)
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        return self.cycle(time_s).held_N(time_s)
+    def _at(self, time_s: float) -> tuple[_Cycle, float]:
+        return self.cycle(time_s), time_s
 
 
-class TapsInTurn:
-    """The given taps one after the other, over and over, the hand yielding to each and retreating.
+class TapsInTurn(_Taps):
+    """The given taps one after the other, over and over.
 
     Parameters
     ----------
@@ -287,24 +297,12 @@ class TapsInTurn:
         self._starts = [cycle.start_s for cycle in self._cycles]
 
     def _at(self, time_s: float) -> tuple[_Cycle, float]:
-        """The tap that is on, and the time in its round."""
-        into = time_s % self.period_s
-        return self._cycles[bisect_right(self._starts, into) - 1], into
-
-    def intention_m(self, time_s: float) -> float:
-        cycle, into = self._at(time_s)
-        return cycle.intention_m(into)
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
-    def grip_N(self, time_s: float) -> float:
-        cycle, into = self._at(time_s)
-        return cycle.held_N(into)
+        into_s = time_s % self.period_s
+        return self._cycles[bisect_right(self._starts, into_s) - 1], into_s
 
 
 @dataclass(frozen=True)
-class StillHand:
+class StillHand(User):
     """Holds the stylus above the surface and does nothing."""
 
     held_N: float = 3.0
@@ -313,9 +311,6 @@ class StillHand:
 
     def intention_m(self, time_s: float) -> float:
         return self.height_m
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
 
     def grip_N(self, time_s: float) -> float:
         return self.held_N

@@ -13,6 +13,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from pathlib import Path
 from time import monotonic
 from typing import Annotated
 
@@ -27,6 +28,7 @@ from problems.stress.families import directed, long_cases
 from problems.stress.judge import CERTIFIED, Outcome, judge
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.base.writing import write_text
 from transopt.study.executors import Processes
 
 LIMIT_S = 120  # per case; the slowest honest one takes a fraction of it
@@ -130,6 +132,7 @@ def stress(
     case: Annotated[int | None, Option(min=0, help="Only the case of this index, in every detail.")] = None,
     families: Annotated[bool, Option("--directed", help="The directed families in place of random cases.")] = False,
     limit_s: Annotated[int, Option(min=1, help="Seconds that one case may take.")] = LIMIT_S,
+    write: Annotated[Path | None, Option(help="File for the verdict on every case, a line each.")] = None,
 ) -> int:
     """Judge hard cases: each ends certified or refused by name, or the exit code is 1."""
     output = terminal.console()
@@ -166,4 +169,6 @@ def stress(
     output.print(table)
     for line in lines:
         output.print(line, soft_wrap=True)
+    if write is not None:
+        write_text("".join(f"{index} {outcomes[index].kind}\n" for index in sorted(outcomes)), write)
     return int(any(outcome.bad for outcome in outcomes.values()))
