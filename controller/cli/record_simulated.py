@@ -30,7 +30,7 @@ from controller.sim.simulator import Imperfections
 from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError
-from transopt.library.file import load_library
+from transopt.library.proven import load_proven
 
 MOST_HEAT_S = 24 * 3600.0
 
@@ -129,7 +129,7 @@ def simulate_library_taps(
     seed: int,
 ) -> None:
     """A library's taps, as a device on a port plays and measures them; exit code 1 if one was not played."""
-    loaded = load_library(library)
+    loaded = load_proven(library)
     given = payload_of(loaded, amplifier_tolerance=wrong.mismatch)
     if given.settings.assumed_grip_N == 0 and any(grips or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")

@@ -30,7 +30,7 @@ def _worded(text: str) -> str:
     """Words for tables and reports: of control characters only line breaks and tabs."""
     odd = next((c for c in text if not c.isprintable() and c not in "\n\t"), None)
     if odd is not None:
-        raise ValueError(f"holds the control character {ascii(odd)}, which a terminal may obey: take it out")
+        raise ValueError(f"holds the control character {odd!a}, which a terminal may obey: take it out")
     return text
 
 

@@ -12,8 +12,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Finite, Section, Words
-from transopt.base.sizes import MOST_STATES
 from transopt.base.signals import FloatArray
+from transopt.base.sizes import MOST_STATES
 
 SYMMETRY = 1e-6  # relative to the standard deviations, beyond the rounding of a covariance that was inverted
 

@@ -12,8 +12,8 @@ from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Name, Section, Words
-from transopt.base.sizes import MOST_COMMANDS
 from transopt.base.shown import cut, span, wrapped
+from transopt.base.sizes import MOST_COMMANDS
 from transopt.plant import chain
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
@@ -100,7 +100,9 @@ class Scene(Section):
             )
         commands = len(self.grid.speeds_m_s) * len(self.grid.grips_N) * self.time.stages
         if commands > MOST_COMMANDS:
-            raise ValueError(f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages")
+            raise ValueError(
+                f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
+            )
         self._check_amplifier()
         self._check_what_needs_what()
         if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:

@@ -9,7 +9,14 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature, Words
-from transopt.base.sizes import LONGEST_DELAY_S, LONGEST_DT_S, LONGEST_HORIZON_S, MOST_NODES, MOST_STAGES, SHORTEST_DT_S
+from transopt.base.sizes import (
+    LONGEST_DELAY_S,
+    LONGEST_DT_S,
+    LONGEST_HORIZON_S,
+    MOST_NODES,
+    MOST_STAGES,
+    SHORTEST_DT_S,
+)
 from transopt.plant import chain
 
 

@@ -110,7 +110,7 @@ class TestRefusals:
 
     def test_single_array(self, tmp_path: Path) -> None:
         np.save(tmp_path / "x.npy", np.zeros(3))
-        with pytest.raises(InputError, match="a single array, not a library"):
+        with pytest.raises(InputError, match="a single array, not an archive"):
             load_library(tmp_path / "x.npy")
 
     def test_pickle(self, saved: Path) -> None:
