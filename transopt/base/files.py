@@ -86,10 +86,10 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     ------
     InputError : the place cannot be written.
     """
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: a folder, a pipe or a device is there; choose another place")
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
+        if path.exists() and not path.is_file():  # a device would be replaced by a file
+            raise OSError(0, "a folder, a pipe or a device is there")
         try:
             with temporary.open("wb") as file:
                 yield file

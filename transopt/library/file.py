@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from transopt.base.errors import InputError
 from transopt.base.files import check_depth, read_file
 from transopt.base.npz import Archive
+from transopt.base.shown import cut
 from transopt.base.sizes import (
     LONGEST_DELAY_S,
     LONGEST_DT_S,
@@ -69,7 +70,7 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
         raise InputError(f"{path}: meta lacks {', '.join(missing)}; solve the scene again")
     for place, value in _leaves({key: value for key, value in meta.items() if key not in TABLES_OF_WORDS}):
         if said := beyond(place, value):
-            raise InputError(f"{path}: meta.{place} = {value:g}: {said}, or solve the scene again")
+            raise InputError(f"{path}: meta.{place} = {cut(repr(value))}: {said}, or solve the scene again")
     return meta
 
 
@@ -167,7 +168,37 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
         arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
     library = Library.of(arrays, meta)
     _check_problem(path, library)
+    _check_words(path, library)
     return library
+
+
+def _check_words(path: Path, library: Library) -> None:
+    """What `meta` says of the entries has the shape of the grid, and its words are words."""
+    meta, (nv, ng, _) = library.meta, library.command_A.shape
+    repeats, scene, left_out = meta["repeatability"], meta["scene"], meta["left_out"]
+    fit = {
+        "repeatability": isinstance(repeats, list)
+        and len(repeats) == nv
+        and all(each is None or (isinstance(each, int | float) and 0 <= each < np.inf) for each in repeats),
+        "scene": isinstance(scene["name"], str) and isinstance(scene["description"], str),
+        "left_out": isinstance(left_out, dict) and all(_is_reason(said, nv, ng) for said in left_out.values()),
+        "sources": isinstance(meta["sources"], list) and all(isinstance(each, dict) for each in meta["sources"]),
+        "versions": isinstance(meta["versions"], dict),
+    }
+    odd = next((key for key, fits in fit.items() if not fits), None)
+    if odd is not None:
+        raise InputError(f"{path}: meta.{odd} is not of the form that a solve writes; solve the scene again")
+
+
+def _is_reason(said: Any, nv: int, ng: int) -> bool:
+    """Why a part is left out: words, or words or null for every entry."""
+    if isinstance(said, str):
+        return True
+    rows = said if isinstance(said, list) and len(said) == nv else [None]
+    return all(
+        isinstance(row, list) and len(row) == ng and all(each is None or isinstance(each, str) for each in row)
+        for row in rows
+    )
 
 
 def _check_problem(path: Path, library: Library) -> None:

@@ -30,7 +30,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import stages, without_limits
-from transopt.proof.certify import Effect, binding_limits, certify, relaxed_bound
+from transopt.proof.certify import BINDING_MULTIPLIER, Effect, binding_limits, certify, relaxed_bound
 from transopt.solvers.native.extension import (
     ACCURACY,
     MOST_STATES,
@@ -45,6 +45,7 @@ SAME = 1e-6  # relative, between what a file states of its scene and what the sc
 FIGURE = 1e-4  # relative, between a stated figure of an entry and the recomputed one
 ROUNDING = 1e-9  # absolute, for figures that are zero
 RIVAL = 1e-3  # relative, between an error at the switching instants and the replay's
+MOTION = 1e-2  # relative, between a motion that was integrated in fine steps and in those of the file
 WARM_K = 0.05  # between the winding's peak at the switching instants and that at all times
 PASS_GAP = 1e-9  # of the optimum without limits, relative
 MOST_ITERATIONS = 60  # of the method that bounds a hot entry from below
@@ -72,6 +73,10 @@ def doubts(library: Library) -> Iterator[str]:
     try:
         with np.errstate(all="ignore"):  # what overflows is found as not finite
             yield from against_scene(library)
+            yield from _nominal(library)
+            for name, array in library.multipliers_of.items():
+                if (least := float(array.min())) < -BINDING_MULTIPLIER:
+                    yield f"{name} reaches {least:.3g}: multipliers must be >= 0"
             for ig in range(library.grips_N.size):
                 yield from _of_grip(library, ig)
     except (InputError, *BROKEN) as error:
@@ -249,14 +254,42 @@ def against_scene(library: Library) -> Iterator[str]:
             continue
         yield from different(field.name, getattr(stated, field.name), getattr(own, field.name))
     yield from different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
-    yield from different("speeds_m_s", library.speeds_m_s.tolist(), scene.grid.speeds_m_s)
-    yield from different("grips_N", library.grips_N.tolist(), scene.grid.grips_N)
+    for name, nodes in (("speeds_m_s", scene.grid.speeds_m_s), ("grips_N", scene.grid.grips_N)):
+        # A library may be a part of what its scene asked for.
+        stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
+        if stray:
+            yield f"{name}: {stray[0]:g} is no node of its scene"
     for ig, grip in enumerate(library.grips_N):
         plant = scene.plant(float(grip))
         for name in PLANT:
             stored, value = getattr(library, f"plant_{name}")[ig], getattr(plant, name)
             if stored.shape != value.shape or not np.abs(stored - value).max() <= SAME * np.abs(value).max():
                 yield f"plant_{name} at {grip:g} N is not the device of its scene"
+
+
+def _nominal(library: Library) -> Iterator[str]:
+    """Nominal motions that are not the integrals of the user's share r_raw - r, from -speed and the surface on."""
+    grid, user = library.time_grid(), library.reference_raw_m_s2 - library.reference_m_s2
+    times = grid.switching_times_s
+    for iv, speed in enumerate(library.speeds_m_s):
+        velocity, position = library.nominal_velocity_m_s[iv], library.nominal_position_m[iv]
+        at_ticks = library.nominal_position_at_ticks_m[iv]
+        for name, stated, integrated, size in (
+            ("nominal_velocity_m_s", velocity, _from_contact(times, user[iv]) - speed, np.abs(velocity).max()),
+            ("nominal_position_m", position, _from_contact(times, velocity), np.abs(position).max()),
+            ("nominal_position_at_ticks_m", at_ticks + grid.delay_s * velocity, position, np.abs(position).max()),
+        ):
+            step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
+            if not np.abs(stated - integrated).max() <= MOTION * size + step:
+                yield f"{name} at {speed:g} m/s is not the motion that its recording tells"
+
+
+def _from_contact(times_s: FloatArray, rate: FloatArray) -> FloatArray:
+    """(N,) integral of a rate by the trapezoidal rule, zero at contact, which may lie before the first instant."""
+    steps = 0.5 * np.diff(times_s) * (rate[1:] + rate[:-1])
+    course = np.append(0.0, np.cumsum(steps))
+    before = min(times_s[0], 0.0) - times_s[0]  # of the first instant, where contact comes before it
+    return np.asarray(course - np.interp(0.0, times_s, course) - before * rate[0])
 
 
 def different(name: str, stated: Any, own: Any) -> Iterator[str]:

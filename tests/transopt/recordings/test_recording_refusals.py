@@ -54,7 +54,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         raise PermissionError(13, "Permission denied")
 
     content = tmp_path / "mine.csv"
-    content.write_bytes(csv())
+    content.write_text(csv())
     monkeypatch.setattr(Path, "open", denied)  # as root, the mode alone would not do it
     assert "no permission to read it" in path_refusal(content)
 
