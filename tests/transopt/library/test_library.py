@@ -263,7 +263,7 @@ class TestBlend:
 
     @pytest.mark.parametrize(("speed", "grip"), [(np.nan, 1.0), (0.2, np.inf)])
     def test_nonsense_is_refused(self, library: Library, speed: float, grip: float) -> None:
-        with pytest.raises(InputError, match="both must be finite"):
+        with pytest.raises(InputError, match="must be a finite number"):
             library.at(speed, grip)
 
     def test_one_grip_and_one_speed_are_enough(self, library: Library) -> None:

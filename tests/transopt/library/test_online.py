@@ -124,7 +124,7 @@ class TestHeat:
 
     @pytest.mark.parametrize("temperatures", [(float("nan"), None), (25.0, float("inf"))])
     def test_no_number_is_refused(self, solver: Online, temperatures: tuple[float, float | None]) -> None:
-        with pytest.raises(InputError, match="both must be finite"):
+        with pytest.raises(InputError, match="must be a finite number"):
             solver.solve(0.3, 2.0, *temperatures)
 
 
