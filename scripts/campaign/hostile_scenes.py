@@ -13,6 +13,7 @@ SOLVE = ("transopt", "solve", "scene.toml", "--no-figures", "--out", "solved")
 SHOW = ("transopt", "show", "library.npz")
 VALUES = (
     "0", "-1", "1e-9", "1e-300", "1e12", "1e300", "inf", "nan", "true", '"x"', "[]", "[1, 1]", "{}", "10", "0.001",
+    "20000", "1e-6", "1e6", "100", "[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]",
     "9" * 5000, "1979-05-27", '"\\u001b[31m"', "[[1.0]]",
 )  # fmt: skip
 

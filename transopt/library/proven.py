@@ -72,15 +72,20 @@ def doubts(library: Library) -> Iterator[str]:
     """What is not proven of a library, one phrase each; none if all is."""
     try:
         with np.errstate(all="ignore"):  # what overflows is found as not finite
-            yield from against_scene(library)
-            yield from _nominal(library)
-            for name, array in library.multipliers_of.items():
-                if (least := float(array.min())) < -BINDING_MULTIPLIER:
-                    yield f"{name} reaches {least:.3g}: multipliers must be >= 0"
+            yield from misstatements(library)
             for ig in range(library.grips_N.size):
                 yield from _of_grip(library, ig)
     except (InputError, *BROKEN) as error:
         yield f"it does not describe a problem ({error or type(error).__name__})"
+
+
+def misstatements(library: Library) -> Iterator[str]:
+    """Where a library states something else than the scene and the recordings that it carries, all entries alike."""
+    yield from _against_scene(library)
+    yield from _nominal(library)
+    for name, array in library.multipliers_of.items():
+        if (least := float(array.min())) < -BINDING_MULTIPLIER:
+            yield f"{name} reaches {least:.3g}: multipliers must be >= 0"
 
 
 def _of_grip(library: Library, ig: int) -> Iterator[str]:
@@ -245,15 +250,16 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
         yield f"peak_temperature_C says {stored:.5g} C, recomputed {hottest:.5g} C"
 
 
-def against_scene(library: Library) -> Iterator[str]:
+def _against_scene(library: Library) -> Iterator[str]:
     """Where the file states another problem than the scene that it carries: limits, weights, time axis, plants."""
     scene = library.scene()
     stated, own = Posing.of(library.meta, library.command_A.shape[2]), scene.posing()
     for field in fields(Posing):
         if field.name == "law_of":
             continue
-        yield from different(field.name, getattr(stated, field.name), getattr(own, field.name))
-    yield from different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
+        name = {"asked": "limits", "wall": "feedback"}.get(field.name, field.name)
+        yield from _different(name, getattr(stated, field.name), getattr(own, field.name))
+    yield from _different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
     for name, nodes in (("speeds_m_s", scene.grid.speeds_m_s), ("grips_N", scene.grid.grips_N)):
         # A library may be a part of what its scene asked for.
         stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
@@ -292,14 +298,14 @@ def _from_contact(times_s: FloatArray, rate: FloatArray) -> FloatArray:
     return np.asarray(course - np.interp(0.0, times_s, course) - before * rate[0])
 
 
-def different(name: str, stated: Any, own: Any) -> Iterator[str]:
+def _different(name: str, stated: Any, own: Any) -> Iterator[str]:
     """Numbers and words in `stated` that differ from those of the same place in `own`, the scene's."""
     if is_dataclass(own) and type(stated) is type(own):
         for field in fields(own):
-            yield from different(f"{name}.{field.name}", getattr(stated, field.name), getattr(own, field.name))
+            yield from _different(f"{name}.{field.name}", getattr(stated, field.name), getattr(own, field.name))
     elif isinstance(own, Mapping) and isinstance(stated, Mapping):
         for key, value in own.items():
-            yield from different(f"{name}.{key}", stated.get(key), value)
+            yield from _different(f"{name}.{key}", stated.get(key), value)
     elif isinstance(own, np.ndarray):
         if np.shape(stated) != own.shape or not np.allclose(stated, own, rtol=SAME, atol=0):
             yield f"{name} is not what its scene says"
@@ -308,7 +314,7 @@ def different(name: str, stated: Any, own: Any) -> Iterator[str]:
             yield f"{name} has other items than its scene"
             return
         for one, other in zip(stated, own, strict=True):
-            yield from different(name, one, other)
+            yield from _different(name, one, other)
     elif isinstance(own, float) and isinstance(stated, int | float):
         if not np.isclose(stated, own, rtol=SAME, atol=0):
             yield f"{name} is {stated:g}, its scene says {own:g}"
