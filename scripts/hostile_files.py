@@ -24,9 +24,6 @@ from campaign.hostile_runs import Seen, elapsed, fault, load_commands, run, run_
 from campaign.hostile_scenes import scenes
 
 SAMPLED = 50  # one case of so many also runs in an interpreter of its own
-SCENE = """\
-model.kind = "drive"
-"""
 
 
 @dataclass
