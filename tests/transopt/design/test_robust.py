@@ -86,11 +86,9 @@ class TestRobust:
     ) -> None:
         parts: Parts = {"device": drive_device(0.15)}
         build = built(make(ON_FILE, parts, SMALL, ("[1.0, 3.0, 5.0]", "[1.0, 5.0]"), more=ROBUST + spread), taps)
-        assert build.library is not None
         devices = 8 if spread else 4
         assert build.library.spread_A.shape == (2, devices, 6, 6)
         for entry in build.all_entries():
-            assert entry.spread is not None
             assert entry.certificate.accepted
             assert entry.spread.robust_rms <= entry.spread.nominal_rms * (1 + 1e-6)
         gains = [1 - e.spread.robust_rms / e.spread.nominal_rms for e in build.all_entries() if e.spread]
