@@ -46,6 +46,8 @@ def make_library(library: Library) -> Make:
             "amplifier": amplifier,
             "scene": {**library.meta["scene"], "name": name},
             "limits": {**library.meta["limits"]},
+            "repeatability": [None] * len(speeds),
+            "left_out": {},
         }
         sized, meta = resized(library, len(speeds), len(grips)), {**library.meta, **changes}
         return replace(sized, speeds_m_s=np.array(speeds), grips_N=np.array(grips), meta=meta)
