@@ -152,7 +152,13 @@ def recordings(scene: Scene) -> list[Recording]:
             f"recordings.simulated: {speeds.size} taps of {duration:g} s are {samples} samples, at most "
             f"{MOST_SAMPLES}: lower repeats, rate_Hz or the number of speeds"
         )
-    t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+    with np.errstate(all="ignore"):  # what overflows is found as not finite
+        t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+    if not (np.isfinite(acceleration).all() and np.isfinite(encoder).all()):
+        raise InputError(
+            f"recordings.simulated: a tap does not stay finite in steps of {STEP_S:g} s: device or contact are too "
+            "fast for them; raise the masses, or lower the stiffnesses and dampings"
+        )
 
     dt = 1 / target.rate_Hz
     before = int(np.ceil(APPROACH_S / dt))
