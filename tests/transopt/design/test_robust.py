@@ -119,7 +119,7 @@ class TestPlayed:
         def played(**on: Any) -> float:
             tap = SimulatedTap(0.4, 3.0, imperfections=Imperfections(mismatch=0.1), seed=4)
             servo = Servo(Settings.of(own, amplifier_tolerance=0.1), bank(own, Method.BILINEAR))
-            return play_tap(own, servo, tap, **on).metrics.nrmse_reference
+            return play_tap(own, servo, tap, **on).nrmse_reference
 
         truth = device_of(scene)
         assert played(device=truth) == pytest.approx(played(), rel=1e-9)

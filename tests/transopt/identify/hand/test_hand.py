@@ -26,7 +26,7 @@ from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.hand.chain import NAMES, OF_HAND, _simulate, fit_chain
-from transopt.identify.hand.lines import COEFFICIENTS, LEAST_TRIALS, HandFit, fit_hand
+from transopt.identify.hand.lines import LEAST_TRIALS, HandFit, fit_hand
 from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
 from transopt.identify.measurement import Measurement
 from transopt.plant.chain import Link, chain
@@ -146,16 +146,6 @@ def test_the_lines_of_the_seed_come_back_from_81_trials(hand: HandFit) -> None:
         assert np.all(line.intervals[:, 0] < [line.line.constant, line.line.per_newton])
         assert np.all(line.intervals[:, 1] > [line.line.constant, line.line.per_newton])
         assert line.lack_of_fit_p > 0.01
-
-
-def test_intervals_cover_the_truth(scripts: Any) -> None:
-    """20 repeats of the experiment; `scripts/hand_coverage.py` makes 200. At 95 % one in 10^4 falls below 14."""
-    coverage = scripts.hand_coverage.experiments(20, 5)
-    assert np.all(coverage.covered >= 14 / 20)
-    # All six together, 120 intervals that come in pairs: 84 % would be a chance of 10^-4 even so.
-    assert coverage.covered.mean() >= 0.84
-    rows = scripts.hand_coverage.coverage_rows(coverage)
-    assert [row[0] for row in rows] == list(COEFFICIENTS)
 
 
 def test_a_bent_dependence_is_no_line(cut_taps: list[HandTap]) -> None:
