@@ -37,7 +37,7 @@ BESIDE = (
 )
 
 RESIDUALS = ("primal_violation", "dual_residual", "duality_gap")
-NOTHING = 1e-7  # of a residual or a multiplier: what rounding leaves is nothing that a file could be held to
+NOTHING = 2e-6  # of a residual or a multiplier: what the certificate tolerates is nothing to hold a file to
 
 
 @dataclass(frozen=True)
