@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benches.places import SCRIPTS
+from tests.benches.places import ROOT
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the campaign forks, and its pipes are POSIX's")
 KINDS = ("bit flips", "altered and hashed again", "recordings", "scenes and special files")
@@ -18,7 +18,7 @@ def campaign(folder: Path, *counts: int) -> str:
     """What the script prints, every fault of it included."""
     options = zip(("--flips", "--altered", "--recordings", "--scenes"), map(str, counts), strict=True)
     done = subprocess.run(
-        [sys.executable, str(SCRIPTS / "hostile_files.py"), *(word for option in options for word in option)],
+        [sys.executable, str(ROOT / "scripts" / "hostile_files.py"), *(word for option in options for word in option)],
         cwd=folder,
         capture_output=True,
         text=True,
