@@ -18,7 +18,11 @@ def campaign(folder: Path, *counts: int) -> str:
     """What the script prints, every fault of it included."""
     options = zip(("--flips", "--altered", "--recordings", "--scenes"), map(str, counts), strict=True)
     done = subprocess.run(
-        [sys.executable, str(ROOT / "scripts" / "hostile_files.py"), *(word for option in options for word in option)],
+        [
+            sys.executable,
+            str(ROOT / "scripts" / "hostile_files.py"),
+            *(word for option in options for word in option),
+        ],
         cwd=folder,
         capture_output=True,
         text=True,
