@@ -60,9 +60,9 @@ def refine(
     within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
     within("for", seconds, 1.0, 1e6, " s")
     wrong = imperfect(mismatch, seed, crossover)
-    from transopt.library.file import load_library
+    from transopt.library.proven import load_proven
 
-    loaded = load_library(library)
+    loaded = load_proven(library)
     if loaded.meta["feedback"] is not None:
         raise InputError(f"{library}: has a wall, whose feedback answers the hand's own motion: it is not refined")
     if (out / "library.npz").resolve() == library.resolve():

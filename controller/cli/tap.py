@@ -116,14 +116,14 @@ def _simulated(
     from controller.sim.user import Habit
     from controller.waveforms.bank import Method, bank
     from controller.waveforms.prediction import scene_of
-    from transopt.library.file import load_library
+    from transopt.library.proven import load_proven
 
     methods, habits = [choice.value for choice in Method], [choice.value for choice in Habit]
     if method not in methods:
         raise InputError(f"--method {method}: must be one of {', '.join(methods)}")
     if user not in habits:
         raise InputError(f"--user {user}: must be one of {', '.join(habits)}")
-    library = load_library(path)
+    library = load_proven(path)
     speed_m_s, grip_N = _middle(library, speed, grip)
     table = bank(library, Method(method))
     if method == Method.ONLINE.value:

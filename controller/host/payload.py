@@ -17,8 +17,8 @@ from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, bank, currents, norms
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.library.file import load_library
 from transopt.library.library import Library
+from transopt.library.proven import load_proven
 from transopt.scene.scene import Scene
 
 EXCITATION_LIMIT_A = 1.25  # without a library: what the built-in motor bears continuously
@@ -49,7 +49,7 @@ def payload(path: Path) -> Payload:
     ------
     InputError : no library, or one that no device could play.
     """
-    return payload_of(load_library(path))
+    return payload_of(load_proven(path))
 
 
 def payload_of(library: Library, table: Bank | None = None, **settings: Any) -> Payload:
@@ -88,7 +88,7 @@ def excitation_settings(hello: HelloReply, library: Path | None) -> Settings:
     InputError : no library.
     """
     if library is not None:
-        return Settings.of(load_library(library), lead_s=0.0, wall=None, host_starts=True, **NEVER_STUCK)
+        return Settings.of(load_proven(library), lead_s=0.0, wall=None, host_starts=True, **NEVER_STUCK)
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,

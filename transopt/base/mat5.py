@@ -10,6 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from transopt.base.sizes import MOST_UNPACKED_BYTES, megabytes
+
+MOST_BYTES = MOST_UNPACKED_BYTES // 2  # unpacked: elements are copied on the way
+
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _COMPRESSED = 15
 _NUMERIC_CLASSES = range(6, 16)  # mxDOUBLE_CLASS to mxUINT64_CLASS
@@ -25,16 +29,20 @@ def variables(data: bytes) -> dict[str, object]:
 
     Raises
     ------
-    ValueError : not a level 5 file (-v7.3 is HDF5), or cut short. Other damage raises whatever the bytes lead to
-        (struct.error, zlib.error, KeyError, IndexError ...).
+    ValueError : not a level 5 file (-v7.3 is HDF5), cut short, or too large unpacked. Other damage raises whatever
+        the bytes lead to (struct.error, zlib.error, KeyError, IndexError ...).
     """
     order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
     if order is None:
         raise ValueError("not of -v6 or -v7; -v7.3 is HDF5")
     found: dict[str, object] = {}
+    room = MOST_BYTES
     for kind, content in _elements(data[128:], order):
-        is_compressed = kind == _COMPRESSED
-        matrix = next(_elements(zlib.decompress(content), order))[1] if is_compressed else content
+        matrix = content
+        if kind == _COMPRESSED:
+            unpacked = _unpacked(content, room)
+            room -= len(unpacked)
+            matrix = next(_elements(unpacked, order))[1]
         (_, flags), (_, dims), (_, name), *elements = _elements(matrix, order)
         flag_bits = int(np.frombuffer(flags, order + "u4")[0])
         value = None
@@ -44,6 +52,17 @@ def variables(data: bytes) -> dict[str, object]:
             value = np.frombuffer(real, order + _TYPES[real_type]).reshape(shape, order="F")
         found[name.decode("latin-1")] = value
     return found
+
+
+def _unpacked(packed: bytes, room: int) -> bytes:
+    """The content of a compressed element, as far as there is room for it."""
+    unpacker = zlib.decompressobj()
+    content = unpacker.decompress(packed, room + 1)
+    if len(content) > room:
+        raise ValueError(f"it unpacks to more than {megabytes(MOST_BYTES)}")
+    if not unpacker.eof:
+        raise ValueError("it is cut short")
+    return content
 
 
 def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:

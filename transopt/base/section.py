@@ -1,10 +1,11 @@
 """The building blocks of settings files: numbers with bounds, and a table that refuses unknown keys."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from transopt.base.shown import brief
+from transopt.base.units import beyond
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -12,10 +13,46 @@ Speed = Annotated[float, Field(ge=1e-4, le=100)]
 Temperature = Annotated[float, Field(ge=-100, le=500)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
+LONGEST_NAME = 100
+OF_THE_KEY = ("constant", "per_newton")  # of a parameter that is linear in grip
+
+
+def _named(text: str) -> str:
+    """A name that can be a folder's: results lie in out/NAME."""
+    if not text.strip() or text != text.strip() or len(text) > LONGEST_NAME or not text.isprintable():
+        raise ValueError(f"must be 1 to {LONGEST_NAME} printable characters, without spaces at its ends")
+    if any(mark in text for mark in '/\\:*?"<>|') or text.strip(".") == "":
+        raise ValueError('names the folder of the results: must be without / \\ : * ? " < > | and not only dots')
+    return text
+
+
+def _worded(text: str) -> str:
+    """Words for tables and reports: of control characters only line breaks and tabs."""
+    odd = next((c for c in text if not c.isprintable() and c not in "\n\t"), None)
+    if odd is not None:
+        raise ValueError(f"holds the control character {odd!a}, which a terminal may obey: take it out")
+    return text
+
+
+Name = Annotated[str, AfterValidator(_named)]
+Words = Annotated[str, AfterValidator(_worded)]
+
 
 class Section(BaseModel):
-    """A table of a settings file: unknown keys are refused, values never change after loading."""
+    """A table of a settings file: unknown keys are refused, values never change after loading.
+
+    No number may be larger than its unit allows (`transopt.base.units`), whatever other bounds its key has.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     __repr__ = brief
+
+    @field_validator("*")
+    @classmethod
+    def _possible(cls, value: Any, info: ValidationInfo) -> Any:
+        # The numbers of {constant, per_newton} have the unit of the key; other tables check their own.
+        numbers = [getattr(value, name, None) for name in OF_THE_KEY] if isinstance(value, Section) else value
+        if said := beyond(info.field_name or "", numbers):
+            raise ValueError(said)
+        return value

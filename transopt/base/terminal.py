@@ -1,5 +1,6 @@
 """What the command lines share: the console, folders that can be written, errors in one line."""
 
+import io
 import os
 import signal
 import sys
@@ -11,16 +12,38 @@ from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 from transopt.base.errors import InputError
 
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
 
 
+def harmless(text: str, keep: str = "") -> str:
+    """The text with an escape in place of every character that a terminal might obey, line breaks among them.
+
+    Names and descriptions come from files, which may hold anything.
+
+    Parameters
+    ----------
+    keep : control characters that may stay.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)
+
+
+class _HarmlessConsole(Console):
+    """A console that prints no control characters of others: all text without a style of its own comes by here."""
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        return super().render_str(harmless(text, keep="\n\t"), **how)
+
+
 def console() -> Console:
     """The standard output, to print tables on: as wide as the terminal, or `WIDTH` columns without one."""
     # No markup: names and descriptions are the user's and may hold brackets.
-    return Console(markup=False, width=None if sys.stdout.isatty() else WIDTH)
+    return _HarmlessConsole(markup=False, width=None if sys.stdout.isatty() else WIDTH)
 
 
 def make_folder(folder: Path) -> None:
@@ -55,13 +78,17 @@ def run(app: Callable[..., object]) -> None:
     # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
     # processor and gain nothing. The variable is read when numpy is loaded, which happens inside the commands.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What the terminal's encoding lacks (the C locale's is ASCII) is escaped: no table ends in an encoding error.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # SIGTERM is answered like Ctrl-C: no process is left behind, and nothing half written.
     ours = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
     try:
         code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
     except InputError as error:
-        typer.echo(f"error: {error}", err=True)
+        typer.echo(f"error: {harmless(str(error))}", err=True)
         sys.exit(2)
     except _ClickException as error:
         _refuse(error)
@@ -84,5 +111,5 @@ def _refuse(error: Any) -> NoReturn:
     context = getattr(error, "ctx", None)
     asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
     words = " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
-    typer.echo(f"error: {words}{asking}", err=True)
+    typer.echo(f"error: {harmless(words)}{asking}", err=True)
     sys.exit(2)

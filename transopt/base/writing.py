@@ -18,14 +18,14 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a UTF-8 file whole or not at all.
+    """Write a UTF-8 file whole or not at all; bytes of a file's name that are no text stand in it as escapes.
 
     Raises
     ------
     InputError : the place cannot be written.
     """
     with whole_file(path) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="backslashreplace"))
 
 
 def write_csv(rows: Sequence[Any], path: Path) -> None:

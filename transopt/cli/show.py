@@ -7,17 +7,18 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.cli.library_file import Unproven, opened
 
 
 def show(
     library: Annotated[Path, typer.Argument(help="library.npz")],
     figure: Annotated[Path | None, typer.Option(help="Also draw the transients into this PNG.")] = None,
+    unproven: Unproven = False,
 ) -> None:
     """Print a library's table; optionally draw its transients."""
-    from transopt.library.file import load_library
     from transopt.report.tables import library_table
 
-    loaded = load_library(library)
+    loaded = opened(library, unproven=unproven)
     if figure is not None and figure.suffix.lower() != ".png":
         raise InputError(f"--figure {figure}: figures are written as .png")
     console = terminal.console()

@@ -10,14 +10,25 @@ from transopt.base import terminal
 
 def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:
     """Certify and replay every entry again, from the file alone; exit 1 if one fails."""
+    import numpy as np
+
+    from transopt.base.errors import InputError
     from transopt.design.verify import verify_library
-    from transopt.library.file import load_library
+    from transopt.library.file import BROKEN, load_library
+    from transopt.library.proven import misstatements
     from transopt.report.tables import verify_table
 
-    checks = verify_library(load_library(library))
+    loaded = load_library(library)
+    try:
+        with np.errstate(all="ignore"):  # what overflows is found as not finite, and said
+            checks, misstated = verify_library(loaded), list(misstatements(loaded))
+    except BROKEN as error:
+        raise InputError(f"{library}: does not describe a problem ({error}); solve the scene again") from None
     console = terminal.console()
     console.print(verify_table(checks, str(library)))
     failed = sum(bool(check.shortfalls) for check in checks)
+    for said in misstated:
+        console.print(f"{library}: {said}", style="red", highlight=False, soft_wrap=True)
     console.print(f"{len(checks) - failed} of {len(checks)} entries certified and replayed clean", highlight=False)
-    if failed:
+    if failed or misstated:
         raise typer.Exit(1)

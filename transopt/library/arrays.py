@@ -39,11 +39,11 @@ class Array:
 
     @property
     def type_word(self) -> str:
-        return "text" if self.is_text else "float"
+        return "text" if self.is_text else "float64"
 
     def fits(self, dtype: np.dtype[Any]) -> bool:
         """Whether an array of this type can be it."""
-        return dtype.kind == ("U" if self.is_text else "f")
+        return dtype.kind == "U" if self.is_text else (dtype.kind, dtype.itemsize) == ("f", 8)
 
 
 def declared(owner: type) -> dict[str, Array]:

@@ -1,7 +1,11 @@
-"""Reading a library file: nothing in it is used before all of it has been checked."""
+"""Reading a library file: nothing in it is used before all of it has been checked.
+
+What is checked here is that the file is whole and describes a problem of a possible size. That its waveforms are
+optimal and keep their limits is another question, which `transopt.library.proven` answers.
+"""
 
 import json
-import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,41 +13,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
+from transopt.base.files import check_depth, read_file
+from transopt.base.npz import Archive
+from transopt.base.shown import cut
+from transopt.base.sizes import (
+    LONGEST_DELAY_S,
+    LONGEST_DT_S,
+    LONGEST_HORIZON_S,
+    MOST_COMMANDS,
+    MOST_DEVICES,
+    MOST_FILE_BYTES,
+    MOST_NODES,
+    MOST_STAGES,
+    MOST_STATES,
+    SHORTEST_DT_S,
+)
+from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import ARRAYS, SCHEMA, Library
+from transopt.library.library import ARRAYS, SCHEMA, Library, own_arrays
 from transopt.library.meta import META_KEYS
 from transopt.problem.limits.temperature import TemperatureLimit
 
+ADVICE = "give a library.npz written by `transopt solve`"
+TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed
+# What a reader of a file that may hold anything may meet.
+BROKEN = (TypeError, ValueError, KeyError, IndexError, AttributeError, ArithmeticError, RecursionError, MemoryError)
+
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    advice = "give a library.npz written by `transopt solve`"
+    data = read_file(path, MOST_FILE_BYTES, ADVICE)
     try:
-        with path.open("rb") as stream:
-            archive = np.load(stream, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: a single array, not a library; {advice}")
-            return {name: archive[name] for name in archive.files}
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {advice}") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: a folder, not a file; {advice}") from None
-    except PermissionError:
-        raise InputError(f"{path}: no permission to read it; {advice}") from None
+        archive = Archive(data)
+        return {name: archive[name] for name in archive}
     except ValueError as error:
-        reason = "holds pickled objects, which are never loaded" if "pickle" in str(error).lower() else str(error)
-        raise InputError(f"{path}: {reason}; {advice}") from None
-    except (OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise InputError(f"{path}: damaged or not an .npz file ({error}); {advice}") from None
-    except Exception as error:  # zlib.error and NotImplementedError among them: any broken archive ends here
-        raise InputError(f"{path}: damaged archive ({error}); {advice}") from None
+        raise InputError(f"{path}: {error}; {ADVICE}") from None
+    except Exception as error:  # zipfile, zlib, struct, the parser of heads: any broken archive ends here
+        raise InputError(f"{path}: damaged or not an .npz file ({error}); {ADVICE}") from None
 
 
 def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
     try:
         meta = json.loads(str(text))
-    except json.JSONDecodeError as error:
+        check_depth(meta)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: meta is not JSON ({error}); solve the scene again") from None
     if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
         found = meta.get("schema") if isinstance(meta, dict) else None
@@ -56,7 +68,22 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
             missing += [f"{key}.{name}" for name in inner if not isinstance(table, dict) or name not in table]
     if missing:
         raise InputError(f"{path}: meta lacks {', '.join(missing)}; solve the scene again")
+    for place, value in _leaves({key: value for key, value in meta.items() if key not in TABLES_OF_WORDS}):
+        if said := beyond(place, value):
+            raise InputError(f"{path}: meta.{place} = {cut(repr(value))}: {said}, or solve the scene again")
     return meta
+
+
+def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted path and value of all numbers in tables and lists; the items of a list have the path of the list."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{place}.{key}" if place else str(key))
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _leaves(inner, place)
+    elif isinstance(value, int | float):
+        yield place, value
 
 
 def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, int]) -> None:
@@ -77,6 +104,25 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, 
             raise InputError(f"{path}: {name} has type {array.dtype}, expected {stated.type_word}")
         if not stated.is_text and not stated.may_be_nan and not np.all(np.isfinite(array)):
             raise InputError(f"{path}: {name} holds a number that is not finite; solve the scene again")
+        if (
+            not stated.is_text
+            and array.size
+            and not (most := np.nanmax(np.abs(array), initial=0)) <= largest(stated.unit)
+        ):
+            raise InputError(
+                f"{path}: {name} reaches {most:.3g} {stated.unit}, at most {largest(stated.unit):g} is possible; "
+                "solve the scene again"
+            )
+    for what, size, most in (
+        ("speeds", sizes["v"], MOST_NODES),
+        ("grips", sizes["g"], MOST_NODES),
+        ("stages", sizes["N"], MOST_STAGES),
+        ("states", sizes["n"], MOST_STATES),
+        ("further devices", sizes["s"], MOST_DEVICES),
+        ("commands", sizes["v"] * sizes["g"] * sizes["N"], MOST_COMMANDS),
+    ):
+        if size > most:
+            raise InputError(f"{path}: {size} {what}, at most {most}; solve a smaller scene")
     for name in ("speeds_m_s", "grips_N"):
         if arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
@@ -87,7 +133,8 @@ def load_library(path: str | Path) -> Library:
 
     Raises
     ------
-    InputError : missing, damaged, foreign, pickled, changed since it was written, an array missing or misshapen.
+    InputError : missing, damaged, foreign, pickled, changed since it was written, an array missing or misshapen, a
+        number or a size that no library has.
     """
     path = Path(path)
     arrays = _read_arrays(path)
@@ -95,8 +142,21 @@ def load_library(path: str | Path) -> Library:
         if name not in arrays:
             raise InputError(f"{path}: no array {name}: not a library of this project; solve the scene again")
     meta = _check_meta(path, arrays["meta"])
+    try:
+        with np.errstate(all="ignore"):  # what overflows is found as not finite
+            return _checked(path, arrays, meta)
+    except InputError:
+        raise
+    except BROKEN as error:
+        raise InputError(
+            f"{path}: meta does not describe a problem ({type(error).__name__}: {error}); solve the scene again"
+        ) from None
+
+
+def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Library:
     optional = absent(ARRAYS, meta)
     missing = [name for name in ARRAYS if name not in arrays and name not in optional]
+    missing += [name for name in own_arrays(meta["limits"]) if name not in arrays]
     if missing:
         raise InputError(f"{path}: array {missing[0]} is missing; solve the scene again")
     stored = str(arrays.pop(HASH_FIELD))
@@ -108,7 +168,37 @@ def load_library(path: str | Path) -> Library:
         arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
     library = Library.of(arrays, meta)
     _check_problem(path, library)
+    _check_words(path, library)
     return library
+
+
+def _check_words(path: Path, library: Library) -> None:
+    """What `meta` says of the entries has the shape of the grid, and its words are words."""
+    meta, (nv, ng, _) = library.meta, library.command_A.shape
+    repeats, scene, left_out = meta["repeatability"], meta["scene"], meta["left_out"]
+    fit = {
+        "repeatability": isinstance(repeats, list)
+        and len(repeats) == nv
+        and all(each is None or (isinstance(each, int | float) and 0 <= each < np.inf) for each in repeats),
+        "scene": isinstance(scene["name"], str) and isinstance(scene["description"], str),
+        "left_out": isinstance(left_out, dict) and all(_is_reason(said, nv, ng) for said in left_out.values()),
+        "sources": isinstance(meta["sources"], list) and all(isinstance(each, dict) for each in meta["sources"]),
+        "versions": isinstance(meta["versions"], dict),
+    }
+    odd = next((key for key, fits in fit.items() if not fits), None)
+    if odd is not None:
+        raise InputError(f"{path}: meta.{odd} is not of the form that a solve writes; solve the scene again")
+
+
+def _is_reason(said: Any, nv: int, ng: int) -> bool:
+    """Why a part is left out: words, or words or null for every entry."""
+    if isinstance(said, str):
+        return True
+    rows = said if isinstance(said, list) and len(said) == nv else [None]
+    return all(
+        isinstance(row, list) and len(row) == ng and all(each is None or isinstance(each, str) for each in row)
+        for row in rows
+    )
 
 
 def _check_problem(path: Path, library: Library) -> None:
@@ -118,8 +208,12 @@ def _check_problem(path: Path, library: Library) -> None:
         raise InputError(f"{path}: speeds_m_s must be > 0 and grips_N >= 0; {advice}")
     try:
         grid = library.time_grid()
-        if not (0 < grid.dt_s < np.inf and 0 <= grid.lead_s < np.inf and 0 <= grid.delay_s < np.inf):
-            raise InputError("dt_s must be > 0, lead_s and delay_s >= 0, all finite")
+        if not SHORTEST_DT_S <= grid.dt_s <= LONGEST_DT_S:
+            raise InputError(f"dt_s = {grid.dt_s:g} s: must be {SHORTEST_DT_S:g} to {LONGEST_DT_S:g} s")
+        if grid.dt_s * grid.stages > LONGEST_HORIZON_S:
+            raise InputError(f"{grid.stages} commands of {grid.dt_s:g} s: at most {LONGEST_HORIZON_S:g} s")
+        if not (0 <= grid.lead_s <= LONGEST_DELAY_S and 0 <= grid.delay_s <= LONGEST_DELAY_S):
+            raise InputError(f"lead_s and delay_s must be 0 to {LONGEST_DELAY_S:g} s")
         limits = library.meta["limits"]
         for key, value in limits.items():
             if isinstance(value, int | float) and key != TemperatureLimit.key and not 0 < value < np.inf:
@@ -128,5 +222,5 @@ def _check_problem(path: Path, library: Library) -> None:
         stated = limits["temperature_C"]
         if stated is not None and (thermal is None or stated != thermal.limit_C):
             raise InputError(f"limits.temperature_C = {stated}: the coil and its budget say otherwise")
-    except (InputError, TypeError, ValueError, ArithmeticError) as error:
+    except (InputError, *BROKEN) as error:
         raise InputError(f"{path}: meta does not describe a problem ({error}); {advice}") from None

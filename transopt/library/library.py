@@ -71,6 +71,19 @@ class Waveform(Place):
     __repr__ = brief
 
 
+def finite(what: str, value: Any, unit: str) -> float:
+    """A number from a caller who may be wrong about it.
+
+    Raises
+    ------
+    InputError : not one finite number.
+    """
+    number = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
+    if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < float("inf"):
+        raise InputError(f"{what} {cut(repr(value))} {unit}: must be a finite number")
+    return float(number)
+
+
 def interpolation_weights(nodes: FloatArray, value: float) -> FloatArray:
     """(n,) weights of linear interpolation at `value`, which lies inside the nodes."""
     weights, after = np.zeros(nodes.size), int(np.searchsorted(nodes, value))
@@ -315,8 +328,7 @@ class Library:
         ------
         InputError : speed or grip is not a finite number.
         """
-        if not (np.isfinite(speed_m_s) and np.isfinite(grip_N)):
-            raise InputError(f"speed {speed_m_s} m/s, grip {grip_N} N: both must be finite numbers")
+        speed_m_s, grip_N = finite("speed", speed_m_s, "m/s"), finite("grip", grip_N, "N")
         speed = min(max(float(speed_m_s), float(self.speeds_m_s[0])), float(self.speeds_m_s[-1]))
         grip = min(max(float(grip_N), float(self.grips_N[0])), float(self.grips_N[-1]))
         silent = speed_m_s <= 0 or (self.grips_N[0] > 0 and grip_N < self.meta["grip_min_N"])

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.shown import brief
+from transopt.base.shown import brief, cut
 from transopt.base.signals import FloatArray
-from transopt.library.library import Library, Waveform, interpolation_weights, speed_weights
+from transopt.library.library import Library, Waveform, finite, interpolation_weights, speed_weights
 from transopt.library.other_limits import with_limits
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
@@ -112,6 +112,11 @@ class Online:
             raise InputError(
                 "online: the solver's extension is not built or out of date; install again where there is a compiler"
             )
+        if not isinstance(library, Library):
+            raise InputError(f"online: {cut(repr(library))} is no library: give what `load_library` returns")
+        for kind, made in (("plant", plant), ("spread", spread)):
+            if made is not None and not callable(made):
+                raise InputError(f"online: {kind} = {cut(repr(made))}: must be a function of the grip in N")
         self._library, self._coil = library, library.coil()
         if plant is None:
             scene = library.scene()
@@ -135,8 +140,8 @@ class Online:
         key = (grip_N, posing.amplifier, needed_outputs(posing.asked))
         found = self._stages.get(key)
         if found is None:
-            others = (posing.stage(plant, watched=False) for plant in self._spread(grip_N))
-            found = (posing.stage(self._plant(grip_N)), *others)
+            others = (posing.stage(plant, watched=False) for plant in _made(self._spread, grip_N, "spread"))
+            found = (posing.stage(*_made(self._plant, grip_N, "plant")), *others)
             if len(self._stages) >= FAMILIES:
                 del self._stages[next(iter(self._stages))]
             self._stages[key] = found
@@ -181,7 +186,7 @@ class Online:
             that the library's scene does not have.
         """
         start = time.perf_counter()
-        limits = limits or {}
+        limits = _table(limits)
         posing = with_limits(limits, self._posing, self._library.meta) if limits else self._posing
         place = self._library.located(speed_m_s, grip_N)
         coil, remark = _heated(self._coil, limits.get("temperature_C"), winding_C, housing_C)
@@ -311,6 +316,23 @@ def _overheats(effect: Effect) -> bool:
     return too_hot(model.rise(model.heating.mean_square(*currents)))
 
 
+def _table(limits: Any) -> Mapping[str, float]:
+    """The limits of a tap as a caller gives them."""
+    if limits is not None and not isinstance(limits, Mapping):
+        raise InputError(f"limits = {cut(repr(limits))}: must be a table such as {{'current_A': 3.0}}")
+    return limits or {}
+
+
+def _made(make: Callable[[float], Any], grip_N: float, kind: str) -> tuple[StateSpace, ...]:
+    """The devices that a caller's function makes for a grip."""
+    made = make(grip_N)
+    devices = made if isinstance(made, tuple) else (made,)
+    if (kind == "plant" and len(devices) != 1) or not all(isinstance(each, StateSpace) for each in devices):
+        asked = "a StateSpace" if kind == "plant" else "a tuple of StateSpace"
+        raise InputError(f"online: {kind}({grip_N:g}) is {cut(repr(made))}: must be {asked}")
+    return devices
+
+
 def _none(grip_N: float) -> tuple[StateSpace, ...]:
     """No further devices."""
     return ()
@@ -330,9 +352,8 @@ def _heated(
     limit_C = coil.limit_C if limit_C is None else float(limit_C)
     if winding_C is None:
         winding_C, housing_C = coil.start_winding_C, coil.start_housing_C
-    housing = min(coil.start_housing_C, winding_C) if housing_C is None else housing_C
-    if not (np.isfinite(winding_C) and np.isfinite(housing)):
-        raise InputError(f"winding {winding_C} C, housing {housing} C: both must be finite numbers")
+    winding_C = finite("winding", winding_C, "C")
+    housing = min(coil.start_housing_C, winding_C) if housing_C is None else finite("housing", housing_C, "C")
     if winding_C > limit_C:
         return coil, f"winding {winding_C:.4g} C is above its limit {limit_C:g} C: let the motor cool"
     return replace(coil, limit_C=limit_C, start_winding_C=winding_C, start_housing_C=housing), ""

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.shown import cut
+from transopt.base.units import largest, unit_of
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
@@ -32,10 +34,15 @@ def with_limits(limits: Mapping[str, float], posing: Posing, meta: dict[str, Any
     for name, value in limits.items():
         if name not in NAMES:
             raise InputError(f"limits.{name}: unknown; known here: {', '.join(NAMES)}")
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-            raise InputError(f"limits.{name} = {value!r}: must be a number > 0")
-        if not 0 < value < np.inf:
-            raise InputError(f"limits.{name} = {value:g}: must be > 0 and finite")
+        number = value.item() if isinstance(value, np.number) else value
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            raise InputError(f"limits.{name} = {cut(repr(value))}: must be a number > 0")
+        unit = unit_of(name)
+        if not 0 < number <= largest(unit):
+            most = f"at most {largest(unit):g} {unit}".rstrip()
+            raise InputError(
+                f"limits.{name} = {cut(f'{number!r}'.removesuffix('.0'))}: must be > 0 and finite, {most}"
+            )
     if AMPLIFIER in limits:
         if posing.amplifier is None:
             raise InputError("limits.command_A: the amplifier is ideal, its command is the current: give current_A")

@@ -283,7 +283,10 @@ def exponential(matrix: FloatArray) -> FloatArray:
     Elongations and velocities in SI differ by many orders of magnitude, and the rounding of the large entries would
     drown the small ones.
     """
-    balanced, (scale, _) = linalg.matrix_balance(matrix, permute=False, separate=True)
+    with np.errstate(
+        invalid="ignore"
+    ):  # scipy casts the scales of a matrix of extreme sizes to integers, for nothing
+        balanced, (scale, _) = linalg.matrix_balance(matrix, permute=False, separate=True)
     return np.asarray(linalg.expm(balanced) * scale[:, None] / scale)
 
 

@@ -1,13 +1,13 @@
 """What drives the stylus: a motor and its transmission by datasheet, or both as the stylus feels them at the tip."""
 
-from transopt.base.section import Finite, NonNegative, Positive, Section
+from transopt.base.section import Finite, NonNegative, Positive, Section, Words
 
 
 class Motor(Section):
     """One row of a datasheet; its values belong together."""
 
-    name: str
-    datasheet: str
+    name: Words
+    datasheet: Words
     R_ohm: Positive
     L_H: NonNegative
     kt_Nm_A: Positive

@@ -8,17 +8,19 @@ alike.
 import io
 import re
 import warnings
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import scipy
 
 from transopt.base import mat5
 from transopt.base.errors import InputError
+from transopt.base.npz import Archive
 from transopt.base.signals import FloatArray
+from transopt.base.sizes import MOST_COLUMNS, MOST_SAMPLES
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
 MIN_SAMPLES = 8
@@ -89,24 +91,6 @@ class RawTable:
     place: Callable[[int], str]
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file.
-
-    Raises
-    ------
-    InputError : it cannot be read, is no file, or is empty.
-    """
-    try:
-        if path.exists() and not path.is_file():  # a pipe or device would block or never end
-            raise InputError("is a folder or a device; name the files themselves")
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror}); check the path and its permissions") from error
-    if not data:
-        raise InputError("is empty (0 bytes); record or export it again")
-    return data
-
-
 def read_raw(
     suffix: str, data: bytes, columns: Sequence[str], full_scale_m_s2: float | None, words: Vocabulary
 ) -> RawTable:
@@ -141,39 +125,43 @@ def read_raw(
 def _read_text(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
     """Comment lines, at most one header row, rows of numbers; rows are counted as an editor counts them."""
     header: dict[str, object] = {}
-    rows: list[tuple[int, str]] = []
-    for number, line in enumerate(io.StringIO(_decode(data), newline=None), 1):
-        content = line.strip()
+    rows, numbers = list[str](), array("l")  # by the million: no object more than there must be
+    _check_size(max(data.count(b"\n"), data.count(b"\r")))
+    _check_text(data)
+    for number, line in enumerate(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=None), 1):
+        content = line.replace('"', "").strip()  # spreadsheets quote cells; no name or number needs the quotes
         if number == 1 and content.lower().startswith("sep="):
             continue  # a spreadsheet's own note about its delimiter
         if content.startswith("#"):
             _read_header_line(number, content, header, words)
         elif content:
-            rows.append((number, content))
+            rows.append(content)
+            numbers.append(number)
     if not rows:
         raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
-    number, first = rows[0]
-    cells = [cell.strip() for cell in first.rstrip(";,").split(_delimiter(first))]
+    number, first = numbers[0], rows[0]
+    cells = [cell.strip() for cell in first.rstrip(";,").split(_delimiter(first), MOST_COLUMNS)]
+    if max(len(cells), len(columns)) > MOST_COLUMNS:
+        raise InputError(f"row {number}: more than {MOST_COLUMNS} columns; export the ones that are needed")
     if not any(_NUMBER_START.match(cell) for cell in cells):
-        del rows[0]
+        del rows[0], numbers[0]
     elif not columns:
         begin = "begin with a row like time_s, acceleration_m_s2 (without #)"
         raise InputError(f"row {number}: {quote(first)} has no header row above; {begin} or {words.how_to_name}")
     names = columns or cells
     _check_names(names, words)
-    return RawTable(_parse(rows, names), header, lambda k: f"row {rows[k][0]}")
+    return RawTable(_parse(rows, numbers, names), header, lambda k: f"row {numbers[k]}")
 
 
-def _decode(data: bytes) -> str:
+def _check_text(data: bytes) -> None:
     bad = data.find(b"\0")  # valid UTF-8, but only binary files have it
     try:
-        text = data.decode().removeprefix("\ufeff")
+        data.decode()
     except UnicodeDecodeError as error:
         bad = error.start
     if bad >= 0:
         row = data.count(b"\n", 0, bad) + 1
         raise InputError(f"row {row}: byte 0x{data[bad]:02x} is not UTF-8 text; save it as UTF-8 text")
-    return text.replace('"', "")  # spreadsheets quote cells; no name or number needs the quotes
 
 
 def _read_header_line(number: int, line: str, header: dict[str, object], words: Vocabulary) -> None:
@@ -195,20 +183,26 @@ def _delimiter(line: str) -> str | None:
     return next((mark for mark in (";", ",") if mark in line), None)
 
 
-def _parse(rows: Sequence[tuple[int, str]], names: Sequence[str]) -> dict[str, FloatArray]:
-    """Columns (n,) of the rows' numbers; skipped columns may hold anything."""
+def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) -> dict[str, FloatArray]:
+    """Columns (n,) of the rows' numbers; skipped columns may hold anything.
+
+    Parameters
+    ----------
+    numbers : of the rows in the file, for messages.
+    """
     used = {name: at for at, name in enumerate(names) if name != _SKIPPED}
-    delimiter = _delimiter(rows[0][1]) if rows else None
-    columns: dict[str, list[float]] = {name: [] for name in used}
-    for number, line in rows:
+    delimiter = _delimiter(rows[0]) if rows else None
+    columns = {name: array("d") for name in used}
+    for number, line in zip(numbers, rows, strict=True):
         # Between semicolons a comma can only be a decimal comma.
-        cells = line.replace(",", ".").split(delimiter) if delimiter == ";" else line.split(delimiter)
+        cells = (line.replace(",", ".") if delimiter == ";" else line).split(delimiter, len(names) + 1)
         if len(cells) == len(names) + 1 and not cells[-1].strip():
             del cells[-1]  # spreadsheets end every row with a delimiter if one row needs it
         if len(cells) != len(names):
             listed = quote(", ".join(names))
             remedy = "correct the row or the columns' names (decimal commas? write points)"
-            raise InputError(f"row {number}: {len(cells)} cells, {len(names)} columns ({listed}); {remedy}")
+            count = len(cells) if len(cells) < len(names) + 2 else f"{len(cells)} or more"
+            raise InputError(f"row {number}: {count} cells, {len(names)} columns ({listed}); {remedy}")
         for name, at in used.items():
             try:
                 columns[name].append(float(cells[at]))
@@ -221,9 +215,7 @@ def _parse(rows: Sequence[tuple[int, str]], names: Sequence[str]) -> dict[str, F
 
 def _read_npz(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
     with guarded("not a readable NPZ file", _SAVE_NPZ):
-        archive = np.load(io.BytesIO(data), allow_pickle=False)
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise InputError(f"a single array, not an NPZ archive; {_SAVE_NPZ}")
+        archive = Archive(data)
     return _from_variables(archive, columns, words, lambda k: f"element [{k}]")
 
 
@@ -259,11 +251,12 @@ def _from_variables(
 
 def _column(named: Mapping[str, object], name: str) -> FloatArray:
     with guarded(f"variable {name} is not readable", _SAVE_NPZ):  # NPZ reads a variable when it is asked for
-        array = np.asarray(named[name])
-    if array.dtype.kind not in "iuf" or array.size != max(array.shape, default=1):
-        found = f"{quote(str(array.dtype))} of shape {array.shape}"
+        values = np.asarray(named[name])
+    if values.dtype.kind not in "iuf" or values.size != max(values.shape, default=1):
+        found = f"{quote(str(values.dtype))} of shape {values.shape}"
         raise InputError(f"variable {name} is {found}: must be one row or column of real numbers; convert it")
-    return np.asarray(array.ravel(), dtype=float)
+    _check_size(values.size)
+    return np.asarray(values.ravel(), dtype=float)
 
 
 def _read_wav(data: bytes, full_scale_m_s2: float | None) -> RawTable:
@@ -274,6 +267,7 @@ def _read_wav(data: bytes, full_scale_m_s2: float | None) -> RawTable:
         rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
     if samples.ndim != 1:
         raise InputError(f"{samples.shape[1]} channels, must be 1; export the accelerometer's as mono")
+    _check_size(samples.size)
     values = np.asarray(samples, dtype=float)
     if samples.dtype.kind == "u":  # 8 bits and less are stored with an offset
         values = (values - 128.0) / 128.0
@@ -298,6 +292,11 @@ def _check_names(names: Sequence[str], words: Vocabulary, found: Sequence[str] =
         if count > 1 or (count == 0 and quantity in words.required):
             choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
             raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
+
+
+def _check_size(samples: int) -> None:
+    if samples > MOST_SAMPLES:
+        raise InputError(f"{samples} samples, at most {MOST_SAMPLES}; cut the taps out of it")
 
 
 def quote(text: str) -> str:

@@ -4,7 +4,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from transopt.base.section import Finite, NonNegative, Positive, Section, Speed
+from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Words
+from transopt.base.sizes import MOST_COLUMNS, MOST_FILES
 
 
 class SimulatedTaps(Section):
@@ -18,27 +19,27 @@ class SimulatedTaps(Section):
     object_stiffness_N_m: NonNegative
     object_damping_N_s_m: NonNegative
     contact_stiffness_N_m: Positive
-    contact_exponent: Positive
+    contact_exponent: Annotated[float, Field(gt=0, le=10)]
     contact_damping_s_m: NonNegative
-    repeats: Annotated[int, Field(ge=1)] = 3
+    repeats: Annotated[int, Field(ge=1, le=100)] = 3
     speed_spread: Annotated[float, Field(ge=0, lt=0.15)] = 0.05
     noise_g_rtHz: NonNegative = 320e-6
     range_g: Positive = 18.0
     rate_Hz: Annotated[float, Field(ge=1e3, le=1e6)] = 10e3
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Annotated[int, Field(ge=0, le=2**63)] = 1
 
 
 class Recordings(Section):
     """Where the taps come from and how they become references."""
 
-    files: list[str] = Field(default_factory=list)
+    files: Annotated[list[str], Field(max_length=MOST_FILES)] = Field(default_factory=list)
     folder: str = "."
-    columns: list[str] = Field(default_factory=list)
+    columns: Annotated[list[Words], Field(max_length=MOST_COLUMNS)] = Field(default_factory=list)
     full_scale_m_s2: Positive | None = None
     speed_m_s: Speed | None = None
     speed_by_file_m_s: dict[str, Speed] = Field(default_factory=dict)
     grip_N: NonNegative | None = None
-    source: str = ""
+    source: Words = ""
     polarity: Literal["auto", "positive", "negative"] = "auto"
     offset_m_s2: Finite | Literal["baseline"] = "baseline"
     onset_s: Finite | Literal["auto"] = "auto"

@@ -14,7 +14,9 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
+from transopt.base.sizes import MOST_FILE_BYTES
 from transopt.recordings.formats import (
     LARGEST,
     MIN_SAMPLES,
@@ -22,7 +24,6 @@ from transopt.recordings.formats import (
     Vocabulary,
     guarded,
     quote,
-    read_bytes,
     read_raw,
 )
 
@@ -71,8 +72,10 @@ def read_table(
     ------
     InputError : one line, file first, whatever is wrong.
     """
+    data = read_file(path, MOST_FILE_BYTES, "name a recording; a long one cut into its taps")
     try:
-        data = read_bytes(path)
+        if not data:
+            raise InputError("is empty (0 bytes); record or export it again")
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the checks
             raw = read_raw(path.suffix, data, columns, full_scale_m_s2, words)
             signals, off_grid = _signals(raw, words)

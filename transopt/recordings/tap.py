@@ -5,6 +5,7 @@ All of it is found in the recording, unless the scene states it.
 """
 
 import glob
+import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,8 +13,10 @@ import numpy as np
 import scipy
 
 from transopt.base.errors import InputError
+from transopt.base.files import is_file
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, lowpass
+from transopt.base.sizes import MOST_FILES
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
 
@@ -29,11 +32,14 @@ def _paths(settings: Recordings) -> list[Path]:
     paths: list[Path] = []
     for entry in settings.files:
         literal = Path(settings.folder) / entry
-        if literal.is_file() or not any(character in entry for character in "*?["):
+        if is_file(literal) or not any(character in entry for character in "*?["):
             paths.append(literal)
             continue
         # The folder is no pattern, whatever characters its name has; an absolute entry stands for itself.
-        found = sorted(glob.glob(str(Path(glob.escape(settings.folder)) / entry)))  # noqa: PTH207
+        matches = glob.iglob(str(Path(glob.escape(settings.folder)) / entry))  # noqa: PTH207
+        found = sorted(itertools.islice(matches, MOST_FILES + 1))
+        if len(found) > MOST_FILES:
+            raise InputError(f"recordings.files: {entry!r} matches more than {MOST_FILES} files: name fewer")
         if not found:
             source = f" (source: {settings.source})" if settings.source else ""
             raise InputError(

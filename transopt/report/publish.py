@@ -1,12 +1,11 @@
 """The files that a build leaves, written together and moved into their folder together."""
 
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from transopt.base.errors import InputError
-from transopt.base.files import ctrl_c_waits
+from transopt.base.files import ctrl_c_waits, staging_folder
+from transopt.base.writing import write_text
 from transopt.design.build import Build
 from transopt.report.markdown import build_json, build_markdown
 
@@ -27,30 +26,28 @@ def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
     ------
     InputError : the folder cannot be written.
     """
-    staging = folder
+    place = folder
     try:
-        staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
-        for name, write in files.items():
-            write(staging / name)
-        with ctrl_c_waits():
-            for name in files:
-                (staging / name).replace(folder / name)
-            for name in stale:
-                (folder / name).unlink(missing_ok=True)
+        with staging_folder(folder) as staging:
+            place = staging
+            for name, write in files.items():
+                write(staging / name)
+            with ctrl_c_waits():
+                for name in files:
+                    (staging / name).replace(folder / name)
+                for name in stale:
+                    (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
     except InputError as error:
-        raise InputError(str(error).replace(str(staging), str(folder))) from None
-    finally:
-        if staging != folder:
-            shutil.rmtree(staging, ignore_errors=True)
+        raise InputError(str(error).replace(str(place), str(folder))) from None
 
 
 def files_of(build: Build, *, figures: bool = True) -> Files:
     """Library, report and, unless not wanted, figures; of a build that was refused, why."""
 
     def text(content: str) -> Callable[[Path], object]:
-        return lambda path: path.write_text(content, encoding="utf-8")
+        return lambda path: write_text(content, path)
 
     library = build.library
     if library is None:

@@ -11,7 +11,10 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from transopt.base.errors import InputError
+from transopt.base.files import check_depth, is_file, read_file
 from transopt.base.section import Section
+from transopt.base.shown import cut
+from transopt.base.sizes import MOST_STAGES, MOST_TEXT_BYTES
 from transopt.scene.model_file import parse_model, read_model
 from transopt.scene.model_parts import MODEL_PARTS
 from transopt.scene.own_file import own_tables
@@ -29,15 +32,21 @@ def read_toml(path: Path) -> dict[str, Any]:
     ------
     InputError : no such file, no text, or no TOML.
     """
+    advice = "a scene is a TOML file; `transopt scene list` names the built-in scenes"
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; `transopt scene list` names the built-in scenes") from None
-    except (OSError, UnicodeDecodeError) as error:
+        # Line ends as a text file has them.
+        text = read_file(path, MOST_TEXT_BYTES, advice).decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read as text ({error}); a scene is a TOML file") from None
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content = tomllib.loads(text)
+        check_depth(content)
+        return content
+    except RecursionError:
+        raise InputError(
+            f"{path}: not valid TOML: nested too deep; a scene has tables in tables, no deeper"
+        ) from None
+    except ValueError as error:  # a number of a million digits is one as well
         if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
             clash = (
                 "states a model file (model = ...) and [model] tables: delete [model] and [model.hand], or the line"
@@ -99,7 +108,7 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
         text = f"{where}: missing; add it to the scene"
     else:
         message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
-        shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {first['input']!r}"
+        shown = "" if isinstance(first["input"], dict | BaseModel) else f" = {cut(repr(first['input']))}"
         text = f"{where}{shown}: {message}" if where else message
     others = {_keys_only(complaint, content) for complaint in error.errors()}
     # Complaints about a table around this key are the other members of a union, not faults of their own.
@@ -118,6 +127,14 @@ def _identified(scene: Path, named: str) -> dict[str, Any]:
     return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
 
 
+def _resolved(scene: Path, folder: str) -> str:
+    """The recordings' folder from anywhere."""
+    try:
+        return str((scene.parent / folder).resolve())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{scene}: recordings.folder = {cut(repr(folder))}: no folder ({error})") from None
+
+
 def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     """Read and check a scene file.
 
@@ -130,13 +147,13 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     InputError : one line: file, key, value, what is wrong.
     """
     content = read_toml(path)
-    content.setdefault("name", path.stem)
+    content.setdefault("name", "".join(c if c.isprintable() else "_" for c in path.stem))
     for table in ("motor", "transmission"):
         named = content.get(table)
         if not isinstance(named, str):
             continue
         places = [folder / named for folder in (path.parent, *search)]
-        found = next((place for place in places if place.is_file()), None)
+        found = next((place for place in places if is_file(place)), None)
         if found is None:
             folders = ", ".join(str(place.parent) for place in places)
             raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
@@ -146,10 +163,11 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
     limits, time = content.get("limits"), content.get("time", {})
     if isinstance(limits, dict) and "own" in limits:
         stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0
-        limits["own"] = own_tables(path, limits["own"], stages)
+        # Any other number of stages is refused below, and nothing is written out for it.
+        limits["own"] = own_tables(path, limits["own"], stages if stages in range(MOST_STAGES + 1) else 0)
     recordings = content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
-        recordings["folder"] = str((path.parent / recordings.get("folder", ".")).resolve())
+        recordings["folder"] = _resolved(path, recordings.get("folder", "."))
     try:
         return Scene.model_validate(content)
     except ValidationError as error:

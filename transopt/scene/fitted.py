@@ -11,8 +11,9 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from transopt.base.errors import InputError
-from transopt.base.section import Finite, Section
+from transopt.base.section import Finite, Section, Words
 from transopt.base.signals import FloatArray
+from transopt.base.sizes import MOST_STATES
 
 SYMMETRY = 1e-6  # relative to the standard deviations, beyond the rounding of a covariance that was inverted
 
@@ -22,14 +23,14 @@ Interval = tuple[Finite, Finite]
 class Source(Section):
     """A file that a part was fitted to."""
 
-    file: str
+    file: Words
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
 class ModelPart(Section):
     """What every part states besides its values."""
 
-    verdict: str
+    verdict: Words
     sources: list[Source]
 
 
@@ -44,8 +45,8 @@ class FittedPart(ModelPart):
     """
 
     intervals: dict[str, Interval]
-    parameters: list[str]
-    covariance: list[list[Finite]]
+    parameters: Annotated[list[str], Field(max_length=MOST_STATES)]
+    covariance: Annotated[list[list[Finite]], Field(max_length=MOST_STATES)]
 
     @field_validator("intervals")
     @classmethod

@@ -16,6 +16,7 @@ from pydantic_core import PydanticUndefined
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
+from transopt.base.units import largest, unit_of
 from transopt.plant.hand import LinearParameter
 from transopt.scene.file import explain
 from transopt.scene.scene import Scene
@@ -23,22 +24,6 @@ from transopt.scene.scene import Scene
 Value = float | int | str | None
 Changes = Mapping[str, Any]  # dotted path -> value; a whole table for "motor" and "transmission"
 
-# The ending of a name is its unit; longer endings come first.
-UNITS = {
-    "A_per_s": "A/s",
-    "m_s2": "m/s^2",
-    "N_s_m": "N s/m",
-    "Nm_A": "N m/A",
-    "kg_m2": "kg m^2",
-    "g_rtHz": "g/sqrt(Hz)",
-    "m_s": "m/s",
-    "N_m": "N/m",
-    "N_A": "N/A",
-    "K_W": "K/W",
-    "1_m": "1/m",
-    "s_m": "s/m",
-    **{name: name for name in ("Hz", "ohm", "kg", "A", "V", "C", "K", "N", "s", "m", "g", "H", "ticks", "samples")},
-}
 # Two statements of one thing: the later takes the place of the other.
 IN_PLACE_OF = {"limits.current_A": "limits.beta", "limits.beta": "limits.current_A"}
 WHOLE_TABLES = ("motor", "transmission")
@@ -77,14 +62,6 @@ class Key:
     description: str
 
 
-def unit_of(path: str) -> str:
-    """Unit of a key, from the ending of its name."""
-    name = path.rsplit(".", 1)[-1]
-    if name in ("constant", "per_newton"):
-        return unit_of(path.rsplit(".", 1)[0]) + ("/N" if name == "per_newton" else "")
-    return next((unit for ending, unit in UNITS.items() if name == ending or name.endswith(f"_{ending}")), "")
-
-
 def _flat(annotation: Any) -> Iterator[Any]:
     """The members of a union and what stands inside Annotated, metadata included."""
     yield annotation
@@ -94,9 +71,9 @@ def _flat(annotation: Any) -> Iterator[Any]:
     yield from getattr(annotation, "metadata", ())
 
 
-def _bounds(parts: list[Any]) -> str:
-    """Bounds in words; those of FieldInfo objects inside Annotated included."""
-    words = []
+def _bounds(parts: list[Any], unit: str) -> str:
+    """Bounds in words; those of FieldInfo objects inside Annotated included, and the largest of the unit."""
+    words, most = [], largest(unit)
     for part in parts:
         match part:
             case Gt(gt=bound):
@@ -107,6 +84,8 @@ def _bounds(parts: list[Any]) -> str:
                 words.append(f"< {bound:g}")
             case Le(le=bound):
                 words.append(f"<= {bound:g}")
+    if unit and not any(isinstance(part, Lt | Le) for part in parts):
+        words.append(f"<= {most:g}" if any(isinstance(part, Gt | Ge) for part in parts) else f"|.| <= {most:g}")
     return ", ".join(dict.fromkeys(words))
 
 
@@ -150,7 +129,7 @@ def _leaf(path: str, field: FieldInfo, parts: list[Any], stated: Any, about: str
         default=default if isinstance(default, float | int | str) else None,
         required=field.is_required(),
         value=", ".join(f"{v:g}" for v in stated) if grid and stated else stated,
-        bounds=f"one of {', '.join(map(str, numbers))}" if numbers else _bounds(parts),
+        bounds=f"one of {', '.join(map(str, numbers))}" if numbers else _bounds(parts, unit_of(path)),
         choices=choices,
         number=numeric,
         integer=float not in parts and (int in parts or bool(numbers)),

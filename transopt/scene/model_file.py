@@ -14,7 +14,8 @@ from typing import Annotated, Literal, NoReturn
 from pydantic import Field, ValidationError
 
 from transopt.base.errors import InputError
-from transopt.base.files import whole_file
+from transopt.base.files import check_depth, read_file, whole_file
+from transopt.base.sizes import MOST_MODEL_BYTES
 from transopt.scene.fitted import complaint
 from transopt.scene.model_parts import (
     MODEL_PARTS,
@@ -53,6 +54,7 @@ def parse_model(source: Path | str, content: bytes) -> ModelFile:
     advice = "give a file written by `transopt identify`, or identify again into another file"
     try:
         parsed = json.loads(content.decode("utf-8"), parse_constant=_refuse_constant)
+        check_depth(parsed)
     except UnicodeDecodeError:
         raise InputError(f"{source}: not a text file, so no model file; {advice}") from None
     except (ValueError, RecursionError) as error:
@@ -73,12 +75,7 @@ def read_model(path: Path) -> bytes:
     InputError : no such file, or one that cannot be read.
     """
     advice = "`transopt identify device FILES... --out MODEL.json` writes one"
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; {advice}") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); {advice}") from None
+    return read_file(path, MOST_MODEL_BYTES, advice)
 
 
 def load_model(path: Path) -> ModelFile:

@@ -12,6 +12,7 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Finite, NonNegative, Positive, Section
+from transopt.base.sizes import MOST_NODES, MOST_STATES
 from transopt.plant.chain import Link
 from transopt.plant.drive import drive
 from transopt.plant.hand import Hand, LinearParameter
@@ -23,7 +24,7 @@ MODEL_PARTS = ("amplifier", "device", "hand", "coil")
 ModelPartName = Literal["amplifier", "device", "hand", "coil"]
 OUTSIDE = 0.1  # a grip may leave the recorded ones by this share of the nearest of them
 
-Matrix = Annotated[list[list[Finite]], Field(min_length=1)]
+Matrix = Annotated[list[list[Finite]], Field(min_length=1, max_length=MOST_STATES)]
 
 
 class AmplifierPart(FittedPart):
@@ -49,7 +50,7 @@ class ChainHand(Section):
         return Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
 
 
-Grips = Annotated[list[NonNegative], Field(min_length=1)]
+Grips = Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
 NrmseByGrip = dict[str, NonNegative]
 
 
@@ -177,7 +178,7 @@ class StateSpaceDevice(ModelPart):
     """
 
     kind: Literal["state_space"]
-    order: Annotated[int, Field(ge=1)]
+    order: Annotated[int, Field(ge=1, le=MOST_STATES // 2)]
     grips_N: Grips
     A: Annotated[list[Matrix], Field(min_length=1)]
     B: Annotated[list[Matrix], Field(min_length=1)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from transopt.base.errors import InputError
+from transopt.base.files import is_file
 
 LIST = "LIMITS"
 
@@ -41,7 +42,7 @@ def _read(scene: Path, named: Any, stages: int) -> list[dict[str, Any]]:
     if not isinstance(named, str):
         raise InputError(f"{scene}: limits.own: {named!r} is no name of a file")
     path = scene.parent / named
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"{scene}: limits.own = {named!r}: no such file in {scene.parent}")
     try:
         stated = runpy.run_path(str(path)).get(LIST)

@@ -11,8 +11,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
-from transopt.base.section import Section
+from transopt.base.section import Name, Section, Words
 from transopt.base.shown import cut, span, wrapped
+from transopt.base.sizes import MOST_COMMANDS
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
@@ -37,8 +38,8 @@ FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a mod
 class Scene(Section):
     """One scene file; `name` defaults to the file's stem."""
 
-    name: str
-    description: str
+    name: Name
+    description: Words
     grid: Grid
     time: Time = Time()
     recordings: Recordings
@@ -77,6 +78,11 @@ class Scene(Section):
             raise ValueError(
                 f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
+            )
+        commands = len(self.grid.speeds_m_s) * len(self.grid.grips_N) * self.time.stages
+        if commands > MOST_COMMANDS:
+            raise ValueError(
+                f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
             )
         self._check_amplifier()
         self._check_what_needs_what()

@@ -8,7 +8,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature
+from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature, Words
+from transopt.base.sizes import (
+    LONGEST_DELAY_S,
+    LONGEST_DT_S,
+    LONGEST_HORIZON_S,
+    MOST_NODES,
+    MOST_STAGES,
+    SHORTEST_DT_S,
+)
 
 
 def _increasing(values: list[float]) -> list[float]:
@@ -20,8 +28,8 @@ def _increasing(values: list[float]) -> list[float]:
 class Grid(Section):
     """Nodes of the library."""
 
-    speeds_m_s: Annotated[list[Speed], Field(min_length=1)]
-    grips_N: Annotated[list[NonNegative], Field(min_length=1)]
+    speeds_m_s: Annotated[list[Speed], Field(min_length=1, max_length=MOST_NODES)]
+    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
     grip_min_N: Positive = 0.5
 
     _speeds_ordered = field_validator("speeds_m_s")(_increasing)
@@ -42,9 +50,19 @@ class Grid(Section):
 class Time(Section):
     """Servo period, horizon, and how long before contact the waveform starts."""
 
-    dt_s: Positive = 1e-4
-    stages: Annotated[int, Field(ge=2)] = 600
+    dt_s: Annotated[float, Field(ge=SHORTEST_DT_S, le=LONGEST_DT_S)] = 1e-4
+    stages: Annotated[int, Field(ge=2, le=MOST_STAGES)] = 600
     lead_s: Annotated[float, Field(ge=0, le=0.02)] = 3e-4
+
+    @model_validator(mode="after")
+    def _short(self) -> Self:
+        horizon_s = self.stages * self.dt_s
+        if horizon_s > LONGEST_HORIZON_S:
+            raise ValueError(
+                f"{self.stages} stages of {self.dt_s:g} s are {horizon_s:g} s: must be at most "
+                f"{LONGEST_HORIZON_S:g} s; a tap is over in a tenth of one"
+            )
+        return self
 
 
 class AmplifierSection(Section):
@@ -54,16 +72,16 @@ class AmplifierSection(Section):
     """
 
     pole_Hz: Positive | None = None
-    delay_s: NonNegative | None = None
+    delay_s: Annotated[float, Field(ge=0, le=LONGEST_DELAY_S)] | None = None
     command_limit_A: Positive = 6.0
 
 
 class OwnLimitTable(Section):
     """A limit of a user's own, as its file was read (`limits.own` names files, which are read with the scene)."""
 
-    name: str
-    unit: str
-    outputs: list[str]
+    name: Words
+    unit: Words
+    outputs: list[Words]
     lower: Finite | None
     upper: Finite | None
     coefficients: list[Finite] | None
@@ -76,7 +94,7 @@ class LimitsSection(Section):
     """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place."""
 
     steady_current_A: Positive
-    beta: Annotated[float, Field(ge=1, allow_inf_nan=False)] | None = None
+    beta: Annotated[float, Field(ge=1, le=1e4, allow_inf_nan=False)] | None = None
     current_A: Positive | None = None
     slew_A_per_s: Positive | None = None
     supply_V: Positive | None = None
@@ -137,7 +155,7 @@ class Feedback(Section):
 class Weights(Section):
     """Weight of the command's movement, and by which band the error is weighed."""
 
-    rho: NonNegative = 1e-3
+    rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
     error_filter: Literal["none", "pacinian"] = "none"
 
 

@@ -7,12 +7,14 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.base.sizes import MOST_SAMPLES
 from transopt.plant.state_space import StateSpace
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.scene import Scene
 
 STEP_S = 1e-5
+LONGEST_S = 1.0  # of a simulated tap
 APPROACH_S = 30e-3  # recorded before contact
 ENCODER_COUNT_M = 24.5e-6
 
@@ -142,7 +144,21 @@ def recordings(scene: Scene) -> list[Recording]:
     nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
     speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
     duration = scene.time_grid().end_s + 10e-3
-    t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+    if duration > LONGEST_S:
+        raise InputError(f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages")
+    samples = int(speeds.size * duration * max(target.rate_Hz, 1 / STEP_S))
+    if samples > MOST_SAMPLES:
+        raise InputError(
+            f"recordings.simulated: {speeds.size} taps of {duration:g} s are {samples} samples, at most "
+            f"{MOST_SAMPLES}: lower repeats, rate_Hz or the number of speeds"
+        )
+    with np.errstate(all="ignore"):  # what overflows is found as not finite
+        t, acceleration, encoder = strike(scene.plant(target.grip_N, struck=True), target, speeds, duration)
+    if not (np.isfinite(acceleration).all() and np.isfinite(encoder).all()):
+        raise InputError(
+            f"recordings.simulated: a tap does not stay finite in steps of {STEP_S:g} s: device or contact are too "
+            "fast for them; raise the masses, or lower the stiffnesses and dampings"
+        )
 
     dt = 1 / target.rate_Hz
     before = int(np.ceil(APPROACH_S / dt))

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import FloatArray
-from transopt.scene.keys import unit_of
+from transopt.base.units import unit_of
 from transopt.study.axes import Axis
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan

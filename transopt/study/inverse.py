@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.scene.keys import Key, check_value, find_key, unit_of
+from transopt.base.units import unit_of
+from transopt.scene.keys import Key, check_value, find_key
 from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, label
 from transopt.study.columns import MEASURES

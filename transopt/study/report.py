@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from transopt.base.machine import machine, versions
+from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
 from transopt.design.sweep import REFUSED
-from transopt.scene.keys import unit_of
 from transopt.study.axes import label
 from transopt.study.columns import MULTIPLIERS, VIOLATIONS
 from transopt.study.inverse import Answer

@@ -46,6 +46,8 @@ def make_library(library: Library) -> Make:
             "amplifier": amplifier,
             "scene": {**library.meta["scene"], "name": name},
             "limits": {**library.meta["limits"]},
+            "repeatability": [None] * len(speeds),
+            "left_out": {},
         }
         sized, meta = resized(library, len(speeds), len(grips)), {**library.meta, **changes}
         return replace(sized, speeds_m_s=np.array(speeds), grips_N=np.array(grips), meta=meta)
@@ -99,7 +101,7 @@ def test_no_folder_or_a_folder_in_the_way(make_library: Make, tmp_path: Path) ->
     with pytest.raises(InputError, match=r"cannot be written \(No such file or directory\); choose another"):
         export_library(make_library(), tmp_path / "missing" / "taps.h")
     (tmp_path / "taps.h").mkdir()
-    with pytest.raises(InputError, match=r"cannot be written \(Is a directory\); choose another"):
+    with pytest.raises(InputError, match=r"\(a folder, a pipe or a device is there\); choose another"):
         export_library(make_library(), tmp_path / "taps.h")
     assert [path.name for path in tmp_path.iterdir()] == ["taps.h"]
 

@@ -109,7 +109,7 @@ class TestRefusals:
 
     def test_single_array(self, tmp_path: Path) -> None:
         np.save(tmp_path / "x.npy", np.zeros(3))
-        with pytest.raises(InputError, match="a single array, not a library"):
+        with pytest.raises(InputError, match="a single array, not an archive"):
             load_library(tmp_path / "x.npy")
 
     def test_pickle(self, saved: Path) -> None:
@@ -246,7 +246,7 @@ class TestBlend:
 
     @pytest.mark.parametrize(("speed", "grip"), [(np.nan, 1.0), (0.2, np.inf)])
     def test_nonsense_is_refused(self, library: Library, speed: float, grip: float) -> None:
-        with pytest.raises(InputError, match="both must be finite"):
+        with pytest.raises(InputError, match="must be a finite number"):
             library.at(speed, grip)
 
     def test_one_grip_and_one_speed_are_enough(self, library: Library) -> None:

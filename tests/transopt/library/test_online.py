@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -121,7 +122,7 @@ class TestHeat:
 
     @pytest.mark.parametrize("temperatures", [(float("nan"), None), (25.0, float("inf"))])
     def test_no_number_is_refused(self, solver: Online, temperatures: tuple[float, float | None]) -> None:
-        with pytest.raises(InputError, match="both must be finite"):
+        with pytest.raises(InputError, match="must be a finite number"):
             solver.solve(0.3, 2.0, *temperatures)
 
 
@@ -320,3 +321,50 @@ def test_a_tap_played_online_never_loads_the_optimiser(library: Library, tmp_pat
     )
     path = str(tmp_path / "library.npz")
     subprocess.run([sys.executable, "-c", program, path], check=True, cwd=ROOT, timeout=60)
+
+
+class TestWhatIsNoInput:
+    """Whoever calls it from another program may be wrong about anything: one line, never another exception."""
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (("fast", 2.0), "speed 'fast' m/s: must be a finite number"),
+            ((None, 2.0), "speed None m/s"),
+            ((np.array([0.1, 0.2]), 2.0), "speed array"),
+            ((0.3, float("nan")), "grip nan N"),
+            ((0.3, True), "grip True N"),
+            ((0.3, 2.0 + 1j), "grip (2+1j) N"),
+            ((0.3, 2.0, "warm"), "winding 'warm' C"),
+            ((0.3, 2.0, 25.0, [25.0]), "housing [25.0] C"),
+            ((0.3, 2.0, None, None, 4.0), "limits = 4.0: must be a table"),
+            ((0.3, 2.0, None, None, {"current_A": "4"}), "limits.current_A = '4': must be a number > 0"),
+            ((0.3, 2.0, None, None, {"current_A": 1e9}), "must be > 0 and finite, at most 10000 A"),
+            ((0.3, 2.0, None, None, {"current_A": 10**400}), "must be > 0 and finite"),
+        ],
+    )
+    def test_a_tap(self, solver: Online, arguments: tuple[Any, ...], words: str) -> None:
+        with pytest.raises(InputError) as caught:
+            solver.solve(*arguments)
+        assert words in str(caught.value)
+        assert str(caught.value).isprintable()
+
+    def test_numbers_of_numpy_are_numbers(self, solver: Online) -> None:
+        plain, numpy = solver.solve(0.3, 2.0), solver.solve(np.float64(0.3), np.array([2.0]))  # type: ignore[arg-type]
+        np.testing.assert_array_equal(plain.wave.command_A, numpy.wave.command_A)
+
+    @pytest.mark.parametrize(
+        ("plant", "spread", "words"),
+        [
+            ("drive", None, "plant = 'drive': must be a function"),
+            (lambda grip: None, None, "is None: must be a StateSpace"),
+            (None, lambda grip: [1.0], "must be a tuple of StateSpace"),
+        ],
+    )
+    def test_a_device(self, library: Library, plant: Any, spread: Any, words: str) -> None:
+        with pytest.raises(InputError, match=words):
+            Online(library, plant, spread)
+
+    def test_a_library(self) -> None:
+        with pytest.raises(InputError, match=r"'library.npz' is no library: give what `load_library` returns"):
+            Online("library.npz")  # type: ignore[arg-type]

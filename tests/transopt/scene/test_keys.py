@@ -8,7 +8,8 @@ import pytest
 
 import problems
 from transopt.base.errors import InputError
-from transopt.scene.keys import check_value, find_key, keys, parse_value, unit_of, with_values
+from transopt.base.units import unit_of
+from transopt.scene.keys import check_value, find_key, keys, parse_value, with_values
 from transopt.scene.scene import Scene
 
 NOT_VARIED = ("motor.", "recordings.speed_by_file_m_s")

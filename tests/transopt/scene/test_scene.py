@@ -164,7 +164,7 @@ def test_an_ideal_amplifier_is_stated_never_assumed(tmp_path: Path) -> None:
 def test_files_that_are_no_scene(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_scene(tmp_path / "absent.toml")
-    with pytest.raises(InputError, match="cannot be read as text"):
+    with pytest.raises(InputError, match="a folder, not a file"):
         read_scene(tmp_path)
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")

@@ -1,0 +1,118 @@
+"""What plays has been proven: a library that was changed and hashed again is told from one that was designed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.benches.commands import Terminal, assert_refused
+from transopt.base.errors import InputError
+from transopt.library.library import Library
+from transopt.library.proven import doubts, load_proven
+
+Change = Callable[[Library], Library]
+
+
+def meta(library: Library, **changed: Any) -> Library:
+    return replace(library, meta={**library.meta, **changed})
+
+
+def limit(library: Library, **changed: Any) -> Library:
+    return meta(library, limits={**library.meta["limits"], **changed})
+
+
+def scaled(library: Library, **factors: float) -> Library:
+    return replace(library, **{name: factor * getattr(library, name) for name, factor in factors.items()})
+
+
+TENFOLD = ("command_A", "transient_command_A", "current_A", "acceleration_m_s2", "peak_current_A")
+
+
+def louder(library: Library) -> Library:
+    """Forty amperes throughout: the limits, the scene's own, and all that follows from them."""
+    scene, amplifier = library.meta["scene"], {"command_limit_A": 60.0}
+    stated = {
+        **scene,
+        "limits": {**scene["limits"], "beta": None, "current_A": 40.0},
+        "motor": {**scene["motor"], "i_peak_A": 50.0},
+        "amplifier": {**scene["amplifier"], **amplifier},
+    }
+    changed = limit(library, current_A=40.0)
+    changed = meta(changed, amplifier={**library.meta["amplifier"], **amplifier}, scene=stated)
+    return scaled(changed, **dict.fromkeys(TENFOLD, 10.0))
+
+
+def test_what_was_designed_is_proven(library: Library, tmp_path: Path) -> None:
+    assert list(doubts(library)) == []
+    library.save(tmp_path / "library.npz")
+    assert load_proven(tmp_path / "library.npz").content_sha256 == library.content_sha256
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda of: limit(of, current_A=40.0), "limits.current_A is 40, its scene says 4"),
+        (louder, "not certified"),
+        (lambda of: scaled(of, command_A=1.01, transient_command_A=1.01), "not certified: a limit is exceeded by"),
+        (lambda of: scaled(of, command_A=0.9, transient_command_A=0.9), "above the optimum, limit 1e-06"),
+        (lambda of: scaled(of, transient_command_A=2), "transient_command_A is not command_A"),
+        (lambda of: scaled(of, acceleration_m_s2=1.01), "acceleration_m_s2 is off by"),
+        (lambda of: scaled(of, current_A=0.5), "current_A is off by"),
+        (lambda of: scaled(of, nrmse=0.5), "nrmse says"),
+        (lambda of: scaled(of, floor=2), "floor says"),
+        (lambda of: scaled(of, nrmse_seed=0.5), "nrmse_seed says"),
+        (lambda of: scaled(of, peak_current_A=0.5), "peak_current_A says"),
+        (lambda of: replace(of, peak_temperature_C=of.peak_temperature_C + 1), "peak_temperature_C says"),
+        (lambda of: scaled(of, reference_m_s2=0.9), "not the motion that its recording tells"),
+        (lambda of: scaled(of, nominal_velocity_m_s=-1), "nominal_velocity_m_s at 0.1 m/s"),
+        (lambda of: scaled(of, plant_B=2), "plant_B at 1 N is not the device of its scene"),
+        (lambda of: scaled(of, speeds_m_s=1.05), "speeds_m_s: 0.105 is no node of its scene"),
+        (lambda of: meta(of, dt_s=2e-4), "grid.dt_s is 0.0002, its scene says 0.0001"),
+        (lambda of: meta(of, grip_min_N=0.0), "grip_min_N is 0, its scene says 0.5"),
+        (lambda of: replace(of, binding=np.full_like(of.binding, "none")), "binding says 'none'"),
+        (lambda of: replace(of, status=np.full_like(of.status, "solved")), "its status is: "),
+        (
+            lambda of: replace(of, multipliers_of={name: -1 - mu for name, mu in of.multipliers_of.items()}),
+            "multipliers must be >= 0",
+        ),
+    ],
+)
+def test_what_was_changed_is_told(library: Library, tmp_path: Path, change: Change, words: str) -> None:
+    changed = change(library)
+    assert any(words in doubt for doubt in doubts(changed)), list(doubts(changed))[:5]
+    changed.save(tmp_path / "library.npz")
+    with pytest.raises(InputError) as caught:
+        load_proven(tmp_path / "library.npz")
+    assert str(caught.value).isprintable()
+    assert "`transopt verify`" in str(caught.value)
+
+
+def test_verify_lists_what_the_file_states_otherwise_than_its_scene(library: Library, terminal: Terminal) -> None:
+    limit(library, steady_current_A=2.0).save("changed.npz")
+    outcome = terminal("transopt", "verify", "changed.npz")
+    assert outcome.code == 1
+    assert "limits.steady_current_A is 2, its scene says 1.25" in outcome.out
+
+
+def test_commands_refuse_what_is_not_proven(
+    library: Library, tmp_path: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scaled(library, command_A=1.01, transient_command_A=1.01).save("changed.npz")
+    for program, *arguments in (
+        ("transopt", "show", "changed.npz"),
+        ("transopt", "export", "changed.npz", "taps.h"),
+        ("transopt-play", "tap", "changed.npz", "--simulate"),
+        ("transopt-play", "refine", "changed.npz", "--simulate", "--out", "better"),
+    ):
+        assert_refused(terminal(program, *arguments), "changed.npz: entry", "not certified")
+    assert not Path("taps.h").exists()
+    verified = terminal("transopt", "verify", "changed.npz")
+    assert verified.code == 1
+    for arguments in (("show", "changed.npz"), ("export", "changed.npz", "taps.h")):
+        outcome = terminal("transopt", *arguments, "--unproven")
+        assert outcome.code == 0
+        assert outcome.err.startswith("not proven: ")

@@ -1,0 +1,330 @@
+"""Whether what a library plays is proven: its certificates made again from the model in the file, in milliseconds.
+
+A file's hash tells that the file is whole, not who made it: whoever changes a number can hash the file again. What
+stands in a library is therefore not believed before it plays, is shown or leaves for another program:
+
+- the limits, weights, time axis and plants are those of the scene that the library carries;
+- every command keeps all limits and is optimal by its own multipliers (`transopt.proof.certify`); where the copper's
+  warming makes that a stationary point, a convex problem bounds J from below;
+- current, acceleration, errors, peaks and what binds are recomputed from the command.
+
+`transopt verify` does the same and replays every entry with another integrator.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray, nrmse
+from transopt.library.file import BROKEN, load_library
+from transopt.library.library import PLANT, Library
+from transopt.plant.discretise import StageModel
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Status
+from transopt.problem.baselines import seed_inversion
+from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
+from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.posing import Posing
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage_data import stages, without_limits
+from transopt.proof.certify import BINDING_MULTIPLIER, Effect, binding_limits, certify, relaxed_bound
+from transopt.solvers.native.extension import (
+    ACCURACY,
+    MOST_STATES,
+    SOLVED,
+    Buffers,
+    LinearPass,
+    available,
+    interior_point,
+)
+
+SAME = 1e-6  # relative, between what a file states of its scene and what the scene it carries comes to
+FIGURE = 1e-4  # relative, between a stated figure of an entry and the recomputed one
+ROUNDING = 1e-9  # absolute, for figures that are zero
+RIVAL = 1e-3  # relative, between an error at the switching instants and the replay's
+STEADY = 3e-3  # relative, between two steady states
+MOTION = 1e-2  # relative, between a motion that was integrated in fine steps and in those of the file
+WARM_K = 2e-3  # between the winding's peak at the switching instants and that at all times
+PASS_GAP = 1e-9  # of the optimum without limits, relative
+MOST_ITERATIONS = 60  # of the method that bounds a hot entry from below
+
+
+def load_proven(path: str | Path) -> Library:
+    """Read a library file and prove it before anything of it is used; about two milliseconds an entry.
+
+    Raises
+    ------
+    InputError : what `load_library` refuses, and what is not proven: the first thing, in one line.
+    """
+    library = load_library(path)
+    doubt = next(doubts(library), None)
+    if doubt is not None:
+        raise InputError(
+            f"{path}: {doubt}: it was changed, or made by another version, and is not used; `transopt verify` checks "
+            "every entry, `transopt solve` makes it anew"
+        )
+    return library
+
+
+def doubts(library: Library) -> Iterator[str]:
+    """What is not proven of a library, one phrase each; none if all is."""
+    try:
+        with np.errstate(all="ignore"):  # what overflows is found as not finite
+            yield from misstatements(library)
+            for ig in range(library.grips_N.size):
+                yield from _of_grip(library, ig)
+    except (InputError, *BROKEN) as error:
+        yield f"it does not describe a problem ({error or type(error).__name__})"
+
+
+def misstatements(library: Library) -> Iterator[str]:
+    """Where a library states something else than the scene and the recordings that it carries, all entries alike."""
+    yield from _against_scene(library)
+    yield from _nominal(library)
+    for name, array in library.multipliers_of.items():
+        if (least := float(array.min())) < -BINDING_MULTIPLIER:
+            yield f"{name} reaches {least:.3g}: multipliers must be >= 0"
+
+
+def _of_grip(library: Library, ig: int) -> Iterator[str]:
+    stage = library.stage(ig)
+    yield from _rivals(library, ig, stage)
+    for iv in range(library.speeds_m_s.size):
+        where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N: "
+        problem, command = library.problem(iv, ig, stage), library.command_A[iv, ig]
+        effect = Effect(problem, command)
+        proof = proof_of(effect, library.multipliers(iv, ig), _bound_by_interior_point)
+        said = str(library.status[iv, ig])
+        if said != Status.OPTIMAL.value:
+            yield f"{where}its status is: {said}"
+        elif not (proof.accepted or (proof.is_stationary and not _boundable(problem))):
+            yield where + _shortfall(proof)
+        else:
+            yield from (where + off for off in _predictions(library, iv, ig, effect))
+            floor = _floor(problem, library.reference_m_s2[iv])
+            yield from (where + off for off in contradictions(library, iv, ig, problem, proof, floor))
+
+
+def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
+    """Errors of the seed's method that the file states for the entries of a grip, and that are other ones."""
+    limits = library.meta["limits"]
+    bounds = np.array([limits["current_A"], limits["steady_current_A"]])[:, None, None]
+    references, taper = library.reference_m_s2, library.meta["hand_over_samples"]
+    played, _ = stage.rollout(seed_inversion(stage, library.time_grid(), references, bounds, taper))
+    for iv, reference in enumerate(references):
+        value = [nrmse(each, reference) for each in played[:, iv]]
+        if not np.allclose(library.nrmse_seed[iv, ig], value, rtol=RIVAL, atol=SAME):
+            where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N"
+            yield f"{where}: nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
+
+
+def _shortfall(proof: Certificate) -> str:
+    """What a certificate that is not accepted lacks."""
+    if not proof.finite:
+        return "not certified: its numbers do not stay finite"
+    if proof.excess > 1:
+        over = ", ".join(f"{by:.3g} {unit}" for unit, by in proof.stated_violations.items() if by > 0)
+        return f"not certified: a limit is exceeded by {over}"
+    if proof.relative_gap > proof.GAP_TOLERANCE:
+        return f"not certified: may lie {proof.relative_gap:.1e} above the optimum, limit {proof.GAP_TOLERANCE:.0e}"
+    return f"not certified: lies {proof.relative_bound:.1e} above the bound, limit {proof.BOUND_TOLERANCE:.0e}"
+
+
+def proof_of(effect: Effect, multipliers: Multipliers, bound: Callable[[TransientProblem], float]) -> Certificate:
+    """A command's certificate; where the temperature binds, a convex problem bounds J from below.
+
+    Parameters
+    ----------
+    bound : lower bound of the convex problem, asked for where the entry's own multipliers bound too little.
+    """
+    problem, command = effect.problem, effect.command_A
+    proof = certify(problem, command, multipliers, effect=effect)
+    if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
+        proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
+        if not proof.accepted:
+            lower = bound(problem.replaced(problem.thermal.relaxed()))
+            proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
+    return proof
+
+
+def _bound_by_interior_point(relaxed: TransientProblem) -> float:
+    if not available:
+        return -np.inf
+    given = stages(relaxed)
+    buffers = Buffers(given.sizes)
+    answer = interior_point(given, buffers, tolerance=1e-9, max_iterations=MOST_ITERATIONS)
+    if answer.code not in (SOLVED, ACCURACY):
+        return -np.inf
+    multipliers = given.multipliers(buffers.upper - buffers.lower, buffers.gradient)
+    return certify(relaxed, given.command(buffers.command), multipliers).lower_bound
+
+
+def _boundable(problem: TransientProblem) -> bool:
+    """Whether a bound from below can be had here: not of a user's own limit that is bent, nor without the solver."""
+    return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
+
+
+def _floor(problem: TransientProblem, reference_m_s2: FloatArray) -> float:
+    """NRMSE of the optimum without limits, by the compiled pass; NaN where there is none, or it loses digits."""
+    free = np.zeros(problem.grid.stages)
+    if not problem.reference_is_zero:
+        given = without_limits(problem)
+        if not available or given.sizes["states"] > MOST_STATES:
+            return np.nan
+        run = LinearPass(given)
+        answer = run.solve(PASS_GAP)
+        if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
+            return np.nan
+        free = run.command_A()
+    return nrmse(problem.stage.rollout(free)[0], reference_m_s2)
+
+
+def contradictions(
+    library: Library,
+    iv: int,
+    ig: int,
+    problem: TransientProblem,
+    proof: Certificate,
+    floor: float,
+    of_bound: float = Certificate.BOUND_TOLERANCE,
+) -> Iterator[str]:
+    """Figures of an entry in the file that do not follow from its waveform and its model.
+
+    Parameters
+    ----------
+    floor : NRMSE of the optimum without limits, as found now; NaN where it was not.
+    of_bound : relative, by which the stated lower bound may lie above the one found; other methods find others.
+    """
+    ampere, scale = problem.limits.current_A, max(proof.objective, OBJECTIVE_SCALE)
+    # The largest over A, V and K is stored; only where A is all there is the limit tells how exact it has to be.
+    in_ampere_only = all(limit.unit.startswith("A") for limit in problem.limits)
+    claims = {
+        "objective": (proof.objective, SAME * scale),
+        "primal_violation": (proof.primal_violation, tolerated(ampere) if in_ampere_only else VIOLATION_TOLERANCE),
+        "duality_gap": (proof.duality_gap, Certificate.GAP_TOLERANCE * scale),
+        "dual_residual": (proof.dual_residual, Certificate.GAP_TOLERANCE / min(problem.command_bound_A, 1.0)),
+        "floor": (floor, SAME),
+    }
+    for name, (value, tolerance) in claims.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not abs(stored - value) <= tolerance and np.isfinite(value):
+            yield f"{name} says {stored:.4g}, recomputed {value:.4g}"
+    # A bound is a claim from below: one that says less than what can be proven is true as well.
+    claimed, least = float(library.lower_bound[iv, ig]), proof.lower_bound
+    if not claimed <= least + of_bound * scale and np.isfinite(least):
+        yield f"lower_bound says {claimed:.8g}, no more than {least:.8g} can be proven"
+    binds = binding_limits(problem, library.command_A[iv, ig], library.multipliers(iv, ig))
+    if str(library.binding[iv, ig]) != binds:
+        yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {binds!r}"
+    transient = problem.transient_command(library.command_A[iv, ig])
+    if not np.abs(library.transient_command_A[iv, ig] - transient).max() <= tolerated(ampere):
+        yield "transient_command_A is not command_A less the predicted feedback of the wall"
+
+
+def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[str]:
+    """What the file predicts of an entry and its command does not do."""
+    problem, motion, reference = effect.problem, effect.motion, library.reference_m_s2[iv]
+    size = max(float(np.abs(reference).max()), float(np.abs(motion.acceleration_m_s2).max()))
+    for name, value, tolerance in (
+        ("current_A", motion.current_A, SAME * problem.limits.current_A),
+        ("acceleration_m_s2", motion.acceleration_m_s2, SAME * size),
+    ):
+        off = float(np.abs(getattr(library, name)[iv, ig] - value).max())
+        if not off <= tolerance:
+            yield f"{name} is off by {off:.3g}"
+    stored, error = float(library.nrmse[iv, ig]), nrmse(motion.acceleration_m_s2, reference)
+    if not np.isclose(stored, error, rtol=FIGURE, atol=SAME):
+        yield f"nrmse says {stored:.6g}, recomputed {error:.6g}"
+    stored, peak = float(library.peak_current_A[iv, ig]), float(np.abs(motion.current_A).max())
+    # A wall pushes on after the waveform; its limit there is the replay's to check.
+    most = problem.limits.current_A * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
+    if not peak * (1 - FIGURE) - ROUNDING <= stored <= most:
+        yield f"peak_current_A says {stored:.6g} A, recomputed {peak:.6g} A"
+    stored = float(library.peak_temperature_C[iv, ig])
+    if problem.thermal is None:
+        if not np.isnan(stored):
+            yield f"peak_temperature_C says {stored:.6g} C of a device without a coil"
+        return
+    model = problem.thermal.model
+    hottest = max(float((effect.rise_K[1:, 0] + model.unpowered_C).max()), problem.thermal.coil.start_winding_C)
+    # Of taps for ever the two methods find the steady state, and the rise from ambient, by different sums.
+    rise_K = 0.0 if model.closure is None else abs(hottest - problem.thermal.coil.ambient_C)
+    if not abs(stored - hottest) <= WARM_K + STEADY * rise_K:
+        yield f"peak_temperature_C says {stored:.5g} C, recomputed {hottest:.5g} C"
+
+
+def _against_scene(library: Library) -> Iterator[str]:
+    """Where the file states another problem than the scene that it carries: limits, weights, time axis, plants."""
+    scene = library.scene()
+    stated, own = Posing.of(library.meta, library.command_A.shape[2]), scene.posing()
+    for field in fields(Posing):
+        if field.name == "law_of":
+            continue
+        name = {"asked": "limits", "wall": "feedback"}.get(field.name, field.name)
+        yield from _different(name, getattr(stated, field.name), getattr(own, field.name))
+    yield from _different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
+    for name, nodes in (("speeds_m_s", scene.grid.speeds_m_s), ("grips_N", scene.grid.grips_N)):
+        # A library may be a part of what its scene asked for.
+        stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
+        if stray:
+            yield f"{name}: {stray[0]:g} is no node of its scene"
+    for ig, grip in enumerate(library.grips_N):
+        plant = scene.plant(float(grip))
+        for name in PLANT:
+            stored, value = getattr(library, f"plant_{name}")[ig], getattr(plant, name)
+            if stored.shape != value.shape or not np.abs(stored - value).max() <= SAME * np.abs(value).max():
+                yield f"plant_{name} at {grip:g} N is not the device of its scene"
+        for name, output in library.plant(ig).outputs.items():
+            yield from _different(f"output {name} at {grip:g} N", output, plant.outputs.get(name))
+
+
+def _nominal(library: Library) -> Iterator[str]:
+    """Nominal motions that are not the integrals of the user's share r_raw - r, from -speed and the surface on."""
+    grid, user = library.time_grid(), library.reference_raw_m_s2 - library.reference_m_s2
+    times = grid.switching_times_s
+    for iv, speed in enumerate(library.speeds_m_s):
+        velocity, position = library.nominal_velocity_m_s[iv], library.nominal_position_m[iv]
+        at_ticks = library.nominal_position_at_ticks_m[iv]
+        for name, stated, integrated, size in (
+            ("nominal_velocity_m_s", velocity, _from_contact(times, user[iv]) - speed, np.abs(velocity).max()),
+            ("nominal_position_m", position, _from_contact(times, velocity), np.abs(position).max()),
+            ("nominal_position_at_ticks_m", at_ticks + grid.delay_s * velocity, position, np.abs(position).max()),
+        ):
+            step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
+            if not np.abs(stated - integrated).max() <= MOTION * size + step:
+                yield f"{name} at {speed:g} m/s is not the motion that its recording tells"
+
+
+def _from_contact(times_s: FloatArray, rate: FloatArray) -> FloatArray:
+    """(N,) integral of a rate by the trapezoidal rule, zero at contact, which may lie before the first instant."""
+    steps = 0.5 * np.diff(times_s) * (rate[1:] + rate[:-1])
+    course = np.append(0.0, np.cumsum(steps))
+    before = min(times_s[0], 0.0) - times_s[0]  # of the first instant, where contact comes before it
+    return np.asarray(course - np.interp(0.0, times_s, course) - before * rate[0])
+
+
+def _different(name: str, stated: Any, own: Any) -> Iterator[str]:
+    """Numbers and words in `stated` that differ from those of the same place in `own`, the scene's."""
+    if is_dataclass(own) and type(stated) is type(own):
+        for field in fields(own):
+            yield from _different(f"{name}.{field.name}", getattr(stated, field.name), getattr(own, field.name))
+    elif isinstance(own, Mapping) and isinstance(stated, Mapping):
+        for key, value in own.items():
+            yield from _different(f"{name}.{key}", stated.get(key), value)
+    elif isinstance(own, np.ndarray):
+        if np.shape(stated) != own.shape or not np.allclose(stated, own, rtol=SAME, atol=0):
+            yield f"{name} is not what its scene says"
+    elif isinstance(own, Sequence) and not isinstance(own, str):
+        if not isinstance(stated, Sequence) or len(stated) != len(own):
+            yield f"{name} has other items than its scene"
+            return
+        for one, other in zip(stated, own, strict=True):
+            yield from _different(name, one, other)
+    elif isinstance(own, float) and isinstance(stated, int | float):
+        if not np.isclose(stated, own, rtol=SAME, atol=0):
+            yield f"{name} is {stated:g}, its scene says {own:g}"
+    elif stated != own:
+        yield f"{name} is {stated!r}, its scene says {own!r}"
