@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from controller.sim.open_loop import Sensed, play_still
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -14,7 +13,7 @@ from controller.sim.sensors import SEED_SENSORS
 from controller.sim.simulated_tap import Struck, strike_real
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import device_of
-from controller.sim.user import TapUser
+from controller.sim.user import StillHand, TapUser
 from seed.plots import REFERENCE, logarithmic
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
@@ -30,13 +29,20 @@ SETTLED_S = 0.3  # of silence after a sweep, in which the response to it dies aw
 
 def swept(
     scene: Scene, grip_N: float, low_Hz: float, high_Hz: float, duration_s: float, amplitude_A: float
-) -> tuple[Signal, Sensed]:
-    """A sweep of the command while the device is held still, and what the sensors read."""
+) -> tuple[Signal, Signal, Signal]:
+    """A sweep of the command while the device is held still, and the sensors' current [A] and acceleration [m/s^2]."""
     dt_s = scene.time.dt_s
     sweep = sweep_command(low_Hz, high_Hz, duration_s, amplitude_A, dt_s)
     command = np.concatenate([sweep, np.zeros(round(SETTLED_S / dt_s))])
-    sensed = play_still(device_of(scene), grip_N, command, dt_s, imperfections=AS_BUILT, seed=1)
-    return Signal(0.0, dt_s, command), sensed
+    # The hand rests, so the linear flow is exact over any step.
+    simulator = Simulator(device_of(scene), StillHand(grip_N), dt_s, imperfections=AS_BUILT, seed=1, steps=1)
+    read = np.empty((2, command.size))
+    for k, each in enumerate(command.tolist()):
+        said = simulator.readings()
+        read[:, k] = said.current_A, said.acceleration_m_s2
+        simulator.advance(each)
+    current, acceleration = (Signal(0.0, dt_s, values) for values in read)
+    return Signal(0.0, dt_s, command), current, acceleration
 
 
 # ------------------------------------------------------------------------------------------------ Fig. 1
@@ -101,8 +107,8 @@ LOUD_A, QUIET_A = 2.0, 0.1  # the crossover's dead band is 0.01 A
 
 def amplifier_fit(scene: Scene, amplitude_A: float) -> AmplifierFit:
     """Pole, delay, gain and dead band of the simulated amplifier, from a sweep and its current monitor."""
-    command, sensed = swept(scene, 3.0, *AMPLIFIER_HZ, AMPLIFIER_S, amplitude_A)
-    return fit_amplifier([Trial(f"{amplitude_A:g} A", command, replace(command, values=sensed.current_A))])
+    command, current, _ = swept(scene, 3.0, *AMPLIFIER_HZ, AMPLIFIER_S, amplitude_A)
+    return fit_amplifier([Trial(f"{amplitude_A:g} A", command, current)])
 
 
 def amplifier_figure(scene: Scene, amplifier: Amplifier, fits: dict[float, AmplifierFit]) -> Figure:
@@ -168,11 +174,20 @@ SHOWN_HZ = (1.0, 1000.0)
 
 def sweep_response(scene: Scene, grip_N: float, duration_s: float) -> TransferEstimate:
     """Acceleration per current [m/s^2/A] from a sweep, the accelerometer's known pole taken out."""
-    command, sensed = swept(scene, grip_N, *SWEEP_HZ, duration_s, SWEEP_A)
-    current, acceleration = (replace(command, values=v) for v in (sensed.current_A, sensed.acceleration_m_s2))
-    found = estimate_transfer([Trial("sweep", current, acceleration)], band_Hz=SHOWN_HZ)
-    behind_pole = 1 / (1 + 1j * found.frequencies_Hz / SEED_SENSORS.accelerometer_bandwidth_Hz)
-    return replace(found, response=found.response / behind_pole)
+    _, current, acceleration = swept(scene, grip_N, *SWEEP_HZ, duration_s, SWEEP_A)
+    found = estimate_transfer([Trial("sweep", current, acceleration)])
+    shown = found.frequencies_Hz <= SHOWN_HZ[1]
+    frequencies = found.frequencies_Hz[shown]
+    behind_pole = 1 / (1 + 1j * frequencies / SEED_SENSORS.accelerometer_bandwidth_Hz)
+    return replace(
+        found,
+        frequencies_Hz=frequencies,
+        response=found.response[shown] / behind_pole,
+        deviation=found.deviation[shown],
+        degrees=found.degrees[shown],
+        coherence=found.coherence[shown],
+        trial_responses=found.trial_responses[:, shown],
+    )
 
 
 def deviation(scene: Scene, grip_N: float, found: TransferEstimate, from_Hz: float) -> tuple[float, float]:
