@@ -30,7 +30,7 @@ SETTLED_S = 0.3  # of silence after a sweep, in which the response to it dies aw
 def swept(
     scene: Scene, grip_N: float, low_Hz: float, high_Hz: float, duration_s: float, amplitude_A: float
 ) -> tuple[Signal, Signal, Signal]:
-    """A sweep of the command while the device is held still, and the sensors' current [A] and acceleration [m/s^2]."""
+    """A sweep while the device is held still: the command, and the sensors' current and acceleration, in SI."""
     dt_s = scene.time.dt_s
     sweep = sweep_command(low_Hz, high_Hz, duration_s, amplitude_A, dt_s)
     command = np.concatenate([sweep, np.zeros(round(SETTLED_S / dt_s))])
