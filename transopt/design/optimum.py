@@ -102,7 +102,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
 def _explained(designed: Designed, options: SolverOptions) -> Designed:
     """With the reason, if there is no answer because no command meets all limits."""
     problem, answer = designed.problem, designed.solution
-    if designed.remarks or designed.is_proven:
+    if designed.remarks or designed.is_proven or options.brief:
         return designed
     small = leave_out(problem).problem
     rounding = _rounding(problem, answer)

@@ -239,6 +239,11 @@ class Limit(ABC):
         """Unit of its violations and of its multipliers' inverse, which a step per tick has without the tick."""
         return cls.step_unit.removesuffix("/tick")
 
+    @classmethod
+    def relieved_by(cls) -> Mapping[str, bool]:
+        """Dotted keys of a scene whose change gives more room -> whether upwards."""
+        return {f"limits.{cls.key}": True} if cls.key else {}
+
     @property
     def room(self) -> float:
         """How much of it there is to use, of which steps are shares."""

@@ -72,6 +72,11 @@ class TemperatureLimit(Limit):
         budget = leaning(setting.budget, setting.wall, setting.grid, setting.reference_m_s2)
         return temperature_limit(setting.coil, amplifier, setting.grid, budget)
 
+    @classmethod
+    def relieved_by(cls) -> Mapping[str, bool]:
+        cooler = ("start_winding_C", "start_housing_C", "ambient_C", "idle_A", "tap_rate_Hz")
+        return {"thermal.headroom_K": True, **{f"thermal.{key}": False for key in cooler}}
+
     def wider(self, factor: float) -> Self:
         """With kelvins in proportion to what is left of them."""
         rise = (factor - 1) * max(float(self.model.headroom_K.max()), 1.0)
