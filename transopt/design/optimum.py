@@ -193,10 +193,9 @@ def _hand_over_excess(problem: TransientProblem) -> str:
     current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
     if current <= limit:
         return ""
-    allowed = limit * wall.wall.force_per_current_N_A / deepest
     return (
         f"hand-over: K_p z / k_f = {current:.3g} A at {deepest * 1e3:.3g} mm below the surface, where the reference "
-        f"goes, limit {limit:g} A; {np.floor(allowed) if allowed >= 1 else allowed * 0.999:.6g} N/m would do"
+        f"goes, limit {limit:g} A"
     )
 
 

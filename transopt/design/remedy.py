@@ -1,22 +1,23 @@
-"""What would do where an entry is refused: other numbers in the scene, each tried before it is named.
+"""What would do for a refused entry: other numbers in its scene, with which it is solved before they are named.
 
-That a number would do is said only of one with which the entry has been solved, certified and replayed, rounded as it
-is printed. No bound is enough for that: at the least value that a linear program finds, what is feasible is a single
-command, which no method finds and no replay keeps; and a wall that asks for less at one depth pushes the stylus to
-another. Where nothing did, it is said what was tried and how far it went.
+A bound is not enough for that. At the least width of a limit that a linear program finds, what is feasible is a
+single command, which no method finds and no replay keeps; and a softer wall that asks for less at one depth lets the
+stylus go to another. So every proposal is solved, certified and replayed, rounded as it is printed. Where none does,
+it is said what was tried and how far it went.
 """
 
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.design.entry import replayed
-from transopt.design.optimum import Designed, optimum
+from transopt.design.explain import Change, Remedy
+from transopt.design.optimum import optimum
 from transopt.design.verify import admit
 from transopt.problem.answer import Status
 from transopt.problem.limits.current import CurrentLimit
@@ -27,24 +28,28 @@ from transopt.solvers.options import SolverOptions, TrialOptions
 
 MOST_S = 5.0  # of a processor's time for the trials of one entry; the one that runs then is the last
 LONGEST = 4.0  # times that by the clock, on a machine that is busy with other things
+MOST_ITERATIONS = 100  # of a trial: what is feasible takes a tenth of it
 DIGITS = 3  # of what is proposed
-OVER = 1.03  # times what was reached over a limit: what is tried first
+TENTHS = 10  # of a kelvin, in which temperatures are
+OVER = 1.03  # times what a refused answer reached of a limit: what is tried first
 NEAR = 1.1  # a strength that does, over one that does not: close enough
-# By how much a number is changed, one after the other: which is the least that does is found by bisection.
+# By how much numbers are changed; which is the least that does is found by bisection.
 STRENGTHS = (1.02, 1.1, 1.4, 2.5, 10.0, 100.0, 1e4, 1e6, 1e9)
-SHORTER = (2.0, 4.0, 8.0)  # times the servo periods in the same window
-COLD_C = 0.0  # no coil is asked to be colder
+SHORTER = (2.0, 4.0, 8.0)  # times as many servo periods in the same window
+STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the command's movement
+COLD_C = 0.0  # nothing around a coil is asked to be colder
 
+CURRENT, RHO = f"limits.{CurrentLimit.key}", "weights.rho"
 STIFFNESS, DAMPING, LATENCY = "feedback.stiffness_N_m", "feedback.damping_N_s_m", "feedback.latency_ticks"
-CURRENT = f"limits.{CurrentLimit.key}"
+FEEDBACK, TAP_RATE = "feedback", "thermal.tap_rate_Hz"
 PERIOD, STAGES = "time.dt_s", "time.stages"
-TAP_RATE, FEEDBACK = "thermal.tap_rate_Hz", "feedback"
+AMBIENT = "thermal.ambient_C"
+COOLED = ("thermal.start_winding_C", "thermal.start_housing_C", AMBIENT)
 MOTOR = ("motor.R_wh_K_W", "motor.R_ha_K_W")  # of another one, where nothing else does
 COUNTED = (LATENCY, STAGES)
 
-CAUSES_KNOWN = (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL)  # no shorter servo period helps
-
 Values = Mapping[str, float | None]
+Move = tuple[str, bool]  # a key, and whether its number goes up
 
 
 class Adjustable(Protocol):
@@ -62,67 +67,21 @@ class Adjustable(Protocol):
         """
 
 
-@dataclass(frozen=True)
-class Change:
-    """One number of a scene: its dotted key, its new value, None for none, and its unit."""
-
-    key: str
-    value: float | None
-    unit: str
-
-    def __str__(self) -> str:
-        return f"no {self.key}" if self.value is None else f"{self.key} = {self.value:.10g} {self.unit}".rstrip()
-
-
-@dataclass(frozen=True)
-class Remedy:
-    """Numbers that together make an entry possible, or were meant to.
-
-    Attributes
-    ----------
-    changes : at least one.
-    solved : whether the entry with exactly these was solved, certified and replayed; if not, they are the farthest
-        that was tried.
-    """
-
-    changes: tuple[Change, ...]
-    solved: bool
-
-    def __str__(self) -> str:
-        return " and ".join(map(str, self.changes))
-
-    @property
-    def values(self) -> Values:
-        """Key -> value."""
-        return {change.key: change.value for change in self.changes}
-
-
-def said(remedies: Sequence[Remedy]) -> str:
-    """What would do, or what was tried in vain, in one sentence."""
-    solved = [str(remedy) for remedy in remedies if remedy.solved]
-    if solved:
-        return f"{' or '.join(solved)} would do"
-    tried = ", ".join(str(remedy) for remedy in remedies)
-    return f"tried in vain, as far as {tried}" if tried else "nothing was found to try"
-
-
 def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
     """Whether the entry with these numbers is solved, certified and replayed clean, by the wanted solver alone."""
-    with np.errstate(over="ignore", invalid="ignore"):  # far from what is usual
+    trial = TrialOptions(options.solver, options.tolerance, min(options.max_iterations, MOST_ITERATIONS))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails
         try:
             problem = entry.problem(changes)
         except InputError:
             return False
-        designed = optimum(problem, TrialOptions(options.solver, options.tolerance, options.max_iterations))
+        designed = optimum(problem, trial)
         if not designed.is_proven:
             return False
-        coil = None if problem.thermal is None else problem.thermal.coil
-        (played,) = replayed(coil, [designed])
-        command = designed.solution.command_A
+        (played,) = replayed(None if problem.thermal is None else problem.thermal.coil, [designed])
+        answer, command = designed.solution, designed.solution.command_A
         predicted, _ = problem.stage.rollout(command)
-        status, _ = admit(
-            designed.solution.status, designed.certificate, played, designed.problem, command, predicted
-        )
+        status, _ = admit(answer.status, designed.certificate, played, designed.problem, command, predicted)
     return status is Status.OPTIMAL
 
 
@@ -132,15 +91,15 @@ class _Way:
 
     Attributes
     ----------
-    at : strength > 1 -> the numbers, rounded as they are printed, in the direction of the change.
-    strengths : increasing.
-    begins_at_hint : whether the excess of the refused answer tells where to begin.
+    at : strength -> the numbers, rounded as they are printed, away from where they come from.
+    strengths : increasing, the first above 1.
+    guided : whether the excess of the refused answer tells where to begin.
     vanishes : whether next to nothing is left of the numbers at the largest strength.
     """
 
     at: Callable[[float], Values]
     strengths: tuple[float, ...] = STRENGTHS
-    begins_at_hint: bool = True
+    guided: bool = True
     vanishes: bool = False
 
 
@@ -151,7 +110,8 @@ class _Search:
     Attributes
     ----------
     hint : the strength to begin with, if it is above 1.
-    known : what did and what did not.
+    known : numbers -> whether they did.
+    started_s : on the processor's clock, and on that of the wall.
     """
 
     entry: Adjustable
@@ -163,21 +123,19 @@ class _Search:
 
     @property
     def late(self) -> bool:
-        busy_s, by_clock_s = self.started_s
-        return (
-            time.process_time() - busy_s > self.most_s or time.monotonic() - by_clock_s > LONGEST * self.most_s
-        )
+        busy_s, passed_s = time.process_time() - self.started_s[0], time.monotonic() - self.started_s[1]
+        return busy_s > self.most_s or passed_s > LONGEST * self.most_s
 
     def does(self, values: Values) -> bool:
         key = tuple(values.items())
         if key not in self.known:
-            self.known[key] = not self.late and does(self.entry, values, self.options)
+            self.known[key] = does(self.entry, values, self.options)
         return self.known[key]
 
     def best(self, way: _Way) -> Remedy:
         """The least change that does, nearly; or the farthest that was tried."""
         strengths = way.strengths
-        if way.begins_at_hint and self.hint > 1:
+        if way.guided and self.hint > 1:
             strengths = tuple(sorted({*strengths, self.hint}))
         low, high, farthest = -1, len(strengths), 0
         middle = strengths.index(self.hint) if self.hint in strengths else high // 2
@@ -205,26 +163,28 @@ class _Search:
 
 def remedies(
     entry: Adjustable,
-    designed: Designed,
+    problem: TransientProblem,
     played: Replay,
     status: Status,
     options: SolverOptions,
+    *,
     most_s: float = MOST_S,
 ) -> list[Remedy]:
     """What would do for an entry that is refused: one number changed or, if none helps, several together.
 
     Parameters
     ----------
-    designed, played : the entry's refused answer and its replay. status : how it ended. most_s : for all trials.
+    problem, played, status : of the refused answer: what it had to meet, its replay, how it ended.
+    most_s : of a processor's time for all trials.
 
     Returns
     -------
     Those that do, if there are any; else those that were tried, each as far as it went.
     """
-    search = _Search(entry, options, most_s, _excess(designed.problem, played, status))
+    search = _Search(entry, options, most_s, _excess(problem, played, status))
     tried: list[Remedy] = []
-    for ways in _ways(entry, designed.problem, status):
-        found = [search.best(way) for way in ways if not search.late]
+    for ways in _ways(entry, problem, status):
+        found = [search.best(way) for way in ways if way.strengths and not search.late]
         solved = [remedy for remedy in found if remedy.solved]
         if solved:
             return solved
@@ -233,87 +193,88 @@ def remedies(
 
 
 def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
-    """How many times a limit, and a little more, a refused answer's replay reached; 1 where that means nothing."""
+    """How many times a limit, and a little more, a refused answer's replay reached; 0 where that means nothing."""
     if status is Status.INFEASIBLE:
-        return 1.0
+        return 0.0
     reached = [played.peak(limit) / limit.stated for limit in problem.limits if limit.linear]
     return OVER * max((by for by in reached if by < STRENGTHS[-1]), default=0.0)
 
 
 def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Iterator[list[_Way]]:
     """What may help, the simplest first; each list is tried as a whole."""
-    hopeless = [limit for limit in problem.limits if limit.unavoidable(problem)]
-    helped = [pair for limit in hopeless or problem.limits for pair in limit.relieved_by().items()]
-    wider = [(key, up) for key, up in helped if _movable(entry, key)]
-    softer = [(key, False) for key in (STIFFNESS, DAMPING, LATENCY) if _movable(entry, key)]
+
+    def movable(moves: Sequence[Move]) -> list[Move]:
+        return [(key, up) for key, up in moves if _is_movable(entry, key)]
+
     if status is Status.PRECISION:
-        yield [_way(entry, [(CURRENT, False)])]
+        yield [_way(entry, [(CURRENT, False)]), _steadier(entry)]
+        yield [_shortened(entry)]
         return
+    hopeless = [limit for limit in problem.limits if limit.unavoidable(problem)]
+    wider = movable([move for limit in hopeless or problem.limits for move in limit.relieved_by().items()])
+    softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
     if status is Status.UNSTABLE_WALL:
         wider = []
     if hopeless:
         softer = []
-    yield [_way(entry, [pair]) for pair in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
-    rising = [pair for pair in wider if pair[1]]
-    firm = [pair for pair in softer if pair[0] != LATENCY]
-    yield [_way(entry, pairs) for pairs in (rising, firm) if len(pairs) > 1]
-    if status not in CAUSES_KNOWN:
+    yield [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
+    rising = [move for move in wider if move[1]]
+    both = [move for move in softer if move[0] != LATENCY]
+    yield [_way(entry, moves) for moves in (rising, both) if len(moves) > 1]
+    if status not in (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL):
         yield [_finer(entry)]
-    optional = {key for key, up in rising if key.startswith("limits.") and key != CURRENT}
-    gone = [key for key in (*sorted(optional), TAP_RATE) if entry.value(key) is not None]
-    gone += [FEEDBACK] if entry.value(STIFFNESS) is not None else []
-    yield [_way(entry, [], [key]) for key in gone]
+    needless = [key for limit in problem.limits if (key := limit.dispensed_by())]
+    needless += [TAP_RATE] if entry.value(TAP_RATE) is not None else []
+    gone = [*needless, *([FEEDBACK] if entry.value(STIFFNESS) is not None else [])]
+    yield [_without(key) for key in gone]
     if len(gone) > 1:
-        yield [_way(entry, [], gone)]
-    everything = [pair for limit in problem.limits for pair in limit.relieved_by().items()]
-    kept = [(key, up) for key, up in everything if key not in gone and _movable(entry, key)]
-    colder = [pair for pair in kept if not pair[1]]
-    if colder:
-        yield [_way(entry, colder, gone)]
-    yield [_way(entry, kept, gone)]
+        yield [_without(*gone)]
+    everything = [move for limit in problem.limits for move in limit.relieved_by().items() if move[0] not in gone]
+    kept = movable(everything)
+    falling = [move for move in kept if not move[1]]
+    yield [_way(entry, moves, gone) for moves in (falling, kept) if moves]
     if problem.thermal is not None:
-        yield [_way(entry, [(key, False) for key in MOTOR], gone)]
-
-
-COOLED = ("thermal.start_winding_C", "thermal.start_housing_C", "thermal.ambient_C")
+        yield [_way(entry, movable([(key, False) for key in MOTOR]), gone)]
 
 
 def _coldest_C(entry: Adjustable, key: str) -> float:
     """A coil cools to what is around it, and that to nothing unusual."""
-    ambient = entry.value(COOLED[-1])
-    return COLD_C if key == COOLED[-1] or ambient is None else ambient
+    ambient = entry.value(AMBIENT)
+    return COLD_C if key == AMBIENT or ambient is None else ambient
 
 
-def _movable(entry: Adjustable, key: str) -> bool:
+def _is_movable(entry: Adjustable, key: str) -> bool:
     """Whether a number stands there, and not at its end."""
     stated = entry.value(key)
     return stated is not None and stated > (_coldest_C(entry, key) if key in COOLED else 0.0)
 
 
-def _way(entry: Adjustable, pairs: Sequence[tuple[str, bool]], gone: Sequence[str] = ()) -> _Way:
-    """All of these keys, each with whether it goes up, by the same factor; a temperature by its distance.
+def _way(entry: Adjustable, moves: Sequence[Move], gone: Sequence[str] = ()) -> _Way:
+    """All of these numbers by the same factor, a temperature by its distance from the coldest it may be.
 
     Parameters
     ----------
-    gone : what is left out besides.
+    gone : keys that are left out besides.
     """
-    stated = {key: entry.value(key) or 0.0 for key, _ in pairs}
+    stated = {key: entry.value(key) or 0.0 for key, _ in moves}
 
     def at(strength: float) -> Values:
         values: dict[str, float | None] = dict.fromkeys(gone)
-        for key, up in pairs:
+        for key, up in moves:
             if key in COOLED:
                 cold = _coldest_C(entry, key)
-                values[key] = math.floor(10 * (cold + (stated[key] - cold) / strength)) / 10
+                values[key] = math.floor(TENTHS * (cold + (stated[key] - cold) / strength)) / TENTHS
             elif key in COUNTED:
                 values[key] = float(math.floor(stated[key] / strength))
             else:
                 values[key] = _rounded(stated[key] * strength if up else stated[key] / strength, up)
         return values
 
-    if not pairs:
-        return _Way(at, (1.0,), begins_at_hint=False)
-    return _Way(at, vanishes=not any(up for _, up in pairs))
+    return _Way(at, vanishes=not any(up for _, up in moves))
+
+
+def _without(*keys: str) -> _Way:
+    return _Way(lambda _: dict.fromkeys(keys), (1.0,), guided=False)
 
 
 def _finer(entry: Adjustable) -> _Way:
@@ -323,7 +284,19 @@ def _finer(entry: Adjustable) -> _Way:
     def at(strength: float) -> Values:
         return {PERIOD: float(f"{period_s / strength:.6g}"), STAGES: float(round(stages * strength))}
 
-    return _Way(at, SHORTER, begins_at_hint=False)
+    return _Way(at, SHORTER, guided=False)
+
+
+def _shortened(entry: Adjustable) -> _Way:
+    """A shorter window."""
+    stages = entry.value(STAGES) or 0.0
+    return _Way(lambda strength: {STAGES: float(max(math.floor(stages / strength), 2))}, SHORTER, guided=False)
+
+
+def _steadier(entry: Adjustable) -> _Way:
+    """A larger weight of the command's movement."""
+    stated = entry.value(RHO) or 0.0
+    return _Way(lambda rho: {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
 
 
 def _rounded(value: float, up: bool) -> float:
