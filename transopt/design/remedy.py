@@ -110,21 +110,49 @@ class _Search:
     Attributes
     ----------
     hint : the strength to begin with, if it is above 1.
+    most_s : of a processor's time for all.
+    until_s : when the present list of ways has had its share of it, on the processor's clock and on that of the wall.
     known : numbers -> whether they did.
-    started_s : on the processor's clock, and on that of the wall.
+    began_s : on the processor's clock.
     """
 
     entry: Adjustable
     options: SolverOptions
-    most_s: float
     hint: float
+    most_s: float
+    until_s: tuple[float, float] = (0.0, 0.0)
     known: dict[tuple[tuple[str, float | None], ...], bool] = field(default_factory=dict)
-    started_s: tuple[float, float] = field(default_factory=lambda: (time.process_time(), time.monotonic()))
+    began_s: float = field(default_factory=time.process_time)
+
+    def begin(self) -> None:
+        """Another list of ways: it may take half of what is left, so that something is left for the next."""
+        now_s, by_clock_s = time.process_time(), time.monotonic()
+        share_s = (self.most_s - (now_s - self.began_s)) / 2
+        self.until_s = (now_s + share_s, by_clock_s + LONGEST * share_s)
 
     @property
     def late(self) -> bool:
-        busy_s, passed_s = time.process_time() - self.started_s[0], time.monotonic() - self.started_s[1]
-        return busy_s > self.most_s or passed_s > LONGEST * self.most_s
+        return time.process_time() > self.until_s[0] or time.monotonic() > self.until_s[1]
+
+    def tried(self, ways: Sequence[_Way]) -> list[Remedy]:
+        """The best of each way, the ways first that do at once; one at least is tried."""
+        at_once = [way for way in ways if not self.late and self.does(way.at(self.first(way)))]
+        others = [way for way in ways if way not in at_once]
+        return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
+
+    def strengths(self, way: _Way) -> tuple[float, ...]:
+        """Of a way, that of the excess among them."""
+        if way.guided and self.hint > 1:
+            return tuple(sorted({*way.strengths, self.hint}))
+        return way.strengths
+
+    def first(self, way: _Way) -> float:
+        """The strength that a search begins with."""
+        strengths = self.strengths(way)
+        return self.hint if self.hint in strengths else strengths[len(strengths) // 2]
+
+    def __contains__(self, values: Values) -> bool:
+        return tuple(values.items()) in self.known
 
     def does(self, values: Values) -> bool:
         key = tuple(values.items())
@@ -134,12 +162,10 @@ class _Search:
 
     def best(self, way: _Way) -> Remedy:
         """The least change that does, nearly; or the farthest that was tried."""
-        strengths = way.strengths
-        if way.guided and self.hint > 1:
-            strengths = tuple(sorted({*strengths, self.hint}))
-        low, high, farthest = -1, len(strengths), 0
-        middle = strengths.index(self.hint) if self.hint in strengths else high // 2
-        while high - low > 1 and not self.late:
+        strengths = self.strengths(way)
+        middle = strengths.index(self.first(way))
+        low, high, farthest = -1, len(strengths), middle
+        while high - low > 1 and (low < 0 or way.at(strengths[middle]) in self or not self.late):
             farthest = max(farthest, middle)
             if self.does(way.at(strengths[middle])):
                 high = middle
@@ -181,10 +207,11 @@ def remedies(
     -------
     Those that do, if there are any; else those that were tried, each as far as it went.
     """
-    search = _Search(entry, options, most_s, _excess(problem, played, status))
+    search = _Search(entry, options, _excess(problem, played, status), most_s)
     tried: list[Remedy] = []
     for ways in _ways(entry, problem, status):
-        found = [search.best(way) for way in ways if way.strengths and not search.late]
+        search.begin()
+        found = search.tried([way for way in ways if way.strengths])
         solved = [remedy for remedy in found if remedy.solved]
         if solved:
             return solved
@@ -211,10 +238,13 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Itera
         yield [_shortened(entry)]
         return
     hopeless = [limit for limit in problem.limits if limit.unavoidable(problem)]
-    wider = movable([move for limit in hopeless or problem.limits for move in limit.relieved_by().items()])
-    softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
+    blamed = list(hopeless or problem.limits)
+    if status is Status.HAND_OVER:
+        blamed = [limit for limit in blamed if limit.linear]
     if status is Status.UNSTABLE_WALL:
-        wider = []
+        blamed = []
+    wider = movable([move for limit in blamed for move in limit.relieved_by().items()])
+    softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
     if hopeless:
         softer = []
     yield [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
