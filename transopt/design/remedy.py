@@ -27,7 +27,7 @@ from transopt.scene.keys import unit_of
 from transopt.solvers.options import SolverOptions, TrialOptions
 
 MOST_S = 5.0  # of a processor's time for the trials of one entry; the one that runs then is the last
-LONGEST = 4.0  # times that by the clock, on a machine that is busy with other things
+LONGEST = 5.0  # times that by the clock, on a machine that is busy with other things
 MOST_ITERATIONS = 100  # of a trial: what is feasible takes a tenth of it
 DIGITS = 3  # of what is proposed
 TENTHS = 10  # of a kelvin, in which temperatures are
@@ -111,28 +111,31 @@ class _Search:
     ----------
     hint : the strength to begin with, if it is above 1.
     most_s : of a processor's time for all.
-    until_s : when the present list of ways has had its share of it, on the processor's clock and on that of the wall.
+    until_s : when the present list of ways has had its share of it.
     known : numbers -> whether they did.
-    began_s : on the processor's clock.
+    began_s : on the processor's clock, and on that of the wall.
     """
 
     entry: Adjustable
     options: SolverOptions
     hint: float
     most_s: float
-    until_s: tuple[float, float] = (0.0, 0.0)
+    until_s: float = 0.0
     known: dict[tuple[tuple[str, float | None], ...], bool] = field(default_factory=dict)
-    began_s: float = field(default_factory=time.process_time)
+    began_s: tuple[float, float] = field(default_factory=lambda: (time.process_time(), time.monotonic()))
+
+    @property
+    def spent_s(self) -> float:
+        """Of `most_s`; a machine that is busy with other things counts by the clock, too."""
+        return max(time.process_time() - self.began_s[0], (time.monotonic() - self.began_s[1]) / LONGEST)
 
     def begin(self) -> None:
         """Another list of ways: it may take half of what is left, so that something is left for the next."""
-        now_s, by_clock_s = time.process_time(), time.monotonic()
-        share_s = (self.most_s - (now_s - self.began_s)) / 2
-        self.until_s = (now_s + share_s, by_clock_s + LONGEST * share_s)
+        self.until_s = (self.spent_s + self.most_s) / 2
 
     @property
     def late(self) -> bool:
-        return time.process_time() > self.until_s[0] or time.monotonic() > self.until_s[1]
+        return self.spent_s > self.until_s
 
     def tried(self, ways: Sequence[_Way]) -> list[Remedy]:
         """The best of each way, the ways first that do at once; one at least is tried."""
