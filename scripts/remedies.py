@@ -45,6 +45,7 @@ from transopt.solvers.options import SolverOptions
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 STATED = re.compile(r"(?:no (?P<gone>[\w.]+))|(?:(?P<key>[\w.]+) = (?P<value>\S+))")
+EVERY = 100  # places, of a line that says how far it is
 CURRENTS_A = (0.2, 0.3, 0.5, 0.8, 1.25, 2.0, 4.0)
 STIFFNESSES_N_M = (50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
 
@@ -243,7 +244,9 @@ def campaign(places: Sequence[Place], jobs: int) -> tuple[list[Refusal], list[st
         return [refusal for place in places for refusal in refusals(place)], broken
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         names = {pool.submit(refusals, place): place.name for place in places}
-        for done in as_completed(names):
+        for count, done in enumerate(as_completed(names), 1):
+            if count % EVERY == 0:
+                print(f"{count} of {len(places)} places, {len(found)} refusals", file=sys.stderr, flush=True)
             try:
                 found += done.result()
             except Exception as error:  # the others go on

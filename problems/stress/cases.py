@@ -291,6 +291,7 @@ class StressCase:
         numbers: dict[str, Any] = {
             "time.dt_s": horizon.dt_s,
             "time.stages": horizon.stages,
+            "weights.rho": self.demand.rho,
             "limits.current_A": current.limit_A,
             "limits.slew_A_per_s": None if current.slew is None else current.slew * current.limit_A / horizon.dt_s,
             "limits.supply_V": None if current.supply is None else current.supply * R_OHM * current.limit_A,
@@ -376,7 +377,7 @@ class StressCase:
             grid=grid,
             reference_m_s2=reference,
             tracking_weights=self.demand.tracking(N),
-            rho=self.demand.rho,
+            rho=numbers["weights.rho"],
             limits=posed({"current_A": asked["current_A"]}, replace(setting, coil=None)),
             hand_over_samples=self.horizon.hand_over,
             wall=wall,
