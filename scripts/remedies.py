@@ -21,6 +21,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Place:
     name: str
     case: StressCase | None = None
     scene: str = ""
-    values: Values = field(default_factory=dict)
+    values: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -178,18 +179,19 @@ def stress(seed: int, count: int) -> list[Place]:
     return [Place(f"seed {seed}, case {index}", drawn(seed, index)) for index in range(count)]
 
 
-def _scene(name: str, values: Values) -> Place:
+def _scene(name: str, values: Values, grid: Mapping[str, list[float]] | None = None) -> Place:
     said = ", ".join(f"no {key}" if value is None else f"{key} {value:g}" for key, value in values.items())
-    return Place(f"{name} with {said}", scene=name, values=values)
+    return Place(f"{name} with {said}", scene=name, values={**values, **(grid or {})})
 
 
 def few_scenes() -> list[Place]:
-    """One of each kind."""
+    """One of each kind, with one entry each."""
+    one = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
     return [
-        _scene("walled", {"feedback.stiffness_N_m": 500.0, "limits.current_A": 0.5}),
-        _scene("low_supply", {"limits.supply_V": 0.3}),
-        _scene("hot_coil", {"thermal.headroom_K": 1e-6}),
-        _scene("low_supply", {"limits.stroke_m": 1e-4}),
+        _scene("walled", {"feedback.stiffness_N_m": 500.0, "limits.current_A": 0.5}, one),
+        _scene("low_supply", {"limits.supply_V": 0.3}, one),
+        _scene("hot_coil", {"thermal.headroom_K": 1e-6}, one),
+        _scene("low_supply", {"limits.stroke_m": 1e-4}, one),
     ]
 
 

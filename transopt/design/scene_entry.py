@@ -6,7 +6,7 @@ from time import process_time
 
 from transopt.base.errors import InputError
 from transopt.design.entry import Entry, entry_problem, scene_stage, spread_stages
-from transopt.design.explain import Remedy, what_would_do
+from transopt.design.explain import Change, Remedy, what_would_do
 from transopt.design.remedy import CURRENT, MOST_S, MOTOR, Values, does, remedies
 from transopt.problem.answer import Status
 from transopt.problem.limits.own import OwnLimit
@@ -17,6 +17,7 @@ from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
 MOST_OF_A_LIBRARY_S = 30.0  # of a processor's time for the trials of all entries
+BETA = "limits.beta"
 OWN = f"limits.{OwnLimit.key}"
 COIL = ("thermal.", *MOTOR)  # what only a scene with a motor of its own coil looks at
 
@@ -87,7 +88,15 @@ def with_remedies(
         own = [remedy for remedy in found.values() if does(posed, remedy.values, options)]
         if not own:
             own = remedies(posed, entry.problem, entry.played, entry.status, options, most_s=min(MOST_S, left_s))
+        own = [_in_place_of_beta(scene, remedy) for remedy in own]
         found.update({str(remedy): remedy for remedy in own if remedy.solved})
         return replace(entry, remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
 
     return [[tried(entry, reference) for entry in row] for row, reference in zip(entries, references, strict=True)]
+
+
+def _in_place_of_beta(scene: Scene, remedy: Remedy) -> Remedy:
+    """The same for a scene that states its limit on the current by beta, which then has to go."""
+    if scene.limits.beta is None or CURRENT not in remedy.values or BETA in remedy.values:
+        return remedy
+    return replace(remedy, changes=(*remedy.changes, Change(BETA, None, "")))

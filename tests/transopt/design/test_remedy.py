@@ -33,6 +33,7 @@ STARVED = StressCase("rail", current=Current(supply=0.01, limit_A=1.0), horizon=
 LEANT_ON = StressCase("wall", current=Current(limit_A=0.1), horizon=SHORT, surface=Surface(2000.0))
 WARM = drawn(31337, 834)  # a coil that starts so near its limit that the ripple alone is too much
 OPTIONS = SolverOptions()
+ONE_ENTRY = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
 
 
 def refused(case: StressCase) -> tuple[Status, list[Remedy]]:
@@ -205,6 +206,19 @@ class TestOfAScene:
                 changed, grip_N, build_references(chosen, [0.4], low.time_grid(), low.recordings), OPTIONS
             )
             assert entry.status is Status.OPTIMAL
+
+
+def test_a_current_takes_the_place_of_a_beta(scene: Scene, taps: list[Recording]) -> None:
+    wall = {"stiffness_N_m": 500.0, "damping_N_s_m": 0.2}
+    weak = with_values(scene, {"limits.beta": 1.0, "limits.steady_current_A": 0.5, "feedback": wall, **ONE_ENTRY})
+    chosen = [tap for tap in taps if tap.speed_m_s is None or tap.speed_m_s > 0.35]
+    (entry,) = build_library(weak, chosen).refused
+    (stated,) = [each for each in entry.remedies if "limits.current_A" in each.values]
+    assert stated.solved
+    assert stated.values["limits.beta"] is None
+    assert "limits.current_A = " in entry.shortfalls[-1]
+    assert " A and no limits.beta" in entry.shortfalls[-1]
+    assert not build_library(with_values(weak, stated.values), chosen).refused
 
 
 @pytest.mark.parametrize("rate_Hz", [17.0, 50.0, 1e3])
