@@ -190,7 +190,7 @@ def few_scenes() -> list[Place]:
     return [
         _scene("walled", {"feedback.stiffness_N_m": 500.0, "limits.current_A": 0.5}, one),
         _scene("low_supply", {"limits.supply_V": 0.3}, one),
-        _scene("hot_coil", {"thermal.headroom_K": 1e-6}, one),
+        _scene("hot_coil", {"thermal.start_winding_C": 85.0, "thermal.headroom_K": 1e-6}, one),
         _scene("low_supply", {"limits.stroke_m": 1e-4}, one),
     ]
 
@@ -214,7 +214,7 @@ def grid_of_scenes() -> list[Place]:
         for start in (90.0, 99.0, 99.99, 99.9999, 100.0):
             yield _scene("hot_coil", {"thermal.start_winding_C": start, "thermal.headroom_K": None})
         for headroom in (1e-2, 1e-3, 1e-4, 1e-6):
-            yield _scene("hot_coil", {"thermal.headroom_K": headroom})
+            yield _scene("hot_coil", {"thermal.start_winding_C": 85.0, "thermal.headroom_K": headroom})
         for ambient in (60.0, 90.0, 99.99):
             yield _scene("rapid_tapping", {"thermal.ambient_C": ambient})
         for idle in (0.5, 1.0, 2.0, 4.0):
