@@ -17,6 +17,7 @@ from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Method, bank, currents, norms
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.writing import rounded_down
 from transopt.library.library import Library
 from transopt.library.proven import load_proven
 from transopt.scene.scene import Scene
@@ -139,7 +140,7 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
     if room < N:
         raise InputError(
             f"sweep: {N * s.dt_s:g} s at {1e-3 / s.dt_s:g} kHz are {N} samples, the device holds {room}: "
-            f"--seconds {room * s.dt_s:g} would fit"
+            f"--seconds {rounded_down(room * s.dt_s, 6):g} would fit"
         )
     current = currents(command_A[None, None], s.amplifier, s.dt_s)
     for what, peak, limit in (

@@ -21,6 +21,7 @@ from controller.protocol.capacity import Capacity
 from controller.waveforms.bank import Bank, Method
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.writing import rounded_down
 
 IMAGE_MAGIC = 0x4D494E54  # "TNIM"
 IMAGE_VERSION = 1
@@ -135,7 +136,8 @@ def too_large(image: bytes, capacity: Capacity) -> str | None:
         advice.append(f"a grid of {speeds} speeds x {grips} grips")
     samples = min(capacity.waveform_samples, capacity.samples // (nv * ng))
     if axes_fit and samples:
-        advice.append(f"{samples} samples ({samples * dt_s * 1e3:.3g} ms, or {samples / (N * dt_s) / 1e3:.3g} kHz)")
+        length_ms, rate_kHz = rounded_down(samples * dt_s * 1e3), rounded_down(samples / (N * dt_s) / 1e3)
+        advice.append(f"{samples} samples ({length_ms:g} ms, or {rate_kHz:g} kHz)")
     return (
         f"library: {nv} speeds x {ng} grips x {N} samples: the device holds {capacity.speeds} x {capacity.grips}, "
         f"{capacity.waveform_samples} samples each, {capacity.samples} in all: "

@@ -5,7 +5,9 @@ is refused here as it is for a user. Directed families are in `problems.stress.f
 `problems.stress.draw`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from transopt.problem.problem import TransientProblem
 
 PEAK_PER_SPEED_1_S = 280.0  # of a tap on wood: 28 m/s^2 at 0.1 m/s
 RING_HZ, RING_DECAY_S = 390.0, 4e-3
+R_OHM = 2.18
 HAND = Hand(
     mass_kg=LinearInGrip(0.01, 0.0),
     skin_stiffness_N_m=LinearInGrip(3000.0, 2000.0),
@@ -209,14 +212,13 @@ class Coil:
         ------
         InputError : values that no coil can have.
         """
-        R_ohm = 2.18
         # The resistance that gives the wanted warming: rise = R i^2 R_wh (1 - exp(-t / tau)).
         share = -np.expm1(-duration_s / self.tau_w_s)
-        R_wh = self.warming * max(abs(self.below_K), 1e-3) / (R_ohm * (limit_A + 0.02) ** 2 * share)
+        R_wh = self.warming * max(abs(self.below_K), 1e-3) / (R_OHM * (limit_A + 0.02) ** 2 * share)
         limit_C = 100.0
         start = limit_C - self.below_K
         return CoilModel(
-            R_ohm=R_ohm,
+            R_ohm=R_OHM,
             R_wh_K_W=R_wh,
             R_ha_K_W=4.5 * R_wh,
             tau_w_s=self.tau_w_s,
@@ -283,57 +285,100 @@ class StressCase:
         delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
         return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay)
 
-    def problem(self) -> TransientProblem:
+    def _numbers(self) -> dict[str, Any]:
+        """Dotted key, as a scene would have it, -> number that the case states."""
+        current, horizon = self.current, self.horizon
+        numbers: dict[str, Any] = {
+            "time.dt_s": horizon.dt_s,
+            "time.stages": horizon.stages,
+            "weights.rho": self.demand.rho,
+            "limits.current_A": current.limit_A,
+            "limits.slew_A_per_s": None if current.slew is None else current.slew * current.limit_A / horizon.dt_s,
+            "limits.supply_V": None if current.supply is None else current.supply * R_OHM * current.limit_A,
+        }
+        if current.pole_Hz is not None:
+            numbers["amplifier.command_limit_A"] = current.command * current.limit_A
+        if self.surface is not None:
+            numbers |= {
+                "feedback.stiffness_N_m": self.surface.stiffness_N_m,
+                "feedback.damping_N_s_m": self.surface.damping_N_s_m,
+                "feedback.latency_ticks": self.surface.latency_ticks,
+            }
+        if self.coil is not None:
+            coil, share = self.coil.model(current.limit_A, horizon.dt_s * horizon.stages), self.coil.tap_share
+            numbers |= {
+                "thermal.start_winding_C": coil.start_winding_C,
+                "thermal.start_housing_C": coil.start_housing_C,
+                "thermal.ambient_C": coil.ambient_C,
+                "motor.R_wh_K_W": coil.R_wh_K_W,
+                "motor.R_ha_K_W": coil.R_ha_K_W,
+                "thermal.tap_rate_Hz": None if share is None else share / (horizon.stages * horizon.dt_s),
+            }
+        return numbers
+
+    def value(self, key: str) -> float | None:
+        """What the case states for a dotted key of a scene; None where it states nothing."""
+        number: float | None = self._numbers().get(key)
+        return number
+
+    def problem(self, changes: Mapping[str, float | None] | None = None) -> TransientProblem:
         """The optimal-control problem of the case.
+
+        Parameters
+        ----------
+        changes : dotted key, as a scene would have it, -> another number; None takes out what stands there. The
+            rest stays as it is, in SI and not in units of what is changed; "feedback" stands for the whole wall.
 
         Raises
         ------
         InputError : a constructor refuses it.
         """
-        grid, current, speed = self.grid(), self.current, self.demand.speed_m_s
+        grid = self.grid()
+        numbers = self._numbers() | dict(changes or {})
+        grid = replace(grid, dt_s=numbers["time.dt_s"], stages=int(numbers["time.stages"]))
+        speed, force_N_A = self.demand.speed_m_s, self.device.force_N_A
         amplifier = None
-        if current.pole_Hz is not None:
-            amplifier = Amplifier(current.pole_Hz, grid.delay_s, current.command * current.limit_A)
+        if self.current.pole_Hz is not None:
+            amplifier = Amplifier(self.current.pole_Hz, grid.delay_s, numbers["amplifier.command_limit_A"])
         plant, N = self.device.plant(), grid.stages
         reference = self.demand.reference(grid)
         wall = None
-        if self.surface is not None:
+        if self.surface is not None and numbers.get("feedback", True) is not None:
             law = Wall(
-                self.surface.stiffness_N_m,
-                self.surface.damping_N_s_m,
-                self.device.force_N_A,
-                self.surface.latency_ticks,
+                numbers["feedback.stiffness_N_m"],
+                numbers["feedback.damping_N_s_m"],
+                force_N_A,
+                int(numbers["feedback.latency_ticks"]),
                 self.surface.filter_Hz,
             )
             nominal = -speed * grid.issue_times_s
             wall = HandOver(law, nominal, speed, nominal < 0)
-        coil = None if self.coil is None else self.coil.model(current.limit_A, grid.dt_s * N)
-        share = None if self.coil is None else self.coil.tap_share
-        circuit = Circuit(R_ohm=2.18, L_H=0.238e-3, emf_V_s_m=self.device.force_N_A)
+        coil = None
+        if self.coil is not None:
+            made = self.coil.model(self.current.limit_A, self.horizon.dt_s * self.horizon.stages)
+            stated = {key.rsplit(".", 1)[-1]: number for key, number in numbers.items()}
+            coil = replace(made, **{f.name: stated[f.name] for f in fields(made) if f.name in stated})
+        circuit = Circuit(R_OHM, L_H=0.238e-3, emf_V_s_m=force_N_A)
         stage = discretise(plant, amplifier, grid.dt_s, position=wall is not None)
         setting = Setting(
             stage=stage,
             grid=grid,
             circuit=circuit,
             coil=coil,
-            budget=Budget(tap_rate_Hz=None if share is None else share / (N * grid.dt_s)),
+            budget=Budget(tap_rate_Hz=numbers.get("thermal.tap_rate_Hz")),
             wall=wall,
             reference_m_s2=reference,
             nominal_m=-speed * grid.switching_times_s,
             nominal_m_s=np.full(N, -speed),
         )
-        asked = {
-            "current_A": current.limit_A,
-            "slew_A_per_s": None if current.slew is None else current.slew * current.limit_A / grid.dt_s,
-            "supply_V": None if current.supply is None else current.supply * circuit.R_ohm * current.limit_A,
-        }
+        asked = {key: numbers[f"limits.{key}"] for key in ("current_A", "slew_A_per_s", "supply_V")}
         plain = TransientProblem(
             stage=stage,
             grid=grid,
             reference_m_s2=reference,
             tracking_weights=self.demand.tracking(N),
-            rho=self.demand.rho,
-            limits=posed({"current_A": current.limit_A}, replace(setting, coil=None)),
+            rho=numbers["weights.rho"],
+            limits=posed({"current_A": asked["current_A"]}, replace(setting, coil=None)),
             hand_over_samples=self.horizon.hand_over,
             wall=wall,
             error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,

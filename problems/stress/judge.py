@@ -11,7 +11,9 @@ import numpy as np
 from problems.stress.cases import StressCase
 from problems.stress.oracle import admits_a_command
 from transopt.base.errors import InputError
+from transopt.design.explain import what_would_do
 from transopt.design.optimum import Designed, optimum
+from transopt.design.remedy import remedies
 from transopt.design.verify import admit
 from transopt.problem.answer import Certificate, Multipliers, Status
 from transopt.problem.problem import TransientProblem
@@ -20,12 +22,12 @@ from transopt.solvers.options import SolverOptions
 
 CERTIFIED = "certified"
 UNCHECKED = ", unchecked"  # a claim that no command keeps all limits, which the independent method could not decide
-# Refusals that may stand, by what their remarks must name: a limit with amount, unit and remedy.
+# Refusals that may stand, by what their remarks must name: a limit with amount and unit.
 REMARKS = {
-    Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b.*(would do|at least|lower|raise)|"
-    r"coil: no steady state .*; (lower|raise) ",
-    Status.HAND_OVER: r"hand-over: .*\d.* A.* limit .*(would do|lower)",
-    Status.PRECISION: r"precision: the gap of .*; (lower limits.current_A .* or time.stages|weights.rho .* would do)",
+    Status.INFEASIBLE: r"(coil|supply|slew|command|current)\b.*\d.* (A|V|C|K)\b|coil: no steady state|"
+    r"proven that no command",
+    Status.HAND_OVER: r"hand-over: .*\d.* A.* limit ",
+    Status.PRECISION: r"precision: the gap of .*",
     Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick; lower ",
     Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*; lower time.dt_s",
     Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",
@@ -118,6 +120,18 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     return Outcome(f"refused: {status.name}{unchecked}", said, nothing, nothing, 0.0)
 
 
+def with_remedy(case: StressCase, designed: Designed, run: Replay, found: Outcome) -> Outcome:
+    """A refusal with what would do, or bad where nothing was found that does."""
+    if not found.kind.startswith("refused"):
+        return found
+    problem, solution = designed.problem, designed.solution
+    predicted, _ = problem.stage.rollout(solution.command_A)
+    status, _ = admit(solution.status, designed.certificate, run, problem, solution.command_A, predicted)
+    own = remedies(case, problem, run, status, SolverOptions())
+    kind = found.kind if any(remedy.solved for remedy in own) else "bad: no remedy"
+    return replace(found, kind=kind, detail=f"{found.detail}; {what_would_do(own)}")
+
+
 def judge(case: StressCase) -> Outcome:
     """Build, solve and replay one case, and say how it ended.
 
@@ -130,7 +144,8 @@ def judge(case: StressCase) -> Outcome:
             problem = case.problem()
             designed = optimum(problem, SolverOptions())
             command = np.nan_to_num(designed.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0)
-            found = judge_design(designed, played(designed.problem, command))
+            run = played(designed.problem, command)
+            found = with_remedy(case, designed, run, judge_design(designed, run))
         except InputError as error:
             named = re.search(INPUT, str(error)) is not None
             field = re.split(r"[ =]", str(error))[0].rstrip(":")

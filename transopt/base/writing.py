@@ -57,3 +57,10 @@ def rounded_up(value: float) -> float:
     """To four digits, so that what is printed is enough; temperatures keep their millikelvins."""
     grain = 10.0 ** (math.floor(math.log10(abs(value))) - 3) if value else 1.0
     return math.ceil(value / min(grain, 1e-3)) * min(grain, 1e-3)
+
+
+def rounded_down(value: float, digits: int = 3) -> float:
+    """A number > 0 to so many digits, so that what is printed is not too much."""
+    last = digits - 1 - math.floor(math.log10(value))
+    below = math.floor(value * 10.0**last) / 10.0**last
+    return float(f"{below if below <= value else value:.{digits}g}")

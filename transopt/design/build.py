@@ -13,6 +13,7 @@ from transopt.base.shown import cut, html_figure, html_table, span, wrapped
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
+from transopt.design.scene_entry import with_remedies
 from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
@@ -123,6 +124,7 @@ def build_library(
         columns.append(design_grip(scene, grip, references, options))
         progress(len(speeds))
     entries = [[column[i] for column in columns] for i in range(len(speeds))]
+    entries = with_remedies(scene, entries, references, options)
     admitted = all(entry.status is Status.OPTIMAL for row in entries for entry in row)
     return Build(
         scene=scene,

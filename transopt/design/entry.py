@@ -9,6 +9,7 @@ import numpy as np
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import FloatArray, nrmse
 from transopt.base.writing import percent
+from transopt.design.explain import Remedy
 from transopt.design.optimum import Designed, optimum
 from transopt.design.price import Price, prices
 from transopt.design.verify import admit
@@ -65,6 +66,7 @@ class Entry:
     floor : NRMSE of the unlimited optimum. free_peak_A : its peak current.
     transient_command_A : (N,) the command without the wall's predicted feedback; the command itself without a wall.
     status, shortfalls : admission; shortfalls is empty for an OPTIMAL entry.
+    remedies : what would do for a refused one, or what was tried; empty where nothing was.
     prices : what each limit that binds costs.
     left_out : part of the problem -> why it is not in it.
     size : of the program that was solved; None where one linear solve was enough.
@@ -91,6 +93,7 @@ class Entry:
     left_out: dict[str, str]
     size: Size | None
     spread: SpreadErrors | None
+    remedies: tuple[Remedy, ...] = ()
 
     def __repr__(self) -> str:
         found = (

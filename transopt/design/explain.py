@@ -1,17 +1,22 @@
-"""Why no command meets all limits: which limit, by how much, when, and what would do."""
+"""Why an entry is refused: which limit, by how much, when; and what would do, in numbers of its scene.
 
-from collections.abc import Callable
-from dataclasses import replace
+What is said to be missed "at the least" comes from linear programs or from a bisection, and is no proposal: at the
+least width a single command is feasible, which no method finds and no replay keeps. What would do is found by solving
+the entry again (`transopt.design.remedy`), and its type stands here.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.base.writing import rounded_up
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Box, boxes, certify
+from transopt.solvers import unlimited
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.feasibility import least_widening
 from transopt.solvers.options import SolverOptions
@@ -20,7 +25,58 @@ WIDEST = 64.0  # times the limit: beyond, widening it alone is no remedy
 MOST_ITERATIONS = 100
 GROWS = 1e-6  # per tick: more than rounding
 MOST_SOLVERS = 2  # asked whether a limit can be met
-PRECISION = 0.005  # relative, of the least limit that would do
+PRECISION = 0.005  # relative, of the least width of a limit
+
+
+@dataclass(frozen=True)
+class Change:
+    """Another number in a scene.
+
+    Attributes
+    ----------
+    key : dotted, of the scene; a whole table where that is left out.
+    value : None for leaving it out.
+    unit : of the value.
+    """
+
+    key: str
+    value: float | None
+    unit: str
+
+    def __str__(self) -> str:
+        return f"no {self.key}" if self.value is None else f"{self.key} = {self.value:.10g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Numbers that together make an entry possible, or were tried for that.
+
+    Attributes
+    ----------
+    changes : at least one.
+    solved : whether the entry with exactly these was solved, certified and replayed clean; if not, they are the
+        farthest that was tried.
+    """
+
+    changes: tuple[Change, ...]
+    solved: bool
+
+    def __str__(self) -> str:
+        return " and ".join(map(str, self.changes))
+
+    @property
+    def values(self) -> Mapping[str, float | None]:
+        """Key -> value."""
+        return {change.key: change.value for change in self.changes}
+
+
+def what_would_do(remedies: Sequence[Remedy]) -> str:
+    """The remedies that were solved or, without one, what was tried in vain; in one sentence."""
+    solved = [str(remedy) for remedy in remedies if remedy.solved]
+    if solved:
+        return f"{', or '.join(solved)} would do"
+    tried = ", ".join(str(remedy) for remedy in remedies)
+    return f"tried in vain, as far as {tried}" if tried else "nothing was found to try"
 
 
 def unstable_wall(problem: TransientProblem) -> str:
@@ -66,33 +122,49 @@ def infeasibility(problem: TransientProblem, options: SolverOptions) -> list[str
     linear = [limit for limit in reversed(problem.limits.members) if limit.linear]
     together = least_widening(problem, [limit.name for limit in linear])
     if together is None:
-        return []
+        return _proven(problem, linear, options)
     if together[0] > 1:
         found = []
         for limit in linear:
             least = least_widening(problem, [limit.name])
             if least is not None:
-                found.append(_sentence(problem, problem.replaced(limit.wider(least[0])), limit, least[1]))
+                found.append(_sentence(problem, limit, least[1]))
         if found:
             return found
-        factor, command = together
-        wide = problem
-        for limit in linear:
-            wide = wide.replaced(limit.wider(factor))
-        missed = [limit for limit in linear if _worst(problem, limit, command)[1] > 0]
-        return [f"{_sentence(problem, wide, limit, command)}, all limits wider at once" for limit in missed]
+        missed = [limit for limit in linear if _worst(problem, limit, together[1])[1] > 0]
+        return [f"{_sentence(problem, limit, together[1])}, all limits wider at once" for limit in missed]
     for limit in problem.limits:
         if limit.linear:
             continue
-        found_least = _least(lambda factor, limit=limit: problem.replaced(limit.wider(factor)), options)  # type: ignore[misc]
-        if found_least is not None:
-            wide = problem.replaced(limit.wider(found_least[0]))
-            return [_sentence(problem, wide, limit, found_least[1])]
+        command = _least(lambda factor, limit=limit: problem.replaced(limit.wider(factor)), options)  # type: ignore[misc]
+        if command is not None:
+            return [_sentence(problem, limit, command)]
     return []
 
 
-def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> tuple[float, FloatArray] | None:
-    """The least factor, to `PRECISION`, at which a command meets all limits, and that command; None if none does."""
+def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverOptions) -> list[str]:
+    """Where the linear program finds nothing: whether a solver proves that no command keeps all linear limits.
+
+    What the optimum without any limit takes tells how far it is from them.
+    """
+    if solve(problem.without(*problem.nonlinear), options).status is not Status.INFEASIBLE:
+        return []
+    free = unlimited.solve(problem).command_A
+    motion = problem.stage.motion(free)
+    values = boxes(problem, free, motion, Multipliers.zero(problem))
+    peaks = {limit.name: max(box.peak for box in values if box.limit.name == limit.name) for limit in linear}
+    passed = [limit for limit in linear if not peaks[limit.name] <= limit.stated]
+    taken = " and ".join(
+        f"a {limit.label} of {peaks[limit.name]:.3g} {limit.unit}, limit {limit.stated:.8g} {limit.unit}"
+        for limit in passed
+    )
+    names = ", ".join(limit.label for limit in passed or linear)
+    without = f": without limits the optimum takes {taken}" if passed else ""
+    return [f"{names}: proven that no command keeps all limits and ends in what the wall asks for{without}"]
+
+
+def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -> FloatArray | None:
+    """A command that meets all limits at the least factor, to `PRECISION`, at which one does; None if none does."""
     command = _feasible(widen(WIDEST), options)
     if command is None:
         return None
@@ -104,7 +176,7 @@ def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -
             low = middle
         else:
             high, command = middle, tried
-    return high, command
+    return command
 
 
 def _worst(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> tuple[Box, float]:
@@ -115,18 +187,10 @@ def _worst(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> tu
     return worst, float(worst.excess.max())
 
 
-def _sentence(problem: TransientProblem, wide: TransientProblem, limit: Limit, command_A: FloatArray) -> str:
-    worst, _ = _worst(problem, limit, command_A)
-    k = int(np.argmax(worst.excess))
-    time_ms = problem.grid.switching_times_s[k] * 1e3
-    enough, unit = wide.limits[limit.name].stated, limit.unit
-    if limit is problem.thermal:
-        # What is widened there is the headroom over the unpowered course.
-        motion, unit = problem.stage.motion(command_A), limit.step_unit
-        found = boxes(wide, command_A, motion, Multipliers.zero(problem))
-        wider = [box for box in found if box.limit.name == limit.name]
-        enough = float(wider[0].upper[np.isfinite(wider[0].upper)].max())
+def _sentence(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> str:
+    worst, by = _worst(problem, limit, command_A)
+    time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess))] * 1e3
     return (
-        f"{limit.label} {worst.excess[k]:.3g} {unit} over its {limit.stated:.8g} {limit.unit} at {time_ms:.1f} ms at "
-        f"the least; {rounded_up(enough):.8g} {limit.unit} would do"
+        f"{limit.label} {by:.3g} {limit.step_unit} over its {limit.stated:.8g} {limit.unit} at {time_ms:.1f} ms at "
+        "the least"
     )

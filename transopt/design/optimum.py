@@ -106,7 +106,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
 def _explained(designed: Designed, options: SolverOptions) -> Designed:
     """With the reason, if there is no answer because no command meets all limits."""
     problem, answer = designed.problem, designed.solution
-    if designed.remarks or designed.is_proven:
+    if designed.remarks or designed.is_proven or options.brief:
         return designed
     small = leave_out(problem).problem
     rounding = _rounding(problem, answer)
@@ -137,19 +137,13 @@ def _flat(designed: Designed, options: SolverOptions) -> Designed:
     if problem.rho < STEADIER:
         found = _solved(replace(problem, rho=STEADIER), options)
         if found.is_proven and found.certificate.accepted:
-            said = (
-                f"{gap} is what double precision leaves where J hardly depends on some movements of the command; "
-                f"weights.rho {STEADIER:g} would do ({problem.rho:g})"
-            )
+            said = f"{gap} is what double precision leaves where J hardly depends on some movements of the command"
             return replace(designed, solution=answer, remarks=[said])
     free = unlimited.solve(problem)
     left = certify(problem, free.command_A, free.multipliers).relative_gap
     if left <= Certificate.GAP_TOLERANCE:
         return designed
-    said = (
-        f"{gap} has no digits to rest on: even without any limit double precision leaves one of {left:.1e}; lower "
-        f"limits.current_A ({problem.limits.current_A:.4g} A) or time.stages ({problem.grid.stages})"
-    )
+    said = f"{gap} has no digits to rest on: even without any limit double precision leaves one of {left:.1e}"
     return replace(designed, solution=answer, remarks=[said])
 
 
@@ -227,10 +221,9 @@ def _hand_over_excess(problem: TransientProblem) -> str:
     current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
     if current <= limit:
         return ""
-    allowed = limit * wall.wall.force_per_current_N_A / deepest
     return (
         f"hand-over: K_p z / k_f = {current:.3g} A at {deepest * 1e3:.3g} mm below the surface, where the reference "
-        f"goes, limit {limit:g} A; {np.floor(allowed) if allowed >= 1 else allowed * 0.999:.6g} N/m would do"
+        f"goes, limit {limit:g} A"
     )
 
 

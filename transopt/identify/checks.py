@@ -19,6 +19,7 @@ from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial
 
 LEAST_CYCLES = 1.0  # per octave, in all trials together
+LEAST_WORTH = 0.05  # of a cycle: with fewer, no sweep that somebody waits for is long enough
 LEAST_TRIALS = 2
 JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid
 FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
@@ -204,10 +205,8 @@ def check_cycles(where: str, trials: Sequence[Trial], estimate: TransferEstimate
     if not np.any(few):
         return []
     worst, up_to = float(cycles[few].min()), float(estimate.frequencies_Hz[few].max())
-    longer = LEAST_CYCLES / max(worst, 0.05)
-    limit = (
-        f"must be at least {LEAST_CYCLES:g}; sweep {longer:.1f} times as long, or add trials from {low_Hz:.3g} Hz on"
-    )
+    longer = f"sweep {np.ceil(10 * LEAST_CYCLES / worst) / 10:.1f} times as long, or " if worst > LEAST_WORTH else ""
+    limit = f"must be at least {LEAST_CYCLES:g}; {longer}add trials from {low_Hz:.3g} Hz on"
     text = f"{worst:.2g} cycles per octave below {up_to:.3g} Hz in {len(trials)} trials, {limit}"
     return [Finding(Fault.TOO_FEW_CYCLES, where, text, bool(np.mean(few[inside]) > 0.5))]
 

@@ -18,35 +18,22 @@ AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, 
 
 
 class Status(Enum):
-    """How an entry ended; the value is the message and the remedy."""
+    """How an entry ended; the value is the message. What would do is found by trial (`transopt.design.remedy`)."""
 
     OPTIMAL = "optimal"
     ITERATION_LIMIT = "the solver stopped at its iteration limit: loosen the tolerance or choose another --solver"
     INFEASIBLE = "no command meets all limits"
     NUMERICAL_FAILURE = "the solver broke down numerically: choose another --solver or rescale the scene"
-    NOT_GLOBAL = (
-        "a certified stationary point, but the convex bound leaves room for a better one: lower the temperature that "
-        "the winding may reach or the rate of taps, so that the copper warms less"
-    )
+    NOT_GLOBAL = "a certified stationary point, but the convex bound leaves room for a better one"
     NOT_CERTIFIED = "the answer is not proven optimal: tighten --solver-tolerance or choose another --solver"
     REPLAY_VIOLATION = (
         "the continuous-time replay leaves a limit or misses the prediction: report this scene as a defect"
     )
-    HAND_OVER = (
-        "the wall's feedback alone exceeds a limit when the transient has to end: lower feedback.stiffness_N_m or "
-        "the speed, or shorten time.stages so that the stylus is less deep"
-    )
-    PRECISION = (
-        "double precision has no digits left to prove the answer: state the problem with limits nearer to what the "
-        "answer takes, or fewer stages"
-    )
-    UNSTABLE_WALL = (
-        "the wall's feedback grows by itself on this device: lower feedback.stiffness_N_m, feedback.damping_N_s_m or "
-        "feedback.latency_ticks"
-    )
+    HAND_OVER = "the wall's feedback alone exceeds a limit when the transient has to end"
+    PRECISION = "double precision has no digits left to prove the answer"
+    UNSTABLE_WALL = "the wall's feedback grows by itself on this device"
     UNRESOLVED = (
-        "a limit is kept at every switching instant, as the problem states it, but left within a servo period: "
-        "shorten time.dt_s"
+        "a limit is kept at every switching instant, as the problem states it, but left within a servo period"
     )
 
 

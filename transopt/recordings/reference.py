@@ -138,7 +138,7 @@ def build_reference(
         if tap.acceleration.end_s < needed:
             raise InputError(
                 f"{tap.recording.name}: ends {tap.acceleration.end_s * 1e3:.1f} ms after contact, the window needs "
-                f"{needed * 1e3:.1f} ms: record longer or lower time.stages"
+                f"{np.ceil(needed * 1e4) / 10:.1f} ms: record longer or lower time.stages"
             )
     times = _fine_times(grid)
     splines = [tap.acceleration.spline for tap in taps]

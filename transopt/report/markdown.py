@@ -247,6 +247,7 @@ def build_json(build: Build) -> str:
             "grip_N": e.grip_N,
             "status": e.status.value,
             "shortfalls": e.shortfalls,
+            "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
             "nrmse": e.nrmse,
             "nrmse_to_raw": e.nrmse * shares[e.speed_m_s],

@@ -14,6 +14,7 @@ from transopt.base.errors import InputError
 from transopt.base.section import Name, Section, Words
 from transopt.base.shown import cut, span, wrapped
 from transopt.base.sizes import MOST_COMMANDS
+from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
@@ -32,6 +33,7 @@ from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
 from transopt.scene.sections import AmplifierSection, Feedback, Grid, LimitsSection, Robust, Thermal, Time, Weights
 
+BELOW = 1 - 1e-6  # of a bound that has to be stayed below
 FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
 
 
@@ -89,7 +91,7 @@ class Scene(Section):
         if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
             raise ValueError(
                 f"recordings.highpass_Hz = {self.recordings.highpass_Hz:g}: must not exceed a tenth of the servo "
-                f"rate, {0.1 / self.time.dt_s:g} Hz"
+                f"rate, {rounded_down(0.1 / self.time.dt_s, 6):g} Hz"
             )
         if self.hand_over_samples > self.time.stages:
             raise ValueError(
@@ -112,11 +114,12 @@ class Scene(Section):
                 f"thermal.start_winding_C = {self.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
                 f"{self.motor.winding_max_C:g} C: let it cool"
             )
-        window = self.time_grid().stages * self.time.dt_s
-        if self.thermal.tap_rate_Hz is not None and self.thermal.tap_rate_Hz * (window + self.time.dt_s) >= 1:
+        grid = self.time_grid()
+        takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
+        if self.thermal.tap_rate_Hz is not None and not 1 / self.thermal.tap_rate_Hz > takes_s:
             raise ValueError(
-                f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {window * 1e3:g} ms, so at most "
-                f"{1 / (window + self.time.dt_s):.3g} taps/s: lower it or shorten time.stages"
+                f"thermal.tap_rate_Hz = {self.thermal.tap_rate_Hz:g}: a tap takes {takes_s * 1e3:g} ms with the "
+                f"amplifier's delay: must be at most {rounded_down(BELOW / takes_s):g}, or shorten time.stages"
             )
         if self.robust is not None and (self.feedback is not None or self._one_device()):
             raise ValueError(

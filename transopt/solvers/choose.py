@@ -126,6 +126,8 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
             yield replace(answer, status=Status.OPTIMAL), proof
             return
         yield answer, proof
+        if options.brief:
+            return
         if answer.solver == "riccati" and answer.status is Status.INFEASIBLE:
             return  # its claim comes with a proof
         if not asked and problem.grid.stages <= MOST_ASKED_STAGES:

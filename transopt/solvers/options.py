@@ -1,6 +1,7 @@
 """What a user may set about a solver."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from transopt.base.errors import InputError
 from transopt.solvers.native import extension
@@ -21,7 +22,10 @@ class SolverOptions:
     tolerance : absolute tolerance on residuals and gap, in units's objective scale of 1e-3 and of
         the limit current. The default leaves three digits to the certificate's tolerance.
     max_iterations : at least 1.
+    brief : whether this solver alone is asked and no reason is looked for where it fails.
     """
+
+    brief: ClassVar[bool] = False
 
     solver: str = field(default_factory=default_solver)
     tolerance: float = 1e-10
@@ -32,3 +36,10 @@ class SolverOptions:
             raise InputError(f"--solver-tolerance {self.tolerance:g}: must be between 0 and 1; 1e-10 is usual")
         if self.max_iterations < 1:
             raise InputError(f"max_iterations = {self.max_iterations}: must be at least 1")
+
+
+@dataclass(frozen=True)
+class TrialOptions(SolverOptions):
+    """For a trial, whose failure needs no second opinion and no explanation."""
+
+    brief: ClassVar[bool] = True

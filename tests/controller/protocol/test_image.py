@@ -79,7 +79,7 @@ def test_sizes_beyond_the_device_are_named() -> None:
     words = too_large(image, small)
     assert words is not None
     assert "10 speeds x 8 grips x 600 samples" in words
-    assert "a grid of 6 speeds x 5 grips or 250 samples (25 ms, or 4.17 kHz) would fit" in words
+    assert "a grid of 6 speeds x 5 grips or 250 samples (25 ms, or 4.16 kHz) would fit" in words
     assert 6 * 5 * 600 <= 20_000
     for capacity in (Capacity(speeds=9), Capacity(grips=7), Capacity(waveform_samples=599)):
         assert too_large(image, capacity) is not None

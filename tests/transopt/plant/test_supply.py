@@ -182,13 +182,7 @@ class TestInfeasible:
         (entry,) = design_grip(low, 5.0, [references[-1]], SolverOptions())
         assert entry.status is not Status.OPTIMAL
         (reason,) = entry.shortfalls
-        assert reason.startswith(
-            "supply 0.2 V over its 0.3 V at -0.2 ms: the back-EMF of the incoming stylus alone; "
-        )
-        enough = float(reason.split("; ")[1].split(" V")[0])
-        assert reason.endswith("at least")
-        (again,) = design_grip(varied(scene, {"supply_V": enough}), 5.0, [references[-1]], SolverOptions())
-        assert again.status is Status.OPTIMAL, again.shortfalls
+        assert reason == "supply 0.2 V over its 0.3 V at -0.2 ms: the back-EMF of the incoming stylus alone"
 
     def test_a_rail_that_no_command_keeps_is_refused_by_name(self, entry: Maker) -> None:
         designed = optimum(cut(entry(supply_V=0.02), 30), SolverOptions())
@@ -200,9 +194,9 @@ class TestInfeasible:
         (reason,) = infeasibility(problem, SHORT)
         assert reason.startswith("supply ")
         assert " V over its 0.02 V at " in reason
-        assert " ms at the least; " in reason
-        enough = float(reason.split("; ")[1].split(" V would do")[0])
-        for limit, status in ((enough, True), (0.98 * enough, False)):
+        assert reason.endswith(" ms at the least")
+        least = 0.02 + float(reason.split(" ")[1])
+        for limit, status in ((1.02 * least, True), (0.98 * least, False)):
             moved = with_rail(problem, limit)
             assert is_stationary(moved, solve(moved, SHORT)) is status
 

@@ -31,18 +31,12 @@ class TestRefusal:
         """A motor that can neither hold the stylus up nor push back what the wall asks for."""
         return with_numbers(problem, current_A=0.3)
 
-    def test_names_the_hand_over_and_a_stiffness_that_does(self, walled: WalledMaker) -> None:
+    def test_names_the_hand_over(self, walled: WalledMaker) -> None:
         designed = optimum(self.weak(walled(2000, 0.4)), SolverOptions())
         assert designed.solution.status is Status.HAND_OVER
         (reason,) = designed.remarks
         assert reason.startswith("hand-over: K_p z / k_f = 4.36 A at 2.72 mm below the surface, ")
-        assert ", limit 0.3 A; " in reason
-        assert reason.endswith(" N/m would do")
-        enough = float(reason.split("; ")[1].split(" ")[0])
-        assert 100 < enough < 200
-        softer = optimum(self.weak(walled(enough, 0.4)), SolverOptions())
-        assert softer.solution.status is Status.OPTIMAL, softer.remarks
-        assert softer.certificate.accepted
+        assert reason.endswith(", limit 0.3 A")
 
     def test_a_wall_that_holds_the_stylus_up_itself_is_no_reason(self, walled: WalledMaker) -> None:
         """The reference would go 2.7 mm deep, where 2000 N/m ask for 4.4 A; the answer does not go there."""
@@ -56,7 +50,7 @@ class TestRefusal:
         data["limits"].update(beta=None, current_A=0.3)
         (entry,) = design_grip(Scene.model_validate(data), 3.0, [references[-1]], SolverOptions())
         assert entry.status is Status.HAND_OVER
-        assert "N/m would do" in entry.shortfalls[0]
+        assert "limit 0.3 A" in entry.shortfalls[0]
 
 
 class TestMask:

@@ -35,6 +35,10 @@ class CommandLimit(Limit):
         amplifier = setting.stage.amplifier
         return None if amplifier is None else cls(amplifier.command_limit_A)
 
+    @classmethod
+    def relieved_by(cls) -> Mapping[str, bool]:
+        return {"amplifier.command_limit_A": True}
+
     def wider(self, factor: float) -> Self:
         return type(self)(factor * self.limit_A)
 

@@ -244,6 +244,16 @@ class Limit(ABC):
         """Unit of its violations and of its multipliers' inverse, which a step per tick has without the tick."""
         return cls.step_unit.removesuffix("/tick")
 
+    @classmethod
+    def relieved_by(cls) -> Mapping[str, bool]:
+        """Dotted keys of a scene whose change gives more room -> whether upwards."""
+        return {f"limits.{cls.key}": True}
+
+    @classmethod
+    def dispensed_by(cls) -> str:
+        """Dotted key of a scene without which there is no such limit; empty where there is one in any case."""
+        return "" if cls.implied or cls.scales_movement else f"limits.{cls.key}"
+
     @property
     def room(self) -> float:
         """How much of it there is to use, of which steps are shares."""
@@ -283,7 +293,7 @@ class Limit(ABC):
         return ""
 
     def unavoidable(self, problem: Posed) -> str:
-        """Why it is missed whatever is commanded, and what would do; empty where it need not be."""
+        """Why it is missed whatever is commanded; empty where it need not be."""
         return ""
 
     def replayed(self, peak: float) -> str:

@@ -18,7 +18,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.base.writing import rounded_up
 from transopt.plant.discretise import AFTER, StageModel, discretise
 from transopt.problem.limits.limit import Limit, Posed, Row, Setting, positive
 
@@ -99,8 +98,7 @@ class OutputLimit(Limit):
             return ""
         return (
             f"{self.label} {start - self.limit:.3g} {self.unit} over its {self.limit:g} {self.unit} at "
-            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the motion of the incoming stylus alone; "
-            f"{rounded_up(start):.6g} {self.unit} at least"
+            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the motion of the incoming stylus alone"
         )
 
     def _reach(self, problem: Posed) -> float:

@@ -87,6 +87,14 @@ class OwnLimit(Limit):
     upper: float
     row: Row
 
+    @classmethod
+    def relieved_by(cls) -> Mapping[str, bool]:
+        return {}
+
+    @classmethod
+    def dispensed_by(cls) -> str:
+        return f"limits.{cls.key}.{cls.name}"
+
     @property
     def stated(self) -> float:
         return max(abs(bound) for bound in (self.lower, self.upper) if np.isfinite(bound)) or 1.0

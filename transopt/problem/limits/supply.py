@@ -11,7 +11,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.base.writing import rounded_up
 from transopt.plant.circuit import Circuit
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Limit, Posed, Row, Setting, positive
 
@@ -108,8 +107,7 @@ class SupplyLimit(Limit):
             return ""
         return (
             f"supply {start - self.limit_V:.3g} V over its {self.limit_V:g} V at "
-            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the back-EMF of the incoming stylus alone; "
-            f"{rounded_up(start):.6g} V at least"
+            f"{problem.grid.switching_times_s[0] * 1e3:.1f} ms: the back-EMF of the incoming stylus alone"
         )
 
     @property

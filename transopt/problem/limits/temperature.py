@@ -79,6 +79,11 @@ class TemperatureLimit(Limit):
         budget = leaning(setting.budget, setting.wall, setting.grid, setting.reference_m_s2)
         return temperature_limit(setting.coil, amplifier, setting.grid, budget)
 
+    @classmethod
+    def relieved_by(cls) -> Mapping[str, bool]:
+        cooler = ("start_winding_C", "start_housing_C", "ambient_C", "idle_A", "tap_rate_Hz")
+        return {"thermal.headroom_K": True, **{f"thermal.{key}": False for key in cooler}}
+
     def wider(self, factor: float) -> Self:
         """With kelvins in proportion to what is left of them."""
         rise = (factor - 1) * max(float(self.model.headroom_K.max()), 1.0)
@@ -173,27 +178,10 @@ class TemperatureLimit(Limit):
         excess = self.model.rise(self.model.heating.mean_square(nothing, nothing))[1:, 0] - self.model.headroom_K
         k = int(np.argmax(excess))
         if not np.isfinite(excess[k]):
-            return f"coil: no steady state even without a transient, thermal runaway; {self._cooler()}"
+            return "coil: no steady state even without a transient, thermal runaway"
         if excess[k] <= self.tolerance:
             return ""
-        return (
-            f"coil {excess[k]:.2g} K over its {self.limit_C:.8g} C at {tau_ms[k]:.1f} ms even without a transient; "
-            f"{self._cooler()}"
-        )
-
-    def _cooler(self) -> str:
-        """What makes an idle coil cooler, in keys of the scene."""
-        coil, budget = self.coil, self.budget
-        if budget.tap_rate_Hz is not None:
-            return f"lower thermal.idle_A ({budget.pause_A:.3g} A) or thermal.ambient_C ({coil.ambient_C:g} C)"
-        if budget.headroom_K is not None:
-            return (
-                f"raise thermal.headroom_K ({budget.headroom_K:g} K) or cool the housing ({coil.start_housing_C:g} C)"
-            )
-        return (
-            f"lower thermal.start_winding_C ({coil.start_winding_C:g} C), start_housing_C "
-            f"({coil.start_housing_C:g} C), or ambient_C ({coil.ambient_C:g} C)"
-        )
+        return f"coil {excess[k]:.2g} K over its {self.limit_C:.8g} C at {tau_ms[k]:.1f} ms even without a transient"
 
     def replayed(self, peak: float) -> str:
         return f"winding {peak:.3f} C, limit {self.limit_C:.8g} C"

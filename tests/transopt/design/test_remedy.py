@@ -1,0 +1,247 @@
+"""What would do for a refused entry: the search for it, its words, and entries under other numbers."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import problems
+from problems.stress.cases import Current, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.draw import drawn
+from problems.stress.judge import judge, played
+from transopt.base.errors import InputError
+from transopt.design import remedy
+from transopt.design.build import build_library
+from transopt.design.entry import design_grip
+from transopt.design.explain import Change, Remedy, infeasibility, what_would_do
+from transopt.design.optimum import optimum
+from transopt.design.remedy import NEAR, Values, does, remedies
+from transopt.design.scene_entry import SceneEntry
+from transopt.design.verify import admit
+from transopt.problem.answer import Status
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import Reference, between, build_references
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions, TrialOptions
+
+SHORT = Horizon(stages=40)
+STARVED = StressCase("rail", current=Current(supply=0.01, limit_A=1.0), horizon=SHORT)
+LEANT_ON = StressCase("wall", current=Current(limit_A=0.1), horizon=SHORT, surface=Surface(2000.0))
+WARM = drawn(31337, 834)  # a coil that starts so near its limit that the ripple alone is too much
+OPTIONS = SolverOptions()
+ONE_ENTRY = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
+
+
+def refused(case: StressCase) -> tuple[Status, list[Remedy]]:
+    """How a case ends, and its remedies."""
+    designed = optimum(case.problem(), OPTIONS)
+    problem, command = designed.problem, designed.solution.command_A
+    run = played(problem, np.nan_to_num(command))
+    predicted, _ = problem.stage.rollout(command)
+    status, _ = admit(designed.solution.status, designed.certificate, run, problem, command, predicted)
+    return status, remedies(case, problem, run, status, OPTIONS)
+
+
+class TestWords:
+    def test_a_number_is_printed_as_it_stands_in_a_scene(self) -> None:
+        change = Change("limits.supply_V", 0.523, "V")
+        assert str(change) == "limits.supply_V = 0.523 V"
+        assert str(Change("feedback.latency_ticks", 0.0, "ticks")) == "feedback.latency_ticks = 0 ticks"
+        assert str(Change("feedback", None, "")) == "no feedback"
+
+    def test_only_what_was_solved_would_do(self) -> None:
+        one = Remedy((Change("limits.current_A", 2.0, "A"), Change("amplifier.command_limit_A", 3.0, "A")), True)
+        other = Remedy((Change("feedback", None, ""),), True)
+        vain = Remedy((Change("limits.supply_V", 48.0, "V"),), False)
+        assert what_would_do([one, vain, other]) == (
+            "limits.current_A = 2 A and amplifier.command_limit_A = 3 A, or no feedback would do"
+        )
+        assert what_would_do([vain]) == "tried in vain, as far as limits.supply_V = 48 V"
+        assert "would do" not in what_would_do([])
+
+
+class TestSearch:
+    """With a judge in the place of the solver."""
+
+    def found(
+        self, monkeypatch: pytest.MonkeyPatch, case: StressCase, judged: Callable[[Values], bool]
+    ) -> tuple[list[Remedy], list[Values]]:
+        asked: list[Values] = []
+
+        def answered(_: object, values: Values, __: object) -> bool:
+            asked.append(values)
+            return judged(values)
+
+        monkeypatch.setattr(remedy, "does", answered)
+        return refused(case)[1], asked
+
+    @given(least=st.floats(1.0, 1e5))
+    def test_finds_nearly_the_least_and_names_no_other(self, least: float) -> None:
+        stated = STARVED.value("limits.supply_V")
+        assert stated is not None
+        with pytest.MonkeyPatch.context() as patch:
+            answers, asked = self.found(patch, STARVED, lambda v: (v.get("limits.supply_V") or 0.0) >= least * stated)
+        (answer,) = answers
+        (change,) = answer.changes
+        assert answer.solved
+        assert answer.values in asked
+        assert change.value is not None
+        assert least * stated <= change.value <= max(NEAR * least, 1.02) * stated * 1.011
+        assert float(f"{change.value:.10g}") == change.value
+        assert len(asked) < 12
+
+    def test_numbers_that_only_together_do(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def both(values: Values) -> bool:
+            pair = values.get("feedback.stiffness_N_m"), values.get("feedback.damping_N_s_m")
+            return None not in pair and pair[0] < 1000.0  # type: ignore[operator]
+
+        answers, _ = self.found(monkeypatch, LEANT_ON, both)
+        assert [set(answer.values) for answer in answers] == [{"feedback.stiffness_N_m", "feedback.damping_N_s_m"}]
+
+    def test_what_helps_nothing_is_said_to_have_been_tried(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        answers, asked = self.found(monkeypatch, LEANT_ON, lambda _: False)
+        assert answers
+        assert not any(answer.solved for answer in answers)
+        assert all(answer.values in asked for answer in answers)
+        assert what_would_do(answers).startswith("tried in vain, as far as feedback.stiffness_N_m = ")
+
+    def test_the_time_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(remedy, "MOST_S", 0.0)
+        designed = optimum(LEANT_ON.problem(), OPTIONS)
+        run = played(designed.problem, np.nan_to_num(designed.solution.command_A))
+        assert remedies(LEANT_ON, designed.problem, run, Status.HAND_OVER, OPTIONS, most_s=0.0) == []
+
+
+@pytest.mark.parametrize("case", [STARVED, LEANT_ON, WARM], ids=["rail", "wall", "coil"])
+def test_what_is_said_to_do_does(case: StressCase) -> None:
+    status, found = refused(case)
+    assert status in (Status.INFEASIBLE, Status.HAND_OVER)
+    assert any(remedy.solved for remedy in found)
+    for stated in found:
+        if stated.solved:
+            designed = optimum(case.problem(stated.values), OPTIONS)
+            assert designed.solution.status is Status.OPTIMAL, designed.remarks
+            assert designed.certificate.accepted
+
+
+def test_a_refusal_without_a_remedy_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert judge(STARVED).kind == "refused: INFEASIBLE"
+    monkeypatch.setattr(remedy, "does", lambda *_: False)
+    outcome = judge(STARVED)
+    assert outcome.kind == "bad: no remedy"
+    assert "tried in vain, as far as limits.supply_V = " in outcome.detail
+
+
+def test_a_trial_asks_one_solver_and_explains_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*_: object) -> list[str]:
+        raise AssertionError
+
+    monkeypatch.setattr("transopt.design.optimum.infeasibility", never)
+    monkeypatch.setattr("transopt.solvers.choose.feasible", never)
+    case = StressCase("wall", current=Current(limit_A=0.3, slew=0.05), horizon=SHORT, surface=Surface(2000.0))
+    assert not does(case, {}, OPTIONS)
+    assert not optimum(case.problem(), TrialOptions()).is_proven
+
+
+def test_limits_whose_program_finds_nothing_are_refused_by_their_proof(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A claim without numbers is no reason: the optimum without limits has some."""
+    case = StressCase("wall", current=Current(limit_A=0.3, slew=0.05), horizon=SHORT, surface=Surface(2000.0))
+    monkeypatch.setattr("transopt.design.explain.least_widening", lambda *_: None)
+    (reason,) = infeasibility(case.problem(), OPTIONS)
+    assert ": proven that no command keeps all limits and ends in what the wall asks for: without limits " in reason
+    assert "A/tick, limit 0.015 A/tick" in reason
+    plain = StressCase("plain", DrawnDevice(), horizon=SHORT).problem()
+    assert infeasibility(plain, OPTIONS) == []
+
+
+class TestOfAScene:
+    def entry(self, scene: Scene, references: Sequence[Reference], values: Values) -> SceneEntry:
+        return SceneEntry(with_values(scene, values), 5.0, references[-1])
+
+    def test_knows_what_stands_there(self, scene: Scene, references: list[Reference]) -> None:
+        entry = self.entry(scene, references, {})
+        assert entry.value("limits.current_A") == scene.limits.transient_current_A
+        assert entry.value("limits.supply_V") is None
+        assert entry.value("feedback.stiffness_N_m") is None
+        assert entry.value("thermal.ambient_C") == scene.thermal.ambient_C
+        assert entry.value("no.such.key") is None
+
+    def test_is_posed_with_other_numbers(self, scene: Scene, references: list[Reference]) -> None:
+        entry = self.entry(scene, references, {"limits.supply_V": 12.0})
+        assert entry.problem({"limits.supply_V": 13.0}).limits["supply"].stated == 13.0
+        assert "supply" not in entry.problem({"limits.supply_V": None}).limits
+        with pytest.raises(InputError, match="above the motor's i_peak_A"):
+            entry.problem({"limits.current_A": 1e3})
+
+    def test_another_time_axis_takes_the_reference_anew(
+        self, scene: Scene, taps: list[Recording], references: list[Reference]
+    ) -> None:
+        values = {"time.dt_s": 5e-5, "time.stages": 1200.0}
+        finer = with_values(scene, values)
+        wanted = build_references(taps, finer.grid.speeds_m_s, finer.time_grid(), finer.recordings)[-1]
+        found = self.entry(scene, references, {}).problem(values)
+        np.testing.assert_allclose(found.reference_m_s2, wanted.motor_m_s2, rtol=1e-12)
+        derived = SceneEntry(scene, 5.0, between(references, 0.35))
+        with pytest.raises(InputError, match="not recorded"):
+            derived.problem(values)
+
+    def test_a_refused_library_says_what_would_do(self, taps: list[Recording], scene: Scene) -> None:
+        """Both entries take the same rail: what does for one is tried for the next."""
+        values = {"limits.supply_V": 0.3, "grid.speeds_m_s": [0.4], "grid.grips_N": [1.0, 5.0]}
+        low = with_values(scene, values)
+        chosen = [tap for tap in taps if tap.speed_m_s is None or tap.speed_m_s > 0.35]
+        built = build_library(low, chosen)
+        assert len(built.refused) == 2
+        sentences = {entry.shortfalls[-1] for entry in built.refused}
+        assert len(sentences) == 1
+        assert sentences.pop().endswith(" V would do")
+        (stated,) = built.refused[0].remedies
+        changed = with_values(low, stated.values)
+        for grip_N in (1.0, 5.0):
+            (entry,) = design_grip(
+                changed, grip_N, build_references(chosen, [0.4], low.time_grid(), low.recordings), OPTIONS
+            )
+            assert entry.status is Status.OPTIMAL
+
+
+def test_a_current_takes_the_place_of_a_beta(scene: Scene, taps: list[Recording]) -> None:
+    wall = {"stiffness_N_m": 500.0, "damping_N_s_m": 0.2}
+    weak = with_values(scene, {"limits.beta": 1.0, "limits.steady_current_A": 0.5, "feedback": wall, **ONE_ENTRY})
+    chosen = [tap for tap in taps if tap.speed_m_s is None or tap.speed_m_s > 0.35]
+    (entry,) = build_library(weak, chosen).refused
+    (stated,) = [each for each in entry.remedies if "limits.current_A" in each.values]
+    assert stated.solved
+    assert stated.values["limits.beta"] is None
+    assert "limits.current_A = " in entry.shortfalls[-1]
+    assert " A and no limits.beta" in entry.shortfalls[-1]
+    assert not build_library(with_values(weak, stated.values), chosen).refused
+
+
+@pytest.mark.parametrize("rate_Hz", [17.0, 50.0, 1e3])
+def test_the_rate_of_taps_that_is_named_is_taken(rate_Hz: float) -> None:
+    scene = problems.load("rapid_tapping")
+    with pytest.raises(InputError, match="must be at most") as refusal:
+        with_values(scene, {"thermal.tap_rate_Hz": rate_Hz})
+    most_Hz = float(str(refusal.value).split("must be at most ")[1].split(",")[0])
+    assert most_Hz > 0.98 / (scene.time.stages * scene.time.dt_s + 2 * scene.time.dt_s)
+    entry = SceneEntry(scene, 1.0, _reference(scene))
+    assert entry.problem({"thermal.tap_rate_Hz": most_Hz}).thermal is not None
+
+
+def _reference(scene: Scene) -> Reference:
+    from transopt.scene.recordings import recordings_of
+
+    return build_references(recordings_of(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)[0]
+
+
+@pytest.mark.parametrize("dt_s", [7e-5, 1.1e-4, 1.5e-4, 3e-4])
+def test_the_high_pass_that_is_named_is_taken(scene: Scene, dt_s: float) -> None:
+    with pytest.raises(InputError, match="must not exceed a tenth") as refusal:
+        with_values(scene, {"time.dt_s": dt_s, "recordings.highpass_Hz": 2e3, "recordings.lowpass_Hz": 3e3})
+    most_Hz = float(str(refusal.value).split("servo rate, ")[1].split(" Hz")[0])
+    assert math.isclose(most_Hz, 0.1 / dt_s, rel_tol=1e-5)
+    with_values(scene, {"time.dt_s": dt_s, "recordings.highpass_Hz": most_Hz, "recordings.lowpass_Hz": 3e3})

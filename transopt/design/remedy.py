@@ -1,0 +1,347 @@
+"""What would do for a refused entry: other numbers in its scene, with which it is solved before they are named.
+
+A bound is not enough for that. At the least width of a limit that a linear program finds, what is feasible is a
+single command, which no method finds and no replay keeps; and a softer wall that asks for less at one depth lets the
+stylus go to another. So every proposal is solved, certified and replayed, rounded as it is printed. Where none does,
+it is said what was tried and how far it went.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.design.entry import replayed
+from transopt.design.explain import Change, Remedy
+from transopt.design.optimum import optimum
+from transopt.design.verify import admit
+from transopt.problem.answer import Status
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.problem import TransientProblem
+from transopt.proof.replay import Replay
+from transopt.scene.keys import unit_of
+from transopt.solvers.options import SolverOptions, TrialOptions
+
+MOST_S = 5.0  # of a processor's time for the trials of one entry; the one that runs then is the last
+LONGEST = 5.0  # times that by the clock, on a machine that is busy with other things
+MOST_ITERATIONS = 100  # of a trial: what is feasible takes a tenth of it
+DIGITS = 3  # of what is proposed
+TENTHS = 10  # of a kelvin, in which temperatures are
+OVER = 1.03  # times what a refused answer reached of a limit: what is tried first
+NEAR = 1.1  # a strength that does, over one that does not: close enough
+# By how much numbers are changed; which is the least that does is found by bisection.
+STRENGTHS = (1.02, 1.1, 1.4, 2.5, 10.0, 100.0, 1e4, 1e6, 1e9)
+SHORTER = (2.0, 4.0, 8.0)  # times as many servo periods in the same window
+STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the command's movement
+COLD_C = 0.0  # nothing around a coil is asked to be colder
+
+CURRENT, RHO = f"limits.{CurrentLimit.key}", "weights.rho"
+STIFFNESS, DAMPING, LATENCY = "feedback.stiffness_N_m", "feedback.damping_N_s_m", "feedback.latency_ticks"
+FEEDBACK, TAP_RATE = "feedback", "thermal.tap_rate_Hz"
+PERIOD, STAGES = "time.dt_s", "time.stages"
+AMBIENT = "thermal.ambient_C"
+COOLED = ("thermal.start_winding_C", "thermal.start_housing_C", AMBIENT)
+MOTOR = ("motor.R_wh_K_W", "motor.R_ha_K_W")  # of another one, where nothing else does
+COUNTED = (LATENCY, STAGES)
+
+Values = Mapping[str, float | None]
+Move = tuple[str, bool]  # a key, and whether its number goes up
+
+
+class Adjustable(Protocol):
+    """An entry that can be posed with other numbers."""
+
+    def value(self, key: str) -> float | None:
+        """What stands at a dotted key of the scene; None where nothing does."""
+
+    def problem(self, changes: Values) -> TransientProblem:
+        """The entry's problem with other numbers, None for a key that is left out.
+
+        Raises
+        ------
+        InputError : numbers that the scene cannot have.
+        """
+
+
+def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
+    """Whether the entry with these numbers is solved, certified and replayed clean, by the wanted solver alone."""
+    trial = TrialOptions(options.solver, options.tolerance, min(options.max_iterations, MOST_ITERATIONS))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is far from usual fails
+        try:
+            problem = entry.problem(changes)
+        except InputError:
+            return False
+        designed = optimum(problem, trial)
+        if not designed.is_proven:
+            return False
+        (played,) = replayed(None if problem.thermal is None else problem.thermal.coil, [designed])
+        answer, command = designed.solution, designed.solution.command_A
+        predicted, _ = problem.stage.rollout(command)
+        status, _ = admit(answer.status, designed.certificate, played, designed.problem, command, predicted)
+    return status is Status.OPTIMAL
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How some numbers change together, by one strength.
+
+    Attributes
+    ----------
+    at : strength -> the numbers, rounded as they are printed, away from where they come from.
+    strengths : increasing, the first above 1.
+    guided : whether the excess of the refused answer tells where to begin.
+    vanishes : whether next to nothing is left of the numbers at the largest strength.
+    """
+
+    at: Callable[[float], Values]
+    strengths: tuple[float, ...] = STRENGTHS
+    guided: bool = True
+    vanishes: bool = False
+
+
+@dataclass
+class _Search:
+    """The trials of one entry.
+
+    Attributes
+    ----------
+    hint : the strength to begin with, if it is above 1.
+    most_s : of a processor's time for all.
+    until_s : when the present list of ways has had its share of it.
+    known : numbers -> whether they did.
+    began_s : on the processor's clock, and on that of the wall.
+    """
+
+    entry: Adjustable
+    options: SolverOptions
+    hint: float
+    most_s: float
+    until_s: float = 0.0
+    known: dict[tuple[tuple[str, float | None], ...], bool] = field(default_factory=dict)
+    began_s: tuple[float, float] = field(default_factory=lambda: (time.process_time(), time.monotonic()))
+
+    @property
+    def spent_s(self) -> float:
+        """Of `most_s`; a machine that is busy with other things counts by the clock, too."""
+        return max(time.process_time() - self.began_s[0], (time.monotonic() - self.began_s[1]) / LONGEST)
+
+    def begin(self) -> None:
+        """Another list of ways: it may take half of what is left, so that something is left for the next."""
+        self.until_s = (self.spent_s + self.most_s) / 2
+
+    @property
+    def late(self) -> bool:
+        return self.spent_s > self.until_s
+
+    def tried(self, ways: Sequence[_Way]) -> list[Remedy]:
+        """The best of each way, the ways first that do at once; one at least is tried."""
+        at_once = [way for way in ways if not self.late and self.does(way.at(self.first(way)))]
+        others = [way for way in ways if way not in at_once]
+        return [self.best(way) for way in (*at_once, *others) if way in at_once or not self.late]
+
+    def strengths(self, way: _Way) -> tuple[float, ...]:
+        """Of a way, that of the excess among them."""
+        if way.guided and self.hint > 1:
+            return tuple(sorted({*way.strengths, self.hint}))
+        return way.strengths
+
+    def first(self, way: _Way) -> float:
+        """The strength that a search begins with."""
+        strengths = self.strengths(way)
+        return self.hint if self.hint in strengths else strengths[len(strengths) // 2]
+
+    def __contains__(self, values: Values) -> bool:
+        return tuple(values.items()) in self.known
+
+    def does(self, values: Values) -> bool:
+        key = tuple(values.items())
+        if key not in self.known:
+            self.known[key] = does(self.entry, values, self.options)
+        return self.known[key]
+
+    def best(self, way: _Way) -> Remedy:
+        """The least change that does, nearly; or the farthest that was tried."""
+        strengths = self.strengths(way)
+        middle = strengths.index(self.first(way))
+        low, high, farthest = -1, len(strengths), middle
+        while high - low > 1 and (low < 0 or way.at(strengths[middle]) in self or not self.late):
+            farthest = max(farthest, middle)
+            if self.does(way.at(strengths[middle])):
+                high = middle
+            else:
+                low = middle
+            # What is of no use when it is next to nothing is of none in between.
+            middle = high - 1 if way.vanishes and high == len(strengths) else (low + high) // 2
+        if high == len(strengths):
+            return _remedy(way.at(strengths[farthest]), solved=False)
+        weak, strong = strengths[low] if low >= 0 else 1.0, strengths[high]
+        while strong / weak > NEAR and not self.late:
+            between = math.sqrt(weak * strong)
+            if way.at(between) in (way.at(weak), way.at(strong)):
+                break
+            if self.does(way.at(between)):
+                strong = between
+            else:
+                weak = between
+        return _remedy(way.at(strong), solved=True)
+
+
+def remedies(
+    entry: Adjustable,
+    problem: TransientProblem,
+    played: Replay,
+    status: Status,
+    options: SolverOptions,
+    *,
+    most_s: float = MOST_S,
+) -> list[Remedy]:
+    """What would do for an entry that is refused: one number changed or, if none helps, several together.
+
+    Parameters
+    ----------
+    problem, played, status : of the refused answer: what it had to meet, its replay, how it ended.
+    most_s : of a processor's time for all trials.
+
+    Returns
+    -------
+    Those that do, if there are any; else those that were tried, each as far as it went.
+    """
+    search = _Search(entry, options, _excess(problem, played, status), most_s)
+    tried: list[Remedy] = []
+    for ways in _ways(entry, problem, status):
+        search.begin()
+        found = search.tried([way for way in ways if way.strengths])
+        solved = [remedy for remedy in found if remedy.solved]
+        if solved:
+            return solved
+        tried += found
+    return tried
+
+
+def _excess(problem: TransientProblem, played: Replay, status: Status) -> float:
+    """How many times a limit, and a little more, a refused answer's replay reached; 0 where that means nothing."""
+    if status is Status.INFEASIBLE:
+        return 0.0
+    reached = [played.peak(limit) / limit.stated for limit in problem.limits if limit.linear]
+    return OVER * max((by for by in reached if by < STRENGTHS[-1]), default=0.0)
+
+
+def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Iterator[list[_Way]]:
+    """What may help, the simplest first; each list is tried as a whole."""
+
+    def movable(moves: Sequence[Move]) -> list[Move]:
+        return [(key, up) for key, up in moves if _is_movable(entry, key)]
+
+    if status is Status.PRECISION:
+        yield [_way(entry, [(CURRENT, False)]), _steadier(entry)]
+        yield [_shortened(entry)]
+        return
+    hopeless = [limit for limit in problem.limits if limit.unavoidable(problem)]
+    blamed = list(hopeless or problem.limits)
+    if status is Status.HAND_OVER:
+        blamed = [limit for limit in blamed if limit.linear]
+    if status is Status.UNSTABLE_WALL:
+        blamed = []
+    wider = movable([move for limit in blamed for move in limit.relieved_by().items()])
+    softer = movable([(key, False) for key in (STIFFNESS, DAMPING, LATENCY)])
+    if hopeless:
+        softer = []
+    yield [_way(entry, [move]) for move in ([*softer, *wider] if status is Status.HAND_OVER else [*wider, *softer])]
+    rising = [move for move in wider if move[1]]
+    both = [move for move in softer if move[0] != LATENCY]
+    yield [_way(entry, moves) for moves in (rising, both) if len(moves) > 1]
+    if status not in (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL):
+        yield [_finer(entry)]
+    needless = [key for limit in problem.limits if (key := limit.dispensed_by())]
+    needless += [TAP_RATE] if entry.value(TAP_RATE) is not None else []
+    gone = [*needless, *([FEEDBACK] if entry.value(STIFFNESS) is not None else [])]
+    yield [_without(key) for key in gone]
+    if len(gone) > 1:
+        yield [_without(*gone)]
+    everything = [move for limit in problem.limits for move in limit.relieved_by().items() if move[0] not in gone]
+    kept = movable(everything)
+    falling = [move for move in kept if not move[1]]
+    yield [_way(entry, moves, gone) for moves in (falling, kept) if moves]
+    if problem.thermal is not None:
+        yield [_way(entry, movable([(key, False) for key in MOTOR]), gone)]
+
+
+def _coldest_C(entry: Adjustable, key: str) -> float:
+    """A coil cools to what is around it, and that to nothing unusual."""
+    ambient = entry.value(AMBIENT)
+    return COLD_C if key == AMBIENT or ambient is None else ambient
+
+
+def _is_movable(entry: Adjustable, key: str) -> bool:
+    """Whether a number stands there, and not at its end."""
+    stated = entry.value(key)
+    return stated is not None and stated > (_coldest_C(entry, key) if key in COOLED else 0.0)
+
+
+def _way(entry: Adjustable, moves: Sequence[Move], gone: Sequence[str] = ()) -> _Way:
+    """All of these numbers by the same factor, a temperature by its distance from the coldest it may be.
+
+    Parameters
+    ----------
+    gone : keys that are left out besides.
+    """
+    stated = {key: entry.value(key) or 0.0 for key, _ in moves}
+
+    def at(strength: float) -> Values:
+        values: dict[str, float | None] = dict.fromkeys(gone)
+        for key, up in moves:
+            if key in COOLED:
+                cold = _coldest_C(entry, key)
+                values[key] = math.floor(TENTHS * (cold + (stated[key] - cold) / strength)) / TENTHS
+            elif key in COUNTED:
+                values[key] = float(math.floor(stated[key] / strength))
+            else:
+                values[key] = _rounded(stated[key] * strength if up else stated[key] / strength, up)
+        return values
+
+    return _Way(at, vanishes=not any(up for _, up in moves))
+
+
+def _without(*keys: str) -> _Way:
+    return _Way(lambda _: dict.fromkeys(keys), (1.0,), guided=False)
+
+
+def _finer(entry: Adjustable) -> _Way:
+    """More and shorter servo periods in the same window."""
+    period_s, stages = entry.value(PERIOD) or 0.0, entry.value(STAGES) or 0.0
+
+    def at(strength: float) -> Values:
+        return {PERIOD: float(f"{period_s / strength:.6g}"), STAGES: float(round(stages * strength))}
+
+    return _Way(at, SHORTER, guided=False)
+
+
+def _shortened(entry: Adjustable) -> _Way:
+    """A shorter window."""
+    stages = entry.value(STAGES) or 0.0
+    return _Way(lambda strength: {STAGES: float(max(math.floor(stages / strength), 2))}, SHORTER, guided=False)
+
+
+def _steadier(entry: Adjustable) -> _Way:
+    """A larger weight of the command's movement."""
+    stated = entry.value(RHO) or 0.0
+    return _Way(lambda rho: {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
+
+
+def _rounded(value: float, up: bool) -> float:
+    """To the digits that are printed, away from where it comes from."""
+    if value == 0:
+        return 0.0
+    digits = DIGITS - 1 - math.floor(math.log10(abs(value)))
+    scaled = value * 10.0**digits
+    # A product that rounding has left beside a whole number is that number.
+    whole = math.ceil(scaled - 1e-9) if up else math.floor(scaled + 1e-9)
+    return float(f"{whole / 10.0**digits:.{DIGITS}g}")
+
+
+def _remedy(values: Values, *, solved: bool) -> Remedy:
+    return Remedy(tuple(Change(key, value, unit_of(key)) for key, value in values.items()), solved)

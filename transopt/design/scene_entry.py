@@ -1,0 +1,102 @@
+"""Entries of a scene under other numbers, and what would do for those of a library that are refused."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time
+
+from transopt.base.errors import InputError
+from transopt.design.entry import Entry, entry_problem, scene_stage, spread_stages
+from transopt.design.explain import Change, Remedy, what_would_do
+from transopt.design.remedy import CURRENT, MOST_S, MOTOR, Values, does, remedies
+from transopt.problem.answer import Status
+from transopt.problem.limits.own import OwnLimit
+from transopt.problem.problem import TransientProblem
+from transopt.recordings.reference import Reference, build_reference
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+
+MOST_OF_A_LIBRARY_S = 30.0  # of a processor's time for the trials of all entries
+BETA = "limits.beta"
+OWN = f"limits.{OwnLimit.key}"
+COIL = ("thermal.", *MOTOR)  # what only a scene with a motor of its own coil looks at
+
+
+@dataclass(frozen=True)
+class SceneEntry:
+    """One entry of a scene, which can be posed with other numbers in the scene."""
+
+    scene: Scene
+    grip_N: float
+    reference: Reference
+
+    def value(self, key: str) -> float | None:
+        """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
+        if key == CURRENT:
+            return self.scene.limits.transient_current_A
+        if key.startswith(COIL) and self.scene.motor is None:
+            return None
+        found: object = self.scene
+        for name in key.split("."):
+            found = getattr(found, name, None)
+        return float(found) if isinstance(found, int | float) else None
+
+    def problem(self, changes: Values) -> TransientProblem:
+        """The problem with other numbers in the scene; a limit of a user's own is left out by its name.
+
+        Raises
+        ------
+        InputError : numbers that the scene cannot have; another time axis for a speed between the recorded ones.
+        """
+        left_out = {key.removeprefix(f"{OWN}.") for key in changes if key.startswith(f"{OWN}.")}
+        values = {key: value for key, value in changes.items() if not key.startswith(f"{OWN}.")}
+        if left_out:
+            kept = [table.model_dump() for table in self.scene.limits.own if table.name not in left_out]
+            scene = with_values(self.scene, {**values, OWN: kept})
+        else:
+            scene = with_values(self.scene, values)
+        reference, grid = self.reference, scene.time_grid()
+        if grid != self.scene.time_grid():
+            if reference.between_m_s is not None:
+                raise InputError(f"{reference.speed_m_s:g} m/s: not recorded, so not sampled on another time axis")
+            reference = build_reference(
+                reference.speed_m_s, reference.taps, reference.factors, grid, scene.recordings
+            )
+        return entry_problem(scene, scene_stage(scene, self.grip_N), reference, spread_stages(scene, self.grip_N))
+
+
+def with_remedies(
+    scene: Scene, entries: Sequence[Sequence[Entry]], references: Sequence[Reference], options: SolverOptions
+) -> list[list[Entry]]:
+    """The entries, speed by speed, those refused with what would do for each.
+
+    What does for one entry is tried for the next before anything else is, so that one change may do for all.
+
+    Parameters
+    ----------
+    references : of the speeds.
+    """
+    began_s, found = process_time(), dict[str, Remedy]()
+
+    def tried(entry: Entry, reference: Reference) -> Entry:
+        if entry.status is Status.OPTIMAL:
+            return entry
+        left_s = MOST_OF_A_LIBRARY_S - (process_time() - began_s)
+        if left_s <= 0:
+            return replace(entry, shortfalls=[*entry.shortfalls, "not tried what would do, for want of time"])
+        posed = SceneEntry(scene, entry.grip_N, reference)
+        own = [remedy for remedy in found.values() if does(posed, remedy.values, options)]
+        if not own:
+            own = remedies(posed, entry.problem, entry.played, entry.status, options, most_s=min(MOST_S, left_s))
+        own = [_in_place_of_beta(scene, remedy) for remedy in own]
+        found.update({str(remedy): remedy for remedy in own if remedy.solved})
+        return replace(entry, remedies=tuple(own), shortfalls=[*entry.shortfalls, what_would_do(own)])
+
+    return [[tried(entry, reference) for entry in row] for row, reference in zip(entries, references, strict=True)]
+
+
+def _in_place_of_beta(scene: Scene, remedy: Remedy) -> Remedy:
+    """The same for a scene that states its limit on the current by beta, which then has to go."""
+    if scene.limits.beta is None or CURRENT not in remedy.values or BETA in remedy.values:
+        return remedy
+    return replace(remedy, changes=(*remedy.changes, Change(BETA, None, "")))
