@@ -3,6 +3,7 @@
 import math
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,15 +37,30 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
-    """A Ctrl-C that comes inside is delivered at the end; processes started inside never see one."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield  # Windows has no signal masks
-        return
-    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """A Ctrl-C or SIGTERM that comes inside is answered at the end; processes started inside never see a Ctrl-C.
+
+    A Ctrl-C is held back in this thread, which a process started here inherits. The system may hand a signal to
+    another thread, and Python then answers it in the main thread all the same: so the answers are put off too.
+    """
+    waiting = [number for number in (signal.SIGINT, signal.SIGTERM) if _answered_here(number)]
+    came: list[int] = []
+    masks = hasattr(signal, "pthread_sigmask")  # Windows has no signal masks
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+    answers = {number: signal.signal(number, lambda given, _: came.append(given)) for number in waiting}
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+        for number, answer in answers.items():
+            signal.signal(number, answer)
+        for number in came:
+            signal.raise_signal(number)
+
+
+def _answered_here(number: int) -> bool:
+    """Whether a signal has an answer in Python, and this is the thread that gives it."""
+    return threading.current_thread() is threading.main_thread() and callable(signal.getsignal(number))
 
 
 def without_nan(value: Any) -> Any:
