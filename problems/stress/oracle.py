@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
+from transopt.base import apart
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import inside
 
 MOST_STAGES = 700  # of the linear program
 LONGEST_S = 60.0  # of the linear program
+LATE_S = 20.0  # beyond that: it does not come back
 CLEARLY = 1e-4  # of the limits' width: room that no rounding of either method makes
 DECIDED = (0, 2)  # status of scipy's linprog: an optimum, or a proof that there is none
 
@@ -45,7 +47,11 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
         return Verdict("", decided=not inside(problem, nothing, only="temperature"))
     if problem.grid.stages > MOST_STAGES:
         return Verdict("", decided=False)
-    room = _room(problem)
+    try:
+        # Whatever the method's native code does, prints or waits for, stays in a process of its own.
+        room = apart.call(_room, problem, within_s=LONGEST_S + LATE_S)
+    except apart.UnansweredError:
+        room = None
     if room is None:
         return Verdict("", decided=False)
     way_out = f"a command keeps all limits with {room:.1e} of them to spare" if room > CLEARLY else ""

@@ -1,11 +1,13 @@
 """What the command lines share: the console, folders that can be written, errors in one line."""
 
+import faulthandler
 import os
 import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,6 +16,7 @@ from rich.console import Console
 
 from transopt.base.errors import InputError
 
+LAST_S = 0.8  # between a signal and the end of the process, whatever it is doing
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
 
 
@@ -46,7 +49,7 @@ def run(app: Callable[..., object]) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback.
 
     The process ends with the code that `app` returns (0 if it returns none), with 2 after an error of the user's,
-    with 130 after Ctrl-C.
+    with 130 after Ctrl-C, with 128 and its number after another signal that asks it to end.
 
     Parameters
     ----------
@@ -55,23 +58,59 @@ def run(app: Callable[..., object]) -> None:
     # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
     # processor and gain nothing. The variable is read when numpy is loaded, which happens inside the commands.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # SIGTERM is answered like Ctrl-C: no process is left behind, and nothing half written.
-    ours = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
-    try:
-        code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
-    except InputError as error:
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
-    except _ClickException as error:
-        _refuse(error)
-    except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)
-    else:
-        sys.exit(code if isinstance(code, int) else 0)
-    finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+    with _signals_end_it() as came:
+        try:
+            code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
+        except InputError as error:
+            typer.echo(f"error: {error}", err=True)
+            sys.exit(2)
+        except _ClickException as error:
+            _refuse(error)
+        except (KeyboardInterrupt, typer.Abort):
+            sys.exit(130)
+        except Exception:
+            if not came:
+                raise
+            # What a signal cuts short may call it by another name: an import that fails, a file that ends.
+            sys.exit(128 + came[0])
+        else:
+            sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def _signals_end_it() -> Iterator[list[int]]:
+    """SIGINT, SIGTERM and SIGHUP raise an exception, so that all that is open is tidied up on the way out.
+
+    If the process has not ended `LAST_S` after the first of them, because a library has swallowed the exception or
+    does not come back, it ends at once. Yields the signals that came.
+    """
+    came: list[int] = []
+
+    def end(number: int, _: object) -> None:
+        came.append(number)
+        if len(came) == 1:
+            # A thread without Python in it, which native code cannot hold up.
+            faulthandler.dump_traceback_later(LAST_S, exit=True, file=nothing)
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        sys.exit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+    asked = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in asked}
+    with Path(os.devnull).open("w") as nothing:
+        try:
+            for number, answer in before.items():
+                if answer is not signal.SIG_IGN:  # as in the background of a shell
+                    signal.signal(number, end)
+            yield came
+        finally:
+            for number, answer in before.items():
+                signal.signal(number, answer)
+            if came:
+                faulthandler.cancel_dump_traceback_later()
 
 
 def _refuse(error: Any) -> NoReturn:

@@ -29,7 +29,8 @@ def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
     """
     staging = folder
     try:
-        staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
+        with ctrl_c_waits():
+            staging = Path(tempfile.mkdtemp(dir=folder, prefix=".part-"))
         for name, write in files.items():
             write(staging / name)
         with ctrl_c_waits():
@@ -43,7 +44,8 @@ def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
         raise InputError(str(error).replace(str(staging), str(folder))) from None
     finally:
         if staging != folder:
-            shutil.rmtree(staging, ignore_errors=True)
+            with ctrl_c_waits():
+                shutil.rmtree(staging, ignore_errors=True)
 
 
 def files_of(build: Build, *, figures: bool = True) -> Files:
