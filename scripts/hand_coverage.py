@@ -26,7 +26,7 @@ from transopt.base.writing import table
 from transopt.identify.hand import tap as hand_tap
 from transopt.identify.hand.lines import COEFFICIENTS, HandFit, fit_hand
 from transopt.identify.hand.tap import cut_tap, fit_tap
-from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
+from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 from transopt.recordings.settings import SimulatedTaps
 
 TRUTH = np.array(

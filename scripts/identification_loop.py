@@ -52,8 +52,9 @@ from transopt.base.signals import nrmse
 from transopt.design.optimum import optimum
 from transopt.library.file import load_library
 from transopt.library.library import Library
-from transopt.plant.chain import Link, StateSpace, chain
+from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import discretise
+from transopt.plant.state_space import StateSpace
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
 

@@ -2,7 +2,7 @@
 
 from controller.servo.default_drive import AMPLIFIER, RE_25
 from controller.sim.true_device import Joint, TrueDevice
-from transopt.plant.chain import LinearInGrip
+from transopt.plant.hand import LinearInGrip
 
 
 def _fixed(value: float) -> LinearInGrip:

@@ -13,13 +13,20 @@ from scipy import linalg
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M, LinearInGrip
 from transopt.plant.coil import CoilModel
+from transopt.plant.drive import Drive
+from transopt.plant.fourth_order import FourthOrder
+from transopt.plant.hand import HandSection, LinearInGrip
+from transopt.plant.second_order import (
+    SEED_HAND_DAMPING_N_S_M,
+    SEED_HAND_MASS_KG,
+    SEED_HAND_STIFFNESS_N_M,
+    SecondOrder,
+)
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import ChainHand, DriveDevice, HandPart, StateSpaceDevice
 from transopt.scene.scene import Scene
-from transopt.scene.sections import Drive, FourthOrder, HandSection, SecondOrder
 
 LETTING_GO_N = 0.2  # below this grip the skin's spring and damper fade; at 0 N nobody holds the stylus
 

@@ -10,7 +10,7 @@ from scipy import optimize
 
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 
 INERTIA_HZ = 100.0  # above the hand's stiffness, below the transmission's: there the device is one mass
 
@@ -18,8 +18,8 @@ INERTIA_HZ = 100.0  # above the hand's stiffness, below the transmission's: ther
 def inertia(library: Library) -> float:
     """m / k_f: current per acceleration of the moving mass [A s^2/m], the mean over the grips of 1 / |G(100 Hz)|."""
     plants = [
-        StateSpace(library.plant_A[ig], library.plant_B[ig], library.plant_C[ig], library.plant_D[ig], ce)
-        for ig, ce in enumerate(library.plant_Ce)
+        StateSpace(library.plant_A[ig], library.plant_B[ig], library.plant_C[ig], library.plant_D[ig])
+        for ig in range(library.grips_N.size)
     ]
     return float(np.mean([1 / np.abs(plant.response(np.array([INERTIA_HZ]))[0]) for plant in plants]))
 

@@ -17,16 +17,10 @@ import problems
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
-from transopt.plant.chain import (
-    SEED_HAND_DAMPING_N_S_M,
-    SEED_HAND_MASS_KG,
-    SEED_HAND_STIFFNESS_N_M,
-    Hand,
-    LinearInGrip,
-    Link,
-    StateSpace,
-    chain,
-)
+from transopt.plant.chain import Link, chain
+from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
+from transopt.plant.state_space import StateSpace
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.strikes import APPROACH_S, ENCODER_COUNT_M, contact_force, rk4_step
 

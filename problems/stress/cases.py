@@ -11,10 +11,14 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import Hand, LinearInGrip, Link, StateSpace, chain, drive, second_order
+from transopt.plant.chain import Link, chain
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid, discretise
+from transopt.plant.drive import drive
+from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.second_order import second_order
+from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import posed
@@ -66,7 +70,7 @@ class DrawnDevice:
         """
         made = self._in_si()
         scale = self.units ** (np.arange(made.order) % 3)
-        return StateSpace(
+        return StateSpace.from_matrices(
             A=made.A * scale / scale[:, None],
             B=made.B / scale[:, None],
             C=made.C * scale,

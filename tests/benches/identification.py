@@ -13,8 +13,8 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
 from transopt.plant.discretise import exponential, split_delay
+from transopt.plant.state_space import StateSpace
 
 DT_S = 1e-4
 ACCELEROMETER_HZ = 2500.0

@@ -10,7 +10,9 @@ import problems
 from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.library import Library
-from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M, LinearInGrip
+from transopt.plant.drive import Drive
+from transopt.plant.hand import LinearInGrip
+from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 from transopt.recordings.recording import Recording
 from transopt.scene.model_file import save_part
 from transopt.scene.model_parts import (
@@ -23,7 +25,6 @@ from transopt.scene.model_parts import (
     StateSpaceDevice,
 )
 from transopt.scene.scene import Scene
-from transopt.scene.sections import Drive
 
 GRIPS_N = [1.0, 3.0, 5.0]
 SOURCES = [{"file": "sweep.npz", "sha256": "0" * 64}]

@@ -10,8 +10,10 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.identify.amplifier import less_dead_band, simulate_current
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import Hand, LinearInGrip, Link, drive
+from transopt.plant.chain import Link
 from transopt.plant.discretise import discretise
+from transopt.plant.drive import drive
+from transopt.plant.hand import Hand, LinearInGrip
 
 DT_S = 1e-4
 POLE_HZ, DELAY_S = 1050.0, 68e-6

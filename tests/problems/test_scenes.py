@@ -12,9 +12,9 @@ import problems
 from tests.transopt.design.test_build import assert_entries_are_proven, assert_independent_check_is_clean
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.design.build import Build, build_library
+from transopt.plant.motor import Motor
 from transopt.recordings.tap import read_recordings
 from transopt.scene.scene import Scene
-from transopt.scene.sections import Motor
 from transopt.scene.strikes import recordings, strike
 
 # Its recordings are not part of the package; test_build.py solves it where they are at hand.

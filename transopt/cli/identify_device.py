@@ -101,7 +101,7 @@ def _nominal(scene: "Scene") -> "DriveChain | None":
     import numpy as np
 
     from transopt.identify.device.chain import HAND, DriveChain
-    from transopt.scene.sections import Drive
+    from transopt.plant.drive import Drive
 
     if not isinstance(scene.model, Drive):
         return None

@@ -16,6 +16,7 @@ from transopt.design.refine_grid import Refinement
 from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
+from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
@@ -197,7 +198,10 @@ def _meta(
     problem = entries[0][0].problem
     # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
     warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
+    watched = needed_outputs(scene.limits.asked())
+    outputs = [entry.problem.stage.plant.stored(watched) for entry in entries[0]]
     return {
+        **({"outputs": outputs} if any(outputs) else {}),
         "schema": SCHEMA,
         "dt_s": scene.time.dt_s,
         "lead_s": scene.time.lead_s,

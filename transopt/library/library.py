@@ -16,9 +16,9 @@ from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
+from transopt.plant.state_space import Output, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers
 from transopt.problem.leave_out import pressing
@@ -229,17 +229,21 @@ class Library:
     def amplifier(self) -> Amplifier | None:
         return None if self.meta["amplifier"] is None else Amplifier(**self.meta["amplifier"])
 
-    def _discretised(self, matrices: list[FloatArray]) -> StageModel:
-        return self.posing().stage(StateSpace(*matrices))
+    def plant(self, ig: int) -> StateSpace:
+        """The device of one grip, with the outputs that limits of a user's own look at."""
+        stored = self.meta.get("outputs", {}) and self.meta["outputs"][ig]
+        outputs = {name: Output(**{**each, "row": np.array([each["row"]])}) for name, each in stored.items()}
+        A, B, C, D, Ce = (getattr(self, f"plant_{name}")[ig] for name in PLANT)
+        return StateSpace.from_matrices(A, B, C, D, Ce, outputs)
 
     def stage(self, ig: int) -> StageModel:
         """Stage model of one grip, discretised anew from the plant in the file."""
-        return self._discretised([getattr(self, f"plant_{name}")[ig] for name in PLANT])
+        return self.posing().stage(self.plant(ig))
 
     def spread(self, ig: int) -> tuple[StageModel, ...]:
         """Further devices that the entries of one grip were designed for."""
-        devices = range(self.spread_A.shape[1])
-        return tuple(self._discretised([getattr(self, f"spread_{name}")[ig, j] for name in PLANT]) for j in devices)
+        matrices = [[getattr(self, f"spread_{name}")[ig, j] for name in PLANT] for j in range(self.spread_A.shape[1])]
+        return tuple(self.posing().stage(StateSpace.from_matrices(*each), watched=False) for each in matrices)
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""

@@ -19,9 +19,9 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.library.library import Library, Waveform, interpolation_weights, speed_weights
 from transopt.library.other_limits import with_limits
-from transopt.plant.chain import StateSpace
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel
+from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Multipliers
 from transopt.problem.leave_out import encoder_course, leave_out, pressing
@@ -135,8 +135,8 @@ class Online:
         key = (grip_N, posing.amplifier, needed_outputs(posing.asked))
         found = self._stages.get(key)
         if found is None:
-            plants = (self._plant(grip_N), *self._spread(grip_N))
-            found = tuple(posing.stage(plant) for plant in plants)
+            others = (posing.stage(plant, watched=False) for plant in self._spread(grip_N))
+            found = (posing.stage(self._plant(grip_N)), *others)
             if len(self._stages) >= FAMILIES:
                 del self._stages[next(iter(self._stages))]
             self._stages[key] = found

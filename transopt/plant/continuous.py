@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
-from transopt.plant.discretise import StageModel, TimeGrid, plant_outputs, split_delay
+from transopt.plant.discretise import StageModel, TimeGrid, split_delay
 from transopt.plant.wall import FeedbackLoop, HandOver
 
 SAMPLES_PER_PERIOD = 8  # at which the trajectory is kept
@@ -188,7 +188,7 @@ class Flow:
     def of(cls, stage: StageModel) -> "Flow":
         """From the continuous-time plant and the amplifier of a stage; its discrete matrices are not used."""
         plant, amplifier = stage.plant, stage.amplifier
-        n, velocity = plant.order, (plant.Ce @ plant.A)[0]
+        n, velocity = plant.order, plant.Cv[0]
         if amplifier is None:
             A, B, more, direct = plant.A, plant.B, 0, [plant.D[0, 0], 1.0, 0.0]
         else:
@@ -197,7 +197,7 @@ class Flow:
             B, more, direct = np.append(np.zeros((n, 1)), [[w]], axis=0), 1, [0.0, 0.0, 0.0]
         # In balanced units (powers of two, exact) no state drowns in the rounding of another.
         balanced, (units, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
-        further = plant_outputs(plant, tuple(stage.outputs))
+        further = {name: plant.output(name).row for name in stage.outputs}
         rows = np.zeros((3 + len(further), n + more))
         for j, row in enumerate(further.values()):
             rows[3 + j, :n] = row[0]

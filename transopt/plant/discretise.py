@@ -19,7 +19,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 
 AFTER = " after the period"  # behind the name of an output: its value at the next switching instant
 
@@ -260,26 +260,6 @@ def split_delay(delay_s: float, dt_s: float) -> tuple[int, float]:
     return whole, max(delay_s - whole * dt_s, 0.0)
 
 
-def plant_outputs(plant: StateSpace, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Name -> (1, n) row of the plant's outputs that may be asked for beside acceleration and velocity.
-
-    "position" and "velocity" are y and dy/dt of the motor mass, the one that the encoder sees; "state 1" to "state n"
-    are the plant's own states.
-
-    Raises
-    ------
-    InputError : an output that the plant does not have.
-    """
-    if not names:
-        return {}
-    known = {"position": plant.Ce, "velocity": plant.Ce @ plant.A} if plant.Ce.any() else {}
-    known |= {f"state {j + 1}": np.eye(1, plant.order, j) for j in range(plant.order)}
-    missing = [name for name in names if name not in known]
-    if missing:
-        raise InputError(f"model: it has no output {missing[0]}; it has {', '.join(known)}")
-    return {name: known[name] for name in names}
-
-
 def acting_states(
     plant: StateSpace, *, position: bool = False, outputs: Sequence[FloatArray] = ()
 ) -> NDArray[np.bool_]:
@@ -287,7 +267,7 @@ def acting_states(
 
     A free device's position only integrates its velocity: nothing depends on it, unless `position` is asked for.
     """
-    rows = [plant.C, plant.Ce @ plant.A, *([plant.Ce] if position else []), *outputs]
+    rows = [plant.C, plant.Cv, *([plant.Ce] if position else []), *outputs]
     acting: NDArray[np.bool_] = (np.concatenate(rows) != 0).any(axis=0)
     by = plant.A != 0
     while True:
@@ -326,17 +306,17 @@ def discretise(
     amplifier : None is ideal.
     dt_s : servo period.
     position : also give the encoder position, for a wall.
-    outputs : further outputs of the plant to be named, see `plant_outputs`.
+    outputs : further outputs of the plant, by the names that `StateSpace.output` knows.
 
     Raises
     ------
     InputError : an output that the plant does not have.
     """
-    further = plant_outputs(plant, outputs)
+    further = {name: plant.output(name).row for name in outputs}
     acting = acting_states(plant, position=position, outputs=list(further.values()))
     n = int(acting.sum())
     A, B, C = plant.A[np.ix_(acting, acting)], plant.B[acting], plant.C[:, acting]
-    velocity, encoder = (plant.Ce @ plant.A)[:, acting], plant.Ce[:, acting]
+    velocity, encoder = plant.Cv[:, acting], plant.Ce[:, acting]
     zero = np.zeros((1, 1))
     if amplifier is None:
         flow = np.block([[A, B], [np.zeros((1, n + 1))]])

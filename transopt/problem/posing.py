@@ -9,10 +9,10 @@ import numpy as np
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
@@ -88,14 +88,23 @@ class Posing:
             budget=Budget() if thermal is None else Budget(**thermal["budget"]),
         )
 
-    def stage(self, plant: StateSpace) -> StageModel:
-        """A device as the problems need it: with the encoder's position for a wall, and what the limits look at."""
+    def stage(self, plant: StateSpace, *, watched: bool = True) -> StageModel:
+        """A device as the problems need it: with the encoder's position for a wall, and what the limits look at.
+
+        Parameters
+        ----------
+        watched : False for a further device that a robust command serves, which no limit looks at.
+
+        Raises
+        ------
+        InputError : a limit on an output that the plant does not have.
+        """
         return discretise(
             plant,
             self.amplifier,
             self.grid.dt_s,
             position=self.wall is not None,
-            outputs=needed_outputs(self.asked),
+            outputs=needed_outputs(self.asked) if watched else (),
         )
 
     def problem(

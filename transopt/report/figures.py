@@ -16,7 +16,7 @@ from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.figures import QUIET, grip_label, legend_above
 from transopt.library.library import Library
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 from transopt.problem.answer import AMPLITUDE_THRESHOLD, Status
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
@@ -145,7 +145,7 @@ def bode_figure(library: Library) -> Figure:
     magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     shades = colours(library.grips_N.size)
     for ig, grip in enumerate(library.grips_N):
-        matrices = (library.plant_A, library.plant_B, library.plant_C, library.plant_D, library.plant_Ce)
+        matrices = (library.plant_A, library.plant_B, library.plant_C, library.plant_D)
         response = StateSpace(*(m[ig] for m in matrices)).response(frequencies)
         degrees = np.degrees(np.unwrap(np.angle(response)))
         degrees -= 360 * np.floor((degrees[0] + 90) / 360)  # from 180 where a spring holds the stylus, from 0 if free

@@ -7,10 +7,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
-from transopt.plant import chain
+from transopt.plant.motor import Tip
+from transopt.plant.state_space import StateSpace
 from transopt.scene.fitted import FittedPart
 from transopt.scene.model_parts import DriveDevice, HandPart, ModelParts, StateSpaceDevice, check_grip
-from transopt.scene.sections import Tip
 
 SEED = 7  # of the draws, always the same, so that a library can be made again
 TRIES = 200  # for one draw or pair of draws
@@ -63,7 +63,7 @@ class IdentifiedModel(ModelParts):
         """Held-out NRMSE of the model at a grip; NaN where the file states none."""
         return float("nan") if self.device is None else self.device.error_at(grip_N)
 
-    def plant(self, grip_N: float, force_per_current_N_A: float | None, *, struck: bool = False) -> chain.StateSpace:
+    def plant(self, grip_N: float, force_per_current_N_A: float | None, *, struck: bool = False) -> StateSpace:
         """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.
 
         The force per current is the scene's where the model file has a hand only.

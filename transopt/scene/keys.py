@@ -1,6 +1,6 @@
 """Keys of a scene by dotted path: unit, bounds, default, value; and scenes with some of them changed.
 
-Everything is read from the tables in `transopt.scene.sections`, so that a key that is added there is known here.
+Everything is read from the tables of which `Scene` is made, so that a key that is added there is known here.
 """
 
 import difflib
@@ -16,9 +16,9 @@ from pydantic_core import PydanticUndefined
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
+from transopt.plant.hand import LinearParameter
 from transopt.scene.file import explain
 from transopt.scene.scene import Scene
-from transopt.scene.sections import LinearParameter
 
 Value = float | int | str | None
 Changes = Mapping[str, Any]  # dotted path -> value; a whole table for "motor" and "transmission"

@@ -12,9 +12,12 @@ from pydantic import Field, JsonValue, field_validator, model_validator
 
 from transopt.base.errors import InputError
 from transopt.base.section import Finite, NonNegative, Positive, Section
-from transopt.plant import chain
+from transopt.plant.chain import Link
+from transopt.plant.drive import drive
+from transopt.plant.hand import Hand, LinearParameter
+from transopt.plant.second_order import second_order
+from transopt.plant.state_space import StateSpace, blended
 from transopt.scene.fitted import FittedPart, ModelPart
-from transopt.scene.sections import LinearParameter
 
 MODEL_PARTS = ("amplifier", "device", "hand", "coil")
 ModelPartName = Literal["amplifier", "device", "hand", "coil"]
@@ -41,9 +44,9 @@ class ChainHand(Section):
     arm_stiffness_N_m: LinearParameter
     arm_damping_N_s_m: LinearParameter
 
-    def hand(self) -> chain.Hand:
-        """The hand of `transopt.plant.chain`."""
-        return chain.Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
+    def hand(self) -> Hand:
+        """The hand as a model takes it."""
+        return Hand(**{name: getattr(self, name).linear() for name in type(self).model_fields})
 
 
 Grips = Annotated[list[NonNegative], Field(min_length=1)]
@@ -139,7 +142,7 @@ class DriveDevice(FittedPart):
                 raise ValueError(f"at {grip_N:g} N: {error}") from None
         return self
 
-    def plant(self, grip_N: float, *, struck: bool = False) -> chain.StateSpace:
+    def plant(self, grip_N: float, *, struck: bool = False) -> StateSpace:
         """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.
 
         Raises
@@ -147,12 +150,12 @@ class DriveDevice(FittedPart):
         InputError : a grip that was not recorded, parameters that are not passive there.
         """
         check_grip(self.grips_N, grip_N)
-        return chain.drive(
+        return drive(
             grip_N,
             hand=self.hand.hand(),
             stylus_mass_kg=self.stylus_mass_kg,
             moving_mass_kg=self.moving_mass_kg,
-            transmission=chain.Link(self.transmission_stiffness_N_m, self.transmission_damping_N_s_m),
+            transmission=Link(self.transmission_stiffness_N_m, self.transmission_damping_N_s_m),
             force_per_current_N_A=1.0 if struck else self.force_per_current_N_A,
             driven=1 if struck else 0,
         )
@@ -201,12 +204,12 @@ class StateSpaceDevice(ModelPart):
                 raise ValueError(f"A at {grip_N:g} N: not stable, a pole at {worst:g} 1/s")
         return self
 
-    def node(self, j: int) -> chain.StateSpace:
-        """The model of a recorded grip. A black box knows no encoder: its row is zero."""
+    def node(self, j: int) -> StateSpace:
+        """The model of a recorded grip. A black box knows no position."""
         A, B, C, D = (np.array(getattr(self, name)[j]) for name in "ABCD")
-        return chain.StateSpace(A, B, C, D, np.zeros((1, self.order)))
+        return StateSpace(A, B, C, D)
 
-    def plant(self, grip_N: float) -> chain.StateSpace:
+    def plant(self, grip_N: float) -> StateSpace:
         """Motor current to stylus acceleration; between recorded grips their outputs are blended, linearly.
 
         Of order 2 n wherever there are two held grips to blend, also at a node, so that all grips share one order.
@@ -225,7 +228,7 @@ class StateSpaceDevice(ModelPart):
         grip = min(max(grip_N, held[0]), held[-1])
         j = min(int(np.searchsorted(held, grip, side="right")) - 1, len(held) - 2)
         share = (grip - held[j]) / (held[j + 1] - held[j])
-        return chain.blended(self.node(first + j), self.node(first + j + 1), share)
+        return blended(self.node(first + j), self.node(first + j + 1), share)
 
     def error_at(self, grip_N: float) -> float:
         """Held-out NRMSE at a grip, NaN without validation."""
@@ -257,7 +260,7 @@ class HandPart(FittedPart):
                 raise ValueError(f"at {grip_N:g} N: {error}") from None
         return self
 
-    def plant(self, grip_N: float, *, force_per_current_N_A: float) -> chain.StateSpace:
+    def plant(self, grip_N: float, *, force_per_current_N_A: float) -> StateSpace:
         """Motor current to stylus acceleration.
 
         Raises
@@ -265,7 +268,7 @@ class HandPart(FittedPart):
         InputError : a grip that was not recorded, parameters that are not passive there.
         """
         check_grip(self.grips_N, grip_N)
-        return chain.second_order(
+        return second_order(
             grip_N,
             force_per_current_N_A=force_per_current_N_A,
             mass_kg=self.mass_kg.linear(),

@@ -13,11 +13,14 @@ from pydantic import Field, model_validator
 from transopt.base.errors import InputError
 from transopt.base.section import Section
 from transopt.base.shown import cut, span, wrapped
-from transopt.plant import chain
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid
+from transopt.plant.kind import PlantKind
+from transopt.plant.kinds import Model
+from transopt.plant.motor import Motor, Tip, Transmission, at_the_tip
+from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import KINDS
@@ -26,22 +29,7 @@ from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
-from transopt.scene.sections import (
-    AmplifierSection,
-    Drive,
-    Feedback,
-    FourthOrder,
-    Grid,
-    LimitsSection,
-    Motor,
-    Robust,
-    SecondOrder,
-    Thermal,
-    Time,
-    Tip,
-    Transmission,
-    Weights,
-)
+from transopt.scene.sections import AmplifierSection, Feedback, Grid, LimitsSection, Robust, Thermal, Time, Weights
 
 FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
 
@@ -54,7 +42,7 @@ class Scene(Section):
     grid: Grid
     time: Time = Time()
     recordings: Recordings
-    model: Annotated[SecondOrder | FourthOrder | Drive | IdentifiedModel, Field(discriminator="kind")]
+    model: Annotated[Model | IdentifiedModel, Field(discriminator="kind")]
     motor: Motor | None = None
     transmission: Transmission | None = None
     tip: Tip | None = None
@@ -82,16 +70,9 @@ class Scene(Section):
             self._check_identified(self.model)
         if not self._drive_in_file and (self.motor is None) == (self.tip is None):
             raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
-        if (
-            isinstance(self.model, Drive)
-            and self.tip is not None
-            and None
-            in (
-                self.tip.stiffness_N_m,
-                self.tip.damping_N_s_m,
-            )
-        ):
-            raise ValueError("model.kind = drive needs tip.stiffness_N_m and tip.damping_N_s_m")
+        through = isinstance(self.model, PlantKind) and self.model.through_transmission
+        if through and self.tip is not None and None in (self.tip.stiffness_N_m, self.tip.damping_N_s_m):
+            raise ValueError(f"model.kind = {self.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
         if self.motor is not None and self.limits.transient_current_A > self.motor.i_peak_A:
             raise ValueError(
                 f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
@@ -211,26 +192,16 @@ class Scene(Section):
                 )
 
     def drive_at_tip(self) -> Tip:
-        """What the stylus feels of the drive: force per ampere, rotor and link as one mass, transmission.
-
-        k_f = k_t ratio, m = J ratio^2 + m_link, with the ratio in shaft radian per metre of tip travel; or as it was
-        identified.
-        """
+        """What the stylus feels of the drive: as identified, as motor and transmission make it, or as stated."""
         identified = self.model.tip() if isinstance(self.model, IdentifiedModel) else None
         if identified is not None:
             return identified
         if self.motor is None or self.transmission is None:
             assert self.tip is not None
             return self.tip
-        ratio = self.transmission.ratio_1_m
-        return Tip(
-            force_per_current_N_A=self.motor.kt_Nm_A * ratio,
-            moving_mass_kg=self.motor.rotor_kg_m2 * ratio**2 + self.transmission.link_mass_kg,
-            stiffness_N_m=self.transmission.stiffness_N_m,
-            damping_N_s_m=self.transmission.damping_N_s_m,
-        )
+        return at_the_tip(self.motor, self.transmission)
 
-    def plant(self, grip_N: float, *, struck: bool = False) -> chain.StateSpace:
+    def plant(self, grip_N: float, *, struck: bool = False) -> StateSpace:
         """Model from motor current to stylus acceleration at one grip.
 
         With `struck` the input is a force on the stylus [N] instead: the same device tapping a real object.
@@ -244,35 +215,11 @@ class Scene(Section):
         except InputError as error:
             raise InputError(f"{self.name}, grip {grip_N:g} N: {error}") from None
 
-    def _chain(self, grip_N: float, struck: bool) -> chain.StateSpace:
+    def _chain(self, grip_N: float, struck: bool) -> StateSpace:
         if isinstance(self.model, IdentifiedModel):
             force = None if self._drive_in_file else self.drive_at_tip().force_per_current_N_A
             return self.model.plant(grip_N, force, struck=struck)
-        tip = self.drive_at_tip()
-        gain = 1.0 if struck else tip.force_per_current_N_A
-        match self.model:
-            case SecondOrder():
-                return chain.second_order(grip_N, force_per_current_N_A=gain)
-            case FourthOrder(stylus_mass_kg=stylus, hand=hand):
-                return chain.fourth_order(
-                    grip_N,
-                    hand=hand.hand(),
-                    stylus_mass_kg=stylus,
-                    moving_mass_kg=tip.moving_mass_kg,
-                    force_per_current_N_A=gain,
-                )
-            case Drive(stylus_mass_kg=stylus, hand=hand):
-                assert tip.stiffness_N_m is not None
-                assert tip.damping_N_s_m is not None
-                return chain.drive(
-                    grip_N,
-                    hand=hand.hand(),
-                    stylus_mass_kg=stylus,
-                    moving_mass_kg=tip.moving_mass_kg,
-                    transmission=chain.Link(tip.stiffness_N_m, tip.damping_N_s_m),
-                    force_per_current_N_A=gain,
-                    driven=1 if struck else 0,
-                )
+        return self.model.plant(grip_N, self.drive_at_tip(), struck=struck)
 
     def amplifier_model(self) -> Amplifier | None:
         """None for an ideal amplifier."""

@@ -9,7 +9,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Temperature
-from transopt.plant import chain
 
 
 def _increasing(values: list[float]) -> list[float]:
@@ -46,98 +45,6 @@ class Time(Section):
     dt_s: Positive = 1e-4
     stages: Annotated[int, Field(ge=2)] = 600
     lead_s: Annotated[float, Field(ge=0, le=0.02)] = 3e-4
-
-
-class LinearParameter(Section):
-    """A parameter of the hand, linear in grip force."""
-
-    constant: Finite
-    per_newton: Finite = 0.0
-
-    def linear(self) -> chain.LinearInGrip:
-        """The parameter of `transopt.plant.chain`."""
-        return chain.LinearInGrip(self.constant, self.per_newton)
-
-
-Parameter = LinearParameter | Finite
-
-
-def _linear(value: LinearParameter | float) -> chain.LinearInGrip:
-    if isinstance(value, LinearParameter):
-        return value.linear()
-    return chain.LinearInGrip(value, 0.0)
-
-
-class HandSection(Section):
-    """Skin and arm as functions of grip: a number, or {constant, per_newton}."""
-
-    mass_kg: Parameter
-    skin_stiffness_N_m: Parameter
-    skin_damping_N_s_m: Parameter
-    arm_stiffness_N_m: Parameter
-    arm_damping_N_s_m: Parameter
-
-    def hand(self) -> chain.Hand:
-        """The hand of `transopt.plant.chain`."""
-        return chain.Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})
-
-
-class SecondOrder(Section):
-    """The whole hand as one mass (seed Fig. 4a)."""
-
-    kind: Literal["second_order"]
-
-
-class FourthOrder(Section):
-    """Stylus and hand (seed Fig. 4b)."""
-
-    kind: Literal["fourth_order"]
-    stylus_mass_kg: Positive
-    hand: HandSection
-
-
-class Drive(Section):
-    """Motor, transmission, stylus and hand."""
-
-    kind: Literal["drive"]
-    stylus_mass_kg: Positive
-    hand: HandSection
-
-
-class Motor(Section):
-    """One row of a datasheet; its values belong together."""
-
-    name: str
-    datasheet: str
-    R_ohm: Positive
-    L_H: NonNegative
-    kt_Nm_A: Positive
-    rotor_kg_m2: NonNegative
-    i_continuous_A: Positive
-    i_peak_A: Positive
-    R_wh_K_W: Positive
-    R_ha_K_W: Positive
-    tau_w_s: Positive
-    tau_h_s: Positive
-    winding_max_C: Finite
-
-
-class Transmission(Section):
-    """From motor shaft to stylus tip: `ratio_1_m` is shaft radian per metre of tip travel."""
-
-    ratio_1_m: Positive
-    link_mass_kg: NonNegative
-    stiffness_N_m: Positive
-    damping_N_s_m: NonNegative
-
-
-class Tip(Section):
-    """The drive stated at the tip, for voice coils: no motor data, so no coil temperature."""
-
-    force_per_current_N_A: Positive
-    moving_mass_kg: Positive
-    stiffness_N_m: Positive | None = None
-    damping_N_s_m: NonNegative | None = None
 
 
 class AmplifierSection(Section):

@@ -7,7 +7,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import SimulatedTaps
 from transopt.scene.scene import Scene

@@ -68,6 +68,10 @@ class StageSymbols:
         """dz/dt of the motor mass, the nominal motion included [m/s]."""
         return self._output(VELOCITY)
 
+    def output(self, name: str) -> ca.SX:
+        """An output that the device names, such as "stylus position"; of a mass with the nominal motion included."""
+        return self._output(name)
+
     def state(self, number: int) -> ca.SX:
         """State `number`, from 1, of the plant: of a chain first its elongations, then its velocities."""
         return self._output(f"state {number}")

@@ -11,10 +11,10 @@ from pydantic import ValidationError
 
 from transopt.base.errors import InputError
 from transopt.base.section import Section
+from transopt.plant.motor import Motor, Transmission
 from transopt.scene.file import explain, read_toml
 from transopt.scene.keys import check_value, find_key, parse_value, with_values
 from transopt.scene.scene import Scene
-from transopt.scene.sections import Motor, Transmission
 
 # Tables that are swapped whole, as files.
 FILES: dict[str, type[Section]] = {"motor": Motor, "transmission": Transmission}

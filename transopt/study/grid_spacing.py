@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, style
 from transopt.design.refine_grid import Nodes
+from transopt.plant.drive import Drive
+from transopt.plant.hand import LinearParameter
 from transopt.scene.scene import Scene
-from transopt.scene.sections import Drive, LinearParameter
 from transopt.study.figures import percent_axis
 from transopt.study.optima import Proven, errors_of, proven
 

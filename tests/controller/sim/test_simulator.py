@@ -26,9 +26,9 @@ from controller.sim.user import (
 from controller.waveforms.prediction import REACTION_S
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, nrmse
 from transopt.library.library import Library
-from transopt.plant.chain import LinearInGrip
 from transopt.plant.coil import effective_square
 from transopt.plant.discretise import discretise
+from transopt.plant.hand import LinearInGrip
 from transopt.proof.replay import replay
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import strike

@@ -220,7 +220,8 @@ def test_every_part_left_out_has_its_reason(build: Build) -> None:
 def test_the_other_models_build_too(scene: Scene, taps: list[Recording], kind: str) -> None:
     from pydantic import TypeAdapter
 
-    from transopt.scene.sections import FourthOrder, SecondOrder
+    from transopt.plant.fourth_order import FourthOrder
+    from transopt.plant.second_order import SecondOrder
 
     table = {"kind": kind} if kind == "second_order" else {**scene.model.model_dump(), "kind": kind}
     model = TypeAdapter(SecondOrder | FourthOrder).validate_python(table)

@@ -20,8 +20,8 @@ from transopt.library.export import export_library
 from transopt.library.file import load_library
 from transopt.library.library import ARRAYS, Library
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import second_order
 from transopt.plant.discretise import TimeGrid, discretise
+from transopt.plant.second_order import second_order
 from transopt.problem.answer import Status
 from transopt.problem.baselines import seed_inversion
 

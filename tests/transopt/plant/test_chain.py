@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from transopt.base.errors import InputError
-from transopt.plant.chain import Hand, LinearInGrip, Link, chain, fourth_order, second_order
+from transopt.plant.chain import Link, chain
+from transopt.plant.fourth_order import fourth_order
+from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.second_order import second_order
 from transopt.scene.scene import Scene
 
 FREQUENCIES_HZ = np.array([1.0, 4.0, 5.0, 80.0, 390.0])

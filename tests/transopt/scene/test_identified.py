@@ -32,7 +32,7 @@ from transopt.base.errors import InputError
 from transopt.design.build import Build
 from transopt.library.file import load_library
 from transopt.library.library import Library
-from transopt.plant.chain import second_order
+from transopt.plant.second_order import second_order
 from transopt.recordings.recording import Recording
 from transopt.report.identified import below_the_model, model_warning
 from transopt.report.markdown import build_json, build_markdown

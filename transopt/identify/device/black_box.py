@@ -20,7 +20,7 @@ from transopt.base.signals import FloatArray
 from transopt.identify.device.chain_fit import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
 from transopt.identify.spectrum import ComplexArray
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls
 HIGHEST_ORDER = 20
@@ -130,7 +130,7 @@ class _Sections:
         A, B = self.matrices(unknowns)
         rows, direct = self._outputs(A, B)
         output = unknowns[self.poles :]
-        return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]), np.zeros((1, self.order)))
+        return StateSpace(A, B, (output @ rows)[None, :], np.array([[output @ direct]]))
 
     def pole_slopes(self, unknowns: FloatArray) -> tuple[Slope, ...]:
         """By log w and log a of the sections: central differences of these small matrices."""

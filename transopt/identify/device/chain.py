@@ -1,6 +1,6 @@
 """The drive chain as numbers: nine parameters at a grip, four for the free device, and their derivatives.
 
-The chain is that of `transopt.plant.chain.drive`: motor mass, transmission, stylus, and the seed's Fig. 4b for the
+The chain is that of `transopt.plant.drive`: motor mass, transmission, stylus, and the seed's Fig. 4b for the
 hand.
 """
 
@@ -10,7 +10,10 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.identify.device.response import Slope
-from transopt.plant.chain import Hand, LinearInGrip, Link, StateSpace, chain, drive
+from transopt.plant.chain import Link, chain
+from transopt.plant.drive import drive
+from transopt.plant.hand import Hand, LinearInGrip
+from transopt.plant.state_space import StateSpace
 
 SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
 HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")

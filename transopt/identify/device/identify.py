@@ -25,7 +25,7 @@ from transopt.identify.device.trials import BAND_HZ, Grip, Records, low_coherenc
 from transopt.identify.device.validation import Model, Transient, called, compare, short_of, together, verdict
 from transopt.identify.measurement import Measurement
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
 PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something

@@ -12,8 +12,8 @@ from scipy import linalg
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
 from transopt.plant.discretise import acting_states, split_delay
+from transopt.plant.state_space import StateSpace
 
 TAYLOR_DEGREE = 12  # of a matrix of norm 1/4: the rest is below 1e-17
 
@@ -97,7 +97,7 @@ class _Sampled:
 def _structure(plant: StateSpace, slopes: tuple[Slope, ...]) -> StateSpace:
     """Where plant or slopes have entries: a state whose output happens to be zero has a slope all the same."""
     A, C = (np.abs(getattr(plant, part)) + sum(np.abs(getattr(slope, part)) for slope in slopes) for part in "AC")
-    return StateSpace(A, plant.B, C, plant.D, plant.Ce)
+    return StateSpace(A, plant.B, C, plant.D, plant.outputs)
 
 
 def _sampled(plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...]) -> _Sampled:

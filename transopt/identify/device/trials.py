@@ -29,8 +29,8 @@ from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
 from transopt.plant.discretise import split_delay
+from transopt.plant.state_space import StateSpace
 
 QUANTITIES = ("command", "current", "acceleration")
 LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validation

@@ -16,7 +16,7 @@ from transopt.base.signals import FloatArray, Signal, highpass, nrmse
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import felt_current
 from transopt.identify.measurement import Measurement
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 
 HIGHPASS_HZ = 8.0
 PADDING_S = 0.5  # after a record, for the ringing that its end cuts off

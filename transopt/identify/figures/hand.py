@@ -4,7 +4,7 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.identify.hand.lines import GripLine, HandFit
-from transopt.plant.chain import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
+from transopt.plant.second_order import SEED_HAND_DAMPING_N_S_M, SEED_HAND_MASS_KG, SEED_HAND_STIFFNESS_N_M
 
 _PANELS = (
     ("mass [kg]", SEED_HAND_MASS_KG),

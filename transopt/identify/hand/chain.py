@@ -19,7 +19,7 @@ from scipy import linalg, optimize, signal, stats
 from transopt.base.signals import FloatArray
 from transopt.identify.hand.lines import LEVEL, HandFit
 from transopt.identify.hand.tap import LOWPASS_HZ, HandTap
-from transopt.plant.chain import LinearInGrip
+from transopt.plant.hand import LinearInGrip
 
 OF_HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
 NAMES = ("stylus_mass_kg", *(f"hand.{name}.{part}" for name in OF_HAND for part in ("constant", "per_newton")))

@@ -9,7 +9,7 @@ from scipy import stats
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.identify.hand.tap import HandTap, TapFit, fit_tap
-from transopt.plant.chain import LinearInGrip
+from transopt.plant.hand import LinearInGrip
 
 QUANTITIES = ("mass_kg", "damping_N_s_m", "stiffness_N_m")
 COEFFICIENTS = tuple(f"{quantity}.{part}" for quantity in QUANTITIES for part in ("constant", "per_newton"))

@@ -41,8 +41,9 @@ def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = Non
     ------
     InputError : a number that is no limit.
     """
-    made = (kind.posed(asked, setting) for kind in KINDS)
-    own = own_limits(asked.get(OwnLimit.key) or (), setting, law_of)
+    made = (kind.posed(asked, setting) for kind in KINDS if kind.implied or asked.get(kind.key) is not None)
+    tables = asked.get(OwnLimit.key)
+    own = own_limits(tables, setting, law_of) if tables else ()
     return Limits((*(limit for limit in made if limit is not None), *own))
 
 
@@ -56,4 +57,5 @@ def limits_of(*limits: Limit | None) -> Limits:
 def needed_outputs(asked: Mapping[str, Any]) -> tuple[str, ...]:
     """Outputs that a stage has to name for the limits that a scene asks for."""
     needed = [name for kind in KINDS if asked.get(kind.key) is not None for name in kind.needs]
-    return tuple(dict.fromkeys([*needed, *outputs_needed(asked.get(OwnLimit.key) or ())]))
+    tables = asked.get(OwnLimit.key)
+    return tuple(dict.fromkeys([*needed, *(outputs_needed(tables) if tables else ())]))

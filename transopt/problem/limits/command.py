@@ -16,6 +16,7 @@ class CommandLimit(Limit):
     label: ClassVar[str] = "command"
     unit: ClassVar[str] = "A"
     step_unit: ClassVar[str] = "A"
+    implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("command",)
     in_every_file: ClassVar[bool] = True
 

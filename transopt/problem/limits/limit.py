@@ -178,6 +178,7 @@ class Limit(ABC):
     label : how it is called where it binds.
     unit : of what it bounds. step_unit : of differences.
     key : its number in a scene, below `limits`; empty where the number stands elsewhere.
+    implied : whether a problem may have it although the scene states no number for it below `limits`.
     row_names : of all rows that it can have. sides : on which they are bounded.
     needs : outputs of the stage that its rows use beyond those that every stage has.
     in_every_file : whether a library has its multipliers even where the limit is not in force.
@@ -194,6 +195,7 @@ class Limit(ABC):
     unit: ClassVar[str]
     step_unit: ClassVar[str]
     key: ClassVar[str] = ""
+    implied: ClassVar[bool] = False
     row_names: ClassVar[tuple[str, ...]]
     sides: ClassVar[tuple[str, ...]] = SIDES
     needs: ClassVar[tuple[str, ...]] = ()
@@ -214,7 +216,10 @@ class Limit(ABC):
     @classmethod
     @abstractmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        """The limit that a scene's numbers `asked` (key of `limits` -> number or None) put on a tap, if any."""
+        """The limit that a scene's numbers `asked` (key of `limits` -> number or None) put on a tap, if any.
+
+        Asked only where the scene states its number, or where it is `implied`.
+        """
 
     @abstractmethod
     def wider(self, factor: float) -> Self:

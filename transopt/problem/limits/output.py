@@ -52,15 +52,12 @@ class OutputLimit(Limit):
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        limit = asked.get(cls.key)
-        if limit is None:
-            return None
         stage, own = setting.stage, cls.nominal_part(setting)
         # To tau_N the nominal motion goes on straight.
         nominal = np.append(own, 2 * own[-1] - own[-2])
         largest = asked["current_A"] if stage.amplifier is None else stage.amplifier.command_limit_A
         curved = float(np.abs(np.diff(nominal, 2)).max(initial=0.0)) / 8
-        return cls(limit, nominal, _excursion(stage, cls.output, setting.grid.stages) * largest + curved)
+        return cls(asked[cls.key], nominal, _excursion(stage, cls.output, setting.grid.stages) * largest + curved)
 
     @property
     def stated(self) -> float:

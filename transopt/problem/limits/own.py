@@ -127,12 +127,11 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
     ------
     InputError : offsets for another number of stages, or an expression that is not linear where nothing computes it.
     """
-    nominal = {"position": setting.nominal_m, "velocity": setting.nominal_m_s}
     found = []
     for table in tables:
         lower = -np.inf if table["lower"] is None else float(table["lower"])
         upper = np.inf if table["upper"] is None else float(table["upper"])
-        part: dict[str, FloatArray | float] = {name: nominal.get(name, 0.0) for name in table["outputs"]}
+        part = {name: _nominal(name, setting) for name in table["outputs"]}
         kind = _kind(table["name"], table["unit"])
         row: Row
         if table["coefficients"] is not None:
@@ -160,6 +159,16 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
             )
         found.append(kind(lower, upper, row))
     return tuple(found)
+
+
+def _nominal(name: str, setting: Setting) -> FloatArray | float:
+    """(N,) or 0: what the nominal motion adds to an output. Of a later state it is none: states are deviations."""
+    if name in OF_EVERY_STAGE or name.endswith(AFTER):
+        return 0.0
+    follows = setting.stage.plant.output(name).follows
+    if follows == "position":
+        return setting.nominal_m
+    return setting.nominal_m_s if follows == "velocity" else 0.0
 
 
 def _kind(name: str, unit: str) -> type[OwnLimit]:

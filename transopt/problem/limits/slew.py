@@ -33,8 +33,7 @@ class SlewLimit(Limit):
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        rate = asked.get(cls.key)
-        return None if rate is None else cls(rate, setting.grid.dt_s)
+        return cls(asked[cls.key], setting.grid.dt_s)
 
     def wider(self, factor: float) -> Self:
         return type(self)(factor * self.rate_A_s, self.dt_s)

@@ -54,10 +54,10 @@ class SupplyLimit(Limit):
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        limit, circuit, amplifier = asked.get(cls.key), setting.circuit, setting.stage.amplifier
-        if limit is None or circuit is None or amplifier is None:
+        circuit, amplifier = setting.circuit, setting.stage.amplifier
+        if circuit is None or amplifier is None:
             return None
-        return cls(limit, circuit, amplifier.rate_rad_s, setting.nominal_m_s)
+        return cls(asked[cls.key], circuit, amplifier.rate_rad_s, setting.nominal_m_s)
 
     def wider(self, factor: float) -> Self:
         return replace(self, limit_V=factor * self.limit_V)

@@ -41,6 +41,7 @@ class TemperatureLimit(Limit):
     unit: ClassVar[str] = "C"
     step_unit: ClassVar[str] = "K"
     key: ClassVar[str] = "temperature_C"
+    implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("temperature",)
     sides: ClassVar[tuple[str, ...]] = ("upper",)
     asks_for: ClassVar[str] = "the motor whose winding it is"

@@ -11,7 +11,8 @@ from transopt.identify.device.black_box import RESOLVED, BlackBox, fit_black_box
 from transopt.identify.device.chain_fit import GripResponse
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
-from transopt.plant.chain import Link, StateSpace, chain
+from transopt.plant.chain import Link, chain
+from transopt.plant.state_space import StateSpace
 
 INSTRUMENT = Instrument(DT_S, AMPLIFIER, ACCELEROMETER_HZ)
 

@@ -21,7 +21,7 @@ from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.identify import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
 from transopt.identify.device.validation import compare, short_of, verdict
 from transopt.identify.measurement import Measurement
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 from transopt.scene.scene import Scene
 
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)

@@ -9,7 +9,7 @@ from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, D
 from transopt.identify.device.chain import HAND, SHARED, Coordinates, DriveChain, chain_of, log_slopes
 from transopt.identify.device.response import Instrument, Slope, current_response, sampled_response
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import StateSpace
+from transopt.plant.state_space import StateSpace
 
 AMPLIFIERS = (
     None,
@@ -68,7 +68,7 @@ def test_derivatives_agree_with_differences(amplifier: Amplifier | None, sensed:
 @pytest.mark.parametrize("amplifier", [None, AMPLIFIER])
 def test_the_direct_feed_of_a_rigid_device_is_sampled_and_differentiated(amplifier: Amplifier | None) -> None:
     one = np.ones((1, 1))
-    plant = StateSpace(-50 * one, one, -40 * one, 2 * one, 0 * one)
+    plant = StateSpace(-50 * one, one, -40 * one, 2 * one)
     slope = Slope(0 * one, 0 * one, 0 * one, one)
     instrument, frequencies = Instrument(DT_S, amplifier), np.geomspace(2, 4500, 20)
     value, derivatives = sampled_response(plant, instrument, frequencies, (slope,))
@@ -79,7 +79,7 @@ def test_the_direct_feed_of_a_rigid_device_is_sampled_and_differentiated(amplifi
 
 def test_an_output_that_happens_to_be_zero_has_slopes_all_the_same() -> None:
     one = np.ones((1, 1))
-    plant = StateSpace(-50 * one, one, 0 * one, 0 * one, 0 * one)
+    plant = StateSpace(-50 * one, one, 0 * one, 0 * one)
     slope = Slope(0 * one, 0 * one, one, 0 * one)
     _, derivatives = sampled_response(plant, Instrument(DT_S, AMPLIFIER, 2500.0), np.array([10.0]), (slope,))
     assert np.abs(derivatives[0, 0]) > 1e-3

@@ -17,7 +17,8 @@ from transopt.recordings.recording import Recording
 from transopt.solvers.own import own_limit
 
 JOINT = (
-    "to.own_limit('joint_force', 'N', lambda s: 6e4 * s.state(1) + 8 * (s.state(4) - s.state(5)), lower=-3, upper=3)"
+    "to.own_limit('joint_force', 'N', lambda s: 6e4 * s.output('transmission stretch')"
+    " + 8 * (s.output('motor velocity') - s.output('stylus velocity')), lower=-3, upper=3)"
 )
 AREA = "to.own_limit('area', '1', lambda s: (s.current / 4) ** 2 + (s.velocity / 0.45) ** 2, upper=1.0)"
 POWER = "to.own_limit('power', 'W', lambda s: 1.25 * s.current * s.velocity, lower=-1.2)"

@@ -1,0 +1,75 @@
+"""A motor that drives the stylus through a transmission, before a hand: the default device.
+
+Outputs: "position" and "velocity" of the motor mass, also called "motor position" and "motor velocity", the same of
+"stylus" and, where one holds it, "hand", and "transmission stretch", by which motor and stylus are apart.
+"""
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from transopt.base.section import Positive
+from transopt.plant.chain import Link, chain
+from transopt.plant.hand import Hand, HandSection, held
+from transopt.plant.kind import PlantKind
+from transopt.plant.motor import Tip
+from transopt.plant.state_space import Output, StateSpace
+
+
+def drive(
+    grip_N: float,
+    *,
+    hand: Hand,
+    stylus_mass_kg: float,
+    moving_mass_kg: float,
+    transmission: Link,
+    force_per_current_N_A: float,
+    driven: int = 0,
+) -> StateSpace:
+    """Motor mass - transmission - stylus - skin - hand mass - arm; encoder on the motor mass.
+
+    At grip 0 nobody holds the stylus, and the chain ends with it.
+
+    Parameters
+    ----------
+    driven : 0 for a force on the motor mass, 1 for one on the stylus.
+
+    Raises
+    ------
+    InputError : parameters that are not passive at this grip.
+    """
+    masses, links = held([moving_mass_kg, stylus_mass_kg], [transmission], hand, grip_N)
+    model = chain(
+        masses,
+        links,
+        force_per_current_N_A=force_per_current_N_A,
+        driven=driven,
+        stylus=1,
+        names=("motor", "stylus", "hand")[: len(masses)],
+    )
+    stretch = Output(np.eye(1, model.order), "m")
+    return replace(model, outputs={**model.outputs, "transmission stretch": stretch})
+
+
+class Drive(PlantKind):
+    """Motor, transmission, stylus and hand."""
+
+    through_transmission: ClassVar[bool] = True
+
+    kind: Literal["drive"]
+    stylus_mass_kg: Positive
+    hand: HandSection
+
+    def plant(self, grip_N: float, tip: Tip, *, struck: bool = False) -> StateSpace:
+        assert tip.stiffness_N_m is not None
+        assert tip.damping_N_s_m is not None
+        return drive(
+            grip_N,
+            hand=self.hand.hand(),
+            stylus_mass_kg=self.stylus_mass_kg,
+            moving_mass_kg=tip.moving_mass_kg,
+            transmission=Link(tip.stiffness_N_m, tip.damping_N_s_m),
+            force_per_current_N_A=1.0 if struck else tip.force_per_current_N_A,
+            driven=1 if struck else 0,
+        )

@@ -1,0 +1,46 @@
+"""The stylus with the drive rigidly on it, before a hand: the seed's Fig. 4b.
+
+Outputs: "position" and "velocity" of the stylus, also called "stylus position" and "stylus velocity", and where a
+hand holds it "hand position" and "hand velocity".
+"""
+
+from typing import Literal
+
+from transopt.base.section import Positive
+from transopt.plant.chain import chain
+from transopt.plant.hand import Hand, HandSection, held
+from transopt.plant.kind import PlantKind
+from transopt.plant.motor import Tip
+from transopt.plant.state_space import StateSpace
+
+
+def fourth_order(
+    grip_N: float, *, hand: Hand, stylus_mass_kg: float, moving_mass_kg: float, force_per_current_N_A: float
+) -> StateSpace:
+    """Stylus (with the drive rigidly on it) - skin - hand mass - arm (seed Fig. 4b); a free mass at grip 0.
+
+    Raises
+    ------
+    InputError : parameters that are not passive at this grip.
+    """
+    masses, links = held([stylus_mass_kg + moving_mass_kg], [], hand, grip_N)
+    return chain(
+        masses, links, force_per_current_N_A=force_per_current_N_A, stylus=0, names=("stylus", "hand")[: len(masses)]
+    )
+
+
+class FourthOrder(PlantKind):
+    """Stylus and hand (seed Fig. 4b)."""
+
+    kind: Literal["fourth_order"]
+    stylus_mass_kg: Positive
+    hand: HandSection
+
+    def plant(self, grip_N: float, tip: Tip, *, struck: bool = False) -> StateSpace:
+        return fourth_order(
+            grip_N,
+            hand=self.hand.hand(),
+            stylus_mass_kg=self.stylus_mass_kg,
+            moving_mass_kg=tip.moving_mass_kg,
+            force_per_current_N_A=1.0 if struck else tip.force_per_current_N_A,
+        )

@@ -1,0 +1,78 @@
+"""The hand that holds the stylus: skin, hand mass and arm, each parameter linear in the grip force."""
+
+from dataclasses import dataclass
+
+from transopt.base.section import Finite, Section
+from transopt.plant.chain import Link
+
+
+@dataclass(frozen=True)
+class LinearInGrip:
+    """A parameter of the hand, `constant + per_newton * grip`, in the parameter's own SI unit."""
+
+    constant: float
+    per_newton: float
+
+    def at(self, grip_N: float) -> float:
+        """Its value at a grip force."""
+        return self.constant + self.per_newton * grip_N
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Grip-dependent hand: skin between stylus and hand mass, arm between hand mass and intention."""
+
+    mass_kg: LinearInGrip
+    skin_stiffness_N_m: LinearInGrip
+    skin_damping_N_s_m: LinearInGrip
+    arm_stiffness_N_m: LinearInGrip
+    arm_damping_N_s_m: LinearInGrip
+
+    def skin(self, grip_N: float) -> Link:
+        """Between stylus and hand mass."""
+        return Link(self.skin_stiffness_N_m.at(grip_N), self.skin_damping_N_s_m.at(grip_N))
+
+    def arm(self, grip_N: float) -> Link:
+        """Between hand mass and the hand's intention."""
+        return Link(self.arm_stiffness_N_m.at(grip_N), self.arm_damping_N_s_m.at(grip_N))
+
+
+def held(masses_kg: list[float], links: list[Link], hand: Hand, grip_N: float) -> tuple[list[float], list[Link]]:
+    """A chain continued by the hand; at grip 0 nobody holds the stylus and the chain ends where it is, free."""
+    if grip_N == 0:
+        return masses_kg, links
+    return [*masses_kg, hand.mass_kg.at(grip_N)], [*links, hand.skin(grip_N), hand.arm(grip_N)]
+
+
+class LinearParameter(Section):
+    """A parameter of the hand, linear in grip force."""
+
+    constant: Finite
+    per_newton: Finite = 0.0
+
+    def linear(self) -> LinearInGrip:
+        """The parameter as a model takes it."""
+        return LinearInGrip(self.constant, self.per_newton)
+
+
+Parameter = LinearParameter | Finite
+
+
+def _linear(value: LinearParameter | float) -> LinearInGrip:
+    if isinstance(value, LinearParameter):
+        return value.linear()
+    return LinearInGrip(value, 0.0)
+
+
+class HandSection(Section):
+    """Skin and arm as functions of grip: a number, or {constant, per_newton}."""
+
+    mass_kg: Parameter
+    skin_stiffness_N_m: Parameter
+    skin_damping_N_s_m: Parameter
+    arm_stiffness_N_m: Parameter
+    arm_damping_N_s_m: Parameter
+
+    def hand(self) -> Hand:
+        """The hand as a model takes it."""
+        return Hand(**{name: _linear(getattr(self, name)) for name in type(self).model_fields})

@@ -1,0 +1,53 @@
+"""What drives the stylus: a motor and its transmission by datasheet, or both as the stylus feels them at the tip."""
+
+from transopt.base.section import Finite, NonNegative, Positive, Section
+
+
+class Motor(Section):
+    """One row of a datasheet; its values belong together."""
+
+    name: str
+    datasheet: str
+    R_ohm: Positive
+    L_H: NonNegative
+    kt_Nm_A: Positive
+    rotor_kg_m2: NonNegative
+    i_continuous_A: Positive
+    i_peak_A: Positive
+    R_wh_K_W: Positive
+    R_ha_K_W: Positive
+    tau_w_s: Positive
+    tau_h_s: Positive
+    winding_max_C: Finite
+
+
+class Transmission(Section):
+    """From motor shaft to stylus tip: `ratio_1_m` is shaft radian per metre of tip travel."""
+
+    ratio_1_m: Positive
+    link_mass_kg: NonNegative
+    stiffness_N_m: Positive
+    damping_N_s_m: NonNegative
+
+
+class Tip(Section):
+    """The drive stated at the tip, for voice coils: no motor data, so no coil temperature."""
+
+    force_per_current_N_A: Positive
+    moving_mass_kg: Positive
+    stiffness_N_m: Positive | None = None
+    damping_N_s_m: NonNegative | None = None
+
+
+def at_the_tip(motor: Motor, transmission: Transmission) -> Tip:
+    """What the stylus feels of a motor: k_f = k_t ratio, and rotor and link as one mass m = J ratio^2 + m_link.
+
+    The ratio is in shaft radian per metre of tip travel.
+    """
+    ratio = transmission.ratio_1_m
+    return Tip(
+        force_per_current_N_A=motor.kt_Nm_A * ratio,
+        moving_mass_kg=motor.rotor_kg_m2 * ratio**2 + transmission.link_mass_kg,
+        stiffness_N_m=transmission.stiffness_N_m,
+        damping_N_s_m=transmission.damping_N_s_m,
+    )

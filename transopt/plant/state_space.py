@@ -1,0 +1,148 @@
+"""A device at one grip as a continuous-time state space, its outputs named.
+
+The input is the motor current, the tracked output the stylus acceleration. What else a limit may be on, positions and
+velocities of its masses, each kind of plant names itself; the states can be asked for by number.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from types import MappingProxyType
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from transopt.base.errors import InputError
+from transopt.base.shown import brief
+from transopt.base.signals import FloatArray
+
+POSITION: Final = "position"  # of the mass that the encoder sees, the motor's
+VELOCITY: Final = "velocity"  # of the same mass
+
+
+@dataclass(frozen=True)
+class Output:
+    """One named output of a plant, which the current moves only through the states.
+
+    Attributes
+    ----------
+    row : (1, n) [unit per unit of the state].
+    unit : of the output.
+    follows : "position" or "velocity" where z_nom or its derivative has to be added to it, as for a mass; empty for
+        what the nominal motion does not change, as the stretch between two masses.
+    """
+
+    row: FloatArray
+    unit: str
+    follows: Literal["", "position", "velocity"] = ""
+
+
+@dataclass(frozen=True)
+class StateSpace:
+    """Continuous-time model from motor current to the stylus acceleration the current adds.
+
+    dx/dt = A x + B i,  y'' = C x + D i,  all SI, x = 0 on the nominal motion.
+
+    Attributes
+    ----------
+    A : (n, n) [1/s].
+    B : (n, 1) [unit of the state/s/A].
+    C : (1, n) [m/s^2 per unit of the state].
+    D : (1, 1) [m/s^2/A].
+    outputs : name -> further output. "position" and "velocity" are those of the mass that the encoder sees; a device
+        without them, such as a black box, can have no wall and no limit on its motion.
+
+    Raises
+    ------
+    InputError : a matrix of another shape, or with a number that is not finite.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    outputs: Mapping[str, Output] = field(default_factory=dict)
+
+    __repr__ = brief
+
+    def __post_init__(self) -> None:
+        n = self.A.shape[0]
+        named = {"A": (self.A, n), "B": (self.B, 1), "C": (self.C, n), "D": (self.D, 1)}
+        rows = {"A": n, "B": n}
+        for name, (matrix, columns) in {**named, **{k: (v.row, n) for k, v in self.outputs.items()}}.items():
+            shape = (rows.get(name, 1), columns)
+            if matrix.shape != shape:
+                raise InputError(f"plant matrix {name} has shape {matrix.shape}, expected {shape}")
+            if not np.all(np.isfinite(matrix)):
+                raise InputError(f"plant matrix {name} holds a number that is not finite")
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[0])
+
+    @classmethod
+    def from_matrices(
+        cls,
+        A: FloatArray,
+        B: FloatArray,
+        C: FloatArray,
+        D: FloatArray,
+        Ce: FloatArray,
+        outputs: Mapping[str, Output] = MappingProxyType({}),
+    ) -> "StateSpace":
+        """As a library stores it: the position that the encoder sees is Ce x, and its velocity Ce A x.
+
+        A row Ce of zeros stands for a device without a known position. `outputs` are its other named outputs.
+        """
+        if not Ce.any():
+            return cls(A, B, C, D, outputs)
+        seen = {POSITION: Output(Ce, "m", POSITION), VELOCITY: Output(Ce @ A, "m/s", VELOCITY)}
+        return cls(A, B, C, D, {**seen, **outputs})
+
+    @property
+    def Ce(self) -> FloatArray:
+        """(1, n) row of the position that the encoder sees; zero where the device has none."""
+        return self.outputs[POSITION].row if POSITION in self.outputs else np.zeros((1, self.order))
+
+    @property
+    def Cv(self) -> FloatArray:
+        """(1, n) row of the velocity of the same mass, which the back-EMF follows; zero where there is none."""
+        return self.outputs[VELOCITY].row if VELOCITY in self.outputs else np.zeros((1, self.order))
+
+    def output(self, name: str) -> Output:
+        """A named output; "state 1" to "state n" are the plant's own states.
+
+        Raises
+        ------
+        InputError : an output that the plant does not have.
+        """
+        if name in self.outputs:
+            return self.outputs[name]
+        states = {f"state {j + 1}": j for j in range(self.order)}
+        if name not in states:
+            raise InputError(f"model: it has no output {name}; it has {', '.join([*self.outputs, *states])}")
+        return Output(np.eye(1, self.order, states[name]), "of the state")
+
+    def stored(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
+        """Those of the named outputs that A and Ce do not tell, as the `meta` of a library has them."""
+        own = [name for name in names if name in self.outputs and name not in (POSITION, VELOCITY)]
+        return {name: {**asdict(self.outputs[name]), "row": self.outputs[name].row[0].tolist()} for name in own}
+
+    def response(self, frequencies_Hz: FloatArray) -> FloatArray:
+        """(m,) complex transfer function y''/i at the given frequencies [m/s^2/A]."""
+        s = 2j * np.pi * np.asarray(frequencies_Hz)
+        shifted = s[:, None, None] * np.eye(self.order) - self.A
+        return np.asarray((self.C @ np.linalg.solve(shifted, self.B) + self.D)[:, 0, 0])
+
+
+def blended(one: StateSpace, other: StateSpace, share: float) -> StateSpace:
+    """Both models side by side, their tracked outputs weighted 1 - `share` and `share`; the orders add."""
+    n, m = one.order, other.order
+    A = np.zeros((n + m, n + m))
+    A[:n, :n], A[n:, n:] = one.A, other.A
+    return StateSpace(
+        A=A,
+        B=np.vstack([one.B, other.B]),
+        C=np.hstack([(1 - share) * one.C, share * other.C]),
+        D=(1 - share) * one.D + share * other.D,
+    )
