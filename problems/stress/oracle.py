@@ -49,7 +49,7 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
         return Verdict("", decided=False)
     try:
         # Whatever the method's native code does, prints or waits for, stays in a process of its own.
-        room = apart.call(_room, problem, within_s=LONGEST_S + LATE_S)
+        room = apart.call(_room, problem, LONGEST_S, within_s=LONGEST_S + LATE_S)
     except apart.UnansweredError:
         room = None
     if room is None:
@@ -58,7 +58,7 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
     return Verdict(way_out, decided=True)
 
 
-def _room(problem: TransientProblem) -> float | None:
+def _room(problem: TransientProblem, longest_s: float) -> float | None:
     """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit.
 
     Minus infinity if the hand-over cannot be met at all, None if the linear program ended without deciding it.
@@ -103,7 +103,7 @@ def _room(problem: TransientProblem) -> float | None:
         b_eq=asked / unit,
         bounds=[*[(-1.0, 1.0)] * N, (None, 1.0)],
         method="highs",
-        options={"time_limit": LONGEST_S},
+        options={"time_limit": longest_s},
     )
     if found.status not in DECIDED:
         return None

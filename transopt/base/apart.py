@@ -48,16 +48,15 @@ class _Process:
         self.of = os.getpid()
         program = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
         alone: dict[str, Any] = {"process_group": 0} if os.name == "posix" else {"creationflags": 0x200}
-        with ctrl_c_waits():
-            # A group of its own: a Ctrl-C in the terminal is this process's, which ends the other one.
-            self._popen = subprocess.Popen(
-                [sys.executable, "-c", program],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                env={**dict.fromkeys(THREADS, "1"), **os.environ},
-                **alone,
-            )
+        # A group of its own: a Ctrl-C in the terminal is this process's, which ends the other one.
+        self._popen = subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**dict.fromkeys(THREADS, "1"), **os.environ},
+            **alone,
+        )
         assert self._popen.stdin is not None
         assert self._popen.stdout is not None
         self._line, self._said = self._popen.stdin, _received(self._popen.stdout)
@@ -91,24 +90,24 @@ class _Process:
 
 
 _one_at_a_time = threading.Lock()
-_process: _Process | None = None
+_kept: list[_Process] = []  # the process of this one, if it has been started
 
 
 def _running() -> _Process:
     """The process of this one; another is started where there is none, also after a fork of this one."""
-    global _process
-    if _process is None or _process.of != os.getpid():
-        _process = _Process()
-    return _process
+    if not _kept or _kept[0].of != os.getpid():
+        with ctrl_c_waits():  # between its start and its place here it would be nobody's
+            _kept[:] = [_Process()]
+    return _kept[0]
 
 
 @atexit.register
 def end() -> None:
     """End the process, if there is one; the next call starts another."""
-    global _process
-    process, _process = _process, None
-    if process is not None and process.of == os.getpid():
-        process.end()
+    while _kept:
+        process = _kept.pop()
+        if process.of == os.getpid():
+            process.end()
 
 
 def call(function: Callable[..., T], *arguments: Any, within_s: float) -> T:
@@ -190,7 +189,7 @@ def _received(line: BinaryIO, at_the_end: Callable[[], None] = lambda: None) -> 
     messages: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
 
     def receive() -> None:
-        with suppress(OSError, ValueError):
+        with suppress(OSError), line:
             while size := line.read(8):
                 messages.put(line.read(int.from_bytes(size, "little")))
         messages.put(None)

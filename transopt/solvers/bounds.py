@@ -23,6 +23,6 @@ def check_bounds(name: str, lower: FloatArray, upper: FloatArray) -> None:
     if np.any(wrong):
         k = int(np.argmax(wrong))
         raise InputError(
-            f"limit {name}: lower bound {lower[k]:g} and upper bound {upper[k]:g} at stage {k}, in units of the limit: "
+            f"limit {name}: bounds {lower[k]:g} and {upper[k]:g} at stage {k}, in units of the limit: "
             "must be numbers, the lower one not above the upper one, infinite only where there is no limit"
         )

@@ -41,9 +41,7 @@ def _apart(name: str, method: Method) -> Method:
             return apart.call(method, problem, options, within_s=within_s)
         except apart.UnansweredError as why:
             nothing = np.zeros(problem.grid.stages)
-            return Solution(
-                Status.NUMERICAL_FAILURE, nothing, Multipliers.zero(problem), name, str(why), 0, within_s
-            )
+            return Solution(Status.NUMERICAL_FAILURE, nothing, Multipliers.zero(problem), name, str(why), 0, within_s)
 
     return solve
 

@@ -161,7 +161,7 @@ def solve(problem: TransientProblem) -> Solution:
 
 
 def solve_apart(problem: TransientProblem) -> Solution:
-    """`solve_in_casadi` in a process of its own: the sparse factorisation of a broken system prints, or takes long."""
+    """`solve_in_casadi` in a process of its own: the factorisation of a broken system prints, or takes long."""
     within_s = most_time_s(problem.grid.stages)
     try:
         return apart.call(solve_in_casadi, problem, within_s=within_s)

@@ -285,8 +285,8 @@ class TestAbsence:
     def test_one_of_another_version_is_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Its arrays may mean something else; before there was a number to ask for, none had one."""
         monkeypatch.setattr(
-            extension.ct, "CDLL", lambda path: SimpleNamespace(tr_interface=lambda: extension.INTERFACE - 1)
+            extension.ct, "PyDLL", lambda path: SimpleNamespace(tr_interface=lambda: extension.INTERFACE - 1)
         )
         assert extension._library() is None
-        monkeypatch.setattr(extension.ct, "CDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
+        monkeypatch.setattr(extension.ct, "PyDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
         assert extension._library() is None
