@@ -126,7 +126,7 @@ def commands() -> list[Command]:
         line("transopt-play tap library.npz --simulate --out played", "played"),
         line("transopt-play tap library.npz --simulate --method online --out played", "played"),
         line(
-            "transopt-play refine library.npz --simulate --mismatch 0.1 --rounds 1 --taps 1 --out refined", "refined"
+            "transopt-play refine library.npz --simulate --mismatch 0.1 --rounds 1 --taps 2 --out refined", "refined"
         ),
         line("transopt-play record sweep --simulate --trials 1 --out swept"),
         line("transopt-play record tap --simulate --repeats 1 --out tapped"),

@@ -23,7 +23,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from time import monotonic
-from typing import Any, BinaryIO, TypeVar
+from typing import IO, Any, TypeVar
 
 from transopt.base.files import ctrl_c_waits
 
@@ -179,12 +179,12 @@ def _pickled(*answer: Any) -> bytes:
         return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}"), []))
 
 
-def _send(message: bytes, line: BinaryIO) -> None:
+def _send(message: bytes, line: IO[bytes]) -> None:
     line.write(len(message).to_bytes(8, "little") + message)
     line.flush()
 
 
-def _received(line: BinaryIO, at_the_end: Callable[[], None] = lambda: None) -> "queue.SimpleQueue[bytes | None]":
+def _received(line: IO[bytes], at_the_end: Callable[[], None] = lambda: None) -> "queue.SimpleQueue[bytes | None]":
     """The messages that come on a line, taken from it by a thread, and None when it has ended."""
     messages: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
 

@@ -54,8 +54,8 @@ def ctrl_c_waits() -> Iterator[None]:
             signal.pthread_sigmask(signal.SIG_SETMASK, previous)
         for number, answer in answers.items():
             signal.signal(number, answer)
-        for number in came:
-            signal.raise_signal(number)
+        for given in came:
+            signal.raise_signal(given)
 
 
 def _answered_here(number: int) -> bool:
