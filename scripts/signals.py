@@ -129,7 +129,7 @@ def commands() -> list[Command]:
             "transopt-play refine library.npz --simulate --mismatch 0.1 --rounds 1 --taps 2 --out refined", "refined"
         ),
         line("transopt-play record sweep --simulate --trials 1 --out swept"),
-        line("transopt-play record tap --simulate --repeats 1 --out tapped"),
+        line("transopt-play record tap library.npz --simulate --repeats 1 --out tapped"),
         line("transopt-play record heat --simulate --out heated"),
         line("transopt-play ports"),
         line("transopt-device --listen 127.0.0.1:0"),

@@ -28,7 +28,8 @@ from transopt.problem.heat import Budget
 from transopt.problem.leave_out import pressing
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage_data import Stages, stages
+from transopt.problem.stage import linear_stage
+from transopt.problem.stage_data import Stages, stages, stated_rows
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.recordings.reference import build_references
@@ -90,7 +91,9 @@ def places(given: Stages, shape: Shape) -> tuple[NDArray[np.intp], NDArray[np.in
     place = shape.first + np.arange(N * shape.variables).reshape(N, shape.variables)
     of_kind = state_program(shape).rows
     variables, constraints = np.full((2, len(kinds), N + 1), -1)
-    for j, kind in enumerate(kinds):
+    # The current of an ideal amplifier is the command.
+    singles = {row.name: row.single for row in stated_rows(given.problem, linear_stage(given.problem)) if row.single}
+    for j, kind in enumerate(singles.get(name, name) for name in kinds):
         if kind == "winding":
             variables[j, 1:] = place[:, shape.command + 1]
             if shape.repeated:
@@ -100,13 +103,22 @@ def places(given: Stages, shape: Shape) -> tuple[NDArray[np.intp], NDArray[np.in
             variables[j, :free] = place[:free, shape.command]
         elif kind == "current":
             variables[j, 1:N] = place[:-1, shape.controls + shape.layout.current]
-        elif kind in ("slew", "size"):
-            variables[j, :N] = place[:, ("slew", "size").index(kind)]
+        elif kind in ("movement", "size"):
+            variables[j, :N] = place[:, ("movement", "size").index(kind)]
         else:
             rows = of_kind[kind]
             first = N - (rows.stop - rows.start)
             constraints[j, first:N] = np.arange(rows.start, rows.stop)
     return variables, constraints
+
+
+def units(given: Stages) -> NDArray[np.float64]:
+    """(rows,) of each row, in units of the program: there, what bounds one variable alone is in that variable's."""
+    found = dict(zip(given.limits.kinds, given.limits.unit, strict=True))
+    for row in stated_rows(given.problem, linear_stage(given.problem)):
+        if row.single:
+            found[row.name] *= row.unit / given.current_A
+    return np.array(list(found.values()))
 
 
 class TestStageData:
@@ -115,7 +127,7 @@ class TestStageData:
         """Objective and every limit at a random point, to 1e-12 of their size."""
         problem = hardest(name)
         given, statement = stages(problem), state(problem)
-        limits, a = given.limits, given.arrays
+        a = given.arrays
         shape, program = statement.shape, state_program(statement.shape)
         N, n, m = shape.stages, shape.layout.states, shape.nodes
         random = np.random.default_rng(3)
@@ -143,7 +155,7 @@ class TestStageData:
             row[:, 0] = rise[:, 0]
         for index, stated in zip(places(given, shape), (point, g), strict=True):
             where = index.T >= 0
-            scaled = (row * limits.unit)[where]
+            scaled = (row * units(given))[where]
             np.testing.assert_allclose(
                 scaled, stated[index.T[where]], rtol=0, atol=1e-12 * max(np.abs(scaled).max(initial=1), 1)
             )
@@ -170,7 +182,7 @@ class TestStageData:
         ):
             np.testing.assert_array_equal(np.sort(index[index >= 0]), np.flatnonzero(stated))
             for own, wanted in ((limits.lower, lower), (limits.upper, upper)):
-                found = (own * limits.unit).T[index >= 0]
+                found = (own * units(given)).T[index >= 0]
                 np.testing.assert_allclose(found, wanted[index[index >= 0]], rtol=1e-12)
         nowhere = (variables < 0) & (constraints < 0)
         assert np.all(np.isinf(limits.lower.T[nowhere]))
