@@ -95,6 +95,7 @@ def disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
     except KeyboardInterrupt:
         if device.state is not State.FAULT:
             device.disarm()
+        terminal.takes_its_time()  # for what was recorded until then
         raise StoppedError from None
 
 

@@ -7,13 +7,14 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
 
+from transopt.base import apart
 from transopt.base.errors import InputError
 
 LAST_S = 0.8  # between a signal and the end of the process, whatever it is doing
@@ -59,22 +60,48 @@ def run(app: Callable[..., object]) -> None:
     # processor and gain nothing. The variable is read when numpy is loaded, which happens inside the commands.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals_end_it() as came:
-        try:
-            code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
-        except InputError as error:
-            typer.echo(f"error: {error}", err=True)
-            sys.exit(2)
-        except _ClickException as error:
-            _refuse(error)
-        except (KeyboardInterrupt, typer.Abort):
-            sys.exit(130)
-        except Exception:
-            if not came:
-                raise
-            # What a signal cuts short may call it by another name: an import that fails, a file that ends.
-            sys.exit(128 + came[0])
-        else:
-            sys.exit(code if isinstance(code, int) else 0)
+        code = _code(app, came)
+        if came:
+            _leave(code)
+    sys.exit(code)
+
+
+def takes_its_time() -> None:
+    """A signal has been answered by what a command does at its end anyway, tables and figures: it may finish that."""
+    faulthandler.cancel_dump_traceback_later()
+
+
+def _code(app: Callable[..., object], came: list[int]) -> int:
+    """The exit code of a command line, its errors said."""
+    try:
+        code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
+    except InputError as error:
+        typer.echo(f"error: {error}", err=True)
+        return 2
+    except _ClickException as error:
+        _refuse(error)
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        return 130
+    except SystemExit as stop:
+        if not isinstance(stop.code, int | None):
+            raise
+        return stop.code or 0
+    except Exception:
+        # What a signal cuts short may call it by another name: an import that fails, a file that ends.
+        if not came:
+            raise
+        return 128 + came[0]
+    return code if isinstance(code, int) else 0
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process at once: all is tidied up, and what Python does at its own end can take a second."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    apart.end()
+    os._exit(code)
 
 
 @contextmanager
@@ -82,7 +109,7 @@ def _signals_end_it() -> Iterator[list[int]]:
     """SIGINT, SIGTERM and SIGHUP raise an exception, so that all that is open is tidied up on the way out.
 
     If the process has not ended `LAST_S` after the first of them, because a library has swallowed the exception or
-    does not come back, it ends at once. Yields the signals that came.
+    does not come back, it ends at once, unless the command `takes_its_time`. Yields the signals that came.
     """
     came: list[int] = []
 
@@ -113,15 +140,14 @@ def _signals_end_it() -> Iterator[list[int]]:
                 faulthandler.cancel_dump_traceback_later()
 
 
-def _refuse(error: Any) -> NoReturn:
-    """End with one line about a command, option or value that does not exist, or with the help it needs."""
+def _refuse(error: Any) -> None:
+    """Say in one line which command, option or value does not exist, or print the help that it needs."""
     said: str = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
         # Its message is the help, which Rich has printed already.
         typer.echo(said, err=True, nl=bool(said))
-        sys.exit(2)
+        return
     context = getattr(error, "ctx", None)
     asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
     words = " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
     typer.echo(f"error: {words}{asking}", err=True)
-    sys.exit(2)
