@@ -34,7 +34,6 @@ MOST_S = 1.0  # between the signal and the end
 LONGEST_S = 20.0  # after which a command that is let run is not waited for: the instants lie before
 GIVEN_UP_S = 30.0  # after the signal
 BIN = Path(sys.executable).parent
-STARTED = 0.15  # part of the time of `--version`: before, Python itself is starting
 PROGRAM = "import sys; sys.path[:0] = {path!r}; from transopt.base import terminal; terminal.run(lambda: {call})"
 LONG = """
 from problems.stress.cases import Current, Horizon, StressCase, Surface
@@ -77,7 +76,8 @@ class Ended:
     Attributes
     ----------
     after_s : from its start to the signal. took_s : from the signal to its end; inf if it had to be killed.
-    code : exit code. complaints : what is off, in words; empty if nothing is. traceback : whether it printed one.
+    code : exit code. complaints : what is off, in words; empty if nothing is.
+    traceback : what it printed, if that was one. done : whether it had ended by itself before the signal.
     """
 
     command: Command
@@ -86,7 +86,7 @@ class Ended:
     took_s: float
     code: int
     complaints: tuple[str, ...]
-    traceback: bool
+    traceback: str
     done: bool
 
 
@@ -207,15 +207,16 @@ class Place:
                 sorted(path.relative_to(self.folder) for path in self.folder.glob(each)) if "*" in each else [each]
             )
         ]
-        return subprocess.Popen(
-            words,
-            cwd=self.folder,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=(self.folder.parent / "said").open("wb"),
-            start_new_session=True,
-            env={**os.environ, "TMPDIR": str(self.temporary), "PYTHONUNBUFFERED": "1"},
-        )
+        with (self.folder.parent / "said").open("wb") as said:
+            return subprocess.Popen(
+                words,
+                cwd=self.folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                start_new_session=True,
+                env={**os.environ, "TMPDIR": str(self.temporary), "PYTHONUNBUFFERED": "1"},
+            )
 
     def said(self) -> str:
         return (self.folder.parent / "said").read_text(errors="replace")
@@ -280,7 +281,7 @@ def disturbed(command: Command, given: Path, after_s: float, number: signal.Sign
             time.sleep(0.005)
         left = session_of(process.pid)
         if took > MOST_S:
-            complaints.append(f"ended after {took:.2f} s")
+            complaints.append(f"ended after {took:.2f} s with code {code}")
         if left:
             complaints.append(f"processes left: {left}")
         end_all(process)
@@ -295,7 +296,16 @@ def disturbed(command: Command, given: Path, after_s: float, number: signal.Sign
             extra = sorted(path.name for path in set(beside.iterdir()) - there)
             if extra:
                 complaints.append(f"beside the result: {extra}")
-        return Ended(command, number, after_s, took, code, tuple(complaints), "Traceback" in place.said(), done)
+        return Ended(
+            command,
+            number,
+            after_s,
+            took,
+            code,
+            tuple(complaints),
+            place.said() if "Traceback" in place.said() else "",
+            done,
+        )
 
 
 def campaign(wanted: Sequence[Command], instants: int, seed: int, processes: int, folder: Path) -> Iterator[Ended]:
@@ -326,7 +336,7 @@ def table(ended: Sequence[Ended]) -> list[str]:
     ]
     for name, those in by_name.items():
         took = [each.took_s for each in those if not each.done] or [0.0]
-        off, traces = sum(bool(each.complaints) for each in those), sum(each.traceback for each in those)
+        off, traces = sum(bool(each.complaints) for each in those), sum(bool(each.traceback) for each in those)
         done = sum(each.done for each in those)
         lines.append(
             f"{name[:88]:88s} {len(those):4d} {done:4d} {np.median(took):8.3f} {max(took):8.3f} {off:4d} {traces:9d}"
@@ -340,6 +350,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the instants (0)")
     parser.add_argument("--processes", type=int, default=2, help="commands at a time (2)")
     parser.add_argument("--only", default="", help="commands whose line has this word")
+    parser.add_argument("--verbose", action="store_true", help="print tracebacks whole")
     options = parser.parse_args()
     # A job in the background has SIGINT ignored, and so would all that it starts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -350,6 +361,10 @@ def main() -> int:
             ended.append(each)
             for complaint in each.complaints:
                 print(f"{each.command.name}, {each.signal.name} after {each.after_s:.3f} s: {complaint}", flush=True)
+            if each.traceback:
+                print(f"traceback after {each.after_s:.3f} s: {each.traceback.splitlines()[-1][:80]}", flush=True)
+                if options.verbose:
+                    print(each.traceback, flush=True)
     print("\n".join(table(ended)))
     off = sum(bool(each.complaints) for each in ended)
     print(f"{len(ended)} instants, {off} with anything off")

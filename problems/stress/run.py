@@ -10,13 +10,14 @@ import argparse
 import math
 import multiprocessing
 import os
+import signal
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from multiprocessing.process import BaseProcess
 from time import monotonic
 from typing import NoReturn
@@ -31,6 +32,7 @@ from problems.stress.families import directed, long_cases
 from problems.stress.judge import CERTIFIED, Outcome, judge
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.base.files import ctrl_c_waits
 
 LIMIT_S = 120.0  # per case; the slowest honest one takes a fraction of it
 START_S = 120.0  # for a worker to be there
@@ -42,6 +44,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 def _worker(pipe: connection.Connection, outcome_of: Callable[[StressCase], Outcome]) -> None:
     """Answer cases as they come; what a library prints by itself makes an outcome bad, as a warning would."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends the workers
     with tempfile.TemporaryFile() as printed:
         for stream in (1, 2):
             os.dup2(printed.fileno(), stream)
@@ -49,7 +52,7 @@ def _worker(pipe: connection.Connection, outcome_of: Callable[[StressCase], Outc
         while True:
             try:
                 case = pipe.recv()
-            except (EOFError, KeyboardInterrupt):
+            except EOFError:
                 return
             outcome = outcome_of(case)
             sys.stdout.flush()
@@ -122,13 +125,15 @@ def run_cases(
     these are outcomes of the case that it had or was to get.
     """
     context = multiprocessing.get_context("spawn")
+    resource_tracker.ensure_running()  # if it were started with a worker, it would let a Ctrl-C through to it
     waiting = list(range(len(cases)))[::-1]
     slots: list[_Slot] = []
 
     def start(index: int) -> _Slot:
         ours, theirs = context.Pipe()
         process = context.Process(target=_worker, args=(theirs, outcome_of), daemon=True)
-        process.start()
+        with ctrl_c_waits():
+            process.start()
         theirs.close()
         return _Slot(process, ours, index, monotonic() + START_S)
 

@@ -17,7 +17,7 @@ from rich.console import Console
 from transopt.base import apart
 from transopt.base.errors import InputError
 
-LAST_S = 0.8  # between a signal and the end of the process, whatever it is doing
+LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
 
 
