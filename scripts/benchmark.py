@@ -3,16 +3,12 @@
     python scripts/benchmark.py --json FILE
 
 Prints machine, versions, and per row the median and quartiles of the solve, the set-up, the objective gap to the
-certified lower bound and the limit violation, both recomputed from the rolled-out command; then the ratios and the
-table of README. Ratios bind, milliseconds need the calibration row. One thread, of the linear algebra too.
+certified lower bound and the limit violation, both recomputed from the rolled-out command, as one table under the
+ratios. Ratios bind, milliseconds need the calibration row. One thread, of the linear algebra too.
 """
 
-import argparse
-import json
-import os
-import sys
 from dataclasses import asdict, replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from common.benchmark_cases import (
@@ -34,11 +30,13 @@ from common.benchmark_cases import (
     servo_and_simulator,
     unlimited_solver,
 )
-from common.measuring import THREAD_VARIABLES
+from common.command import JsonFile, at_least, run, write_json
+from common.measuring import on_one_thread
 
 import problems
-from transopt.base.files import whole_file, without_nan
+from transopt.base.files import without_nan
 from transopt.base.machine import machine, versions
+from transopt.base.writing import table
 from transopt.problem.heat import Budget
 from transopt.problem.limits import limits_of
 from transopt.problem.limits.temperature import temperature_limit
@@ -141,53 +139,37 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
     return found
 
 
-def markdown(rows: list[Row]) -> str:
-    """README's table."""
-    lines = ["| case | method | median ms | gap / max(J, 1e-3) | violation A, V or K |", "|---|---|---|---|---|"]
-    before = ""
+def cells(rows: list[Row]) -> list[list[str]]:
+    """Of the table, a row each; a case is named once."""
+    found, before = [], ""
     for r in rows:
         case = r.case if r.stages in (0, 600) or r.case == "online" else f"{r.case}, {r.stages} stages"
         gap = "" if np.isnan(r.objective_gap) else f"{r.objective_gap:.0e}"
         violation = "" if np.isnan(r.violation) else f"{r.violation:.0e}".replace("0e+00", "0")
         method = r.method if r.case not in ("library", "online", "command") else f"{r.method}: {r.options}"
         shown = f"{r.median_ms:.3g}" if r.median_ms < 1000 else f"{r.median_ms:.0f}"
-        lines.append(f"| {case if case != before else ''} | {method} | {shown} | {gap} | {violation} |")
+        spread = f"{r.q25_ms:.3g} to {r.q75_ms:.3g}"
+        found.append([case if case != before else "", method, shown, spread, f"{r.setup_ms:.1f}", gap, violation])
         before = case
-    return "\n".join(lines)
+    return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="also write the rows here")
-    parser.add_argument("--runs", type=int, default=15, help="timed runs of each method")
-    arguments = parser.parse_args()
-    rows, taken, memory_MB = measure(arguments.runs)
-    result = {
+HEAD = ("case", "method", "median ms", "quartiles ms", "set-up ms", "gap / max(J, 1e-3)", "violation A, V or K")
+
+
+def main(runs: Annotated[int, at_least(1, "timed runs of each method")] = 15, json: JsonFile = None) -> None:
+    rows, taken, memory_MB = measure(runs)
+    about = {
         "machine": machine(),
         "versions": versions("casadi", "numpy", "scipy", "transopt"),
         "default_solver": SolverOptions().solver,
         "peak_memory_MB": round(memory_MB, 1),
-        "rows": [asdict(r) for r in rows],
     }
-    print(json.dumps({key: result[key] for key in ("machine", "versions", "default_solver", "peak_memory_MB")}))
-    print(
-        f"{'case':12} {'method':24} {'N':>5} {'setup ms':>9} {'median ms':>10} {'quartiles':>17} "
-        f"{'gap':>9} {'violation':>9}"
-    )
-    for r in rows:
-        spread = f"{r.q25_ms:.3g} to {r.q75_ms:.3g}"
-        print(
-            f"{r.case:12} {r.method:24} {r.stages:5d} {r.setup_ms:9.1f} {r.median_ms:10.3f} {spread:>17} "
-            f"{r.objective_gap:9.0e} {r.violation:9.0e}  {r.options}"
-        )
-    print("", *ratios(rows, taken), "", markdown(rows), sep="\n")
-    if arguments.json is not None:
-        with whole_file(arguments.json) as file:
-            file.write(json.dumps(without_nan(result), indent=1).encode())
+    print(about, "", *ratios(rows, taken), "", *table(HEAD, cells(rows)), sep="\n")
+    if json is not None:
+        write_json(without_nan({**about, "rows": [asdict(r) for r in rows]}), json)
 
 
 if __name__ == "__main__":
-    one = dict.fromkeys(THREAD_VARIABLES, "1")
-    if any(os.environ.get(name) != "1" for name in one):  # libraries read it when they are loaded
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **one})
-    main()
+    on_one_thread()
+    run(main)

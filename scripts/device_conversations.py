@@ -10,18 +10,19 @@ the commit what has changed: the conversations that differ are printed first. Ex
 is recorded.
 """
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 from campaign.compiled_device import DT_S, SETTINGS, TAIL, smooth_bank
 from campaign.conversations import conversation
 from campaign.recorded import BOOT, Conversation, Overheard, load, save
 from campaign.rehearsal import Rehearsal
 from campaign.unplug_cases import TappingHand
+from common.command import run
+from typer import Option
 
 from controller.firmware.core_device import CoreDevice, DeviceEnd
 from controller.host.session_states import SessionState
@@ -31,7 +32,6 @@ from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
 from controller.protocol.wire import Decoder, encode
 from controller.sim.virtual_link import Trouble
-from transopt.base.errors import InputError
 
 VECTORS = Path(__file__).parents[1] / "tests" / "controller" / "firmware" / "vectors" / "conversations.npz"
 RANDOM_TICKS = 2000
@@ -232,25 +232,21 @@ def said(conversations: list[Conversation]) -> Counter[str]:
     return counts
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--record", action="store_true", help="put what the core does in the recordings' place")
-    arguments = parser.parse_args()
-    try:
-        there = load(VECTORS) if VECTORS.exists() else []
-        differences = [words for one in there if (words := one.differs(CoreDevice(BOOT)))]
-        recorded = all_conversations() if arguments.record else there
-    except InputError as error:
-        parser.error(str(error))
+def main(
+    record: Annotated[bool, Option("--record", help="put what the core does in the recordings' place")] = False,
+) -> int:
+    there = load(VECTORS) if VECTORS.exists() else []
+    differences = [words for one in there if (words := one.differs(CoreDevice(BOOT)))]
+    recorded = all_conversations() if record else there
     for words in differences:
         print(f"  DIFFERENT {words}"[:1000])
-    if arguments.record:
+    if record:
         VECTORS.parent.mkdir(exist_ok=True)
         save(VECTORS, recorded)
     print(f"{len(there)} conversations, {sum(one.ticks.size for one in there)} ticks, {len(differences)} differ")
     print(", ".join(f"{name} {count}" for name, count in said(recorded).most_common()))
-    return 1 if differences and not arguments.record else 0
+    return 1 if differences and not record else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

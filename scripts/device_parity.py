@@ -7,22 +7,22 @@ states and events are compared tick by tick, commands wherever both are in the s
 off. --write keeps all runs in a file for `controller/firmware/replay/replay_main.c`.
 """
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from campaign.parity_runs import TAIL, draw_bank, random_run, tap_run
+from common.command import LibraryFile, Seed, at_least, run
+from typer import Option
 
 from controller.firmware.replay import Core, Recorder, Rows, write_runs
 from controller.protocol.codes import EVENTS
 from controller.protocol.image import image_of
 from controller.servo.guard import Guard
 from controller.servo.settings import Settings
-from transopt.base.errors import InputError
 from transopt.library.file import load_library
 from transopt.plant.coil import CoilModel
 
@@ -133,34 +133,24 @@ def report(name: str, runs: Iterable[Recorder], kept: list[bytes] | None) -> boo
     )
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("library", type=Path, help="library.npz of a simulated scene")
-    parser.add_argument("--ticks", type=int, default=1_000_000, help="random ones")
-    parser.add_argument("--scenarios", type=int, default=200)
-    parser.add_argument(
-        "--heat", type=float, default=3600.0, metavar="S", help="virtual time of the coil's comparison"
-    )
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", type=Path, metavar="FILE", help="keep the runs for replay_main.c")
-    arguments = parser.parse_args()
-    if min(arguments.ticks, arguments.scenarios, arguments.seed) < 0:
-        parser.error("--ticks, --scenarios and --seed must be at least 0")
-    kept: list[bytes] | None = None if arguments.write is None else []
-    try:
-        library = load_library(arguments.library)
-        good = report("random ticks", random_runs(arguments.ticks, arguments.seed), kept)
-        first = 1000 * arguments.seed
-        taps = (tap_run(library, first + j) for j in range(arguments.scenarios))
-        good &= report("scenarios", taps, kept)
-        worst = heat_differences_K(arguments.heat, arguments.seed)
-    except InputError as error:
-        parser.error(str(error))
-    print(f"coil over {arguments.heat:g} s: double {worst[DOUBLE]:.2g} K, single {worst[FLOAT]:.2g} K")
-    if kept is not None:
-        write_runs(arguments.write, kept)
+def main(
+    library: LibraryFile,
+    ticks: Annotated[int, at_least(0, "random ones")] = 1_000_000,
+    scenarios: Annotated[int, at_least(0, "taps on the simulator")] = 200,
+    heat: Annotated[float, at_least(0, "virtual time of the coil's comparison [s]")] = 3600.0,
+    seed: Seed = 0,
+    write: Annotated[Path | None, Option(metavar="FILE", help="keep the runs for replay_main.c")] = None,
+) -> int:
+    kept: list[bytes] | None = None if write is None else []
+    solved = load_library(library)
+    good = report("random ticks", random_runs(ticks, seed), kept)
+    good &= report("scenarios", (tap_run(solved, 1000 * seed + j) for j in range(scenarios)), kept)
+    worst = heat_differences_K(heat, seed)
+    print(f"coil over {heat:g} s: double {worst[DOUBLE]:.2g} K, single {worst[FLOAT]:.2g} K")
+    if write is not None and kept is not None:
+        write_runs(write, kept)
     return 0 if good and worst[DOUBLE] == 0.0 and worst[FLOAT] <= WINDING_K else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -3,20 +3,20 @@
     python scripts/error_against_runtime.py --out DIR [--quick] [--case NAME] [--method FILE.py] [--dump DIR]
 
 Writes work_precision.png, error_against_runtime.md and rows.csv into --out: four minutes of one core, one with
---quick. --method adds the curve of your own solve(qp) (see `ert_qp.QP`), which may take a second argument, tolerance,
-and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}); a run of it is cut at ten seconds and has failed,
-unless it hangs inside native code, or on Windows, where nothing can cut it. --dump writes the QPs as NPZ, to be used
-without this project.
+--quick. --method adds the curve of your own solve(qp) (see `precision.qp.QP`), which may take a second argument,
+tolerance, and returns x, (x, y) or (x, y, {"iterations": ..., "status": ...}); a run of it is cut at ten seconds and
+has failed, unless it hangs inside native code, or on Windows, where nothing can cut it. --dump writes the QPs as NPZ,
+to be used without this project.
 """
 
-import argparse
-import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
-from common.measuring import THREAD_VARIABLES, elapsed_ms
+from common.command import run
+from common.measuring import elapsed_ms, on_one_thread
 from precision.cases import SCENES, Case, DisagreementError, case_of_scene, check_name
 from precision.figure import save_small, work_precision
 from precision.methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
@@ -28,6 +28,7 @@ from precision.user import user_method
 from precision.wheels import PIP_LINE, hpipm, wheels
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from typer import Option
 
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
@@ -77,10 +78,7 @@ def measure_all(cases: Sequence[Case], methods: Sequence[Method], effort: Effort
         task = progress.add_task("", total=total)
         for case in cases:
             rows += measure(
-                case,
-                methods,
-                effort,
-                told=lambda text, done: progress.update(task, description=text, advance=done),
+                case, methods, effort, told=lambda text, done: progress.update(task, description=text, advance=done)
             )
             if periods:
                 progress.update(task, description=f"{case.name}: servo rates")
@@ -101,34 +99,46 @@ def reading_ms(case: Case) -> float:
     return min(elapsed_ms(read) for _ in range(5))
 
 
-def run(arguments: argparse.Namespace) -> int:
-    if arguments.out is None and arguments.dump is None:
+def compared(
+    out: Annotated[Path | None, Option(help="folder for report, figure and rows")] = None,
+    quick: Annotated[bool, Option("--quick", help="default and high-accuracy settings only, one run each")] = False,
+    case: Annotated[list[str] | None, Option(help=f"one of {', '.join(SCENES)}; may be repeated")] = None,
+    method: Annotated[list[Path] | None, Option(metavar="FILE.py", help="your own solve(qp)")] = None,
+    figure: Annotated[
+        Path | None, Option(metavar="FILE.png", help="also write the figure here, in few colours")
+    ] = None,
+    dump: Annotated[Path | None, Option(metavar="DIR", help="write the QPs here as NPZ")] = None,
+) -> int:
+    if out is None and dump is None:
         raise InputError("nothing to do: state --out DIR, --dump DIR or both")
-    names = list(dict.fromkeys(arguments.case or SCENES))
+    names = list(dict.fromkeys(case or SCENES))
     for name in names:
         check_name(name)
-    users = [user_method(path) for path in arguments.method or []]
-    if arguments.figure is not None and arguments.figure.suffix.lower() != ".png":
-        raise InputError(f"--figure {arguments.figure}: a PNG is written: give it the suffix .png")
-    if arguments.figure is not None and not arguments.figure.parent.is_dir():
-        raise InputError(f"--figure {arguments.figure}: no such folder")
-    for folder in (arguments.out, arguments.dump):
+    users = [user_method(path) for path in method or []]
+    if figure is not None and figure.suffix.lower() != ".png":
+        raise InputError(f"--figure {figure}: a PNG is written: give it the suffix .png")
+    if figure is not None and not figure.parent.is_dir():
+        raise InputError(f"--figure {figure}: no such folder")
+    for folder in (out, dump):
         if folder is not None:
             make_folder(folder)
     started = time.perf_counter()
-    with Console(stderr=True).status("reference solutions"):
-        cases = [case_of_scene(name) for name in names]
-    if arguments.dump is not None:
-        print("\n".join(dump_all(cases, arguments.dump)))
-    if arguments.out is None:
+    try:
+        with Console(stderr=True).status("reference solutions"):
+            cases = [case_of_scene(name) for name in names]
+    except DisagreementError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    if dump is not None:
+        print("\n".join(dump_all(cases, dump)))
+    if out is None:
         return 0
     extra, missing = wheels()
     if missing:
         print(f"left out, not installed: {', '.join(missing)}; to add them: {PIP_LINE}")
     all_methods = [*project_methods(), hpipm(), *extra, opti_ipopt(), *users, *baselines(), *discretisations()]
-    methods = [of_interest(method, arguments.quick) for method in all_methods]
-    effort = QUICK if arguments.quick else Effort()
-    rows = measure_all(cases, methods, effort, periods=not arguments.quick)
+    methods = [of_interest(method, quick) for method in all_methods]
+    rows = measure_all(cases, methods, QUICK if quick else Effort(), periods=not quick)
     quadratic = [case for case in cases if case.qp is not None]
     text = markdown(
         cases,
@@ -138,43 +148,17 @@ def run(arguments: argparse.Namespace) -> int:
         missing=missing,
         reading_ms=reading_ms(quadratic[0]) if quadratic else float("nan"),
     )
-    write_csv(rows, arguments.out / ROWS)
-    figure = work_precision(cases, rows)
-    save_figure(figure, arguments.out / FIGURE)
-    if arguments.figure is not None:
-        save_small(figure, arguments.figure)
-    write_text(text, arguments.out / REPORT)
+    write_csv(rows, out / ROWS)
+    drawn = work_precision(cases, rows)
+    save_figure(drawn, out / FIGURE)
+    if figure is not None:
+        save_small(drawn, figure)
+    write_text(text, out / REPORT)
     print("\n".join(summaries_of(cases, rows)))
-    print(f"{arguments.out}: {REPORT}, {FIGURE}, {ROWS}; {time.perf_counter() - started:.0f} s in all")
+    print(f"{out}: {REPORT}, {FIGURE}, {ROWS}; {time.perf_counter() - started:.0f} s in all")
     return 0
 
 
-def main(given: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, help="folder for report, figure and rows")
-    parser.add_argument("--quick", action="store_true", help="default and high-accuracy settings only, one run each")
-    parser.add_argument(
-        "--case", action="append", metavar="NAME", help=f"one of {', '.join(SCENES)}; may be repeated"
-    )
-    parser.add_argument("--method", action="append", type=Path, metavar="FILE.py", help="your own solve(qp)")
-    parser.add_argument("--figure", type=Path, metavar="FILE.png", help="also write the figure here, in few colours")
-    parser.add_argument("--dump", type=Path, metavar="DIR", help="write the QPs here as NPZ")
-    try:
-        return run(parser.parse_args(given))
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except DisagreementError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("stopped; nothing was written", file=sys.stderr)
-        return 130
-
-
 if __name__ == "__main__":
-    if any(os.environ.get(name) != "1" for name in THREAD_VARIABLES):
-        # Linear algebra reads these when it is loaded, which it is by now: once more, with one thread.
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
-        os.execv(sys.executable, [sys.executable, *sys.argv])
-    sys.exit(main())
+    on_one_thread()
+    run(compared)

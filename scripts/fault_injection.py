@@ -8,16 +8,14 @@ stuck encoder, which this script counts for itself. There the servo must answer 
 and stay so when the cause is gone until it is reset. Exit code 1 if it ever does not.
 """
 
-import argparse
 import math
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from common.command import LibraryFile, Seed, at_least, run
 
 from controller.servo.interface import Fault, Output, Readings, State
 from controller.servo.servo import Servo
@@ -28,7 +26,6 @@ from controller.sim.true_device import device_of
 from controller.sim.user import Habit, TapUser, Tremor
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import scene_of
-from transopt.base.errors import InputError
 from transopt.library.file import load_library
 from transopt.library.library import Library
 
@@ -174,35 +171,24 @@ def _wrong(servo: Servo, simulator: Simulator, output: Output, injection: Inject
     return ""
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("library", type=Path, help="library.npz")
-    parser.add_argument("--instants", type=int, default=100, help="of each fault")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    if arguments.instants < 1 or arguments.seed < 0:
-        parser.error("--instants must be at least 1, --seed at least 0")
-    failed = False
-    try:
-        library = load_library(arguments.library)
-        table = bank(library)
-        print(f"{'fault':17} {'instants':>8} {'caught':>6} {'ticks late':>10}  shown after ticks (median, most)")
-        for injection in INJECTIONS:
-            start = 10_000 * arguments.seed
-            found = [inject(library, table, injection, start + j) for j in range(arguments.instants)]
-            good, after = [o for o in found if not o.wrong], [o.shown_after for o in found]
-            late = max(o.late_ticks for o in found)
-            print(
-                f"{injection.name:17} {len(found):8d} {len(good):6d} {late:10d}  {np.median(after):g}, {max(after)}",
-                flush=True,
-            )
-            for words, count in Counter(o.wrong for o in found if o.wrong).items():
-                print(f"  VIOLATED {count} times: {words}")
-            failed |= len(good) < len(found) or late > 0
-    except InputError as error:
-        parser.error(str(error))
+def main(library: LibraryFile, instants: Annotated[int, at_least(1, "of each fault")] = 100, seed: Seed = 0) -> int:
+    solved, failed = load_library(library), False
+    table = bank(solved)
+    print(f"{'fault':17} {'instants':>8} {'caught':>6} {'ticks late':>10}  shown after ticks (median, most)")
+    for injection in INJECTIONS:
+        found = [inject(solved, table, injection, 10_000 * seed + j) for j in range(instants)]
+        wrong, after = Counter(o.wrong for o in found if o.wrong), [o.shown_after for o in found]
+        late = max(o.late_ticks for o in found)
+        print(
+            f"{injection.name:17} {instants:8d} {instants - wrong.total():6d} {late:10d}  "
+            f"{np.median(after):g}, {max(after)}",
+            flush=True,
+        )
+        for words, count in wrong.items():
+            print(f"  VIOLATED {count} times: {words}")
+        failed |= bool(wrong) or late > 0
     return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -9,7 +9,6 @@ QEMU counts (-icount): not cycles, and no silicon. Needs arm-none-eabi-gcc with 
 gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm). Exit code 1 if a hash is another, 3 without these tools.
 """
 
-import argparse
 import re
 import shutil
 import subprocess
@@ -18,13 +17,17 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 from campaign.parity_runs import random_run, tap_run
+from common.command import Seed, run
 from device_conversations import random_talk
+from typer import Argument
 
 from controller.firmware.build import CORE, FIRMWARE, FLAGS, STRICT, build, sources
 from controller.firmware.replay import REPLAY, write_runs
 from transopt.base.errors import InputError
+from transopt.base.writing import table
 from transopt.library.file import load_library
 
 DAMAGES = (0.0, 0.02, 0.3)  # parts of the frames that arrive damaged, in turn
@@ -200,45 +203,36 @@ def record(folder: Path, seed: int, library: Path | None, *, runs: int = 6, tick
     return {name: folder / name for name in PROGRAMS}
 
 
-def table(found: dict[Target, Found]) -> str:
+def rows(found: dict[Target, Found]) -> list[str]:
     """Markdown, one row a target."""
-    lines = [
-        "| target | precision | text B | td_device B | stack B | servo tick: mean / worst "
-        "| device tick: mean / worst | interrupt held | hash equal |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
+    head = ["target", "precision", "text B", "td_device B", "stack B", "servo tick: mean / worst"]
+    head += ["device tick: mean / worst", "interrupt held", "hash equal"]
+    cells = []
     for target, f in found.items():
-        servo, device = f.counts["runs servo"], f.counts["talks device"]
-        lines.append(
-            f"| {target.name} | {target.precision} | {f.text_bytes} | {f.device_bytes} | {f.stack_bytes} | "
-            f"{servo[1]:.0f} / {servo[2]} | {device[1]:.0f} / {device[2]} | {f.counts['talks held'][2]} | "
-            f"{'yes' if f.alike() else 'NO'} |"
-        )
-    return "\n".join(lines)
+        ticks = (f"{mean:.0f} / {most}" for _, mean, most in (f.counts["runs servo"], f.counts["talks device"]))
+        sizes = (f.text_bytes, f.device_bytes, f.stack_bytes)
+        equal = "yes" if f.alike() else "NO"
+        cells.append([target.name, target.precision, *sizes, *ticks, f.counts["talks held"][2], equal])
+    return table(head, cells)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("library", type=Path, nargs="?", help="library.npz of a simulated scene, for taps")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    if arguments.seed < 0:
-        parser.error("--seed must be at least 0")
+def main(
+    library: Annotated[Path | None, Argument(help="library.npz of a simulated scene, for taps")] = None,
+    seed: Seed = 0,
+) -> int:
     found = {}
     try:
         need_tools()
-        with tempfile.TemporaryDirectory() as scratch:
-            records = record(Path(scratch), arguments.seed, arguments.library)
-            for j, target in enumerate(TARGETS):
-                folder = Path(scratch) / str(j)
-                folder.mkdir()
-                found[target] = play(target, records, folder)
     except MissingToolError as missing:
         print(f"firmware_targets: skipped, {missing}", file=sys.stderr)
         return 3
-    except InputError as error:
-        parser.error(str(error))
-    print(table(found))
+    with tempfile.TemporaryDirectory() as scratch:
+        records = record(Path(scratch), seed, library)
+        for j, target in enumerate(TARGETS):
+            folder = Path(scratch) / str(j)
+            folder.mkdir()
+            found[target] = play(target, records, folder)
+    print("\n".join(rows(found)))
     print("instructions as QEMU counts them, in steps of 40; no silicon was tested")
     ticks = {name: next(iter(found.values())).counts[name][0] for name in ("runs servo", "talks device")}
     print(f"{ticks['runs servo']} ticks of the servo, {ticks['talks device']} of the device, each target")
@@ -246,4 +240,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -8,15 +8,15 @@ them, solved anew and replayed at each point. With --out, grid_error_*.png go th
 not met at one of the points.
 """
 
-import argparse
-import sys
 import time
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from common.command import at_least, run
+from typer import Option
 
 import problems
-from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
@@ -56,25 +56,25 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
     return np.array(found)
 
 
-def demonstrate(name: str, scene: Scene, arguments: argparse.Namespace) -> bool:
+def demonstrate(name: str, scene: Scene, points: int, tolerance: float, cap: int, out: Path | None) -> bool:
     """One device: refined, built both ways, compared; whether the tolerance holds at every point."""
     taps = recordings(scene)
-    refinement = refine_grid(scene, taps, arguments.tolerance, cap=arguments.cap)
+    refinement = refine_grid(scene, taps, tolerance, cap=cap)
     if refinement.shortfall:
         print(f"{name}: {refinement.shortfall}")
     start = time.perf_counter()
     libraries = [build_library(scene, taps, refinement=r).library for r in (None, refinement)]
     built_s = time.perf_counter() - start
     references = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
-    points = random_points(scene, arguments.points)
-    found = 100 * excess(scene, references, points, *(library for library in libraries if library is not None))
+    places = random_points(scene, points)
+    found = 100 * excess(scene, references, places, *(library for library in libraries if library is not None))
     if found.shape[1] != 2:
         print(f"{name}: entries refused, no library to compare")
         return False
-    print(f"{name}: {len(points)} random points, tolerance {100 * arguments.tolerance:g} %")
+    print(f"{name}: {points} random points, tolerance {100 * tolerance:g} %")
     entries = (refinement.recorded_entries, refinement.entries)
     for text, count, errors in zip(("without refinement", "with refinement"), entries, found.T, strict=True):
-        worst = points[np.argmax(errors)]
+        worst = places[np.argmax(errors)]
         print(
             f"  {text:18}  {count:3} entries, worst excess {errors.max():5.2f} % at {worst[0]:.3f} m/s, "
             f"{worst[1]:.2f} N, median {np.median(errors):.2f} %"
@@ -82,31 +82,23 @@ def demonstrate(name: str, scene: Scene, arguments: argparse.Namespace) -> bool:
     grid = refinement.grid
     print(f"  speeds {grid.speeds_m_s} m/s, grips {grid.grips_N} N")
     print(f"  {refinement.elapsed_s:.1f} s for {refinement.rounds} rounds, {built_s:.1f} s for both libraries")
-    if arguments.out is not None:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        save_figure(grid_figure(refinement), arguments.out / f"grid_error_{name}.png")
-    return bool(found[:, 1].max() <= 100 * arguments.tolerance)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        save_figure(grid_figure(refinement), out / f"grid_error_{name}.png")
+    return bool(found[:, 1].max() <= 100 * tolerance)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--points", type=int, default=200, help="random points per device")
-    parser.add_argument("--tolerance", type=float, default=0.02, help="largest excess, absolute in NRMSE")
-    parser.add_argument("--cap", type=int, default=DEFAULT_CAP, help="most entries")
-    parser.add_argument("--out", type=Path, help="folder for the figures")
-    arguments = parser.parse_args()
-    if arguments.points < 1:
-        parser.error(f"--points {arguments.points}: must be at least 1")
+def main(
+    points: Annotated[int, at_least(1, "random points per device")] = 200,
+    tolerance: Annotated[float, Option(help="largest excess, absolute in NRMSE")] = 0.02,
+    cap: Annotated[int, Option(help="most entries")] = DEFAULT_CAP,
+    out: Annotated[Path | None, Option(help="folder for the figures")] = None,
+) -> int:
     scene = problems.load("wood_on_foam")
-    try:
-        held = [
-            demonstrate("wood_on_foam", scene, arguments),
-            demonstrate("soft_hand", soft_hand(scene), arguments),
-        ]
-    except InputError as error:
-        parser.error(str(error))
+    devices = {"wood_on_foam": scene, "soft_hand": soft_hand(scene)}
+    held = [demonstrate(name, device, points, tolerance, cap, out) for name, device in devices.items()]
     return 0 if all(held) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

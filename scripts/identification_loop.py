@@ -37,7 +37,7 @@ from controller.refine.rounds import nodes_of
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
-from controller.sim.records import noise_seed
+from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.true_device import TrueDevice
@@ -153,10 +153,10 @@ def played(name: str, library: Library, device: TrueDevice, wrong: Imperfections
                 imperfections=noise,
             )
             one = play_tap(library, Servo(settings, bank(library)), tap, device=device)
-            if not one.metrics.played:
+            if not one.played:
                 raise InputError(f"{name}: nothing was played at {tap.speed_m_s:g} m/s, {tap.grip_N:g} N")
             found.append(align(one.times_s, one.acceleration_m_s2, times, library.reference_m_s2[iv]).nrmse)
-            peak = max(peak, one.metrics.peak_current_A)
+            peak = max(peak, one.peak_current_A)
         errors.append(float(np.mean(found)))
     return Stage(name, errors, peak)
 

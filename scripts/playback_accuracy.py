@@ -9,14 +9,12 @@ Exit code 1 if a node's latency is above 20 us rms or its NRMSE above 3 %, or a 
 plus 3 %.
 """
 
-import argparse
-import json
-import sys
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from common.experiment import Metrics, play_tap
+from common.command import JsonFile, LibraryFile, at_least, run, write_json
+from common.experiment import Played, play_tap
 
 from controller.record.metrics import align
 from controller.servo.servo import Servo
@@ -24,8 +22,6 @@ from controller.servo.settings import Settings
 from controller.sim.simulated_tap import SimulatedTap
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import predict
-from transopt.base.errors import InputError
-from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -74,16 +70,16 @@ class Point:
         return self.nrmse_blend <= self.interpolation + MOST_NRMSE
 
 
-def once(library: Library, table: Bank, tap: SimulatedTap) -> Metrics:
+def once(library: Library, table: Bank, tap: SimulatedTap) -> Played:
     """One nominal tap with a fresh servo.
 
     Raises
     ------
     RuntimeError : it was not played.
     """
-    metrics = play_tap(library, Servo(Settings.of(library), table), tap).metrics
+    metrics = play_tap(library, Servo(Settings.of(library), table), tap)
     if not metrics.played or metrics.faults:
-        raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.verdict}")
+        raise RuntimeError(f"{tap.speed_m_s:g} m/s, {tap.grip_N:g} N: {metrics.events}")
     return metrics
 
 
@@ -121,8 +117,8 @@ def between(library: Library, table: Bank, speed_m_s: float, grip_N: float, seed
     return Point(
         speed_m_s=speed_m_s,
         grip_N=grip_N,
-        latency_s=played.metrics.latency_s,
-        nrmse=played.metrics.nrmse,
+        latency_s=played.latency_s,
+        nrmse=played.nrmse,
         nrmse_blend=align(played.times_s, played.acceleration_m_s2, prediction.times_s, blend).nrmse,
         interpolation=nrmse(prediction.acceleration_m_s2, blend),
     )
@@ -148,43 +144,33 @@ def summarise(points: list[Point]) -> None:
     )
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("library", type=Path, help="library.npz")
-    parser.add_argument("--phases", type=int, default=5, help="phases of the contact within the tick, per node")
-    parser.add_argument("--seeds", type=int, default=2, help="seeds of the sensors' noise, per phase")
-    parser.add_argument("--points", type=int, default=60, help="random taps between the nodes")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    arguments = parser.parse_args()
-    if min(arguments.phases, arguments.seeds) < 1 or arguments.points < 0:
-        parser.error("--phases and --seeds must be at least 1, --points at least 0")
-    try:
-        library = load_library(arguments.library)
-        table, phases = bank(library), np.arange(arguments.phases) / arguments.phases
-        print("  m/s    N taps latency rms us worst us  NRMSE %  of r % peak A")
-        nodes = []
-        for iv in range(library.speeds_m_s.size):
-            for ig in range(library.grips_N.size):
-                n = at_node(library, table, iv, ig, phases, arguments.seeds)
-                nodes.append(n)
-                print(
-                    f"{n.speed_m_s:5g} {n.grip_N:4g} {n.taps:4d} {1e6 * n.latency_rms_s:14.1f} "
-                    f"{1e6 * n.latency_worst_s:8.1f} {100 * n.nrmse:8.2f} {100 * n.nrmse_reference:7.2f} "
-                    f"{n.peak_current_A:.4f}{'' if n.kept else '  MISSED'}",
-                    flush=True,
-                )
-        drawn = inside(library, arguments.points)
-        points = [between(library, table, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
-        if points:
-            summarise(points)
-        if arguments.json is not None:
-            result = {"nodes": [asdict(n) for n in nodes], "points": [asdict(p) for p in points]}
-            with whole_file(arguments.json) as file:
-                file.write(json.dumps(result, indent=1).encode())
-    except InputError as error:
-        parser.error(str(error))
-    return 0 if all(entry.kept for entry in [*nodes, *points]) else 1
+def main(
+    library: LibraryFile,
+    phases: Annotated[int, at_least(1, "phases of the contact within the tick, per node")] = 5,
+    seeds: Annotated[int, at_least(1, "seeds of the sensors' noise, per phase")] = 2,
+    points: Annotated[int, at_least(0, "random taps between the nodes")] = 60,
+    json: JsonFile = None,
+) -> int:
+    solved = load_library(library)
+    table, within = bank(solved), np.arange(phases) / phases
+    print("  m/s    N taps latency rms us worst us  NRMSE %  of r % peak A")
+    nodes = []
+    for iv, ig in np.ndindex(solved.nrmse.shape):
+        nodes.append(n := at_node(solved, table, iv, ig, within, seeds))
+        print(
+            f"{n.speed_m_s:5g} {n.grip_N:4g} {n.taps:4d} {1e6 * n.latency_rms_s:14.1f} "
+            f"{1e6 * n.latency_worst_s:8.1f} {100 * n.nrmse:8.2f} {100 * n.nrmse_reference:7.2f} "
+            f"{n.peak_current_A:.4f}{'' if n.kept else '  MISSED'}",
+            flush=True,
+        )
+    drawn = inside(solved, points)
+    found = [between(solved, table, float(v), float(F), seed) for seed, (v, F) in enumerate(drawn)]
+    if found:
+        summarise(found)
+    if json is not None:
+        write_json({"nodes": [asdict(n) for n in nodes], "points": [asdict(p) for p in found]}, json)
+    return 0 if all(entry.kept for entry in [*nodes, *found]) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

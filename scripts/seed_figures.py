@@ -6,18 +6,17 @@ Writes seed.md, which shows figures and tables, the figures themselves, and CSV 
 row per tap), methods.csv (one per method), limits.csv (one per condition). Nine minutes on two shared cores.
 """
 
-import argparse
 import os
-import platform
 import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import seed.device as seed_device
+from common.command import at_least, run
 from common.experiment import Played
 from seed.comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
 from seed.plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
@@ -31,15 +30,17 @@ from seed.report import (
     real_tap_table,
     shape_table,
 )
+from typer import Option
 
 import problems
 from controller.waveforms.bank import Method
 from controller.waveforms.inversions import unlimited_optimum
 from controller.waveforms.prediction import scene_of
 from transopt.base.errors import InputError
-from transopt.base.machine import machine
+from transopt.base.machine import machine, versions
 from transopt.base.plotting import save_figure
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.terminal import make_folder
 from transopt.base.writing import write_csv, write_text
 from transopt.design.build import build_library
 from transopt.library.library import Library
@@ -112,14 +113,15 @@ def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float
     by_grip = [seed_device.real_tap(scene, speeds[len(speeds) // 2], F) for F in grips]
     save_figure(seed_device.real_taps_figure(by_speed, by_grip), out / "fig01_real_taps.png")
 
-    amplifier, dt = scene.amplifier_model(), scene.time.dt_s
+    amplifier = scene.amplifier_model()
     assert amplifier is not None
-    responses = {A: seed_device.sine_response(scene, A) for A in (seed_device.LOUD_A, seed_device.QUIET_A)}
-    save_figure(seed_device.amplifier_figure(scene, amplifier, responses), out / "fig05_amplifier.png")
-    fits = []
-    for amplitude, response in responses.items():
-        gain, pole_Hz, delay_s = seed_device.fitted_amplifier(response, dt)
-        fits.append(f"{amplitude:g} A: gain {gain:.3f}, pole {pole_Hz:.0f} Hz, delay {1e6 * delay_s:.1f} µs")
+    fitted = {A: seed_device.amplifier_fit(scene, A) for A in (seed_device.LOUD_A, seed_device.QUIET_A)}
+    save_figure(seed_device.amplifier_figure(scene, amplifier, fitted), out / "fig05_amplifier.png")
+    fits = [
+        f"{amplitude:g} A: gain {fit.gain:.3f}, pole {fit.pole_Hz:.0f} Hz, delay {1e6 * fit.delay_s:.1f} µs, "
+        f"dead band {1e3 * fit.crossover.half_width_A:.1f} mA"
+        for amplitude, fit in fitted.items()
+    ]
 
     found = seed_device.sweep_response(scene, SWEEP_GRIP_N, sweep_s)
     save_figure(seed_device.sweep_figure(scene, SWEEP_GRIP_N, found), out / "fig06_stylus_and_hand.png")
@@ -140,8 +142,8 @@ def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float
         "![Fig. 5](fig05_amplifier.png)",
         "",
         f"Simulated amplifier with its dead band against the model ({amplifier.pole_Hz:g} Hz, "
-        f"{1e6 * amplifier.delay_s:g} µs beyond the hold): steps (left), sines issued at the servo's ticks (right). "
-        f"Fitted to the sines of {'; '.join(fits)}: the dead band costs gain, neither pole nor delay.",
+        f"{1e6 * amplifier.delay_s:g} µs beyond the hold): steps (left), sweeps as the current monitor reads them "
+        f"(right). Fitted to the sweeps of {'; '.join(fits)}.",
         "",
         "## Fig. 6: stylus and hand",
         "",
@@ -166,20 +168,19 @@ def device_figures(scene: Scene, conditions: Sequence[Condition], sweep_s: float
 
 def _compared(experiment: Experiment, condition: Condition, taps: dict[str, Played]) -> Compared:
     library, (_, low) = experiment.library, experiment.limits_A
-    iv = int(np.flatnonzero(library.speeds_m_s == condition[0])[0])
-    ig = int(np.flatnonzero(library.grips_N == condition[1])[0])
+    iv, ig = library.speeds_m_s.tolist().index(condition[0]), library.grips_N.tolist().index(condition[1])
     problem = library.problem(iv, ig)
     _, current = problem.stage.rollout(unlimited_optimum(problem))
     errors = {name: result(played, Method.BILINEAR, NOMINAL).nrmse for name, played in taps.items()}
-    own, g = taps["optimum"].metrics, STANDARD_GRAVITY_M_S2
+    own, g = taps["optimum"], STANDARD_GRAVITY_M_S2
     return Compared(
         speed_m_s=condition[0],
         grip_N=condition[1],
         needed_A=float(np.abs(current).max()),
         over_ms=1e3 * library.meta["dt_s"] * int(np.sum(np.abs(current) > low)),
-        reference_g=own.reference_peak_m_s2 / g,
+        reference_g=float(np.abs(own.reference_m_s2).max()) / g,
         peak_g=own.peak_m_s2 / g,
-        peak_steady_g=taps["optimum_steady"].metrics.peak_m_s2 / g,
+        peak_steady_g=taps["optimum_steady"].peak_m_s2 / g,
         predicted_error=own.nrmse,
         latency_s=own.latency_s,
         **errors,
@@ -269,9 +270,6 @@ def method_comparison(experiment: Experiment, out: Path) -> list[str]:
     ]
 
 
-# ------------------------------------------------------------------------------------------------ all
-
-
 def write_all(experiment: Experiment, out: Path, command: str, *, sweep_s: float = SWEEP_S) -> None:
     """Every file of the command into the folder `out`, each whole."""
     started = time.perf_counter()
@@ -280,9 +278,7 @@ def write_all(experiment: Experiment, out: Path, command: str, *, sweep_s: float
         *played_figures(experiment, out),
         *device_figures(experiment.scene, experiment.conditions, sweep_s, out),
     ]
-    names = ("transopt", "numpy", "scipy", "casadi", "matplotlib")
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in names)
-    computer = machine()
+    computer, installed = machine(), versions("transopt", "numpy", "scipy", "casadi", "matplotlib")
     head = [
         "# The seed's experiment",
         "",
@@ -290,37 +286,23 @@ def write_all(experiment: Experiment, out: Path, command: str, *, sweep_s: float
         f"Compensation* (2006), from the scene `{experiment.scene.name}` on the simulator.",
         "",
         f"`{command}`: {time.perf_counter() - started:.0f} s on {computer['cpu']}, {computer['cores']} cores, "
-        f"{computer['system']}; Python {platform.python_version()}, {versions}.",
+        f"{computer['system']}; {', '.join(f'{name} {version}' for name, version in installed.items())}.",
         "",
     ]
     write_text("\n".join([*head, *parts]), out / "seed.md")
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder for everything that is written")
-    parser.add_argument("--devices", type=int, default=20, help="random mismatched devices")
-    parser.add_argument("--jobs", type=int, default=min(os.cpu_count() or 1, 2), help="processes")
-    arguments = parser.parse_args()
-    for name, least in (("devices", 1), ("jobs", 1)):
-        if getattr(arguments, name) < least:
-            parser.error(f"--{name} {getattr(arguments, name)}: must be at least {least}")
-    # The processes multiply small matrices; threads of theirs would only wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        arguments.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        parser.error(f"--out {arguments.out}: cannot be written ({error.strerror}); choose another folder")
-    try:
-        library, steady = libraries(problems.load(SCENE))
-        experiment = Experiment(library, steady, nodes(library), METHODS, arguments.devices, arguments.jobs)
-        command = f"python scripts/seed_figures.py --out DIR --devices {arguments.devices} --jobs {arguments.jobs}"
-        write_all(experiment, arguments.out, command)
-    except InputError as error:
-        parser.error(str(error))
-    print(arguments.out / "seed.md")
-    return 0
+def main(
+    out: Annotated[Path, Option(help="folder for everything that is written")],
+    devices: Annotated[int, at_least(1, "random mismatched devices")] = 20,
+    jobs: Annotated[int, at_least(1, "processes")] = min(os.cpu_count() or 1, 2),
+) -> None:
+    make_folder(out)
+    library, steady = libraries(problems.load(SCENE))
+    experiment = Experiment(library, steady, nodes(library), METHODS, devices, jobs)
+    write_all(experiment, out, f"python scripts/seed_figures.py --out DIR --devices {devices} --jobs {jobs}")
+    print(out / "seed.md")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

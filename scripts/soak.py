@@ -12,18 +12,18 @@ Checked: |i| of the true current between ticks too, the true winding's temperatu
 for every contact that the encoder shows, and an explanation in the truth for every fault. Exit code 1 on a violation.
 """
 
-import argparse
 import math
-import sys
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from common.command import LibraryFile, Seed, run
+from typer import Option
 
 from controller.servo.interface import Fault, Notice, Output, Readings, State
-from controller.servo.loop import run
+from controller.servo.loop import run as play
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.simulator import Imperfections, Simulator
@@ -31,7 +31,6 @@ from controller.sim.true_device import device_of
 from controller.sim.user import RepeatedTaps, Tremor
 from controller.waveforms.bank import Bank, bank
 from controller.waveforms.prediction import scene_of
-from transopt.base.errors import InputError
 from transopt.library.file import load_library
 from transopt.library.library import Library
 
@@ -180,9 +179,8 @@ STRETCHES = (
     Stretch("fickle", crossover_A=0.01, tremor=True, fickle=0.3),
     Stretch("hot", mismatch=0.1, crossover_A=0.01, hot=True),
 )
-BELOW_LIMIT_K = (
-    5.02  # a hot coil starts this much below its limit, less than a tap's heat below the servo's threshold
-)
+# A hot coil starts this much below its limit, less than a tap's heat below the servo's threshold.
+BELOW_LIMIT_K = 5.02
 
 
 def soak(
@@ -213,7 +211,7 @@ def soak(
     left = round(duration_s / settings.dt_s)
     while left > 0:
         ticks = min(TURN_TICKS, left)
-        run(simulator, servo, ticks, settings.dt_s, observe=witness)
+        play(simulator, servo, ticks, settings.dt_s, observe=witness)
         left -= ticks
         if servo.state is State.FAULT and servo.reset():
             servo.arm()
@@ -226,45 +224,32 @@ def soak(
         tally.margin_K = min(tally.margin_K, device.coil.limit_C - tally.hottest_C)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("library", type=Path, help="library.npz")
-    parser.add_argument("--minutes", type=float, default=10.0, help="virtual time")
-    parser.add_argument("--seed", type=int, default=0, help="another seed, other taps and devices")
-    parser.add_argument(
-        "--amplifier-tolerance", type=float, help="what the servo is told; default the stretch's mismatch"
-    )
-    arguments = parser.parse_args()
-    if not (0 < arguments.minutes < 1e4 and arguments.seed >= 0):
-        parser.error("--minutes must be above 0, --seed at least 0")
-    tally, started = Tally(), time.perf_counter()
-    try:
-        library = load_library(arguments.library)
-        table = bank(library)
-        for j in range(max(round(60 * arguments.minutes / STRETCH_S), 1)):
-            soak(
-                library,
-                table,
-                STRETCHES[j % len(STRETCHES)],
-                1000 * arguments.seed + j,
-                tally,
-                amplifier_tolerance=arguments.amplifier_tolerance,
-            )
-    except InputError as error:
-        parser.error(str(error))
+def main(
+    library: LibraryFile,
+    minutes: Annotated[float, Option(min=0.01, max=1e4, help="virtual time")] = 10.0,
+    seed: Seed = 0,
+    amplifier_tolerance: Annotated[
+        float | None, Option(help="what the servo is told; by default the stretch's mismatch")
+    ] = None,
+) -> int:
+    tally, started, solved = Tally(), time.perf_counter(), load_library(library)
+    table = bank(solved)
+    for j in range(max(round(60 * minutes / STRETCH_S), 1)):
+        stretch = STRETCHES[j % len(STRETCHES)]
+        soak(solved, table, stretch, 1000 * seed + j, tally, amplifier_tolerance=amplifier_tolerance)
     taken = time.perf_counter() - started
     print(f"{tally.virtual_s:.0f} virtual s in {taken:.0f} s; {tally.contacts} contacts, {tally.slow} slow touches")
     for what, count in [*tally.notices.most_common(), *tally.faults.most_common()]:
         print(f"{count:6d} {type(what).__name__.lower()} {what.name}")
-    limit_A = library.meta["limits"]["current_A"]
+    margin = "" if math.isinf(tally.margin_K) else f", {tally.margin_K:.3f} K below its limit"
     print(
-        f"largest |i| {tally.largest_A:.6f} A, limit {limit_A:g} A; hottest winding {tally.hottest_C:.3f} °C", end=""
+        f"largest |i| {tally.largest_A:.6f} A, limit {solved.meta['limits']['current_A']:g} A; "
+        f"hottest winding {tally.hottest_C:.3f} °C{margin}"
     )
-    print("" if math.isinf(tally.margin_K) else f", {tally.margin_K:.3f} K below its limit")
     for violation in tally.violations:
         print(f"VIOLATED: {violation}")
     return 1 if tally.violations else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -1,6 +1,7 @@
 """The test suite as other processors, other orders and other numbers of threads would run it: is it green anywhere?
 
     python scripts/suite_anywhere.py [NAME ...] [--list] [--tests FILE ...] [--write FILE]
+    python scripts/suite_anywhere.py [NAME ...] --stress CASES
 
 The last bits of a sum depend on the order in which it is taken, and that order is chosen at run time: OpenBLAS takes
 a kernel, numpy its loops, the C library its exp and sin, and the compiled pass its width by what the processor has.
@@ -8,9 +9,10 @@ Each of these can be asked for what another processor would get, so one machine 
 others. Tests that only pass after others, and results that depend on the number of threads, are looked for alike.
 
 Every environment runs the whole suite once, one after the other, with the workers that pyproject.toml states; NAME
-chooses those whose names contain it, --tests the files. An environment that this machine cannot give is skipped and
-says why. Printed is a table of the environments, below it the tests that failed; --write keeps both in a file. Exit
-code 1 if a test failed, or nothing was run.
+chooses those whose names contain it, --tests the files. With --stress, as many cases of the stress suite's first seed
+are judged in place of the suite, and a case fails where its verdict is another than in the first environment. An
+environment that this machine cannot give is skipped and says why. Printed is a table of the environments, below it
+the tests that failed; --write keeps both in a file. Exit code 1 if a test failed, or nothing was run.
 """
 
 import argparse
@@ -21,6 +23,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -32,7 +35,7 @@ from xml.etree import ElementTree
 from shuffled import VARIABLE as ORDER
 
 from controller.firmware.build import NoCompilerError, compiler
-from transopt.base.writing import write_text
+from transopt.base.writing import table, write_text
 
 ROOT = Path(__file__).parents[1]
 # What a run leaves behind or brings itself; all else belongs to the copy that is given another extension.
@@ -214,6 +217,41 @@ def checkout(width: int | None) -> Iterator[Path]:
         yield copy
 
 
+def asked_for(root: Path, environment: Environment, arguments: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """What `python -m` with these arguments says in an environment."""
+    # Ahead of the installed package, which is the checkout: what the tests start has to find the copy as well.
+    paths = [str(root), str(root / "scripts"), os.environ.get("PYTHONPATH", "")]
+    return subprocess.run(
+        [sys.executable, "-m", *arguments],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths)), **environment.variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+
+
+def verdicts(environment: Environment, cases: int, first: dict[str, str]) -> Result:
+    """Judge cases of the stress suite; the verdicts of the first environment are put into `first`."""
+    with checkout(environment.width) as root, tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "verdicts.txt"
+        arguments = ["problems.stress", "--seed", "1", "--cases", str(cases), "--write", str(written)]
+        began = time.monotonic()
+        done = asked_for(root, environment, arguments)
+        if not written.exists():
+            return Result(environment, broken=f"exit code {done.returncode}\n{done.stdout}")
+        found = dict(line.split(" ", 1) for line in written.read_text(encoding="utf-8").splitlines())
+    if not first:
+        first.update(found)
+    others = tuple(
+        f"case {index}: {verdict}, {first[index]} in the first environment"
+        for index, verdict in found.items()
+        if verdict != first[index]
+    )
+    return Result(environment, len(found) - len(others), 0, time.monotonic() - began, others)
+
+
 def told_by(case: ElementTree.Element) -> str:
     """A test that failed, and the first line of what it said."""
     said = [part.get("message") or "" for part in case if part.tag in ("failure", "error")]
@@ -224,18 +262,8 @@ def run(environment: Environment, tests: Sequence[str]) -> Result:
     """Run the suite once; its output is kept only where it failed without a report."""
     with checkout(environment.width) as root, tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
-        # Ahead of the installed package, which is the checkout: what the tests start has to find the copy as well.
-        paths = [str(root), str(root / "scripts"), os.environ.get("PYTHONPATH", "")]
-        path = os.pathsep.join(filter(None, paths))
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", f"--junitxml={report}", *environment.arguments, *tests],
-            cwd=root,
-            env={**os.environ, "PYTHONPATH": path, **environment.variables},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            check=False,
-        )
+        arguments = ["pytest", f"--junitxml={report}", *environment.arguments, *tests]
+        done = asked_for(root, environment, arguments)
         if not report.exists():
             return Result(environment, broken=f"exit code {done.returncode}\n{done.stdout}")
         suite = ElementTree.parse(report).getroot()
@@ -246,10 +274,6 @@ def run(environment: Environment, tests: Sequence[str]) -> Result:
     broken = f"exit code {done.returncode}\n{done.stdout}" if done.returncode and not failed else ""
     passed = len(cases) - len(failed) - skipped
     return Result(environment, passed, skipped, seconds, tuple(map(told_by, failed)), broken)
-
-
-def row(*cells: object) -> str:
-    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 def explained(result: Result) -> list[str]:
@@ -264,6 +288,7 @@ def main() -> int:
     parser.add_argument("names", nargs="*", metavar="NAME", help="part of an environment's name; all without it")
     parser.add_argument("--list", action="store_true", help="print the environments and what stands in their way")
     parser.add_argument("--tests", nargs="+", default=[], metavar="FILE", help="these test files alone")
+    parser.add_argument("--stress", type=int, metavar="CASES", help="cases of the stress suite in place of the tests")
     parser.add_argument("--write", type=Path, metavar="FILE", help="keep the table in a file")
     arguments = parser.parse_args()
     here = probe({})
@@ -278,33 +303,27 @@ def main() -> int:
         for environment in chosen:
             print(f"{environment.name}: {obstacle(environment, here) or 'can be run'}")
         return 0
-    lines: list[str] = []
-
-    def told(line: str) -> None:
-        print(line, flush=True)
-        lines.append(line)
-
-    results = []
-    told(row(*HEAD))
-    told(row(*["---"] * len(HEAD)))
+    rows, results = [], []
+    first: dict[str, str] = {}
     for environment in chosen:
         reason = obstacle(environment, here)
         if reason:
-            told(row(environment.name, f"cannot be run: {reason}", "", "", ""))
+            rows.append([environment.name, f"cannot be run: {reason}", "", "", ""])
             continue
         print(f"running: {environment.name}", file=sys.stderr, flush=True)
-        result = run(environment, arguments.tests)
+        if arguments.stress is None:
+            result = run(environment, arguments.tests)
+        else:
+            result = verdicts(environment, arguments.stress, first)
         results.append(result)
         failed = "no report" if result.broken else len(result.failures)
-        told(row(environment.name, result.passed, failed, result.skipped, f"{result.seconds:.0f}"))
-        for name in result.failures:
-            print(f"failed: {name}", file=sys.stderr, flush=True)
+        rows.append([environment.name, result.passed, failed, result.skipped, f"{result.seconds:.0f}"])
+        print(rows[-1], *result.failures, sep="\nfailed: ", file=sys.stderr, flush=True)
     bad = [result for result in results if result.failures or result.broken]
-    for result in bad:
-        for line in explained(result):
-            told(line)
+    text = "\n".join([*table(HEAD, rows), *(line for result in bad for line in explained(result))])
+    print(text)
     if arguments.write is not None:
-        write_text("\n".join(lines) + "\n", arguments.write)
+        write_text(text + "\n", arguments.write)
     return 1 if bad or not results else 0
 
 

@@ -9,20 +9,19 @@ silence tells it, at the end of the time it connects for); nothing hangs; nothin
 connecting again; each line of the recording is what the device did in that tick. Exit code 1 if anything is off.
 """
 
-import argparse
 import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from campaign.unplug_cases import KINDS, PHASES, Case, Outcome
 from campaign.unplug_processes import KINDS as PROCESS_KINDS
 from campaign.unplug_processes import Ended, play
-
-from transopt.base.errors import InputError
+from common.command import Seed, at_least, run
 
 
 def virtual(cases: int, seed: int, folder: Path) -> list[Outcome]:
@@ -68,35 +67,31 @@ def summarise(outcomes: list[Outcome] | list[Ended], phases: Iterable[str]) -> N
         )
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cases", type=int, default=1000, help="in virtual time")
-    parser.add_argument("--processes", type=int, default=12, help="with real processes")
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    if min(arguments.cases, arguments.processes, arguments.seed) < 0:
-        parser.error("--cases, --processes and --seed must be at least 0")
-    breaches = []
+def main(
+    cases: Annotated[int, at_least(0, "in virtual time")] = 1000,
+    processes: Annotated[int, at_least(0, "with real processes")] = 12,
+    seed: Seed = 0,
+) -> int:
     with tempfile.TemporaryDirectory(prefix="transopt-") as folder:
-        try:
-            began_s = time.monotonic()
-            cases = virtual(arguments.cases, arguments.seed, Path(folder))
-            print(f"{len(cases)} cases in virtual time, {time.monotonic() - began_s:.0f} s")
-            summarise(cases, PHASES)
-            missing = sorted(set(KINDS) - {case.kind for case in cases})
-            if cases and missing:
-                print(f"kinds that did not come: {', '.join(missing)}")
-            sys.stdout.flush()
-            began_s = time.monotonic()
-            ended = real(arguments.processes, arguments.seed, Path(folder))
-            print(f"{len(ended)} cases with real processes, {time.monotonic() - began_s:.0f} s")
-            summarise(ended, dict.fromkeys(case.phase for case in ended))
-        except InputError as error:
-            parser.error(str(error))
-        breaches = [f"case {j}, {o.phase}, {o.kind}: {words}" for j, o in enumerate(cases) for words in o.breaches]
-        breaches += [
-            f"processes {j}, {o.phase}, {o.kind}: {words}" for j, o in enumerate(ended) for words in o.breaches
-        ]
+        began_s = time.monotonic()
+        played = virtual(cases, seed, Path(folder))
+        print(f"{cases} cases in virtual time, {time.monotonic() - began_s:.0f} s")
+        summarise(played, PHASES)
+        missing = sorted(set(KINDS) - {case.kind for case in played})
+        if cases and missing:
+            print(f"kinds that did not come: {', '.join(missing)}")
+        sys.stdout.flush()
+        began_s = time.monotonic()
+        ended = real(processes, seed, Path(folder))
+        print(f"{processes} cases with real processes, {time.monotonic() - began_s:.0f} s")
+        summarise(ended, dict.fromkeys(case.phase for case in ended))
+    named = {"case": played, "processes": ended}
+    breaches = [
+        f"{name} {j}, {outcome.phase}, {outcome.kind}: {words}"
+        for name, outcomes in named.items()
+        for j, outcome in enumerate(outcomes)
+        for words in outcome.breaches
+    ]
     for words in breaches[:20]:
         print(f"  BREACH {words}"[:300])
     print(f"{len(breaches)} breaches")
@@ -104,4 +99,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -7,17 +7,15 @@ library, so that none is skipped. As it is, with 16 ms each way, with one frame 
 if a median is above its bound, or an upload did not complete.
 """
 
-import argparse
-import json
 import platform
 import statistics
-import sys
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from campaign.compiled_device import DT_S, SETTINGS, TAIL, CompiledDevice, plant_of, smooth_bank
+from common.command import JsonFile, Seed, at_least, run, write_json
 
 from controller.firmware.build import compiler
 from controller.host.driver import Device
@@ -25,8 +23,6 @@ from controller.host.transport import Transport
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of, sha256
 from controller.sim.user import StillHand
-from transopt.base.errors import InputError
-from transopt.base.files import whole_file
 from transopt.base.machine import machine
 
 SPEEDS, GRIPS, SAMPLES = 20, 20, 500  # 400 kB of int16
@@ -109,36 +105,25 @@ def measure(line: Line, libraries: list[bytes], seed: int) -> Result:
     )
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--runs", type=int, default=5, help="uploads per line")
-    parser.add_argument("--seed", type=int, default=0, help="of the line's losses")
-    parser.add_argument("--json", type=Path, help="also write the figures here")
-    arguments = parser.parse_args()
-    if arguments.runs < 1 or arguments.seed < 0:
-        parser.error("--runs must be at least 1, --seed at least 0")
-    try:
-        libraries = images(arguments.runs)
-        built = compiler().version.splitlines()[0]
-        here = {**machine(), "python": platform.python_version(), "compiler": built}
-        print(", ".join(f"{name} {value}" for name, value in here.items()))
-        results = []
-        for line in LINES:
-            results.append(found := measure(line, libraries, arguments.seed))
-            bound = "complete" if found.most_s is None else f"{found.most_s:g} s"
-            print(
-                f"{found.bytes} bytes, {found.line}: median {found.median_s:.3f} s, {min(found.uploads_s):.3f} to "
-                f"{max(found.uploads_s):.3f} s in {arguments.runs} runs, {found.sent:.3f} bytes sent per byte; "
-                f"asked {bound}{'' if found.kept else '  MISSED'}",
-                flush=True,
-            )
-        if arguments.json is not None:
-            with whole_file(arguments.json) as file:
-                file.write(json.dumps({**here, "rows": [asdict(found) for found in results]}, indent=1).encode())
-    except InputError as error:
-        parser.error(str(error))
+def main(runs: Annotated[int, at_least(1, "uploads per line")] = 5, seed: Seed = 0, json: JsonFile = None) -> int:
+    libraries = images(runs)
+    built = compiler().version.splitlines()[0]
+    here = {**machine(), "python": platform.python_version(), "compiler": built}
+    print(", ".join(f"{name} {value}" for name, value in here.items()))
+    results = []
+    for line in LINES:
+        results.append(found := measure(line, libraries, seed))
+        bound = "complete" if found.most_s is None else f"{found.most_s:g} s"
+        print(
+            f"{found.bytes} bytes, {found.line}: median {found.median_s:.3f} s, {min(found.uploads_s):.3f} to "
+            f"{max(found.uploads_s):.3f} s in {runs} runs, {found.sent:.3f} bytes sent per byte; "
+            f"asked {bound}{'' if found.kept else '  MISSED'}",
+            flush=True,
+        )
+    if json is not None:
+        write_json({**here, "rows": [asdict(found) for found in results]}, json)
     return 0 if all(found.kept for found in results) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

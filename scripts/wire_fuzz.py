@@ -9,13 +9,15 @@ neither may fail, and the device must stay without a command. Exit code 1 if a f
 differently, or lost after the damage.
 """
 
-import argparse
 import random
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import cycle
+from typing import Annotated
+
+from common.command import Seed, at_least, run
+from typer import Option
 
 from controller.firmware.core_device import CoreDevice
 from controller.firmware.core_device import Decoder as CoreDecoder
@@ -25,7 +27,6 @@ from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.wire import DELIMITER, PAYLOAD_LIMIT, Decoder, encode
 from controller.servo.interface import Readings
-from transopt.base.errors import InputError
 
 Damage = Callable[[bytes, bytes, random.Random], bytes]
 BATCH = 200  # frames between two that must come through
@@ -166,32 +167,22 @@ class Ends:
         self.greetings += 1
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--endpoints", action="store_true", help="put them to a device and a session, too")
-    arguments = parser.parse_args()
-    if arguments.frames < 1 or arguments.seed < 0:
-        parser.error("--frames must be at least 1, --seed at least 0")
-    started = time.perf_counter()
-    try:
-        ends, core = Ends(), CoreDecoder()
-        if arguments.endpoints:
-            counts = fuzz(arguments.frames, arguments.seed, random_frame, (ends,), core)
-        else:
-            counts = fuzz(arguments.frames, arguments.seed, core=core)
-    except InputError as error:
-        parser.error(str(error))
-    took_s = time.perf_counter() - started
-    print(f"{counts['damaged']} damaged frames in {took_s:.0f} s: {counts['rejected']} pieces rejected,")
+def main(
+    frames: Annotated[int, at_least(1, "damaged ones")] = 1_000_000,
+    seed: Seed = 0,
+    endpoints: Annotated[bool, Option("--endpoints", help="put them to a device and a session, too")] = False,
+) -> int:
+    started, ends = time.perf_counter(), Ends()
+    of_ends = (random_frame, (ends,)) if endpoints else ()
+    counts = fuzz(frames, seed, *of_ends, core=CoreDecoder())
     print(
-        f"{counts['unharmed']} frames unharmed all the same, {counts['wrong']} accepted wrongly, "
-        f"{counts['differently']} pieces seen differently,"
+        f"{counts['damaged']} damaged frames in {time.perf_counter() - started:.0f} s: {counts['rejected']} pieces "
+        f"rejected,\n{counts['unharmed']} frames unharmed all the same, {counts['wrong']} accepted wrongly, "
+        f"{counts['differently']} pieces seen differently,\n{counts['lost']} sound frames lost after damage, "
+        f"{ends.driven} ticks with a command"
     )
-    print(f"{counts['lost']} sound frames lost after damage, {ends.driven} ticks with a command")
     return 1 if counts["wrong"] or counts["lost"] or counts["differently"] or ends.driven else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -1,17 +1,16 @@
 """Shared scenes, recordings and one solved library; built once per session."""
 
-import importlib
-import pkgutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import hypothesis
 import numpy as np
 import pytest
+from precision.cases import make_case
+from precision.run import Effort, measure
 
 import problems
 from controller.host.payload import payload
@@ -25,7 +24,6 @@ from tests.benches.desk import PORT, Desk
 from tests.benches.device import need_compiler
 from tests.benches.limits import numbers_of, with_limit
 from tests.benches.model_parts import Make, scene_on
-from tests.benches.places import SCRIPTS
 from tests.benches.servo import WALL, Bench
 from transopt.design.build import Build, build_library
 from transopt.design.entry import entry_problem, scene_stage
@@ -186,32 +184,15 @@ def make(tmp_path: Path) -> Make:
     return partial(scene_on, tmp_path)
 
 
-class Scripts:
-    """The script and its parts, found beside it as when it is called by its path."""
-
-    def __getattr__(self, name: str) -> ModuleType:
-        found = importlib.import_module(name)
-        for part in pkgutil.iter_modules(getattr(found, "__path__", [])):
-            importlib.import_module(f"{name}.{part.name}")
-        return found
-
-
-@pytest.fixture(scope="session")
-def scripts() -> Iterator[Any]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        yield Scripts()
-
-
 @pytest.fixture(scope="session")
 def short_scene(scene: Scene) -> Scene:
     return scene.model_copy(update={"time": scene.time.model_copy(update={"stages": STAGES})})
 
 
 @pytest.fixture(scope="session")
-def short_case(scripts: Any, make_problem: ProblemMaker, short_scene: Scene) -> Any:
+def short_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
     problem = make_problem(stages=STAGES)
-    return scripts.precision.cases.make_case("short", short_scene, problem, 0.4, 5.0)
+    return make_case("short", short_scene, problem, 0.4, 5.0)
 
 
 @pytest.fixture(scope="session")
@@ -224,11 +205,11 @@ def hot_problem(make_problem: ProblemMaker, scene: Scene) -> TransientProblem:
 
 
 @pytest.fixture
-def rows_of(scripts: Any, short_case: Any) -> Callable[..., list[Any]]:
+def rows_of(short_case: Any) -> Callable[..., list[Any]]:
     """Rows of methods on the short case, each setting run once after its two first runs."""
 
     def measured(*methods: Any) -> list[Any]:
-        return list(scripts.precision.run.measure(short_case, methods, scripts.precision.run.Effort(0.0, least=1)))
+        return measure(short_case, methods, Effort(0.0, least=1))
 
     return measured
 

@@ -3,19 +3,29 @@
 What the commands do then is the same for both.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 from rich.console import Console
 
 from controller.host.connection import Connection
-from controller.host.payload import Payload
+from controller.host.payload import Payload, excitation_settings_of
+from controller.servo.interface import State
 from controller.servo.loop import Clock
+from controller.servo.settings import Settings
+from controller.sim.chosen_device import device_in
+from controller.sim.holding import HoldingHand
 from controller.sim.port import SimulatedPort, core_end
 from controller.sim.simulated_tap import SimulatedTap
-from controller.sim.tapping import TappingHand
+from controller.sim.simulator import Imperfections
+from controller.sim.tapping import SETTLE_S, TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
 from controller.sim.user import Habit
+from transopt.scene.scene import Scene
+
+
+def _nobody(grip_N: float | None) -> None:
+    """A hand that taps is not asked to hold."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +36,7 @@ class Bench:
     ----------
     port : by its name, or open.
     console : for what happens on the way; silent where nobody has to act on it.
+    hold : asks for the stylus to be held still at a grip [N], to be let go at 0, to be held in any way at None.
     done : whether the run ends, given whether enough was played: with a person then, with a simulated hand once it
         has done all its taps and is at rest.
     as_recorded : the hand is known to move as those in the library's recordings did.
@@ -34,15 +45,21 @@ class Bench:
 
     port: str | Connection
     console: Console
+    hold: Callable[[float | None], None] = _nobody
     done: Callable[[bool], bool] = lambda enough: enough
     as_recorded: bool = False
     remark: Callable[[], str] = lambda: ""
+
+    @property
+    def name(self) -> str:
+        """Of the port."""
+        return self.port if isinstance(self.port, str) else self.port.name
 
 
 def simulated_bench(
     given: Payload,
     device: TrueDevice,
-    taps: Sequence[SimulatedTap],
+    taps: Iterable[SimulatedTap],
     *,
     clock: Clock | None = None,
     tapped: Callable[[], None] = lambda: None,
@@ -60,12 +77,44 @@ def simulated_bench(
     ------
     InputError : there is no C compiler.
     """
-    hand = TappingHand(given.library, device, taps, tapped)
-    end = core_end(given.settings, len(given.image) // 2)
-    port = SimulatedPort(end, hand, given.settings.dt_s, clock=clock)
+    dt_s, taps = given.settings.dt_s, list(taps)
+    hand = TappingHand(dt_s, (tap_of(given.library, device, tap) for tap in taps), tapped=tapped)
+    port = SimulatedPort(core_end(given.settings, len(given.image) // 2), hand, dt_s, clock=clock)
 
     def fell_behind() -> str:
         return "" if clock is None else f"fell behind the clock by {port.behind_s * 1e3:.1f} ms at most"
 
     as_recorded = any(tap.habit is Habit.RECORDED for tap in taps)
-    return Bench(port, Console(quiet=True), lambda _: hand.done, as_recorded, fell_behind), hand
+    bench = Bench(port, Console(quiet=True), done=lambda _: hand.done, as_recorded=as_recorded, remark=fell_behind)
+    return bench, hand
+
+
+def striking_bench(dt_s: float) -> tuple[Bench, TappingHand]:
+    """The compiled core, which is never armed, in a hand that strikes real objects.
+
+    Raises
+    ------
+    InputError : there is no C compiler.
+    """
+    hand = TappingHand(dt_s, when=State.IDLE, pause_s=SETTLE_S)
+    port = SimulatedPort(core_end(Settings(dt_s, 0.0, 1.0)), hand, dt_s)
+    return Bench(port, Console(quiet=True), done=lambda _: hand.done), hand
+
+
+def holding_bench(scene: Scene, wrong: Imperfections, seed: int, longest_s: float) -> tuple[Bench, Settings]:
+    """The compiled core on a scene's device, which is held still, and its settings for excitations.
+
+    Parameters
+    ----------
+    wrong : with the true device.
+    longest_s : of the excitations.
+
+    Raises
+    ------
+    InputError : there is no C compiler.
+    """
+    dt_s = scene.time.dt_s
+    settings = excitation_settings_of(scene, wrong.mismatch)
+    hand = HoldingHand(device_in(scene, wrong, seed), dt_s, replace(wrong, mismatch=0.0), seed)
+    port = SimulatedPort(core_end(settings, longest=round(longest_s / dt_s)), hand, dt_s)
+    return Bench(port, Console(quiet=True), hold=lambda grip_N: hand.hold(grip_N or 0.0)), settings

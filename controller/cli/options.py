@@ -1,6 +1,7 @@
-"""What the commands of `transopt-play` and `transopt-device` ask of their options."""
+"""What the commands of `transopt-play` and `transopt-device` ask of their options, and the options several share."""
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,18 +11,55 @@ if TYPE_CHECKING:
     from controller.sim.simulator import Imperfections
 
 SIMULATED = "sim:"  # the name of the port, as `controller.sim.port` has it
+# Headings in the help under which stand the parameters that mean nothing on the other kind of port.
+ON_A_PORT, ON_THE_SIMULATOR = "With --port", "With --simulate"
 
 
-def within(option: str, value: float, low: float, high: float, unit: str = "") -> float:
-    """The value of an option, if it lies within its limits.
+def with_port(words: str, *names: str) -> Any:
+    """An option that means something on a port only."""
+    return typer.Option(*names, help=words, rich_help_panel=ON_A_PORT)
+
+
+def with_simulate(words: str, *names: str) -> Any:
+    """An option that means something on the simulated device only."""
+    return typer.Option(*names, help=words, rich_help_panel=ON_THE_SIMULATOR)
+
+
+LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
+Simulate = Annotated[bool, typer.Option("--simulate", help="On the simulated device, in virtual time.")]
+Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://HOST:PORT.")]
+AnyPort = Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists, or socket://HOST:PORT.")]
+Gain = Annotated[
+    float | None,
+    typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
+]
+Reset = Annotated[bool, with_port("Leave a latched fault first; its cause must be gone.", "--reset")]
+Seconds = Annotated[float | None, with_port("End after so many seconds; default: on Ctrl-C.", "--for")]
+TapCount = Annotated[int | None, with_port("End after so many; default: on Ctrl-C.")]
+AccelerometerHz = Annotated[float, with_port("Bandwidth of its accelerometer.")]
+CountUm = Annotated[float, with_port("One encoder count at the tip, in um.")]
+TrueDeviceName = Annotated[
+    str | None,
+    with_simulate(
+        "Whose device it is, before --mismatch: built-in scene, .toml or library.npz; default the library's own, "
+        "without one wood_on_foam.",
+        "--device",
+    ),
+]
+Mismatch = Annotated[float, with_simulate("Every parameter is off by up to this part; 0.1: 10 %.")]
+Seed = Annotated[int, with_simulate("Of phase, noise and mismatch.")]
+Crossover = Annotated[float, with_simulate("Half-width of the amplifier's dead band, in A.")]
+
+
+def within(option: str, value: float | None, low: float, high: float, unit: str = "") -> None:
+    """Whether the value of an option lies within its limits; one that was not given does.
 
     Raises
     ------
     InputError : it does not, or is no number.
     """
-    if not low <= value <= high:
+    if value is not None and not low <= value <= high:
         raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
-    return value
 
 
 def numbers(option: str, text: str | None, low: float, high: float, unit: str) -> list[float] | None:
@@ -33,32 +71,13 @@ def numbers(option: str, text: str | None, low: float, high: float, unit: str) -
     """
     if text is None:
         return None
-    found = []
-    for word in text.split(","):
-        try:
-            found.append(float(word))
-        except ValueError:
-            raise InputError(f"--{option} {text}: must be numbers with commas between, like 1,3,5") from None
-        within(option, found[-1], low, high, unit)
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        raise InputError(f"--{option} {text}: must be numbers with commas between, like 1,3,5") from None
+    for value in found:
+        within(option, value, low, high, unit)
     return found
-
-
-WITH_PORT, WITH_SIMULATE = "only with --port", "only with --simulate"
-AT_HAND = f"on a device that is up to its user: {WITH_SIMULATE}"
-# Parameters that mean nothing on one kind of port, by command: those of a serial port, those of a simulated device.
-ONLY_ON_PORT = {
-    "tap": ("taps", "seconds", "accelerometer_hz", "reset"),
-    "refine": ("seconds", "accelerometer_hz", "reset"),
-    "record tap": ("taps", "seconds", "trigger", "count_um"),
-    "record sweep": ("gain", "library", "accelerometer_hz", "count_um", "patience", "reset"),
-}
-MADE_UP = ("mismatch", "seed", "crossover")  # of the simulated device
-ONLY_SIMULATED = {
-    "tap": ("speed", "grip", "method", "device", "user", "real_time", *MADE_UP),
-    "refine": ("scene", *MADE_UP),
-    "record tap": ("library", "real_object", "speeds", "grips", "repeats", "force_noise", "scene", *MADE_UP),
-    "record sweep": ("scene", *MADE_UP),
-}
 
 
 def is_simulated(context: typer.Context, command: str, simulate: bool, port: str | None) -> bool:
@@ -73,14 +92,15 @@ def is_simulated(context: typer.Context, command: str, simulate: bool, port: str
     if simulate == (port is not None):
         raise InputError(f"{command}: name one device: --simulate, or --port PORT (`transopt-play ports` lists them)")
     simulated = simulate or port == SIMULATED
-    meaningless, why = (
-        (ONLY_ON_PORT, WITH_PORT) if simulated else (ONLY_SIMULATED, AT_HAND if command == "tap" else WITH_SIMULATE)
-    )
-    options = {parameter.name: parameter.opts[0] for parameter in context.command.params}
-    for name in meaningless[command]:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name == "COMMANDLINE":
-            raise InputError(f"{options[name]}: {why}")
+    meaningless = ON_A_PORT if simulated else ON_THE_SIMULATOR
+    why = "only with --port" if simulated else "only with --simulate"
+    if command == "tap" and not simulated:
+        why = f"on a device that is up to its user: {why}"
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and getattr(parameter, "rich_help_panel", None) == meaningless:
+            raise InputError(f"{parameter.opts[0]}: {why}")
     return simulated
 
 

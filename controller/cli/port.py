@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import SIMULATED, within
+from controller.cli.options import SIMULATED, LibraryFile, Port, Reset, Seconds, within
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -29,17 +29,14 @@ if TYPE_CHECKING:
 
 LISTEN_S = 0.05  # between two looks at whether to end
 STOPPED = "stopped; the device is disarmed"
-Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://HOST:PORT.")]
-Reset = Annotated[bool, typer.Option("--reset", help="Leave a latched fault first; its cause must be gone.")]
-Seconds = Annotated[float | None, typer.Option("--for", help="End after so many seconds; default: on Ctrl-C.")]
-LibraryFile = Annotated[Path, typer.Argument(help="library.npz")]
 
 
-def at_port(name: str) -> "Bench":
+def person_at(name: str) -> "Bench":
     """A device on a port in the hand of whoever reads the terminal."""
     from controller.cli.bench import Bench
+    from controller.host.sweeps import request
 
-    return Bench(name, terminal.console())
+    return Bench(name, terminal.console(), hold=lambda grip_N: ConsolePerson().asked(request(grip_N)))
 
 
 def open_device(port: "str | Connection") -> "Device":
@@ -173,7 +170,7 @@ def monitor(
     from controller.servo.settings import Settings
 
     within("every", every, 1, 65535, " ticks")
-    ends(None, seconds)
+    within("for", seconds, 0.0, 1e9, " s")
     console = terminal.console()
     with connected(port) as device:
         hello = device.hello
@@ -213,23 +210,36 @@ def no_long_pauses() -> Iterator[None]:
 
 
 def run(
+    bench: "Bench",
     device: "Device",
     recorder: "Recorder",
-    shown: "Monitor",
-    ended: Callable[[], bool],
-    seconds: float | None,
-    gain: float | None,
-) -> bool:
-    """Arm unless the gain is None, and take telemetry of every tick to screen and files; whether Ctrl-C ended it.
+    title: str,
+    *,
+    enough: Callable[[], bool] = lambda: False,
+    seconds: float | None = None,
+    gain: float | None = None,
+) -> "tuple[Monitor, bool]":
+    """Take telemetry of every tick to screen and files until whoever holds the device has tapped.
+
+    Parameters
+    ----------
+    enough : asked again and again; a person's run ends with it.
+    seconds : after which it ends at the latest.
+    gain : to arm with; None leaves the device idle.
+
+    Returns
+    -------
+    What was shown, and whether Ctrl-C ended it.
 
     Raises
     ------
     LinkLostError : the device is gone; the files are whole as far as they go.
     """
     from controller.host.driver import LinkLostError
+    from controller.host.monitor import Monitor
     from controller.servo.interface import State
 
-    stopped = False
+    stopped, shown = False, Monitor(bench.console, title, device.hello.dt_s, recorder.count_m)
     with recorder, shown, no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:
@@ -237,7 +247,7 @@ def run(
                 device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
-                _listen(device, seconds, ended, armed=gain is not None)
+                _listen(device, seconds, lambda: bench.done(enough()), armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -247,7 +257,7 @@ def run(
         finally:
             device.listeners.remove(recorder.take)
             device.listeners.remove(shown.take)
-    return stopped
+    return shown, stopped
 
 
 class ConsolePerson:
@@ -308,11 +318,3 @@ def check(
         highlight=False,
         soft_wrap=True,
     )
-
-
-def ends(taps: int | None, seconds: float | None) -> None:
-    """What may end a run."""
-    if taps is not None:
-        within("taps", taps, 1, 1_000_000)
-    if seconds is not None:
-        within("for", seconds, 0.0, 1e9, " s")

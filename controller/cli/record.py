@@ -1,4 +1,4 @@
-"""`transopt-play record`: what a device's sensors say, on a port or from the simulator, in files for `transopt`.
+"""`transopt-play record`: what a device's sensors say, on a port or simulated, in files for `transopt`.
 
 Heavy imports stand inside the commands, so that help and errors come at once.
 """
@@ -8,23 +8,35 @@ from typing import Annotated
 
 import typer
 
-from controller.cli.options import imperfect, is_simulated, numbers, within
-from controller.cli.port import Reset, Seconds
+from controller.cli.options import (
+    ON_THE_SIMULATOR,
+    AccelerometerHz,
+    AnyPort,
+    CountUm,
+    Crossover,
+    Gain,
+    Mismatch,
+    Reset,
+    Seconds,
+    Seed,
+    Simulate,
+    TapCount,
+    TrueDeviceName,
+    imperfect,
+    is_simulated,
+    numbers,
+    with_port,
+    with_simulate,
+    within,
+)
+from transopt.base import terminal
 from transopt.base.errors import InputError
 
 record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
 DEFAULT_SCENE = "wood_on_foam"
+MOST_HEAT_S = 24 * 3600.0
 
 Folder = Annotated[Path, typer.Option(help="Folder for the recordings; must hold none yet.")]
-Simulate = Annotated[bool, typer.Option("--simulate", help="From the simulator's truth, in virtual time.")]
-SceneName = Annotated[
-    str | None,
-    typer.Option("--device", help="Whose device it is, before --mismatch: built-in scene, .toml or library.npz."),
-]
-Mismatch = Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")]
-Seed = Annotated[int, typer.Option(help="Of mismatch and noise.")]
-CountUm = Annotated[float, typer.Option(help="On a device: one encoder count at the tip, in um.")]
-Crossover = Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")]
 
 
 @record_app.callback()
@@ -37,7 +49,7 @@ def record_sweep(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for the trials; none is written over.")],
     simulate: Simulate = False,
-    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
+    port: AnyPort = None,
     purpose: Annotated[str, typer.Option("--for", help="What it identifies: device or amplifier.")] = "device",
     grips: Annotated[
         str | None,
@@ -53,23 +65,18 @@ def record_sweep(
         float | None, typer.Option(help="Of the sine's middle in A; default 0, amplifier both 0 and 0.5.")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Of each sweep; default 2.")] = None,
-    scene: SceneName = None,
+    gain: Gain = None,
+    patience: Annotated[float, typer.Option(help="How long to wait for the hand, in s.")] = 60.0,
+    library: Annotated[
+        Path | None, with_port("Whose limits, amplifier and coil hold; else the built-in ones.")
+    ] = None,
+    accelerometer_hz: AccelerometerHz = 2500.0,
+    count_um: CountUm = 24.5,
+    reset: Reset = False,
+    scene: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
     crossover: Crossover = 0.01,
-    gain: Annotated[
-        float | None,
-        typer.Option(
-            help="On a device: scale of what is played, 0 to 1; default 1, on its first run since start 0.1."
-        ),
-    ] = None,
-    library: Annotated[
-        Path | None, typer.Option(help="On a device: whose limits, amplifier and coil hold; else the built-in ones.")
-    ] = None,
-    accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
-    count_um: CountUm = 24.5,
-    patience: Annotated[float, typer.Option(help="On a device: how long to wait for your hand, in s.")] = 60.0,
-    reset: Reset = False,
 ) -> None:
     """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads."""
     from controller.record.sweep_plan import Purpose, sweep_plan
@@ -88,26 +95,41 @@ def record_sweep(
         offset_A=offset,
         seconds=seconds,
     )
-    if simulated:
-        from controller.cli.record_simulated import simulate_sweeps
-
-        simulate_sweeps(out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed)
-        return
-    from controller.cli.record_on_port import SweepBench, sweep_on_port
-
-    assert port is not None
     within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
     within("count-um", count_um, 1e-3, 1e4, " um")
     within("patience", patience, 0.1, 3600.0, " s")
-    if gain is not None:
-        within("gain", gain, 1e-3, 1.0)
+    within("gain", gain, 1e-3, 1.0)
+    from controller.cli.record_sweeps import Series, record_sweeps, simulated_series
+
+    if simulated:
+        bench, series = simulated_series(
+            out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed, gain, patience
+        )
+        record_sweeps(bench, series)
+        return
+    from controller.cli.port import person_at
+    from controller.host.payload import excitation_settings
+    from controller.host.sweeps import free_numbers
+
+    assert port is not None
     if grips is None:
         # One series, however the stylus is held.
         planned = [trial for trial in planned if trial.grip_N == planned[-1].grip_N]
     for grip in {trial.grip_N for trial in planned} - {0.0}:
         within("grips", grip, 0.5, 50.0, " N, or 0 to let go")
-    bench = SweepBench(gain, library, accelerometer_hz, 1e-6 * count_um, patience, reset)
-    sweep_on_port(port, planned, out, bench, as_held=grips is None)
+    series = Series(
+        planned,
+        free_numbers(out, len(planned)),
+        lambda hello: excitation_settings(hello, library),
+        remedy=f"--port {port}" + ("" if library is None else f" {library}"),
+        gain=gain,
+        as_held=grips is None,
+        accelerometer_Hz=accelerometer_hz,
+        count_m=1e-6 * count_um,
+        patience_s=patience,
+        reset=reset,
+    )
+    record_sweeps(person_at(port), series)
 
 
 @record_app.command("tap")
@@ -115,61 +137,61 @@ def record_tap(
     context: typer.Context,
     out: Folder,
     library: Annotated[
-        Path | None, typer.Argument(help="Simulated: library.npz whose taps are played.", show_default=False)
+        Path | None,
+        typer.Argument(
+            help="library.npz whose taps are played.", show_default=False, rich_help_panel=ON_THE_SIMULATOR
+        ),
     ] = None,
-    port: Annotated[str | None, typer.Option(help="On a device, idle: a name that `ports` lists.")] = None,
+    port: AnyPort = None,
     simulate: Simulate = False,
-    taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default: on Ctrl-C.")] = None,
+    trigger: Annotated[
+        float, typer.Option(help="Acceleration in g that is taken for a contact with a real object.")
+    ] = 1.0,
+    taps: TapCount = None,
     seconds: Seconds = None,
-    trigger: Annotated[float, typer.Option(help="On a device: acceleration in g that is taken for a contact.")] = 1.0,
     count_um: CountUm = 24.5,
     real_object: Annotated[
-        bool, typer.Option("--object", help="Simulated: the undriven device on the scene's object, with force_N.")
+        bool, with_simulate("The undriven device on the scene's object, with force_N.", "--object")
     ] = False,
-    speeds: Annotated[
-        str | None, typer.Option(help="Simulated: speeds in m/s, like 0.15,0.25; default the grid's.")
-    ] = None,
+    speeds: Annotated[str | None, with_simulate("Speeds in m/s, like 0.15,0.25; default the grid's.")] = None,
     grips: Annotated[
-        str | None,
-        typer.Option(
-            help="Simulated: grips in N, like 1,3,5; default the library's, or the one of the scene's taps."
-        ),
+        str | None, with_simulate("Grips in N, like 1,3,5; default the library's, or the one of the scene's taps.")
     ] = None,
     repeats: Annotated[
-        int,
-        typer.Option(
-            help="Simulated: taps at each speed and grip; `transopt identify hand` wants 12 or more in all."
-        ),
+        int, with_simulate("Taps at each speed and grip; `transopt identify hand` wants 12 or more in all.")
     ] = 1,
-    force_noise: Annotated[float, typer.Option(help="Simulated: rms of the force sensor, in N.")] = 0.02,
-    scene: SceneName = None,
+    force_noise: Annotated[float, with_simulate("Rms of the force sensor, in N.")] = 0.02,
+    scene: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
     crossover: Crossover = 0.01,
 ) -> None:
-    """Record taps: on a port on a real object, device idle; simulated a library's, or on the scene's object."""
+    """Record taps: on a real object, device idle, or simulated those of a library."""
+    within("trigger", trigger, 0.05, 100.0, " g")
+    within("count-um", count_um, 1e-3, 1e4, " um")
+    within("taps", taps, 1, 1_000_000)
+    within("for", seconds, 0.0, 1e9, " s")
     if not is_simulated(context, "record tap", simulate, port):
-        from controller.cli.record_on_port import tap_on_port
+        from controller.cli.port import person_at
+        from controller.cli.record_taps import taps_by_a_person
+        from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
         assert port is not None
-        within("trigger", trigger, 0.05, 100.0, " g")
-        within("count-um", count_um, 1e-3, 1e4, " um")
-        tap_on_port(port, out, taps=taps, seconds=seconds, trigger=trigger, count_um=count_um)
+        taps_by_a_person(person_at(port), out, trigger * STANDARD_GRAVITY_M_S2, 1e-6 * count_um, taps, seconds)
         return
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
-    from controller.cli.record_simulated import simulate_library_taps, simulate_object_taps
+    from controller.cli.record_taps import taps_of_library, taps_on_object
 
     within("repeats", repeats, 1, 1000)
     within("force-noise", force_noise, 0.0, 10.0, " N")
     chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
     chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
-    wrong = imperfect(mismatch, seed, crossover)
+    chosen = chosen_speeds, chosen_grips, repeats, imperfect(mismatch, seed, crossover), seed
     if library is None:
-        name = scene or DEFAULT_SCENE
-        simulate_object_taps(out, name, chosen_speeds, chosen_grips, repeats, wrong, seed, force_noise)
+        taps_on_object(out, scene or DEFAULT_SCENE, *chosen, trigger, force_noise)
     else:
-        simulate_library_taps(out, library, scene, chosen_speeds, chosen_grips, repeats, wrong, seed)
+        taps_of_library(out, library, scene, *chosen)
 
 
 @record_app.command("heat")
@@ -186,15 +208,13 @@ def record_heat(
     cooling: Annotated[float, typer.Option(help="How long the coil then cools, in s.")] = 1800.0,
     every: Annotated[float, typer.Option(help="Between two readings, in s.")] = 1.0,
     noise: Annotated[float, typer.Option(help="Rms of the temperatures, in K.")] = 0.5,
-    scene: SceneName = None,
+    scene: TrueDeviceName = None,
     mismatch: Annotated[
         float, typer.Option(help="Thermal resistances and time constants are off by up to this part.")
     ] = 0.0,
     seed: Seed = 0,
 ) -> None:
     """Heating and cooling of the coil: heat.npz with current, winding and housing for `transopt identify coil`."""
-    from controller.cli.record_simulated import MOST_HEAT_S, simulate_heat
-
     if not simulate:
         raise InputError(
             f"record heat: name the device: --simulate; {port or 'a device on a port'} measures neither the coil's "
@@ -208,8 +228,27 @@ def record_heat(
         within(name, value, 0.0, MOST_HEAT_S, " s")
     within("every", every, 0.01, 60.0, " s")
     within("noise", noise, 0.0, 50.0, " K")
-    within("mismatch", mismatch, 0.0, 0.5, ", the part by which parameters are off")
-    within("seed", seed, 0, 2**63 - 1)
+    imperfect(mismatch, seed, 0.0)
     if heating + cooling < 10 * every:
         raise InputError(f"--heating {heating:g}, --cooling {cooling:g}: fewer than ten readings; record longer")
-    simulate_heat(out, scene or DEFAULT_SCENE, current, heating, cooling, every, noise, mismatch, seed)
+    from controller.record.trial_file import refuse_old, write_measurement
+    from controller.sim.chosen_device import scene_like
+    from controller.sim.heating import heat_record, true_coil
+
+    truth = scene_like(scene or DEFAULT_SCENE)
+    coil, limits = truth.coil(), truth.limits
+    if coil is None:
+        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --device")
+    amount = 0.9 * limits.steady_current_A if current is None else current
+    within("current", amount, 0.0, limits.transient_current_A, " A")
+    terminal.make_folder(out)
+    refuse_old(out, ["heat.npz"])
+    coil = true_coil(coil, mismatch, seed)
+    columns = heat_record(coil, amount, heating, cooling, every, noise_K=noise, seed=seed)
+    write_measurement(out / "heat.npz", columns, {})
+    terminal.console().print(
+        f"{out}: heat.npz, {heating:g} s at {amount:g} A and {cooling:g} s of cooling, winding at most "
+        f"{columns['winding_C'].max():.1f} °C\nnext: transopt identify coil {out}/heat.npz --out MODEL.json",
+        highlight=False,
+        soft_wrap=True,
+    )

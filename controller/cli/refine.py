@@ -11,9 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from controller.cli.options import imperfect, is_simulated, within
-from controller.cli.port import STOPPED, Reset, at_port, connected
-from controller.cli.record import Crossover, Mismatch, SceneName, Seed, Simulate
+from controller.cli.options import (
+    AccelerometerHz,
+    AnyPort,
+    Crossover,
+    LibraryFile,
+    Mismatch,
+    Reset,
+    Seed,
+    Simulate,
+    TrueDeviceName,
+    imperfect,
+    is_simulated,
+    with_port,
+    within,
+)
+from controller.cli.port import STOPPED, connected, person_at
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -26,20 +39,18 @@ if TYPE_CHECKING:
 
 def refine(
     context: typer.Context,
-    library: Annotated[Path, typer.Argument(help="library.npz")],
+    library: LibraryFile,
     out: Annotated[Path, typer.Option(help="Folder for the refined library.npz and refinement.png.")],
     simulate: Simulate = False,
-    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
+    port: AnyPort = None,
     rounds: Annotated[int, typer.Option(help="How often is learnt and solved again.")] = 3,
     taps: Annotated[int, typer.Option(help="Taps at each speed and grip in each round; their mean counts.")] = 3,
-    scene: SceneName = None,
+    scene: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
     crossover: Crossover = 0.01,
-    seconds: Annotated[
-        float | None, typer.Option("--for", help="On a device: end a round's taps after so many seconds.")
-    ] = None,
-    accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
+    seconds: Annotated[float | None, with_port("End a round's taps after so many seconds.", "--for")] = None,
+    accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:
     """Refine a library on its device: taps are repeated, measured, learnt from; the result is certified as before."""
@@ -47,8 +58,7 @@ def refine(
     within("rounds", rounds, 1, 20)
     within("taps", taps, 2, 100)
     within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
-    if seconds is not None:
-        within("for", seconds, 1.0, 1e6, " s")
+    within("for", seconds, 1.0, 1e6, " s")
     wrong = imperfect(mismatch, seed, crossover)
     from transopt.library.file import load_library
 
@@ -70,7 +80,7 @@ def refine(
         from controller.cli.refine_taps import PersonsHand
 
         assert port is not None
-        bench, hand, source = at_port(port), PersonsHand(terminal.console()), port
+        bench, hand, source = person_at(port), PersonsHand(terminal.console()), port
     stated = _stated(loaded, source, taps, accelerometer_hz)
     _finish(loaded, _refined(loaded, bench, hand, out, rounds, taps, seconds, stated, reset), library, out)
 

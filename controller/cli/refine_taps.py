@@ -12,16 +12,15 @@ from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, load, run
 from controller.host.driver import Device
 from controller.host.first_run import gain_to_play_at
-from controller.host.monitor import Monitor
 from controller.host.payload import Payload, payload_of
 from controller.protocol.codes import LinkNotice
 from controller.protocol.image import sha256
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.refine.rounds import Heard, Node, hear, node_near, nodes_of
-from controller.sim.records import noise_seed
+from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
-from controller.sim.tapping import TappingHand
+from controller.sim.tapping import TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
 from transopt.base.errors import InputError
 from transopt.library.library import Library
@@ -74,8 +73,8 @@ class PersonsHand:
 class SimulatedHand:
     """Taps as it is asked, by the mild user, with another phase and noise in every tap."""
 
-    def __init__(self, imperfections: Imperfections, seed: int, in_all: int) -> None:
-        self._imperfections, self._seed = replace(imperfections, mismatch=0.0), seed
+    def __init__(self, device: TrueDevice, imperfections: Imperfections, seed: int, in_all: int) -> None:
+        self._device, self._imperfections, self._seed = device, replace(imperfections, mismatch=0.0), seed
         self.amplifier_tolerance = imperfections.mismatch
         console = Console(stderr=True)
         columns = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -89,7 +88,7 @@ class SimulatedHand:
     def asked(self, library: Library, number: int, taps: int) -> None:
         assert self.hand is not None
         each = [(node, n) for node in nodes_of(library) for n in range(taps)]
-        self.hand.plan(library, [self._tap(library, number, *one) for one in each])
+        self.hand.plan(tap_of(library, self._device, self._tap(library, number, *one)) for one in each)
 
     def _tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
         return SimulatedTap(
@@ -116,7 +115,7 @@ def simulated_at(
     ------
     InputError : there is no C compiler.
     """
-    simulated = SimulatedHand(imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
+    simulated = SimulatedHand(device, imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
     given = payload_of(library, amplifier_tolerance=imperfections.mismatch)
     bench, simulated.hand = simulated_bench(given, device, (), tapped=simulated.tapped)
     return bench, simulated
@@ -185,17 +184,18 @@ class Taps:
         self._hand.asked(library, number, self._taps)
         hello, settings = self._device.hello, given.settings
         recorder = Recorder(folder, hello.dt_s, settings.count_m, settings.surface_counts)
-        title = f"round {number} on {self._device.name}"
-        shown = Monitor(self._bench.console, title, hello.dt_s, settings.count_m)
 
-        def ended() -> bool:
+        def enough() -> bool:
             nonlocal seen
             for contact in recorder.contacts[seen:]:
                 seen += 1
                 self._count(library, contact, missing)
-            return self._bench.done(not missing)
+            return not missing
 
-        stopped = run(self._device, recorder, shown, ended, self._seconds, 1.0)
+        title = f"round {number} on {self._device.name}"
+        shown, stopped = run(
+            self._bench, self._device, recorder, title, enough=enough, seconds=self._seconds, gain=1.0
+        )
         if stopped:
             raise StoppedError
         if shown.faults:

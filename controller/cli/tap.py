@@ -9,7 +9,24 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from controller.cli import port as sessions
-from controller.cli.options import imperfect, is_simulated, within
+from controller.cli.options import (
+    AccelerometerHz,
+    AnyPort,
+    Crossover,
+    Gain,
+    LibraryFile,
+    Mismatch,
+    Reset,
+    Seconds,
+    Seed,
+    Simulate,
+    TapCount,
+    TrueDeviceName,
+    imperfect,
+    is_simulated,
+    with_simulate,
+    within,
+)
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -25,46 +42,37 @@ if TYPE_CHECKING:
 
 def tap(
     context: typer.Context,
-    library: Annotated[Path, typer.Argument(help="library.npz")],
-    simulate: Annotated[bool, typer.Option("--simulate", help="On the simulator, in virtual time.")] = False,
-    port: Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists.")] = None,
-    speed: Annotated[float | None, typer.Option(help="Incoming speed in m/s; default the grid's middle.")] = None,
-    grip: Annotated[float | None, typer.Option(help="Grip in N; default the grid's middle.")] = None,
-    gain: Annotated[
-        float | None,
-        typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
-    ] = None,
+    library: LibraryFile,
+    simulate: Simulate = False,
+    port: AnyPort = None,
+    gain: Gain = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
+    speed: Annotated[float | None, with_simulate("Incoming speed in m/s; default the grid's middle.")] = None,
+    grip: Annotated[float | None, with_simulate("Grip in N; default the grid's middle.")] = None,
     method: Annotated[
         str,
-        typer.Option(
-            help="How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
+        with_simulate(
+            "How taps are rendered: bilinear, online (solved anew for each tap), nearest, blind, proportional, "
             "decaying-sinusoid, fixed-width-pulse, momentum-cancellation, seed-inversion, clipped-optimum."
         ),
     ] = "bilinear",
-    seed: Annotated[int, typer.Option(help="Of phase, noise and mismatch.")] = 0,
-    mismatch: Annotated[float, typer.Option(help="Every parameter is off by up to this part; 0.1: 10 %.")] = 0.0,
-    device: Annotated[
-        str | None,
-        typer.Option(
-            help="True device of the simulator, before --mismatch: built-in scene, .toml or library.npz; "
-            "default the library's own model."
-        ),
-    ] = None,
-    crossover: Annotated[float, typer.Option(help="Half-width of the amplifier's dead band, in A.")] = 0.01,
-    user: Annotated[str, typer.Option(help="mild, yielding, stopping or recorded.")] = "mild",
-    real_time: Annotated[bool, typer.Option("--real-time", help="Paced by the clock, to watch telemetry.")] = False,
-    taps: Annotated[int | None, typer.Option(help="On a device: end after so many; default on Ctrl-C.")] = None,
-    seconds: sessions.Seconds = None,
-    accelerometer_hz: Annotated[float, typer.Option(help="On a device: bandwidth of its accelerometer.")] = 2500.0,
-    reset: sessions.Reset = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for figure and telemetry.")] = None,
+    user: Annotated[str, with_simulate("mild, yielding, stopping or recorded.")] = "mild",
+    real_time: Annotated[bool, with_simulate("Paced by the clock, to watch telemetry.", "--real-time")] = False,
+    device: TrueDeviceName = None,
+    mismatch: Mismatch = 0.0,
+    seed: Seed = 0,
+    crossover: Crossover = 0.01,
+    taps: TapCount = None,
+    seconds: Seconds = None,
+    accelerometer_hz: AccelerometerHz = 2500.0,
+    reset: Reset = False,
 ) -> None:
     """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature."""
     simulated = is_simulated(context, "tap", simulate, port)
-    if gain is not None:
-        within("gain", gain, 0.0, 1.0)
+    within("gain", gain, 0.0, 1.0)
     within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
-    sessions.ends(taps, seconds)
+    within("taps", taps, 1, 1_000_000)
+    within("for", seconds, 0.0, 1e9, " s")
     from controller.host.payload import payload
     from controller.record.recorder import make_room
 
@@ -73,7 +81,7 @@ def tap(
         given, bench, title = _simulated(library, speed, grip, full, method, seed, wrong, device, user, real_time)
     else:
         assert port is not None
-        given, bench, title = payload(library), sessions.at_port(port), f"{library} on {port}"
+        given, bench, title = payload(library), sessions.person_at(port), f"{library} on {port}"
     if out is not None:
         make_room(out, over=simulated)
     _play(given, bench, title, gain, taps, seconds, accelerometer_hz, reset, out)
@@ -172,7 +180,6 @@ def _play(
     """Arm, let the user tap, record, and say of each tap how well it was played."""
     from controller.cli.tables import figures_table, taps_table
     from controller.host.first_run import gain_to_play_at, remember
-    from controller.host.monitor import Monitor
     from controller.protocol.codes import LinkNotice
     from controller.protocol.image import sha256
     from controller.record.played import played_tap
@@ -187,12 +194,8 @@ def _play(
         played_at = gain_to_play_at(device, configuration, gain)
         title = f"{title}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts, over=device.harmless)
-        shown = Monitor(bench.console, title, hello.dt_s, settings.count_m)
-
-        def ended() -> bool:
-            return bench.done(taps is not None and len(recorder.contacts) >= taps)
-
-        stopped = sessions.run(device, recorder, shown, ended, seconds, played_at)
+        enough = lambda: taps is not None and len(recorder.contacts) >= taps  # noqa: E731
+        shown, stopped = sessions.run(bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at)
     played = [
         played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
         for contact in recorder.contacts

@@ -14,7 +14,7 @@ import numpy as np
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.capacity import PULSE_LIMIT_A, PULSE_LIMIT_S, TRIAL_GAIN
 from controller.protocol.events import Changed, Happened, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import STOP_PRESSED, Record, column
 from controller.servo.interface import Fault, Notice, State
 from controller.servo.settings import Settings
 from transopt.base.errors import InputError
@@ -113,7 +113,7 @@ class Check:
     def column(self, name: str, duration_s: float = WINDOW_S) -> FloatArray:
         """The newest readings of so long a time."""
         size = round(duration_s / self.dt_s)
-        return np.array([getattr(r, name) for _, r in list(self.records)[-size:]], dtype=float)
+        return column((record for _, record in list(self.records)[-size:]), name)
 
     def forget(self) -> None:
         """Forget what was read before now."""
@@ -154,7 +154,7 @@ class Check:
 
         def released() -> bool:
             flags = self.column("flags")
-            return flags.size > 0 and not int(flags[-1]) & 1
+            return flags.size > 0 and not int(flags[-1]) & STOP_PRESSED
 
         if not self.wait(released, self.patience_s):
             return f"not released within {self.patience_s:g} s", False

@@ -4,7 +4,8 @@
         device.configure(configuration)
         device.upload(image, progress=bar)
         device.arm(gain=0.1)
-        device.listen(60.0, on_event=print, on_samples=record)
+        device.listeners.append(print)
+        device.listen(60.0)
 
 One thread, the caller's, pumps everything: there is no second one that could keep the lease alive while the program
 hangs or waits for a prompt, so a host that stops looking after its device loses it within the lease. Calls that wait
@@ -15,14 +16,13 @@ Every wait is bounded, by the session's own deadlines at the latest. Not thread-
 
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 
 from controller.host.connection import Connection, PortError, UnpluggedError
 from controller.host.session import Session
 from controller.host.session_states import OPEN, SessionState
 from controller.protocol.capacity import LEASE_DEFAULT_MS
 from controller.protocol.codes import Kind, Reason
-from controller.protocol.events import Completed, Connected, Ended, Happened, News, Progress, Refused, Samples
+from controller.protocol.events import Completed, Connected, Ended, News, Progress, Refused
 from controller.protocol.messages import HelloReply
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
@@ -185,13 +185,7 @@ class Device:
 
     # Waiting.
 
-    def listen(
-        self,
-        duration_s: float,
-        on_event: Callable[[Happened], None] | None = None,
-        on_samples: Callable[[Samples], None] | None = None,
-        until: Callable[[News], bool] | None = None,
-    ) -> bool:
+    def listen(self, duration_s: float, until: Callable[[News], bool] = lambda news: False) -> bool:
         """Pump for so long, or until some news; whether that came.
 
         Raises
@@ -200,13 +194,8 @@ class Device:
         """
         end_s = self.now_s() + duration_s
         while True:
-            for news in self.pump(end_s):
-                if on_event is not None and isinstance(news, Happened):
-                    on_event(news)
-                elif on_samples is not None and isinstance(news, Samples):
-                    on_samples(news)
-                if until is not None and until(news):
-                    return True
+            if any(until(news) for news in self.pump(end_s)):
+                return True
             if self.now_s() >= end_s:
                 return False
 
@@ -277,9 +266,7 @@ class Device:
     def __enter__(self) -> "Device":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         try:
             # An ARM that was not answered may have been heard.
             armed = self.session.device_state in (State.ARMED, State.PLAYING) or self.session.arming

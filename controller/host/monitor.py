@@ -3,7 +3,6 @@
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
@@ -11,7 +10,7 @@ from rich.table import Table
 
 from controller.protocol.codes import STATES
 from controller.protocol.events import Changed, Happened, Logged, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import STOP_PRESSED, Record
 from controller.servo.interface import Fault, Notice, State
 
 REFRESH_S = 0.1
@@ -79,7 +78,7 @@ class Monitor:
             table.add_row("current", f"{r.measured_current_A:+.3f} A, command {r.command_A:+.3f} A")
             table.add_row("acceleration", f"{r.acceleration_m_s2:+.2f} m/s²")
             table.add_row("winding", f"{r.winding_C:.1f} °C" if r.winding_C == r.winding_C else "not known")
-            table.add_row("emergency stop", "pressed" if r.flags & 1 else "released")
+            table.add_row("emergency stop", "pressed" if r.flags & STOP_PRESSED else "released")
         table.add_row("contacts", str(self.events[Notice.CONTACT]))
         table.add_row("records lost", str(self._missed))
         for line in self._recent:
@@ -91,9 +90,7 @@ class Monitor:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 

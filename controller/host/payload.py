@@ -19,6 +19,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.file import load_library
 from transopt.library.library import Library
+from transopt.scene.scene import Scene
 
 EXCITATION_LIMIT_A = 1.25  # without a library: what the built-in motor bears continuously
 TRIAL_HZ, TRIAL_S, TRIAL_A = (20.0, 500.0), 0.5, 0.5  # of the bring-up check, at its gain
@@ -99,6 +100,20 @@ def excitation_settings(hello: HelloReply, library: Path | None) -> Settings:
     )
 
 
+def excitation_settings_of(scene: Scene, amplifier_tolerance: float) -> Settings:
+    """The same for a scene's own device, whose amplifier may be off by this part."""
+    return Settings(
+        dt_s=scene.time.dt_s,
+        lead_s=0.0,
+        current_limit_A=scene.limits.transient_current_A,
+        amplifier=scene.amplifier_model(),
+        amplifier_tolerance=amplifier_tolerance,
+        coil=scene.coil(),
+        host_starts=True,
+        **NEVER_STUCK,
+    )
+
+
 def trial_sweep(hello: HelloReply, library: Path | None) -> Load:
     """A short one for the bring-up check, under the settings of all others.
 
@@ -134,7 +149,7 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
         if peak > limit * (1 + 1e-9):
             raise InputError(
                 f"sweep: the {what} reaches {peak:.3g} A, the limit is {limit:g} A: lower --amplitude or --offset, "
-                "or give the device's own limits with --library"
+                "or take other limits (on a port --library, simulated --device)"
             )
     size = norms(current, s.amplifier, s.dt_s)
     if s.coil is not None:

@@ -10,15 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from controller.host.bringup import Person
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import Record, column
 from controller.record.trial_file import write_measurement
 from controller.servo.interface import Fault, Notice, State
-from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.base.terminal import make_folder
 
 BEFORE_S, AFTER_S = 0.05, 0.1  # of rest, and of ringing
 WINDOW_S = 0.3  # over which the grip and the rest are looked at
@@ -103,13 +102,13 @@ class Sweeps:
     Parameters
     ----------
     device : IDLE, the excitation in force, telemetry of every tick on. samples : of the excitation. gain : of it.
-    grip_N : asked of the person at it; 0 to let go, None for any.
+    hold : asks whoever is at it for a grip. grip_N : 0 to let go, None for any.
     """
 
     def __init__(
         self,
         device: Device,
-        person: Person,
+        hold: Callable[[float | None], None],
         samples: int,
         *,
         gain: float,
@@ -117,7 +116,7 @@ class Sweeps:
         count_m: float,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        self._device, self._person, self._samples, self._gain = device, person, samples, gain
+        self._device, self._hold, self._samples, self._gain = device, hold, samples, gain
         self._grip_N, self._count_m, self._patience_s = grip_N, count_m, patience_s
         self._dt_s = device.hello.dt_s
         self._ears = _Ears()
@@ -152,12 +151,7 @@ class Sweeps:
     # What comes before.
 
     def _wait_for_hand(self) -> None:
-        if self._grip_N is None:
-            self._person.asked("hold the stylus as it shall be recorded, still")
-        elif self._grip_N == 0:
-            self._person.asked("let go of the stylus, and leave it alone")
-        else:
-            self._person.asked(f"hold the stylus still, at {self._grip_N:g} N")
+        self._hold(self._grip_N)
         self._ears.forget()
         if not self._until(self._ready, self._patience_s, (State.FAULT,)):
             grips, places = self._window("grip_N"), self._window("encoder_counts")
@@ -170,7 +164,7 @@ class Sweeps:
 
     def _window(self, name: str) -> FloatArray:
         size = round(WINDOW_S / self._dt_s)
-        return np.array([getattr(record, name) for _, record in self._ears.records[-size:]], dtype=float)
+        return column((record for _, record in self._ears.records[-size:]), name)
 
     def _ready(self) -> bool:
         """Whether for a whole window the stylus was still, and held as asked."""
@@ -250,29 +244,34 @@ class Sweeps:
         return self._kept(rows, first, negative)
 
     def _kept(self, rows: Sequence[tuple[int, Record]], first: int, negative: bool) -> Trial:
-        def column(name: str) -> FloatArray:
-            return np.array([getattr(record, name) for _, record in rows], dtype=float)
-
+        records = [record for _, record in rows]
         ticks = np.array([tick for tick, _ in rows], dtype=float) - first
         playing = (ticks >= 0) & (ticks < self._samples)
-        acceleration, grips = column("acceleration_m_s2"), column("grip_N")[playing]
+        acceleration, grips = column(records, "acceleration_m_s2"), column(records, "grip_N")[playing]
         if not (np.all(np.isfinite(acceleration)) and np.all(np.isfinite(grips))):
             raise _AgainError("a sensor gave no number")
         wrong = self._wrong_grip(grips)
         if wrong is not None:
             raise _AgainError(wrong)
-        command, transient = column("command_A"), column("transient_A")
+        command, transient = column(records, "command_A"), column(records, "transient_A")
         return Trial(
             time_s=ticks * self._dt_s,
             command_A=command,
-            current_A=column("measured_current_A"),
+            current_A=column(records, "measured_current_A"),
             acceleration_m_s2=acceleration,
-            position_m=column("encoder_counts") * self._count_m,
+            position_m=column(records, "encoder_counts") * self._count_m,
             # A sensor's zero may lie a little below.
             grip_N=0.0 if self._grip_N == 0 else max(float(grips.mean()), 0.0),
             negative=negative,
             cut_ticks=int(np.sum(command != transient)),
         )
+
+
+def request(grip_N: float | None) -> str:
+    """What a person is asked to do for a trial."""
+    if grip_N is None:
+        return "hold the stylus as it shall be recorded, still"
+    return "let go of the stylus, and leave it alone" if grip_N == 0 else f"hold the stylus still, at {grip_N:g} N"
 
 
 def free_numbers(folder: Path, count: int) -> list[Path]:
@@ -282,10 +281,7 @@ def free_numbers(folder: Path, count: int) -> list[Path]:
     ------
     InputError : the folder cannot be made or written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        there = [path.stem.removeprefix("sweep_") for path in folder.glob("sweep_*.npz")]
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
+    make_folder(folder)
+    there = [path.stem.removeprefix("sweep_") for path in folder.glob("sweep_*.npz")]
     last = max((int(number) for number in there if number.isdecimal()), default=0)
     return [folder / f"sweep_{last + 1 + j:03d}.npz" for j in range(count)]

@@ -14,7 +14,6 @@ import queue
 import select
 import threading
 import time
-from types import TracebackType
 from typing import Any
 
 import serial
@@ -141,9 +140,7 @@ class Transport:
     def __enter__(self) -> "Transport":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _check(self) -> None:

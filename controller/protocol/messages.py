@@ -18,7 +18,11 @@ is dropped, but for EMERGENCY_STOP.
 """
 
 import struct
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import dataclass_transform
+
+import numpy as np
 
 from controller.protocol.codes import Kind
 from controller.protocol.packed import (
@@ -32,10 +36,12 @@ from controller.protocol.packed import (
     U64,
     BadBodyError,
     Hash,
+    Message,
     Packed,
     Tail,
-    laid_out,
+    packed,
 )
+from transopt.base.signals import FloatArray
 
 PROTOCOL = 2
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
@@ -44,6 +50,7 @@ GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO an
 BODY_LIMIT = 1024
 NO_HASH = bytes(HASH_BYTES)
 NO_COUNTS = -(2**31)  # of an encoder that gave no number
+STOP_PRESSED = 1  # flag of a record
 
 
 class OtherProtocolError(ValueError):
@@ -54,11 +61,25 @@ class OtherProtocolError(ValueError):
         self.foreign, self.protocol = magic != MAGIC, protocol
 
 
+MESSAGES: dict[Kind, type[Packed]] = {}
+
+
+@dataclass_transform(frozen_default=True)
+def message(kind: Kind) -> Callable[[Message], Message]:
+    """Class decorator: the body of a frame of this kind."""
+
+    def laid_out(body: Message) -> Message:
+        body = packed(body)
+        MESSAGES[kind] = body
+        return body
+
+    return laid_out
+
+
 # Host to device.
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.HELLO)
 class Hello(Packed):
     """Magic and protocol come first in every version, so that two versions can tell each other theirs."""
 
@@ -67,8 +88,7 @@ class Hello(Packed):
     nonce: U32
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.CONFIGURE)
 class Configure(Packed):
     """A part of the configuration (`configuration`), in any order."""
 
@@ -76,16 +96,14 @@ class Configure(Packed):
     data: Tail
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.CONFIGURE_COMMIT)
 class ConfigureCommit(Packed):
     """In force from the answer on; IDLE only. The coil's estimated temperature survives it."""
 
     sha256: Hash
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.UPLOAD_BEGIN)
 class UploadBegin(Packed):
     """A library image (`image`) is coming; goes on where the same one was interrupted."""
 
@@ -93,8 +111,7 @@ class UploadBegin(Packed):
     sha256: Hash
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.DATA)
 class Data(Packed):
     """A part of the image; taken only at the wanted offset, and every one is answered with ACK."""
 
@@ -102,14 +119,12 @@ class Data(Packed):
     data: Tail
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.COMMIT)
 class Commit(Packed):
     """Check the image whole, then play from it; until then the one before stays in force."""
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.ARM)
 class Arm(Packed):
     """trial 1: the bring-up check's own tap, before it has passed, at a gain of at most `limits.TRIAL_GAIN`."""
 
@@ -120,42 +135,36 @@ class Arm(Packed):
     library_sha256: Hash
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.LEASE)
 class Lease(Packed):
     """The host is there; while ARMED or PLAYING the device disarms by itself `lease_ms` after the last one."""
 
     host_us: U64
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.DISARM)
 class Disarm(Packed):
     pass
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.RESET)
 class Reset(Packed):
     """Leave FAULT for IDLE."""
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.GAIN)
 class Gain(Packed):
     gain: F64
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.TELEMETRY)
 class Telemetry(Packed):
     """One record every so many ticks; 0 for none."""
 
     every: U16
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.PULSE)
 class Pulse(Packed):
     """Command for the polarity test, IDLE only; PULSE_ENDED tells its end."""
 
@@ -163,16 +172,26 @@ class Pulse(Packed):
     ticks: U16
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.CHECKED)
 class Checked(Packed):
     """The configuration of this hash has passed the bring-up check; forgotten at the next start of the device."""
 
     configuration_sha256: Hash
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.EVENT_ACK)
+class EventAck(Packed):
+    """All events below this number have been told to the user."""
+
+    wanted: U32
+
+
+@message(Kind.EMERGENCY_STOP)
+class EmergencyStop(Packed):
+    """Obeyed from any session, in any state, never answered: the fault's event is the answer."""
+
+
+@message(Kind.START)
 class Start(Packed):
     """Play the one waveform of a configuration that the host starts, ARMED only; negative 1: with the other sign.
 
@@ -182,25 +201,10 @@ class Start(Packed):
     negative: U8
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
-class EventAck(Packed):
-    """All events below this number have been told to the user."""
-
-    wanted: U32
-
-
-@laid_out
-@dataclass(frozen=True, slots=True)
-class EmergencyStop(Packed):
-    """Obeyed from any session, in any state, never answered: the fault's event is the answer."""
-
-
 # Device to host.
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.HELLO_REPLY)
 class HelloReply(Packed):
     """Who the device is, what it holds, what it does.
 
@@ -235,8 +239,7 @@ class HelloReply(Packed):
     checked_sha256: Hash
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.DONE)
 class Done(Packed):
     """The request of this kind has been carried out."""
 
@@ -245,8 +248,7 @@ class Done(Packed):
     fault: U8
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.REFUSED)
 class Refused(Packed):
     """`value` is the number that offended, NaN if there is none."""
 
@@ -257,22 +259,19 @@ class Refused(Packed):
     value: F64
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.UPLOAD_READY)
 class UploadReady(Packed):
     offset: U32
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.ACK)
 class Ack(Packed):
     """Everything below this offset has arrived."""
 
     wanted: U32
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.LEASE_REPLY)
 class LeaseReply(Packed):
     host_us: U64
     tick: U64
@@ -280,8 +279,7 @@ class LeaseReply(Packed):
     fault: U8
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.EVENT)
 class Event(Packed):
     """Numbered without gaps from 0 at each start of the device, sent again until acknowledged.
 
@@ -296,10 +294,9 @@ class Event(Packed):
     grip_N: F64
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@packed
 class Record(Packed):
-    """Telemetry of one tick; flags bit 0: emergency stop pressed."""
+    """Telemetry of one tick."""
 
     encoder_counts: I32
     grip_N: F32
@@ -313,8 +310,7 @@ class Record(Packed):
     flags: U8
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.TELEMETRY_DATA)
 class TelemetryData(Packed):
     """Records of ticks tick, tick + every, ...; `first` numbers them since TELEMETRY, so that gaps can be counted."""
 
@@ -324,45 +320,21 @@ class TelemetryData(Packed):
     records: Tail
 
 
-@laid_out
-@dataclass(frozen=True, slots=True)
+@message(Kind.LOG)
 class Log(Packed):
     """For people: UTF-8."""
 
     text: Tail
 
 
-MESSAGES: dict[Kind, type[Packed]] = {
-    Kind.HELLO: Hello,
-    Kind.CONFIGURE: Configure,
-    Kind.CONFIGURE_COMMIT: ConfigureCommit,
-    Kind.UPLOAD_BEGIN: UploadBegin,
-    Kind.DATA: Data,
-    Kind.COMMIT: Commit,
-    Kind.ARM: Arm,
-    Kind.LEASE: Lease,
-    Kind.DISARM: Disarm,
-    Kind.RESET: Reset,
-    Kind.GAIN: Gain,
-    Kind.TELEMETRY: Telemetry,
-    Kind.PULSE: Pulse,
-    Kind.CHECKED: Checked,
-    Kind.EVENT_ACK: EventAck,
-    Kind.EMERGENCY_STOP: EmergencyStop,
-    Kind.START: Start,
-    Kind.HELLO_REPLY: HelloReply,
-    Kind.DONE: Done,
-    Kind.REFUSED: Refused,
-    Kind.UPLOAD_READY: UploadReady,
-    Kind.ACK: Ack,
-    Kind.LEASE_REPLY: LeaseReply,
-    Kind.EVENT: Event,
-    Kind.TELEMETRY_DATA: TelemetryData,
-    Kind.LOG: Log,
-}
 KINDS: dict[type[Packed], Kind] = {message: kind for kind, message in MESSAGES.items()}
 DATA_LIMIT = BODY_LIMIT - Data.FORMAT.size  # bytes of an image in one frame
 RECORDS_LIMIT = (BODY_LIMIT - TelemetryData.FORMAT.size) // Record.FORMAT.size
+
+
+def column(records: Iterable[Record], name: str) -> FloatArray:
+    """(n,) one field of records."""
+    return np.array([getattr(record, name) for record in records], dtype=float)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """Dataclasses whose annotations say how they lie in a message: little-endian, without padding."""
 
 import struct
-from dataclasses import fields
-from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, ClassVar, TypeVar, dataclass_transform, get_type_hints
 
 HASH_BYTES = 32
 OPEN_END = "*"
@@ -65,11 +65,13 @@ class Packed:
 Message = TypeVar("Message", bound=type[Packed])
 
 
-def laid_out(cls: Message) -> Message:
-    """Class decorator, above `dataclass`."""
-    layout = cls.layout()
+@dataclass_transform(frozen_default=True)
+def packed(cls: Message) -> Message:
+    """Class decorator: a frozen dataclass, laid out."""
+    made: Message = dataclass(frozen=True, slots=True)(cls)  # type: ignore[assignment]
+    layout = made.layout()
     formats = [form for _, form in layout]
-    cls.OPEN = formats[-1:] == [OPEN_END]
-    cls.FORMAT = struct.Struct("<" + "".join(formats[:-1] if cls.OPEN else formats))
-    cls.NAMES = tuple(name for name, _ in layout)
-    return cls
+    made.OPEN = formats[-1:] == [OPEN_END]
+    made.FORMAT = struct.Struct("<" + "".join(formats[:-1] if made.OPEN else formats))
+    made.NAMES = tuple(name for name, _ in layout)
+    return made

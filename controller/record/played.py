@@ -98,21 +98,21 @@ class PlayedTap:
         return rate_hardness_N_m(self.times_s, force_per_current_N_A * self.contact.current_A, self.contact.speed_m_s)
 
 
-def contact_s(contact: Contact, settings: Settings) -> float:
-    """When the stylus would have met the surface undriven, after the tick at which the waveform began [s].
+def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
+    """When the stylus would have met the surface undriven, after the tick at which the waveform began [s], how fast.
 
-    The tangent at `lead` after that tick of a parabola through the counts up to it; nothing has moved before. NaN if
-    the stylus was not coming in, or too little of that was recorded.
+    The tangent at `lead` after that tick of a parabola through the counts up to it; nothing has moved before. NaN
+    both if the stylus was not coming in, or too little of that was recorded.
     """
     times = (contact.ticks - contact.tick) * contact.dt_s
     seen = (times <= 0) & (times > -FIT_S)
     if seen.sum() < LEAST_FIT:
-        return NOTHING
+        return NOTHING, NOTHING
     z = (contact.counts[seen] - settings.surface_counts) * settings.count_m
     a, b, c = np.polynomial.polynomial.polyfit(times[seen], z, 2)
     lead = settings.lead_s
     slope = b + 2 * c * lead
-    return float(lead - (a + b * lead + c * lead**2) / slope) if slope < 0 else NOTHING
+    return (float(lead - (a + b * lead + c * lead**2) / slope), float(-slope)) if slope < 0 else (NOTHING, NOTHING)
 
 
 def through_pole(values: FloatArray, dt_s: float, bandwidth_Hz: float) -> FloatArray:
@@ -146,7 +146,7 @@ def since_contact(contact: Contact, settings: Settings, first_s: float, last_s: 
     step = float(times[1] - times[0]) if times.size > 1 else float("nan")
     if not step <= 1.5 * contact.dt_s:
         return "telemetry of every tick is needed"
-    begin = contact_s(contact, settings)
+    begin = met_surface(contact, settings)[0]
     if not (times[0] - begin <= first_s - MOST_SHIFT_S and last_s + MOST_SHIFT_S <= times[-1] - begin):
         return "not all of it was recorded"
     return Signal(float(times[0] - begin), step, contact.acceleration_m_s2 - resting_m_s2(contact))
@@ -181,7 +181,7 @@ def played_tap(
     compared = _compare(contact, prediction, settings, gain, bandwidth_Hz, as_recorded)
     return PlayedTap(
         contact=contact,
-        times_s=(contact.ticks - contact.tick) * contact.dt_s - contact_s(contact, settings),
+        times_s=(contact.ticks - contact.tick) * contact.dt_s - met_surface(contact, settings)[0],
         position_m=(contact.counts - settings.surface_counts) * settings.count_m,
         gain=gain,
         prediction=prediction,

@@ -14,18 +14,17 @@ Nothing here takes longer than a lease: what was written is not touched again.
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
-from controller.protocol.codes import STATES
 from controller.protocol.events import Happened, News, Samples
-from controller.protocol.messages import Record
+from controller.protocol.messages import Record, column
 from controller.record.telemetry import CSV_NAME, NPZ_NAME, Lines, Telemetry
-from controller.servo.interface import Event, Fault, Notice, Output, Readings
-from transopt.base.errors import InputError
+from controller.record.trial_file import refuse_old
+from controller.servo.interface import Fault, Notice
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
+from transopt.base.terminal import make_folder
 
 EVENTS_NAME = "events.csv"
 EVENT_COLUMNS = "tick,time_s,event,speed_m_s,grip_N"
@@ -67,22 +66,6 @@ class Contact:
     path: Path | None = None
 
 
-def _readings(tick: int, record: Record, events: tuple[Event, ...]) -> tuple[Readings, Output]:
-    return (
-        Readings(
-            tick,
-            record.encoder_counts,
-            record.grip_N,
-            record.measured_current_A,
-            record.acceleration_m_s2,
-            bool(record.flags & 1),
-        ),
-        Output(
-            record.command_A, STATES[record.state], record.transient_A, record.feedback_A, record.winding_C, events
-        ),
-    )
-
-
 class Recorder:
     """Takes a session's news, as a listener of `driver.Device`.
 
@@ -95,6 +78,7 @@ class Recorder:
 
     Attributes
     ----------
+    count_m : one encoder count.
     contacts : complete ones.
     records, missed : so far.
 
@@ -114,7 +98,7 @@ class Recorder:
         over: bool = False,
     ) -> None:
         self._folder, self._dt_s, self._over = folder, dt_s, over
-        self._count_m, self._surface_counts = count_m, surface_counts
+        self.count_m, self._surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
         self._first, self._every = 0, 1  # of the telemetry
@@ -122,7 +106,7 @@ class Recorder:
         self.records = self.missed = 0
         self._kept: deque[tuple[int, Record]] = deque(maxlen=round(2 * (BEFORE_S + AFTER_S) / dt_s))
         self._open: list[Happened] = []
-        self._happened: dict[int, list[Event]] = {}  # by tick, of records that have not come
+        self._happened: dict[int, list[str]] = {}  # names by tick, of records that have not come
         self._telemetry: Telemetry | None = None
         self._events: Lines | None = None
         self._begun = False
@@ -168,9 +152,7 @@ class Recorder:
     def __enter__(self) -> "Recorder":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _samples(self, samples: Samples) -> None:
@@ -184,7 +166,7 @@ class Recorder:
             if self._trigger_m_s2 is not None:
                 self._feel(tick, record, samples.every, self._trigger_m_s2)
             if self._telemetry is not None:
-                self._telemetry.record(*_readings(tick, record, tuple(self._happened.pop(tick, ()))))
+                self._telemetry.record(tick, record, ";".join(self._happened.pop(tick, ())))
         newest = self._kept[-1][0]
         after = round(AFTER_S / self._dt_s)
         while self._open and newest >= self._open[0].tick + after:
@@ -198,8 +180,7 @@ class Recorder:
             )
             # An event is sent at once and its record in a batch, which as a rule comes later.
             if isinstance(event.what, Notice | Fault):
-                happened = Event(event.tick, event.what, event.speed_m_s, event.grip_N)
-                self._happened.setdefault(event.tick, []).append(happened)
+                self._happened.setdefault(event.tick, []).append(event.what.name.lower())
         if event.what is Notice.CONTACT and self._trigger_m_s2 is None:
             self._open.append(event)
 
@@ -216,26 +197,22 @@ class Recorder:
     def _complete(self, event: Happened) -> None:
         low, high = event.tick - round(BEFORE_S / self._dt_s), event.tick + round(AFTER_S / self._dt_s)
         rows = [(tick, record) for tick, record in self._kept if low <= tick <= high]
-        ticks = np.array([tick for tick, _ in rows], dtype=float)
+        ticks, records = np.array([tick for tick, _ in rows], dtype=float), [record for _, record in rows]
         missed = (high - max(low, self._first)) // self._every + 1 - len(rows)
-
-        def column(name: str) -> FloatArray:
-            return np.array([getattr(record, name) for _, record in rows], dtype=float)
-
-        grip_N = event.grip_N if np.isfinite(event.grip_N) else float(column("grip_N")[ticks < event.tick].mean())
+        before_N = column(records, "grip_N")[ticks < event.tick]
         contact = Contact(
             number=len(self.contacts) + 1,
             tick=event.tick,
             speed_m_s=event.speed_m_s,
-            grip_N=grip_N,
+            grip_N=event.grip_N if np.isfinite(event.grip_N) else float(before_N.mean()),
             dt_s=self._dt_s,
             ticks=ticks,
-            counts=column("encoder_counts"),
-            acceleration_m_s2=column("acceleration_m_s2"),
-            current_A=column("measured_current_A"),
-            command_A=column("command_A"),
-            feedback_A=column("feedback_A"),
-            winding_C=column("winding_C"),
+            counts=column(records, "encoder_counts"),
+            acceleration_m_s2=column(records, "acceleration_m_s2"),
+            current_A=column(records, "measured_current_A"),
+            command_A=column(records, "command_A"),
+            feedback_A=column(records, "feedback_A"),
+            winding_C=column(records, "winding_C"),
             missed=missed,
             path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
         )
@@ -251,7 +228,7 @@ class Recorder:
             "time_s,acceleration_m_s2,position_m,current_A",
         ]
         times = (contact.ticks - contact.tick) * self._dt_s
-        position = (contact.counts - self._surface_counts) * self._count_m
+        position = (contact.counts - self._surface_counts) * self.count_m
         columns = zip(times, contact.acceleration_m_s2, position, contact.current_A, strict=True)
         rows = [f"{t:.6f},{a:.6g},{z:.7f},{i:.6g}" for t, a, z, i in columns]
         with whole_file(path) as file:
@@ -270,10 +247,6 @@ def make_room(folder: Path, *, over: bool = False) -> None:
     ------
     InputError : it cannot.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        old = next((path.name for name in (CSV_NAME, EVENTS_NAME, "tap_*.csv") for path in folder.glob(name)), None)
-    except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror}); choose another folder") from None
-    if old is not None and not over:
-        raise InputError(f"--out {folder}: holds a recording already ({old}); choose another folder")
+    make_folder(folder)
+    if not over:
+        refuse_old(folder, [CSV_NAME, EVENTS_NAME, *sorted(path.name for path in folder.glob("tap_*.csv"))])

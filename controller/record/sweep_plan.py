@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-import numpy as np
-
 from controller.record.excitation import sweep_command
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
@@ -71,10 +69,6 @@ class PlannedSweep:
         return self.polarity * sweep
 
     @property
-    def largest_A(self) -> float:
-        return abs(self.offset_A) + self.amplitude_A
-
-    @property
     def file_name(self) -> str:
         offset = f"_{self.offset_A:g}A" if self.offset_A else ""
         sign = "pos" if self.polarity > 0 else "neg"
@@ -131,24 +125,3 @@ def sweep_plan(
                 )
                 planned.append(trial)
     return planned
-
-
-def check_plan(planned: Sequence[PlannedSweep], dt_s: float, limit_A: float) -> None:
-    """Refuse a plan before any of it is played.
-
-    Parameters
-    ----------
-    limit_A : of the current, for all t.
-
-    Raises
-    ------
-    InputError : a sweep that cannot be made, or that leaves the limit.
-    """
-    for trial in planned:
-        if not trial.largest_A <= limit_A:
-            raise InputError(
-                f"sweep: offset {trial.offset_A:g} A and amplitude {trial.amplitude_A:g} A together: above the limit "
-                f"of {limit_A:g} A; lower --amplitude or --offset"
-            )
-        if not np.any(trial.command(dt_s)):
-            raise InputError(f"sweep: amplitude {trial.amplitude_A:g} A: nothing would be played")

@@ -6,63 +6,39 @@ longer, as long as that takes less than a lease, and when the run ends.
 """
 
 import os
-import struct
-from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controller.protocol.codes import STATES
-from controller.servo.interface import Output, Readings
+from controller.protocol.messages import STOP_PRESSED, Record
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 
 CSV_NAME, NPZ_NAME = "telemetry.csv", "telemetry.npz"
-COLUMNS = (
-    "tick",
-    "time_s",
-    "encoder_counts",
-    "grip_N",
-    "measured_current_A",
-    "measured_acceleration_m_s2",
-    "emergency_stop",
-    "command_A",
-    "state",
-    "transient_A",
-    "feedback_A",
-    "winding_C",
-    "events",
-)
-WHOLE_NUMBERS = ("tick", "emergency_stop")  # a broken encoder may give no number
-TEXTS = ("state", "events")
+# A broken encoder may give no whole number. Events, which are few, are kept apart.
+KINDS = {
+    "tick": "i8",
+    "time_s": "f8",
+    "encoder_counts": "f8",
+    "grip_N": "f8",
+    "measured_current_A": "f8",
+    "measured_acceleration_m_s2": "f8",
+    "emergency_stop": "i8",
+    "command_A": "f8",
+    "state": "S7",
+    "transient_A": "f8",
+    "feedback_A": "f8",
+    "winding_C": "f8",
+}
+PACKED = np.dtype(list(KINDS.items()))
+COLUMNS = (*KINDS, "events")
 BLOCK_TICKS = 1000
 GROWTH = 1.25
 STORED_WHILE_RUNNING = 200_000  # records; writing the NPZ of as many takes a tenth of a lease
 MOST_STORED = 2_000_000  # records in the NPZ, 200 s at 10 kHz; the CSV has them all
-# As COLUMNS, the state by its number, without the events, which are few.
-PACKED = struct.Struct("<qdddddBdBddd")
-PACKED_TYPE = np.dtype([(name, kind) for name, kind in zip(COLUMNS[:-1], "qdddddBdBddd", strict=True)])
-
-
-def _values(readings: Readings, output: Output, dt_s: float) -> tuple[int | float | str, ...]:
-    return (
-        readings.tick,
-        readings.tick * dt_s,
-        readings.encoder_counts,
-        readings.grip_N,
-        readings.current_A,
-        readings.acceleration_m_s2,
-        int(readings.emergency_stop),
-        output.command_A,
-        output.state.value,
-        output.transient_A,
-        output.feedback_A,
-        output.winding_C,
-        ";".join(event.what.name.lower() for event in output.events),
-    )
 
 
 class Lines:
@@ -121,30 +97,33 @@ class Telemetry:
         self._csv = Lines(folder / CSV_NAME, ",".join(COLUMNS), over=over)
         # An NPZ of an earlier run must not be taken for this one's.
         (folder / NPZ_NAME).unlink(missing_ok=True)
-        self._lines: list[str] = []
-        self._packed = bytearray()
+        self._rows: list[tuple[int | float | str, ...]] = []  # that the CSV does not have
+        self._texts: list[str] = []  # their events
+        self._blocks: list[NDArray[Any]] = []
         self._events: dict[int, str] = {}  # by number of the record
-        self._records = self._stored = 0  # in the memory and in the NPZ
+        self._records = self._stored = 0  # in the blocks and in the NPZ
 
-    def record(self, readings: Readings, output: Output) -> None:
-        """One tick."""
-        *values, events = _values(readings, output, self._dt_s)
-        # repr of a float is the shortest text that reads back as the same number.
-        words = [repr(value) if isinstance(value, float) else str(value) for value in values]
-        self._lines.append(",".join([*words, str(events)]) + "\n")
-        if self._records < MOST_STORED:
-            if events:
-                self._events[self._records] = str(events)
-            values[COLUMNS.index("state")] = STATES.index(output.state)
-            self._packed += PACKED.pack(*values)
-            self._records += 1
-        if len(self._lines) >= self._block_ticks:
+    def record(self, tick: int, record: Record, events: str = "") -> None:
+        """One tick; events by their names, separated by semicolons."""
+        r = record
+        measured = r.encoder_counts, r.grip_N, r.measured_current_A, r.acceleration_m_s2, r.flags & STOP_PRESSED
+        answer = r.command_A, STATES[r.state].value, r.transient_A, r.feedback_A, r.winding_C
+        self._rows.append((tick, tick * self._dt_s, *measured, *answer))
+        self._texts.append(events)
+        if len(self._rows) >= self._block_ticks:
             self.flush()
 
     def flush(self) -> None:
         """Bring the CSV up to date, and the NPZ if it lags far behind."""
-        lines, self._lines = self._lines, []
-        self._csv.append("".join(lines))
+        rows, texts, self._rows, self._texts = self._rows, self._texts, [], []
+        # The text of a number is the shortest that reads back as the same one.
+        self._csv.append(
+            "".join(",".join([*map(str, row), text]) + "\n" for row, text in zip(rows, texts, strict=True))
+        )
+        kept = rows[: MOST_STORED - self._records]
+        self._events |= {self._records + j: text for j, text in enumerate(texts[: len(kept)]) if text}
+        self._blocks.append(np.array(kept, dtype=PACKED))
+        self._records += len(kept)
         if GROWTH * self._stored <= self._records <= STORED_WHILE_RUNNING:
             self._store()
 
@@ -159,22 +138,19 @@ class Telemetry:
     def __enter__(self) -> "Telemetry":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _store(self) -> None:
-        table = np.frombuffer(bytes(self._packed), dtype=PACKED_TYPE)
-        columns: dict[str, NDArray[Any]] = {name: table[name] for name in PACKED_TYPE.names or ()}
-        columns["emergency_stop"] = table["emergency_stop"].astype(np.int64)
-        columns["state"] = np.array([state.value for state in STATES])[table["state"]]
+        self._blocks = [np.concatenate(self._blocks)]
+        columns = {name: self._blocks[0][name] for name in KINDS}
+        columns["state"] = columns["state"].astype(np.str_)
         longest = max(map(len, self._events.values()), default=1)
-        events = np.zeros(self._records, dtype=f"<U{longest}")
+        columns["events"] = np.zeros(self._records, dtype=f"<U{longest}")
         for place, text in self._events.items():
-            events[place] = text
+            columns["events"][place] = text
         with whole_file(self._folder / NPZ_NAME) as file:
-            np.savez(file, **columns, events=events)  # type: ignore[arg-type]
+            np.savez(file, **columns)  # type: ignore[arg-type]
         self._stored = self._records
 
 
@@ -195,23 +171,13 @@ def read_csv(path: Path) -> dict[str, NDArray[Any]]:
     if head != ",".join(COLUMNS):
         raise InputError(f"{path}: the first line does not name the columns of telemetry; give a {CSV_NAME}")
     try:
-        return _columns(_read_line(line) for line in lines)
+        rows = [line.split(",") for line in lines]
+        if any(len(row) != len(COLUMNS) for row in rows):
+            raise ValueError("a line of another length")
+        by_column = list(zip(*rows, strict=True)) or [()] * len(COLUMNS)
+        return {
+            name: np.array(values, dtype=np.str_ if KINDS.get(name, "S")[0] == "S" else KINDS[name])
+            for name, values in zip(COLUMNS, by_column, strict=True)
+        }
     except ValueError as error:
         raise InputError(f"{path}: damaged ({error}); give a {CSV_NAME} as it was written") from None
-
-
-def _columns(records: Iterable[tuple[int | float | str, ...]]) -> dict[str, NDArray[Any]]:
-    by_column = list(zip(*records, strict=True)) or [()] * len(COLUMNS)
-    kinds: dict[str, type] = {**dict.fromkeys(WHOLE_NUMBERS, np.int64), **dict.fromkeys(TEXTS, np.str_)}
-    return {
-        name: np.array(values, dtype=kinds.get(name, np.float64))
-        for name, values in zip(COLUMNS, by_column, strict=True)
-    }
-
-
-def _read_line(line: str) -> tuple[int | float | str, ...]:
-    fields = line.split(",")
-    return tuple(
-        text if name in TEXTS else int(text) if name in WHOLE_NUMBERS else float(text)
-        for name, text in zip(COLUMNS, fields, strict=True)
-    )

@@ -1,10 +1,11 @@
 """The file that one identification trial is kept in: what `transopt identify` reads."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
+from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.signals import FloatArray
 
@@ -21,6 +22,18 @@ COLUMNS = (
     "voltage_V",
 )
 SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s")
+
+
+def refuse_old(folder: Path, names: Iterable[str]) -> None:
+    """Recordings are never written over.
+
+    Raises
+    ------
+    InputError : one of these files is in the folder.
+    """
+    old = next((name for name in names if (folder / name).exists()), None)
+    if old is not None:
+        raise InputError(f"--out {folder}: holds a recording already ({old}); choose another folder")
 
 
 def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Mapping[str, float]) -> None:

@@ -1,4 +1,4 @@
-"""Servo and plant tick by tick: in virtual time, or paced by a clock for demonstrations."""
+"""Servo and plant tick by tick in virtual time; and the clock that paces a simulated port for demonstrations."""
 
 import time
 from collections.abc import Callable
@@ -36,37 +36,16 @@ class WallClock:
 Observer = Callable[[Readings, Output], None]
 
 
-def run(
-    plant: Plant,
-    servo: Servo,
-    ticks: int,
-    dt_s: float,
-    *,
-    observe: Observer | None = None,
-    clock: Clock | None = None,
-) -> float:
-    """Let `ticks` servo periods pass.
+def run(plant: Plant, servo: Servo, ticks: int, dt_s: float, *, observe: Observer | None = None) -> None:
+    """Let `ticks` servo periods pass in virtual time.
 
     Parameters
     ----------
     observe : called once per tick with what was read and answered.
-    clock : without one time is virtual and nothing waits.
-
-    Returns
-    -------
-    How far the loop fell behind the clock at most [s]; 0 in virtual time.
     """
-    started_s = 0.0 if clock is None else clock.now_s()
-    behind_s = 0.0
-    for k in range(ticks):
+    for _ in range(ticks):
         readings = plant.readings()
         output = servo.step(readings)
         plant.advance(output.command_A)
         if observe is not None:
             observe(readings, output)
-        if clock is not None:
-            ahead_s = (k + 1) * dt_s - (clock.now_s() - started_s)
-            behind_s = max(behind_s, -ahead_s)
-            if ahead_s >= SLEEP_S:
-                clock.sleep(ahead_s)
-    return behind_s

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from controller.sim.open_loop import true_device
-from controller.sim.simulator import Imperfections
+from controller.sim.simulator import Imperfections, true_device
 from controller.sim.true_device import TrueDevice, device_of
 from controller.waveforms.prediction import scene_of
 from transopt.library.file import load_library

@@ -52,7 +52,6 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
     head = np.array(
         [MAGIC, VERSION, at.n, segments, steps, ticks, len(used), *behind, int(amplifier is None)], dtype="<u4"
     )
-    keep, new = s.accelerometer_pole
     numbers = [
         *[*s.step_s, 0.0][:MOST_SEGMENTS],
         user.intention_m(0.0) + s.ahead_m,
@@ -60,8 +59,8 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
         device.crossover_A,
         sensors.count_m,
         sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2,
-        keep,
-        new,
+        s.bench.keep,
+        s.bench.new_m_s2,
         sensors.accelerometer_noise_m_s2,
         sensors.grip_hysteresis,
         sensors.grip_noise_N,

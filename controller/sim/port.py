@@ -87,8 +87,13 @@ class SimulatedPort:
         """Nothing is held."""
 
 
-def core_end(settings: Settings, samples: int = 0) -> CoreDevice:
-    """The compiled core, on hardware that is good for these settings, with room for so many samples of waveforms.
+def core_end(settings: Settings, samples: int = 0, longest: int = 0) -> CoreDevice:
+    """The compiled core, on hardware that is good for these settings.
+
+    Parameters
+    ----------
+    samples : of all waveforms together, for which there is room at least.
+    longest : samples of one waveform.
 
     Raises
     ------
@@ -100,9 +105,15 @@ def core_end(settings: Settings, samples: int = 0) -> CoreDevice:
         command_A=max(known.command_A, settings.command_limit_A),
         dt_s=settings.dt_s,
     )
-    usual = Capacity().samples
-    flags = () if samples <= usual else (f"-DTD_MAX_LIBRARY_SAMPLES={usual << (samples // usual).bit_length()}",)
+    usual = Capacity()
+    sizes = {
+        "TD_MAX_LIBRARY_SAMPLES": (usual.samples, max(samples, longest)),
+        "TD_MAX_SAMPLES": (usual.waveform_samples, longest),
+    }
+    flags = (
+        f"-D{name}={size << (wanted // size).bit_length()}" for name, (size, wanted) in sizes.items() if wanted > size
+    )
     try:
-        return CoreDevice(BOOT, hardware, flags)
+        return CoreDevice(BOOT, hardware, tuple(flags))
     except NoCompilerError as missing:
         raise InputError(f"--simulate runs the device's own C code: {missing}") from None

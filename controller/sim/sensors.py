@@ -43,6 +43,11 @@ class Sensors:
 SEED_SENSORS = Sensors()
 
 
+def noise_seed(seed: int, *place: int) -> int:
+    """Another noise for each trial of one device."""
+    return int(np.random.SeedSequence([seed, 7, *place]).generate_state(1, np.uint64)[0] >> 1)
+
+
 def _normal(random: np.random.Generator) -> Iterator[float]:
     while True:
         yield from random.standard_normal(NOISE_BLOCK).tolist()
@@ -54,28 +59,27 @@ class SensorBench:
     Parameters
     ----------
     held_N : grip at the start, where the grip sensor has settled.
+
+    Attributes
+    ----------
+    keep, new_m_s2 : what of the accelerometer's noise behind its pole stays from tick to tick, and what is new.
     """
 
     def __init__(self, sensors: Sensors, dt_s: float, seed: int, held_N: float) -> None:
         self.sensors = sensors
         noises = [_normal(np.random.default_rng([seed, stream])) for stream in range(3)]
         self._acceleration, self._grip, self._current = noises
-        self._keep = math.exp(-2 * math.pi * sensors.accelerometer_bandwidth_Hz * dt_s)
-        self._new_m_s2 = sensors.accelerometer_noise_m_s2 * math.sqrt(1 - self._keep**2)
+        self.keep = math.exp(-2 * math.pi * sensors.accelerometer_bandwidth_Hz * dt_s)
+        self.new_m_s2 = sensors.accelerometer_noise_m_s2 * math.sqrt(1 - self.keep**2)
         self._wander_m_s2 = sensors.accelerometer_noise_m_s2 * next(self._acceleration)
         self._felt_N = held_N
-
-    @property
-    def accelerometer_pole(self) -> tuple[float, float]:
-        """What of the accelerometer's noise stays from tick to tick, and what is new [m/s^2]."""
-        return self._keep, self._new_m_s2
 
     def counts(self, position_m: float) -> int:
         return math.floor(position_m / self.sensors.count_m + 0.5)
 
     def acceleration_m_s2(self, filtered_m_s2: float) -> float:
         """Of the stylus's acceleration behind the accelerometer's pole; its noise runs through the same pole."""
-        self._wander_m_s2 = self._keep * self._wander_m_s2 + self._new_m_s2 * next(self._acceleration)
+        self._wander_m_s2 = self.keep * self._wander_m_s2 + self.new_m_s2 * next(self._acceleration)
         limit = self.sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2
         return min(max(filtered_m_s2 + self._wander_m_s2, -limit), limit)
 

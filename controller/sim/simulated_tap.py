@@ -94,6 +94,12 @@ def _user(library: Library, tap: SimulatedTap, contact_s: float) -> User:
     return TapUser(tap.speed_m_s, tap.grip_N, contact_s, tap.habit, tap.tremor, tap.grip_rate_N_s)
 
 
+def _contact_s(tap: SimulatedTap, dt_s: float) -> float:
+    """When the hand means to be at the surface."""
+    phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
+    return (approach_ticks(tap.speed_m_s, dt_s) + phase) * dt_s
+
+
 def tap_simulator(
     library: Library, tap: SimulatedTap, device: TrueDevice, *, trace: bool = False
 ) -> tuple[Simulator, float]:
@@ -105,8 +111,14 @@ def tap_simulator(
     trace : keep the truth at every step.
     """
     dt = library.time_grid().dt_s
-    phase = float(np.random.default_rng([tap.seed, 5]).uniform()) if tap.phase is None else tap.phase
-    expected = (approach_ticks(tap.speed_m_s, dt) + phase) * dt
+    expected = _contact_s(tap, dt)
     user = _user(library, tap, expected)
     simulator = Simulator(device, user, dt, imperfections=tap.imperfections, seed=tap.seed, trace=trace)
     return simulator, expected
+
+
+def object_simulator(target: SimulatedTaps, device: TrueDevice, tap: SimulatedTap, dt_s: float) -> Simulator:
+    """The same, on the way to a real object at the surface; the mild user goes on."""
+    user = TapUser(tap.speed_m_s, tap.grip_N, _contact_s(tap, dt_s))
+    wrong, steps = tap.imperfections, STEPS_AT_CONTACT
+    return Simulator(device, user, dt_s, imperfections=wrong, seed=tap.seed, target=target, steps=steps)

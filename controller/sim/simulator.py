@@ -103,6 +103,12 @@ class Coil:
         self.housing_C += h * dt_s
 
 
+def true_device(device: TrueDevice, imperfections: Imperfections, seed: int) -> TrueDevice:
+    """The device that a simulator of this seed has, mismatch and amplifier's crossover included."""
+    known = replace(device, ground=imperfections.ground, crossover_A=imperfections.crossover_A)
+    return known.mismatched(imperfections.mismatch, np.random.default_rng([seed, 3]))
+
+
 class Simulator:
     """A device in a user's hand; implements `Plant`.
 
@@ -118,7 +124,14 @@ class Simulator:
 
     Attributes
     ----------
-    device : the true one, mismatch included. peak_current_A : over all t; between steps the current is monotone.
+    device : the true one, mismatch included.
+    sensors, bench : what they are, and their states in this run.
+    dt_s : servo period.
+    behind : of each segment of a servo period, by how many periods its command is older than the newest.
+    steps, step_s : integration steps per segment, and their length by segment.
+    ahead_m : how far the hand aims ahead of its intention, to balance friction.
+    time_s : that has passed.
+    peak_current_A : over all t; between steps the current is monotone.
     """
 
     def __init__(
@@ -133,39 +146,36 @@ class Simulator:
         steps: int = 2,
         trace: bool = False,
     ) -> None:
-        known = replace(device, ground=imperfections.ground, crossover_A=imperfections.crossover_A)
-        self.device = known.mismatched(imperfections.mismatch, np.random.default_rng([seed, 3]))
-        self._user, self._dt_s, self._target = user, dt_s, target
-        self._bench = SensorBench(imperfections.sensors, dt_s, seed, user.grip_N(0.0))
-        self._bandwidth_Hz = imperfections.sensors.accelerometer_bandwidth_Hz
+        self.device = true_device(device, imperfections, seed)
+        self.dt_s, self._user, self._target = dt_s, user, target
+        self.sensors = imperfections.sensors
+        self.bench = SensorBench(imperfections.sensors, dt_s, seed, user.grip_N(0.0))
         self._coil = None if self.device.coil is None else Coil(self.device.coil)
         whole = int(self.device.delay_s / dt_s + 1e-9)
         late = max(self.device.delay_s - whole * dt_s, 0.0)
         lengths, behind = ((dt_s,), (whole,)) if late < EARLIEST_S else ((late, dt_s - late), (whole + 1, whole))
-        self._behind, self._steps = behind, steps
-        self._step_s = tuple(length / steps for length in lengths)
+        self.behind, self.steps = behind, steps
+        self.step_s = tuple(length / steps for length in lengths)
         # The newest command first.
         self._commands = deque([0.0] * (behind[0] + 1), maxlen=behind[0] + 1)
         self._nonlinear = nonlinear(self.device, target)
         self._at = Layout(len(self.device.masses_kg))
-        self._tick, self._time_s = 0, 0.0
+        self._tick, self.time_s = 0, 0.0
         self.peak_current_A = 0.0
         self._rows: list[tuple[float, ...]] | None = [] if trace else None
-        self._grip_N, self._ahead_m = user.grip_N(0.0), 0.0
+        self._grip_N, self.ahead_m = user.grip_N(0.0), 0.0
         self._flow = self.flow_at(self._grip_N)
         self._x = self._start()
-        self._intention_m = user.intention_m(0.0) + self._ahead_m
+        self._intention_m = user.intention_m(0.0) + self.ahead_m
         if self._rows is not None:
             self._keep(0.0)
 
-    # ------------------------------------------------------------------------------------------------ Plant
-
     def readings(self) -> Readings:
-        x, bench = self._x, self._bench
+        x, bench = self._x, self.bench
         return Readings(
             tick=self._tick,
             encoder_counts=bench.counts(float(x[0])),
-            grip_N=bench.grip_N(self._user.grip_N(self._time_s)),
+            grip_N=bench.grip_N(self._user.grip_N(self.time_s)),
             current_A=bench.current_A(float(x[self._at.current])),
             acceleration_m_s2=bench.acceleration_m_s2(float(x[self._at.sensed])),
         )
@@ -178,30 +188,24 @@ class Simulator:
         if not np.isfinite(command_A):
             raise ValueError(f"command {command_A} A at tick {self._tick}: must be a finite number")
         self._commands.appendleft(command_A)
-        self._take_grip(self._user.grip_N(self._time_s))
-        start_s, square = self._tick * self._dt_s, 0.0
+        self._take_grip(self._user.grip_N(self.time_s))
+        start_s, square = self._tick * self.dt_s, 0.0
         amplifier, current = self.device.amplifier, self._at.current
-        for segment, (behind, step_s) in enumerate(zip(self._behind, self._step_s, strict=True)):
+        for segment, (behind, step_s) in enumerate(zip(self.behind, self.step_s, strict=True)):
             felt = self._felt(self._commands[behind])
             if amplifier is None:
                 self._x[current] = felt
-            for j in range(1, self._steps + 1):
+            for j in range(1, self.steps + 1):
                 before = abs(float(self._x[current])) + PWM_RIPPLE_A
                 self._advance_step(segment, felt, start_s + j * step_s, step_s)
                 after = abs(float(self._x[current])) + PWM_RIPPLE_A
                 square += step_s * (before * before + before * after + after * after) / 3
                 self.peak_current_A = max(self.peak_current_A, after - PWM_RIPPLE_A)
-            start_s += self._steps * step_s
+            start_s += self.steps * step_s
         self._tick += 1
-        self._time_s = self._tick * self._dt_s
+        self.time_s = self._tick * self.dt_s
         if self._coil is not None:
-            self._coil.step(square / self._dt_s, self._dt_s)
-
-    # ------------------------------------------------------------------------------------------------ truth
-
-    @property
-    def time_s(self) -> float:
-        return self._time_s
+            self._coil.step(square / self.dt_s, self.dt_s)
 
     @property
     def winding_C(self) -> float:
@@ -210,6 +214,11 @@ class Simulator:
     @property
     def housing_C(self) -> float:
         return float("nan") if self._coil is None else self._coil.housing_C
+
+    @property
+    def contact_N(self) -> float:
+        """Force of a real object on the stylus."""
+        return self._contact_N(self._x)
 
     def trace(self) -> Trace:
         """What was kept so far.
@@ -231,51 +240,14 @@ class Simulator:
         ground = self.device.ground.stiffness_N_m * z[0] ** 2
         return float((masses @ v**2 + stiffness @ elongation**2 + ground) / 2)
 
-    # ------------------------------------------------------------------------------------------------ as numbers
-
-    @property
-    def dt_s(self) -> float:
-        return self._dt_s
-
-    @property
-    def sensors(self) -> Sensors:
-        return self._bench.sensors
-
-    @property
-    def accelerometer_pole(self) -> tuple[float, float]:
-        """What of the noise behind the accelerometer's pole stays from tick to tick, and what is new [m/s^2]."""
-        return self._bench.accelerometer_pole
-
-    @property
-    def behind(self) -> tuple[int, ...]:
-        """Of each segment of a servo period: by how many periods its command is older than the newest."""
-        return self._behind
-
-    @property
-    def steps(self) -> int:
-        """Integration steps per segment."""
-        return self._steps
-
-    @property
-    def step_s(self) -> tuple[float, ...]:
-        """Their length, by segment."""
-        return self._step_s
-
     @property
     def state(self) -> FloatArray:
-        """(S + U,) positions, velocities, current, accelerometer, object and inputs, see `truth.Layout`."""
+        """(S + U,) positions, velocities, current, accelerometer, object and inputs, see `true_device.Layout`."""
         return self._x.copy()
-
-    @property
-    def ahead_m(self) -> float:
-        """How far the hand aims ahead of its intention, to balance friction."""
-        return self._ahead_m
 
     def flow_at(self, grip_N: float) -> Flow:
         """The exact linear motion at a grip, over the steps of each segment."""
-        return flow(self.device, self._target, self._bandwidth_Hz, grip_N, self._step_s)
-
-    # ------------------------------------------------------------------------------------------------ inside
+        return flow(self.device, self._target, self.sensors.accelerometer_bandwidth_Hz, grip_N, self.step_s)
 
     def _start(self) -> FloatArray:
         """All masses moving with the intention, friction balanced by the springs, nothing else.
@@ -285,13 +257,13 @@ class Simulator:
         n = self._at.n
         x = np.zeros(self._at.states + INPUTS)
         wanted = self._user.intention_m(0.0)
-        speed = (self._user.intention_m(self._step_s[0]) - wanted) / self._step_s[0]
+        speed = (self._user.intention_m(self.step_s[0]) - wanted) / self.step_s[0]
         ground = self.device.ground
         held = self._friction_N(speed) - ground.stiffness_N_m * wanted - ground.damping_N_s_m * speed
         _, stiffness, _ = self.device.at(self._grip_N)
         elongations = np.array([held / k if k > 0 else 0.0 for k in stiffness])
-        self._ahead_m = -float(elongations.sum())
-        x[:n] = wanted + self._ahead_m + np.cumsum(elongations[::-1])[::-1]
+        self.ahead_m = -float(elongations.sum())
+        x[:n] = wanted + self.ahead_m + np.cumsum(elongations[::-1])[::-1]
         x[n : 2 * n] = speed
         x[self._at.states + INTENTION_SPEED] = speed
         return x
@@ -338,7 +310,7 @@ class Simulator:
 
     def _advance_step(self, segment: int, felt_A: float, end_s: float, step_s: float) -> None:
         x, S, user = self._x, self._at.states, self._user
-        before, self._intention_m = self._intention_m, user.intention_m(end_s) + self._ahead_m
+        before, self._intention_m = self._intention_m, user.intention_m(end_s) + self.ahead_m
         x[S + COMMAND] = felt_A
         x[S + INTENTION] = before
         x[S + INTENTION_SPEED] = (self._intention_m - before) / step_s

@@ -1,93 +1,139 @@
-"""A simulated hand that taps in turn as soon as the device is armed: a world behind the port `sim:`."""
+"""A simulated hand that taps in turn: a world behind the port `sim:`."""
 
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from controller.record.recorder import AFTER_S as RECORDED_S
 from controller.servo.interface import Output, Readings, State
 from controller.sim.sensors import SEED_SENSORS
-from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, tap_simulator
+from controller.sim.simulated_tap import AFTER_S, SimulatedTap, approach_ticks, object_simulator, tap_simulator
 from controller.sim.simulator import Simulator
 from controller.sim.true_device import TrueDevice
 from transopt.library.library import Library
+from transopt.recordings.settings import SimulatedTaps
 
 BACK_M_S = 0.5  # with which the hand moves between two taps
 SETTLE_S = 30e-3  # of rest after each tap, in which the last telemetry arrives, and after each move
 LATE_S = 5e-3  # by which the device may take a contact for later than the hand meant it
 
 
-class TappingHand:
-    """Holds the stylus still, taps once the device is armed, takes the stylus back, and taps again.
+@dataclass(frozen=True)
+class Motion:
+    """One tap, about to begin.
 
-    A `controller.sim.port.World`. Each tap is a simulation of its own, with its own phase and noise. While the hand
-    rests or moves between two taps, nothing is integrated: the sensors say without noise where it is held, and that
-    the commanded current flows.
+    Attributes
+    ----------
+    simulator : of this tap alone, with its own phase and noise.
+    grip_N : with which the stylus is held on the way to where the tap begins.
+    approach_ticks : servo periods until the hand means to be at the surface.
+    after_s : how long the tap goes on from there.
+    """
+
+    simulator: Simulator
+    grip_N: float
+    approach_ticks: int
+    after_s: float
+
+
+def tap_of(library: Library, device: TrueDevice, tap: SimulatedTap) -> Motion:
+    """On the surface that a library renders; `device` is the true one, before the tap's imperfections."""
+    grid = library.time_grid()
+    simulator, _ = tap_simulator(library, tap, device)
+    return Motion(simulator, tap.grip_N, approach_ticks(tap.speed_m_s, grid.dt_s), grid.end_s + AFTER_S)
+
+
+def strike_of(target: SimulatedTaps, device: TrueDevice, tap: SimulatedTap, dt_s: float) -> Motion:
+    """On a real object, by the undriven device."""
+    simulator = object_simulator(target, device, tap, dt_s)
+    return Motion(simulator, tap.grip_N, approach_ticks(tap.speed_m_s, dt_s), RECORDED_S + LATE_S)
+
+
+class TappingHand:
+    """Holds the stylus still, taps, takes the stylus back, and taps again.
+
+    A `controller.sim.port.World`. While the hand rests or moves between two taps, nothing is integrated: the sensors
+    say without noise where it is held, and that the commanded current flows.
 
     Parameters
     ----------
-    device : the true one, before the imperfections of the taps.
+    when : a tap begins only while the device is in this state.
+    pause_s : of rest before a tap that is planned while the hand has nothing to do.
     tapped : called after each tap.
+
+    Attributes
+    ----------
+    forces_N : of a struck object on the stylus, by tick; a force sensor under the object, no part of the device.
     """
 
     def __init__(
-        self, library: Library, device: TrueDevice, taps: Iterable[SimulatedTap], tapped: Callable[[], None]
+        self,
+        dt_s: float,
+        motions: Iterable[Motion] = (),
+        *,
+        when: State = State.ARMED,
+        pause_s: float = 0.0,
+        tapped: Callable[[], None] = lambda: None,
     ) -> None:
-        self._device, self._tapped = device, tapped
-        self._dt_s = library.time_grid().dt_s
-        self._planned: deque[tuple[Library, SimulatedTap]] = deque()
-        self._simulator: Simulator | None = None  # of the tap that comes, or is under way
+        self._dt_s, self._when, self._pause_s, self._tapped = dt_s, when, pause_s, tapped
+        self.forces_N: dict[int, float] = {}
+        self._planned: Iterator[Motion] = iter(())
+        self._motion: Motion | None = None  # that comes, or is under way
         self._under_way = False
         self._ticks_left = self._settling = 0
-        self._rest_s = SETTLE_S  # after the tap
         self._way: list[int] = []  # to another place: encoder counts tick by tick, the last first
         self._start = self._counts = 0  # where the tap begins, and where the stylus is
         self._grip_N, self._current_A = 0.0, 0.0
-        self.plan(library, taps)
+        self.plan(motions)
         self._counts = self._start
 
-    def plan(self, library: Library, taps: Iterable[SimulatedTap]) -> None:
-        """Further taps, of this library."""
-        self._planned.extend((library, tap) for tap in taps)
-        if self._simulator is None:
+    def plan(self, motions: Iterable[Motion]) -> None:
+        """Further taps; each is asked for when the one before it is over."""
+        self._planned = chain(self._planned, motions)
+        if self._motion is None:
             self._prepare()
+            self._settling = max(self._settling, self._ticks(self._pause_s))
 
     @property
     def done(self) -> bool:
         """Nothing is left to do, and the stylus is at rest above the surface."""
-        return self._simulator is None and not self._way and self._settling == 0
+        return self._motion is None and not self._way and self._settling == 0
 
     def readings(self, tick: int) -> Readings:
         if self._under_way:
-            assert self._simulator is not None
-            r = self._simulator.readings()
+            assert self._motion is not None
+            simulator = self._motion.simulator
+            r = simulator.readings()
+            self.forces_N[tick] = simulator.contact_N
             return Readings(tick, r.encoder_counts, r.grip_N, r.current_A, r.acceleration_m_s2)
         return Readings(tick, self._counts, self._grip_N, self._current_A, 0.0)
 
     def advance(self, output: Output) -> None:
-        """One servo period; a tap begins only while the device is armed."""
+        """One servo period."""
         self._current_A = output.command_A
         if self._under_way:
-            assert self._simulator is not None
-            self._simulator.advance(output.command_A)
+            assert self._motion is not None
+            self._motion.simulator.advance(output.command_A)
             self._ticks_left -= 1
             if self._ticks_left == 0:
-                self._end(self._simulator)
+                self._end(self._motion)
         elif self._settling:
             self._settling -= 1
         elif self._way:
             self._counts = self._way.pop()
             # A device is armed only when its stylus has been at rest for a while.
             self._settling = 0 if self._way else self._ticks(SETTLE_S)
-        elif self._simulator is not None and output.state is State.ARMED:
+        elif self._motion is not None and output.state is self._when:
             self._under_way = self._counts == self._start
             self._go(self._start)
 
-    def _end(self, simulator: Simulator) -> None:
-        self._counts = _counts(simulator)
-        self._simulator, self._under_way = None, False
-        self._settling = self._ticks(self._rest_s)
+    def _end(self, motion: Motion) -> None:
+        self._counts = _counts(motion.simulator)
+        self._motion, self._under_way = None, False
+        # A recording goes on for so long after its contact.
+        self._settling = self._ticks(max(SETTLE_S, RECORDED_S + LATE_S - motion.after_s))
         self._go(self._start)
         self._tapped()
         self._prepare()
@@ -96,21 +142,21 @@ class TappingHand:
         return round(duration_s / self._dt_s)
 
     def _go(self, to: int) -> None:
-        """Straight on to there."""
-        ticks = int(np.ceil(abs(to - self._counts) * SEED_SENSORS.count_m / (BACK_M_S * self._dt_s)))
-        self._way = [round(counts) for counts in np.linspace(to, self._counts, ticks, endpoint=False)]
+        self._way = straight_way(self._counts, to, self._dt_s)
 
     def _prepare(self) -> None:
         """The next tap, if there is one."""
-        if not self._planned:
+        self._motion = next(self._planned, None)
+        if self._motion is None:
             return
-        library, tap = self._planned.popleft()
-        self._simulator, _ = tap_simulator(library, tap, self._device)
-        after_s = library.time_grid().end_s + AFTER_S
-        # A recording goes on for so long after its contact.
-        self._rest_s = max(SETTLE_S, RECORDED_S + LATE_S - after_s)
-        self._ticks_left = approach_ticks(tap.speed_m_s, self._dt_s) + int(np.ceil(after_s / self._dt_s)) + 1
-        self._start, self._grip_N = _counts(self._simulator), tap.grip_N
+        self._ticks_left = self._motion.approach_ticks + int(np.ceil(self._motion.after_s / self._dt_s)) + 1
+        self._start, self._grip_N = _counts(self._motion.simulator), self._motion.grip_N
+
+
+def straight_way(start: int, end: int, dt_s: float) -> list[int]:
+    """Encoder counts tick by tick as a hand moves the stylus from here to there, the last first."""
+    ticks = int(np.ceil(abs(end - start) * SEED_SENSORS.count_m / (BACK_M_S * dt_s)))
+    return [round(counts) for counts in np.linspace(end, start, ticks, endpoint=False)]
 
 
 def _counts(simulator: Simulator) -> int:

@@ -34,7 +34,7 @@ class Habit(Enum):
 
 
 class User(Protocol):
-    """Functions of the simulator's time."""
+    """Functions of the simulator's time; most users give the device no acceleration of their own accord."""
 
     def intention_m(self, time_s: float) -> float:
         """Where the hand means to be along the surface normal."""
@@ -42,7 +42,7 @@ class User(Protocol):
 
     def carried_m_s2(self, time_s: float) -> float:
         """Acceleration that the hand gives to all it moves, of its own accord: r_u = r_raw - r."""
-        ...
+        return 0.0
 
     def grip_N(self, time_s: float) -> float: ...
 
@@ -70,7 +70,7 @@ def _after_reaction(habit: Habit, speed_m_s: float, after_s: float) -> float:
 
 
 @dataclass(frozen=True)
-class TapUser:
+class TapUser(User):
     """One tap: straight in at `speed_m_s`, the intention reaches the surface at `contact_s`.
 
     Attributes
@@ -93,14 +93,11 @@ class TapUser:
             z = -self.speed_m_s * REACTION_S - _after_reaction(self.habit, self.speed_m_s, t - REACTION_S)
         return z if self.tremor is None else z + self.tremor.at(time_s)
 
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
     def grip_N(self, time_s: float) -> float:
         return max(self.held_N + self.grip_rate_N_s * max(time_s - self.contact_s, 0.0), 0.0)
 
 
-class RecordedUser:
+class RecordedUser(User):
     """One tap by a hand that moves as in the recordings: along z_nom, giving all it moves the acceleration r_u.
 
     After the library's window it goes on straight.
@@ -206,7 +203,7 @@ def _height_m(speed_m_s: float) -> float:
     return speed_m_s * (STARTING_S / 2 + STRAIGHT_S) + STRAIGHT_M
 
 
-class RepeatedTaps:
+class RepeatedTaps(User):
     """Taps without end at random speeds and grips, the hand yielding to each and retreating; for long runs.
 
     Speeds are drawn evenly in their logarithm, grips evenly; the grip changes during the retreat.
@@ -253,14 +250,11 @@ class RepeatedTaps:
         z = self.cycle(time_s).intention_m(time_s)
         return z if self._tremor is None else z + self._tremor.at(time_s)
 
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
     def grip_N(self, time_s: float) -> float:
         return self.cycle(time_s).held_N(time_s)
 
 
-class TapsInTurn:
+class TapsInTurn(User):
     """The given taps one after the other, over and over, the hand yielding to each and retreating.
 
     Parameters
@@ -295,16 +289,13 @@ class TapsInTurn:
         cycle, into = self._at(time_s)
         return cycle.intention_m(into)
 
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
-
     def grip_N(self, time_s: float) -> float:
         cycle, into = self._at(time_s)
         return cycle.held_N(into)
 
 
 @dataclass(frozen=True)
-class StillHand:
+class StillHand(User):
     """Holds the stylus above the surface and does nothing."""
 
     held_N: float = 3.0
@@ -313,9 +304,6 @@ class StillHand:
 
     def intention_m(self, time_s: float) -> float:
         return self.height_m
-
-    def carried_m_s2(self, time_s: float) -> float:
-        return 0.0
 
     def grip_N(self, time_s: float) -> float:
         return self.held_N

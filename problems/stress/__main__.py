@@ -1,9 +1,17 @@
-"""The stress suite: `python -m problems.stress --cases 1000 --seed 1`."""
+"""The stress suite: `python -m problems.stress --cases 1000`."""
 
-import sys
+import typer
 
-from problems.stress.run import main
+from problems.stress.run import stress
 from transopt.base import terminal
 
+
+def main() -> None:
+    """Run the command line."""
+    app = typer.Typer(add_completion=False)
+    app.command()(stress)
+    terminal.run(app)
+
+
 if __name__ == "__main__":
-    terminal.run(lambda: sys.exit(main()))
+    main()

@@ -2,12 +2,14 @@
 
 import subprocess
 import tempfile
+import time
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
 from controller.firmware.build import CORE, FIRMWARE, build, sources
+from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.servo.settings import Settings
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.plant_file import plant_bytes
@@ -73,6 +75,26 @@ class CompiledDevice:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def arm_at_rest(device: Device, lease_ms: int, within_s: float) -> None:
+    """Arm as soon as the hand is at rest.
+
+    Raises
+    ------
+    DeviceError : it was not within this time.
+    """
+    end_s = time.monotonic() + within_s
+    while True:
+        try:
+            device.arm(1.0, lease_ms)
+            return
+        except LinkLostError:
+            raise
+        except DeviceError:
+            if time.monotonic() > end_s:
+                raise
+            device.listen(0.02)
 
 
 def plant_of(user: User, period_s: float) -> bytes:

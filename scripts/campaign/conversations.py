@@ -1,6 +1,5 @@
 """Random talk of a host, sensible, foolish and damaged, for two devices that must answer it alike."""
 
-import hashlib
 import math
 import struct
 from collections.abc import Callable, Iterator
@@ -14,7 +13,7 @@ from campaign.parity_runs import COUNT_M, DT_S, TAIL, Random, draw_amplifier, dr
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
 from controller.protocol.configuration import CONFIGURATION_BYTES, HEADER, NAMES, configuration_of, stated_numbers
-from controller.protocol.image import IMAGE_FIELDS, image_of
+from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
 from controller.protocol.packed import Packed
 from controller.protocol.wire import encode
 from controller.servo.interface import Readings
@@ -25,10 +24,6 @@ from transopt.plant.wall import Wall
 
 NUMBERS = (math.nan, math.inf, -1.0, 0.0, -0.0, 0.5, 1.0, 2.0, 33.0, 1e5, 1e300, -1e300, 5e-324)
 CHUNK = 300  # bytes of a configuration in one frame
-
-
-def sha256(data: bytes) -> bytes:
-    return hashlib.sha256(data).digest()
 
 
 def damaged_configuration(random: Random, data: bytes) -> bytes:

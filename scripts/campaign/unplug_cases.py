@@ -6,7 +6,7 @@ command, so that "within the lease" is counted in the device's own ticks from th
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -42,6 +42,21 @@ EVERY = (1, 5, 20)
 CONFIGURATION = configuration_of(SETTINGS)
 IMAGE = image_of(smooth_bank(4, 4, 2000), DT_S, SETTINGS.lead_s, TAIL)
 ACTIVE = (State.ARMED, State.PLAYING)
+
+
+def compare_recording(
+    folder: Path, names: Sequence[str], was: Callable[[int], tuple[object, ...] | None], breaches: list[str]
+) -> int:
+    """Lines of a recording, each of which has to be what the device did in that tick; what is not is a breach."""
+    columns = read_csv(folder / CSV_NAME)
+    ticks = columns["tick"]
+    if np.any(np.diff(ticks) <= 0):
+        breaches.append("recording: ticks out of order")
+    for tick, *line in zip(ticks.tolist(), *(columns[name].tolist() for name in names), strict=True):
+        if was(tick) != tuple(line):
+            breaches.append(f"recording: tick {tick} is {line} and was {was(tick)}")
+            break
+    return int(ticks.size)
 
 
 class TappingHand:
@@ -100,7 +115,9 @@ class Judged:
         output = self._core.step(readings)
         self._hand.command_A, self.state = output.command_A, output.state
         self._hold(readings.tick, output)
-        self.history[readings.tick] = (readings.encoder_counts, output.command_A, output.state.value)
+        # As a float32, in which commands are told.
+        command_A = float(np.float32(output.command_A))
+        self.history[readings.tick] = (readings.encoder_counts, command_A, output.state.value)
         self._tick = readings.tick + 1
         return output
 
@@ -282,16 +299,10 @@ class Case:
             self._recorder.flush()
         if out.told_rows == 0 and not (self._folder / CSV_NAME).exists():
             return
-        columns = read_csv(self._folder / CSV_NAME)
-        out.rows = columns["tick"].size
-        if np.any(np.diff(columns["tick"]) <= 0):
-            out.breaches.append("recording: ticks out of order")
-        names = ("tick", "encoder_counts", "command_A", "state")
-        for tick, counts, command, state in zip(*(columns[name].tolist() for name in names), strict=True):
-            was = self._struck.history.get(tick)
-            if was is None or (counts, state) != (was[0], was[2]) or np.float32(was[1]) != np.float32(command):
-                out.breaches.append(f"recording: tick {tick} is {counts, command, state} and was {was}")
-                break
+        history = self._struck.history
+        out.rows = compare_recording(
+            self._folder, ("encoder_counts", "command_A", "state"), history.get, out.breaches
+        )
         if out.rows > out.told_rows or (out.kind != "host killed" and out.rows != out.told_rows):
             out.breaches.append(f"recording: {out.rows} lines of {out.told_rows} records")
 

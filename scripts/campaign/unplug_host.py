@@ -8,9 +8,9 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from campaign.compiled_device import DT_S, SETTINGS
+from campaign.compiled_device import DT_S, SETTINGS, arm_at_rest
 from campaign.unplug_cases import CONFIGURATION, IMAGE
-from controller.host.driver import Device, DeviceError, LinkLostError
+from controller.host.driver import Device, LinkLostError
 from controller.protocol.events import Ended, News
 from controller.record.recorder import Recorder
 
@@ -27,21 +27,6 @@ def ended(news: News) -> None:
         say("ended")
 
 
-def arm(device: Device, lease_ms: int) -> None:
-    """As soon as the hand is at rest."""
-    end_s = time.monotonic() + ARMING_S
-    while True:
-        try:
-            device.arm(1.0, lease_ms)
-            return
-        except LinkLostError:
-            raise
-        except DeviceError:
-            if time.monotonic() > end_s:
-                raise
-            device.listen(0.02)
-
-
 def main() -> int:
     port, folder, lease_ms = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
     with suppress(LinkLostError), Recorder(folder, DT_S, SETTINGS.count_m) as recorder:
@@ -56,7 +41,7 @@ def main() -> int:
             say("pending")
             device.listen(PENDING_S)
             device.checked()
-            arm(device, lease_ms)
+            arm_at_rest(device, lease_ms, ARMING_S)
             say("armed")
             device.listen(LISTENED_S)
     return 0

@@ -17,16 +17,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from campaign.compiled_device import DT_S, CompiledDevice, plant_of
-from campaign.unplug_cases import ACTIVE
+from campaign.unplug_cases import ACTIVE, compare_recording
 from controller.host.connection import PortError
 from controller.host.driver import Device, DeviceError
 from controller.protocol import messages as m
 from controller.protocol.codes import STATES
 from controller.protocol.wire import Decoder
-from controller.record.telemetry import CSV_NAME, read_csv
+from controller.record.telemetry import CSV_NAME
 from controller.servo.interface import State
 from controller.sim.user import TapsInTurn
 from transopt.base.errors import InputError
@@ -292,17 +290,12 @@ def _judge(out: Ended, line: Line) -> None:
 def _recording(out: Ended, line: Line, folder: Path) -> None:
     if out.phase != "armed" and not (folder / CSV_NAME).exists():
         return
-    columns = read_csv(folder / CSV_NAME)
-    out.rows = columns["tick"].size
-    if np.any(np.diff(columns["tick"]) <= 0):
-        out.breaches.append("recording: ticks out of order")
-    for tick, counts, command in zip(
-        *(columns[name].tolist() for name in ("tick", "encoder_counts", "command_A")), strict=True
-    ):
-        was = line.records.get(tick)
-        if was is None or (was.encoder_counts, was.command_A) != (counts, command):
-            out.breaches.append(f"recording: tick {tick} is {counts, command} and was {was}")
-            break
+
+    def was(tick: int) -> tuple[object, ...] | None:
+        record = line.records.get(tick)
+        return None if record is None else (record.encoder_counts, record.command_A)
+
+    out.rows = compare_recording(folder, ("encoder_counts", "command_A"), was, out.breaches)
 
 
 def _again(out: Ended, name: str) -> None:

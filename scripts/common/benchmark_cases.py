@@ -1,6 +1,6 @@
 """The peers and cases of `benchmark.py`: what is timed, and what its answer is worth."""
 
-import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import problems
-from common.measuring import elapsed_ms, timed
+from common.measuring import elapsed_ms, forget, timed
 from common.peers import commonly_written
 from controller.servo.loop import run as play
 from controller.servo.servo import Servo
@@ -38,13 +38,15 @@ from transopt.proof.certify import certify
 from transopt.recordings.reference import build_references
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
-from transopt.solvers import casadi_ipopt, casadi_piqp, lq_pass, riccati, sparse_kkt, unlimited
+from transopt.solvers import riccati, unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
-from transopt.solvers.program import state_program
 
-WIDE_SPEEDS, WIDE_GRIPS = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 10)
+WIDE = {
+    "speeds_m_s": np.linspace(0.1, 0.4, 20).round(6).tolist(),
+    "grips_N": np.linspace(1.0, 5.0, 10).round(6).tolist(),
+}
 ONLINE_TAPS = 1000
 
 
@@ -112,41 +114,24 @@ class Peer:
     violation: float
 
 
-def project_solver(problem: TransientProblem, solver: str) -> Peer:
-    """A solver of the project, its object reused; set-up is what a first call with nothing cached takes longer."""
-    options = SolverOptions(solver)
-    state_program.cache_clear()
-    for module in (casadi_piqp, casadi_ipopt):
-        module.solver_object.cache_clear()
-    first, second = (elapsed_ms(lambda: solve(problem, options)) for _ in range(2))
-    solution = solve(problem, options)
+def reused(name: str, options: str, method: Callable[[], Solution], problem: TransientProblem) -> Peer:
+    """A method of the project; set-up is what a first call with nothing cached takes longer."""
+    forget()
+    first, second = (elapsed_ms(method) for _ in range(2))
+    solution = method()
     proof = certify(problem, solution.command_A, solution.multipliers)
-    return Peer(
-        name=solver,
-        options=f"tol {options.tolerance:g}, object reused",
-        run=lambda: solve(problem, options),
-        setup_ms=max(first - second, 0.0),
-        gap=proof.relative_gap,
-        violation=proof.primal_violation,
-    )
+    said = options or f"tol {SolverOptions().tolerance:g}, object reused"
+    return Peer(name, said, method, max(first - second, 0.0), proof.relative_gap, proof.primal_violation)
+
+
+def project_solver(problem: TransientProblem, solver: str) -> Peer:
+    return reused(solver, "", lambda: solve(problem, SolverOptions(solver)), problem)
 
 
 def unlimited_solver(
     name: str, options: str, method: Callable[[TransientProblem], Solution], problem: TransientProblem
 ) -> Peer:
-    for cached in (state_program, lq_pass.recursions, sparse_kkt.pattern):
-        cached.cache_clear()
-    first, second = (elapsed_ms(lambda: method(problem)) for _ in range(2))
-    solution = method(problem)
-    proof = certify(problem, solution.command_A, solution.multipliers)
-    return Peer(
-        name=name,
-        options=f"{options}: {solution.message}",
-        run=lambda: method(problem),
-        setup_ms=max(first - second, 0.0),
-        gap=proof.relative_gap,
-        violation=proof.primal_violation,
-    )
+    return reused(name, f"{options}: {method(problem).message}", lambda: method(problem), problem)
 
 
 def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
@@ -162,14 +147,10 @@ def opti_ipopt(problem: TransientProblem, lower_bound: float) -> Peer:
         opti.solve()
 
     proof = certify(problem, found, Multipliers.zero(problem))
-    return Peer(
-        name="opti-ipopt",
-        options="as commonly written, IPOPT defaults, object reused",
-        run=again,
-        setup_ms=max(setup_and_first - elapsed_ms(again), 0.0),
-        gap=(proof.objective - lower_bound) / max(proof.objective, 1e-3),
-        violation=proof.primal_violation,
-    )
+    setup_ms = max(setup_and_first - elapsed_ms(again), 0.0)
+    gap = (proof.objective - lower_bound) / max(proof.objective, 1e-3)
+    options = "as commonly written, IPOPT defaults, object reused"
+    return Peer("opti-ipopt", options, again, setup_ms, gap, proof.primal_violation)
 
 
 @dataclass(frozen=True)
@@ -184,19 +165,12 @@ class Case:
 def compare(runs: int, *cases: Case) -> list[Row]:
     """Rows of cases that take turns."""
     times = timed(runs, **{f"{case.name} {case.peer.name}": case.peer.run for case in cases})
-    return [
-        row(
-            case.name,
-            case.peer.name,
-            case.peer.options,
-            case.stages,
-            times[f"{case.name} {case.peer.name}"],
-            setup_ms=case.peer.setup_ms,
-            gap=case.peer.gap,
-            violation=case.peer.violation,
-        )
-        for case in cases
-    ]
+    found = []
+    for case in cases:
+        peer, own = case.peer, times[f"{case.name} {case.peer.name}"]
+        worth = {"setup_ms": peer.setup_ms, "gap": peer.gap, "violation": peer.violation}
+        found.append(row(case.name, peer.name, peer.options, case.stages, own, **worth))
+    return found
 
 
 def calibration() -> Row:
@@ -232,20 +206,16 @@ def cold_start(runs: int, *arguments: str) -> tuple[FloatArray, float]:
 
 def wide(scene: Scene) -> Scene:
     """The scene on 20 speeds and 10 grips."""
-    grid = {"speeds_m_s": WIDE_SPEEDS.round(6).tolist(), "grips_N": WIDE_GRIPS.round(6).tolist()}
-    return scene.model_copy(update={"grid": scene.grid.model_copy(update=grid)})
+    return scene.model_copy(update={"grid": scene.grid.model_copy(update=WIDE)})
 
 
 def wide_scene_file(folder: Path) -> Path:
     """wood_on_foam on the same grid, as a file."""
-    wanted = {"speeds_m_s": WIDE_SPEEDS.round(6).tolist(), "grips_N": WIDE_GRIPS.round(6).tolist()}
-    lines = problems.scene_path("wood_on_foam").read_text(encoding="utf-8").splitlines()
-    keys = [line.split(" = ")[0] for line in lines]
-    text = [
-        f"{key} = {json.dumps(wanted[key])}" if key in wanted else line for key, line in zip(keys, lines, strict=True)
-    ]
+    text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
+    for key, values in WIDE.items():
+        text = re.sub(rf"(?m)^{key} = .*$", f"{key} = {values}", text)
     file = folder / "wide.toml"
-    file.write_text("\n".join(text), encoding="utf-8")
+    file.write_text(text, encoding="utf-8")
     return file
 
 
@@ -253,9 +223,7 @@ def libraries(scene: Scene, runs: int) -> tuple[list[Row], Library]:
     """The scene's own library and the wide one, warm and from process start."""
     taps, taps_of_wide = recordings(scene), recordings(wide(scene))
     times = timed(
-        runs,
-        library=lambda: build_library(scene, taps),
-        wide=lambda: build_library(wide(scene), taps_of_wide),
+        runs, library=lambda: build_library(scene, taps), wide=lambda: build_library(wide(scene), taps_of_wide)
     )
     told = "solved, certified, priced, replayed, baselines"
     library = build_library(scene, taps).library
@@ -305,14 +273,8 @@ def cached_pass(problem: TransientProblem) -> Peer:
         run.solve(unlimited.GAP)
         run.command_A()
 
-    return Peer(
-        name="riccati-pass, gains kept",
-        options="the same device and weight again, any reference",
-        run=again,
-        setup_ms=setup_ms,
-        gap=proof.relative_gap,
-        violation=proof.primal_violation,
-    )
+    name, options = "riccati-pass, gains kept", "the same device and weight again, any reference"
+    return Peer(name, options, again, setup_ms, proof.relative_gap, proof.primal_violation)
 
 
 @dataclass(frozen=True)

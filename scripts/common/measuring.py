@@ -1,6 +1,7 @@
 """How the benchmarks measure: methods in turns, on one thread, on a machine that is told."""
 
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 
@@ -11,6 +12,22 @@ from transopt.base.signals import FloatArray
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
 
 
+def on_one_thread() -> None:
+    """Start the script anew unless linear algebra has one thread, which its libraries read when they are loaded."""
+    one = dict.fromkeys(THREAD_VARIABLES, "1")
+    if any(os.environ.get(name) != "1" for name in one):
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **one})
+
+
+def forget() -> None:
+    """Empty every cache of the project's, so that the next set-up is a first one."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("transopt."):
+            for value in list(vars(module).values()):
+                if hasattr(value, "cache_clear"):
+                    value.cache_clear()
+
+
 def elapsed_ms(run: Callable[[], object]) -> float:
     start = time.perf_counter()
     run()
@@ -18,9 +35,7 @@ def elapsed_ms(run: Callable[[], object]) -> float:
 
 
 def take_turns(
-    methods: Mapping[str, Callable[[], object]],
-    runs: Mapping[str, int],
-    told: Callable[[], None] = lambda: None,
+    methods: Mapping[str, Callable[[], object]], runs: Mapping[str, int], told: Callable[[], None] = lambda: None
 ) -> dict[str, FloatArray]:
     """(runs of it,) wall times [ms] of each method.
 

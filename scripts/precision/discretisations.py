@@ -45,7 +45,6 @@ RULES: dict[str, Rule] = {
     "Tustin": _tustin,
     "Euler": _euler,
 }
-ORDERS = {"Radau IIA-5": 5, "RK4": 4, "Tustin": 2, "Euler": 1}
 
 
 def flow(stage: StageModel) -> FloatArray:

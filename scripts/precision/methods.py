@@ -1,6 +1,5 @@
 """What a method is, and the methods that need nothing but this project: its solvers, Opti + IPOPT, the baselines."""
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -111,15 +110,6 @@ def sweep(default: str, tolerances: Sequence[float], high: float, name: str, mor
         else:
             found.append(Setting(options, tolerance))
     return found
-
-
-def forget() -> None:
-    """Empty every cache of the project's solvers, so that the next set-up is a first one."""
-    for name, module in list(sys.modules.items()):
-        if name.startswith("transopt."):
-            for value in list(vars(module).values()):
-                if hasattr(value, "cache_clear"):
-                    value.cache_clear()
 
 
 # ------------------------------------------------------------------------------------------------ the project's

@@ -103,11 +103,7 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
     thermal = case.small.thermal
     violation = {}
     for rate, run in zip(commands_A, found, strict=True):
-        excess = [
-            0.0,
-            run.peak_current_A / current_A - 1,
-            run.peak_command_A / command_A - 1,
-        ]
+        excess = [0.0, run.peak_current_A / current_A - 1, run.peak_command_A / command_A - 1]
         if thermal is not None:
             headroom = float(thermal.model.headroom_K[np.isfinite(thermal.model.headroom_K)].max())
             excess.append((run.winding_C - thermal.limit_C) / headroom)

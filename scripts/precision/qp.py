@@ -9,7 +9,6 @@ order one.
 import io
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,24 +218,3 @@ def dump(qp: QP, path: Path) -> None:
     np.savez_compressed(content, **{name: np.asarray(value) for name, value in arrays.items()})
     with whole_file(path) as file:
         file.write(content.getvalue())
-
-
-def load(path: Path) -> QP:
-    """Read a dumped QP.
-
-    Raises
-    ------
-    InputError : a file that `dump` has not written.
-    """
-    with np.load(path, allow_pickle=False) as file:
-        if "schema" not in file or file["schema"] != DUMP_SCHEMA:
-            raise InputError(f"{path}: no QP of schema {DUMP_SCHEMA}; write it anew with --dump")
-        values: dict[str, Any] = {}
-        for field in fields(QP):
-            if f"{field.name}_indptr" in file:
-                parts = tuple(file[f"{field.name}_{part}"] for part in ("data", "indices", "indptr"))
-                values[field.name] = sparse.csc_array(parts, shape=tuple(file[f"{field.name}_shape"]))
-            else:
-                array = file[field.name]
-                values[field.name] = array.item() if array.ndim == 0 else array
-    return QP(**values)

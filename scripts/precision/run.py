@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from common.measuring import elapsed_ms, take_turns, threads
+from common.measuring import elapsed_ms, forget, take_turns, threads
 
 from precision.cases import FAILED, Case, Verdict, judge, replayed_nrmse
-from precision.methods import TIME_LIMIT_S, Answer, Kind, Method, Prepared, Setting, error_line, failed, forget
+from precision.methods import TIME_LIMIT_S, Answer, Kind, Method, Prepared, Setting, error_line, failed
 from transopt.base.signals import FloatArray
 from transopt.proof.certify import certify
 from transopt.solvers import program
@@ -23,9 +23,9 @@ class Row:
 
     Attributes
     ----------
-    kind, level : values of `ert_methods.Kind` and `Level`. tolerance : NaN for a method's own defaults.
+    kind, level : values of `methods.Kind` and `Level`. tolerance : NaN for a method's own defaults.
     setup_ms : what is done once per shape. solve_ms, q25_ms, q75_ms : median and quartiles of `runs`, from cold.
-    gap, violation, error : `ert_cases.Verdict`, relative. nrmse_excess : NRMSE after replay less the reference's.
+    gap, violation, error : `cases.Verdict`, relative. nrmse_excess : NRMSE after replay less the reference's.
     certificate : relative duality gap by the method's own multipliers; NaN where it gives none.
     reference : one of the two that the error is measured from: that it has none, or almost none, says nothing.
     """

@@ -1,8 +1,7 @@
 """Taps by every method on the simulator: nominal device, random mismatched devices, and off the library's nodes."""
 
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,10 +14,10 @@ from controller.servo.settings import Settings
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import NONE, Imperfections
 from controller.waveforms.bank import Bank, Method, bank
-from transopt.base.files import ctrl_c_waits
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library
 from transopt.plant.wall import Wall
+from transopt.study.executors import executor_pool
 
 NOMINAL = 0  # number of the device that is as the model says; it is also the seed of its noise
 MISMATCH = 0.1  # part by which every parameter of the others is off at most
@@ -69,7 +68,7 @@ class Kit:
         imperfections = NONE if device == NOMINAL else Imperfections(mismatch=MISMATCH)
         tap = SimulatedTap(speed_m_s, grip_N, seed=device, imperfections=imperfections)
         played = play_tap(self.library, Servo(settings, self.banks[method]), tap)
-        if played.metrics.faults:
+        if played.faults:
             raise RuntimeError(f"{method.value}, device {device}, {speed_m_s:g} m/s, {grip_N:g} N: {played.events}")
         return played
 
@@ -105,22 +104,15 @@ def result(played: Played, method: Method, device: int) -> Result:
         nrmse=aligned.nrmse,
         nrmse_unshifted=nrmse(as_it_came, reference),
         latency_s=aligned.latency_s,
-        peak_current_A=played.metrics.peak_current_A,
+        peak_current_A=played.peak_current_A,
     )
 
 
 # ------------------------------------------------------------------------------------------------ many taps
 
-_own: list[Kit] = []  # of a worker process: sent once, not with every task
 
-
-def _equip(of_process: Kit) -> None:
-    _own.append(of_process)
-
-
-def _taps(method: Method, device: int, conditions: Sequence[Condition], own: Kit | None = None) -> list[Result]:
-    used = _own[0] if own is None else own
-    return [result(used.play(method, device, condition), method, device) for condition in conditions]
+def _taps(own: Kit, method: Method, device: int, conditions: Sequence[Condition]) -> list[Result]:
+    return [result(own.play(method, device, condition), method, device) for condition in conditions]
 
 
 def compare(
@@ -137,27 +129,16 @@ def compare(
     ----------
     jobs : processes. progress : called with the taps done and all taps.
     """
-    tasks = [(method, device) for device in devices for method in own.banks]
-    total = len(tasks) * len(conditions)
-    found: dict[tuple[Method, int], list[Result]] = {}
-    if jobs == 1:
-        for task in tasks:
-            found[task] = _taps(*task, conditions, own)
-            progress(len(found) * len(conditions), total)
-    else:
-        # Spawned, not forked: the parent has threads that a fork would copy half-alive.
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, spawn, initializer=_equip, initargs=(own,)) as pool:
-            with ctrl_c_waits():
-                futures = {pool.submit(_taps, *task, conditions): task for task in tasks}
-            try:
-                for future in as_completed(futures):
-                    found[futures[future]] = future.result()
-                    progress(len(found) * len(conditions), total)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    return [result for task in tasks for result in found[task]]
+    pool = executor_pool("serial" if jobs == 1 else "processes", jobs)
+    try:
+        tasks = [
+            pool.executor.submit(_taps, own, method, device, conditions) for device in devices for method in own.banks
+        ]
+        for done, _ in enumerate(as_completed(tasks), 1):
+            progress(done * len(conditions), len(tasks) * len(conditions))
+        return [one for task in tasks for one in task.result()]
+    finally:
+        pool.close()
 
 
 # ------------------------------------------------------------------------------------------------ summary
@@ -199,7 +180,6 @@ def _table(results: Sequence[Result], method: str, field: str, nominal: bool) ->
 
 def summarise(results: Sequence[Result]) -> list[Summary]:
     """One summary per method, in the order of the results; the optimum has to be among them."""
-    nothing = float("nan")
     best, best_came = (_table(results, Method.BILINEAR.value, name, False) for name in ("nrmse", "nrmse_unshifted"))
     summaries = []
     for method in dict.fromkeys(r.method for r in results):
@@ -208,19 +188,23 @@ def summarise(results: Sequence[Result]) -> list[Summary]:
         summaries.append(
             Summary(
                 method=method,
-                nominal=float(nominal.mean()) if nominal.size else nothing,
-                nominal_worst=float(nominal.max()) if nominal.size else nothing,
-                mean=float(others.mean()) if others.size else nothing,
-                worst_device=float(others.mean(axis=1).max()) if others.size else nothing,
-                worst_tap=float(others.max()) if others.size else nothing,
-                nominal_unshifted=float(nominal_came.mean()) if nominal.size else nothing,
-                mean_unshifted=float(others_came.mean()) if others.size else nothing,
+                nominal=_of(np.mean, nominal),
+                nominal_worst=_of(np.max, nominal),
+                mean=_of(np.mean, others),
+                worst_device=_of(np.max, others.mean(axis=-1)) if others.size else float("nan"),
+                worst_tap=_of(np.max, others),
+                nominal_unshifted=_of(np.mean, nominal_came),
+                mean_unshifted=_of(np.mean, others_came),
                 ahead=int(np.sum(others < best - EQUAL)),
                 ahead_unshifted=int(np.sum(others_came < best_came - EQUAL)),
                 taps=others.size,
             )
         )
     return summaries
+
+
+def _of(figure: Callable[[FloatArray], float], values: FloatArray) -> float:
+    return float(figure(values)) if values.size else float("nan")
 
 
 FIGURES = ("nominal", "nominal_worst", "mean", "worst_device", "worst_tap", "nominal_unshifted", "mean_unshifted")

@@ -1,15 +1,15 @@
 """The device of the seed's Figs. 1, 5, 6 and 7: real taps, amplifier, stylus and hand, all in the simulator."""
 
-import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy import optimize, signal
 
+from controller.record.excitation import sweep_command
+from controller.sim.open_loop import Sensed, play_still
 from controller.sim.sensors import SEED_SENSORS
 from controller.sim.simulated_tap import Struck, strike_real
 from controller.sim.simulator import Imperfections, Simulator
@@ -17,20 +17,26 @@ from controller.sim.true_device import device_of
 from controller.sim.user import TapUser
 from seed.plots import REFERENCE, logarithmic
 from transopt.base.plotting import DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, style
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.identify.amplifier import AmplifierFit, fit_amplifier, sampled_response
+from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
 from transopt.plant.amplifier import Amplifier
 from transopt.scene.scene import Scene
 
 LINES = ("-", "--", "-.", (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)), (0, (8, 2)))
 AS_BUILT = Imperfections()  # the simulator's crossover distortion and sensors, parameters as stated
+SETTLED_S = 0.3  # of silence after a sweep, in which the response to it dies away
 
 
-def hands_off(scene: Scene, grip_N: float, steps: int, *, trace: bool) -> Simulator:
-    """The device held still at a grip: the hand means to stay where it is."""
-    user = TapUser(0.0, grip_N, 0.0)
-    return Simulator(
-        device_of(scene), user, scene.time.dt_s, imperfections=AS_BUILT, seed=1, steps=steps, trace=trace
-    )
+def swept(
+    scene: Scene, grip_N: float, low_Hz: float, high_Hz: float, duration_s: float, amplitude_A: float
+) -> tuple[Signal, Sensed]:
+    """A sweep of the command while the device is held still, and what the sensors read."""
+    dt_s = scene.time.dt_s
+    sweep = sweep_command(low_Hz, high_Hz, duration_s, amplitude_A, dt_s)
+    command = np.concatenate([sweep, np.zeros(round(SETTLED_S / dt_s))])
+    sensed = play_still(device_of(scene), grip_N, command, dt_s, imperfections=AS_BUILT, seed=1)
+    return Signal(0.0, dt_s, command), sensed
 
 
 # ------------------------------------------------------------------------------------------------ Fig. 1
@@ -88,61 +94,25 @@ def real_taps_figure(by_speed: Sequence[RealTap], by_grip: Sequence[RealTap]) ->
 
 # ------------------------------------------------------------------------------------------------ Fig. 5
 
-AMPLIFIER_HZ = np.geomspace(20.0, 4000.0, 17)
-SETTLING_S, LEAST_S, PERIODS = 5e-3, 20e-3, 2  # of each sine
+AMPLIFIER_HZ, AMPLIFIER_S = (10.0, 4000.0), 2.0
 AMPLIFIER_STEPS = 5  # integration steps per segment of a servo period, so that the rise within it is seen
 LOUD_A, QUIET_A = 2.0, 0.1  # the crossover's dead band is 0.01 A
 
 
-def sine_response(scene: Scene, amplitude_A: float) -> FloatArray:
-    """(m,) complex current per command of sines issued at the servo's ticks, at `AMPLIFIER_HZ`.
-
-    The fundamental of the true current by least squares; the hold's part is in it.
-    """
-    dt, found = scene.time.dt_s, []
-    for f in AMPLIFIER_HZ:
-        ticks = round((SETTLING_S + max(PERIODS / f, LEAST_S)) / dt)
-        simulator = hands_off(scene, 3.0, AMPLIFIER_STEPS, trace=True)
-        for command in amplitude_A * np.sin(2 * np.pi * f * np.arange(ticks) * dt):
-            simulator.advance(float(command))
-        trace = simulator.trace()
-        settled = trace.times_s > SETTLING_S
-        turn = np.exp(2j * np.pi * f * trace.times_s[settled])
-        # The steps are not even; the constant takes up what the settling has left.
-        weight = np.sqrt(np.gradient(trace.times_s[settled]))
-        basis = np.column_stack([turn.imag, turn.real, np.ones(turn.size)]) * weight[:, None]
-        inphase, ahead, _ = np.linalg.lstsq(basis, trace.current_A[settled] * weight)[0]
-        found.append((inphase + 1j * ahead) / amplitude_A)
-    return np.array(found)
+def amplifier_fit(scene: Scene, amplitude_A: float) -> AmplifierFit:
+    """Pole, delay, gain and dead band of the simulated amplifier, from a sweep and its current monitor."""
+    command, sensed = swept(scene, 3.0, *AMPLIFIER_HZ, AMPLIFIER_S, amplitude_A)
+    return fit_amplifier([Trial(f"{amplitude_A:g} A", command, replace(command, values=sensed.current_A))])
 
 
-def amplifier_model(pole_Hz: float, delay_s: float, dt_s: float, frequencies_Hz: FloatArray) -> FloatArray:
-    """(m,) hold, delay and pole: current per command sequence."""
-    f = np.asarray(frequencies_Hz)
-    late = np.exp(-2j * np.pi * f * (dt_s / 2 + delay_s))
-    return np.asarray(np.sinc(f * dt_s) * late / (1 + 1j * f / pole_Hz))
-
-
-def fitted_amplifier(response: FloatArray, dt_s: float) -> tuple[float, float, float]:
-    """Gain, pole [Hz] and delay beyond the hold [s] that fit a measured response best."""
-
-    def left(parameters: FloatArray) -> FloatArray:
-        gain, pole, delay = parameters
-        error = gain * amplifier_model(pole * 1e3, delay * 1e-4, dt_s, AMPLIFIER_HZ) - response
-        return np.concatenate([error.real, error.imag])
-
-    gain, pole_kHz, delay = optimize.least_squares(left, [1.0, 0.5, 0.0]).x
-    return float(gain), float(pole_kHz * 1e3), float(delay * 1e-4)
-
-
-def amplifier_figure(scene: Scene, amplifier: Amplifier, responses: dict[float, FloatArray]) -> Figure:
+def amplifier_figure(scene: Scene, amplifier: Amplifier, fits: dict[float, AmplifierFit]) -> Figure:
     """Seed Fig. 5: step and frequency response of the simulated amplifier against its model.
 
     Parameters
     ----------
-    responses : amplitude [A] -> (m,) `sine_response`.
+    fits : by the amplitude of the sweep [A].
     """
-    dt = scene.time.dt_s
+    dt_s = scene.time.dt_s
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     left, right = figure.subfigures(1, 2, squeeze=False)[0]
     step = left.subplots()
@@ -151,39 +121,27 @@ def amplifier_figure(scene: Scene, amplifier: Amplifier, responses: dict[float, 
     model = -np.expm1(-amplifier.rate_rad_s * np.maximum(times - amplifier.delay_s, 0.0))
     step.plot(times * 1e3, (times >= 0).astype(float), color=DARK, linewidth=0.8, linestyle=":", label="command")
     step.plot(times * 1e3, model, color=REFERENCE, linewidth=3.0, label="model")
-    for amplitude, colour, line in zip(responses, (OPTIMUM, SEED), ("-", "--"), strict=True):
-        simulator = hands_off(scene, 3.0, AMPLIFIER_STEPS, trace=True)
-        simulator.advance(0.0)
-        for _ in range(8):
-            simulator.advance(amplitude)
-        trace = simulator.trace()
-        text = f"simulator, {amplitude:g} A"
-        step.plot(
-            (trace.times_s - dt) * 1e3,
-            trace.current_A / amplitude,
-            color=colour,
-            linestyle=line,
-            linewidth=1.1,
-            label=text,
-        )
+    still, steps = TapUser(0.0, 3.0, 0.0), AMPLIFIER_STEPS
+    for amplitude, colour, line in zip(fits, (OPTIMUM, SEED), ("-", "--"), strict=True):
+        simulator = Simulator(device_of(scene), still, dt_s, imperfections=AS_BUILT, seed=1, steps=steps, trace=True)
+        for command in (0.0, *[amplitude] * 8):
+            simulator.advance(command)
+        trace, look = simulator.trace(), {"color": colour, "linestyle": line, "linewidth": 1.1}
+        label = f"simulator, {amplitude:g} A"
+        step.plot((trace.times_s - dt_s) * 1e3, trace.current_A / amplitude, label=label, **look)
     step.set_xlim(-0.1, 0.8)
     step.set_xlabel("time after the command [ms]", fontsize=LABEL_PT)
     step.set_ylabel("current per command", fontsize=LABEL_PT)
     step.legend(fontsize=SMALL_PT, frameon=False, loc="lower right")
 
     magnitude, phase = right.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    fine = np.geomspace(AMPLIFIER_HZ[0], AMPLIFIER_HZ[-1], 300)
-    wanted = amplifier_model(amplifier.pole_Hz, amplifier.delay_s, dt, fine)
+    fine = np.geomspace(*AMPLIFIER_HZ, 300)
+    wanted = sampled_response(fine, amplifier.pole_Hz, amplifier.delay_s, dt_s)
     _bode(magnitude, phase, fine, wanted, {"color": REFERENCE, "linewidth": 3.0})
-    for (amplitude, response), colour, marker in zip(responses.items(), (OPTIMUM, SEED), "o^", strict=True):
-        dots = {
-            "color": colour,
-            "linestyle": "",
-            "marker": marker,
-            "markersize": 3.5,
-            "label": f"sines of {amplitude:g} A",
-        }
-        _bode(magnitude, phase, AMPLIFIER_HZ, response, dots)
+    for (amplitude, fit), colour, marker in zip(fits.items(), (OPTIMUM, SEED), "o^", strict=True):
+        dots = {"color": colour, "linestyle": "", "marker": marker, "markersize": 3.0}
+        found = fit.estimate
+        _bode(magnitude, phase, found.frequencies_Hz, found.response, {**dots, "label": f"sweep of {amplitude:g} A"})
     logarithmic(magnitude, y=False)
     for axes in (magnitude, phase):
         style(axes)
@@ -204,56 +162,20 @@ def _bode(
 
 # ------------------------------------------------------------------------------------------------ Fig. 6
 
-SWEEP_HZ, SWEEP_A, FADE_S = (0.7, 1500.0), 1.0, 0.3
-BANDS_PER_DECADE = 24
+SWEEP_HZ, SWEEP_A = (0.7, 1500.0), 1.0
 SHOWN_HZ = (1.0, 1000.0)
 
 
-@dataclass(frozen=True)
-class Identified:
-    """A frequency response from a sweep: (m,) centres of bands, acceleration per current [m/s^2/A], coherence."""
-
-    frequencies_Hz: FloatArray
-    response: FloatArray
-    coherence: FloatArray
-
-
-def sweep_response(scene: Scene, grip_N: float, duration_s: float) -> Identified:
-    """A logarithmic sweep of the command; what amplifier monitor and accelerometer read, divided band by band.
-
-    H = sum A I* / sum |I|^2 over each band, the accelerometer's known pole taken out.
-    """
-    dt = scene.time.dt_s
-    ticks = round(duration_s / dt)
-    t = np.arange(ticks) * dt
-    command = SWEEP_A * signal.chirp(t, SWEEP_HZ[0], t[-1], SWEEP_HZ[1], method="logarithmic", phi=-90)
-    fade = round(FADE_S / dt)
-    # Silence at the end, so that the response to the sweep has died away in the record.
-    command = np.concatenate([command, np.zeros(fade)])
-    simulator = hands_off(scene, grip_N, 1, trace=False)
-    current, acceleration = np.empty(command.size), np.empty(command.size)
-    for k, value in enumerate(command):
-        readings = simulator.readings()
-        current[k], acceleration[k] = readings.current_A, readings.acceleration_m_s2
-        simulator.advance(float(value))
-    f = np.fft.rfftfreq(command.size, dt)
-    i = np.fft.rfft(current)
-    a = np.fft.rfft(acceleration) * (1 + 1j * f / SEED_SENSORS.accelerometer_bandwidth_Hz)
-    count = round(BANDS_PER_DECADE * np.log10(SHOWN_HZ[1] / SHOWN_HZ[0])) + 1
-    edges = np.geomspace(*SHOWN_HZ, count)
-    centres, responses, coherences = [], [], []
-    for low, high in itertools.pairwise(edges):
-        inside = (f >= low) & (f < high)
-        if np.count_nonzero(inside) < 2:
-            continue
-        power, cross = np.sum(np.abs(i[inside]) ** 2), np.sum(a[inside] * i[inside].conj())
-        centres.append(np.sum(f[inside] * np.abs(i[inside]) ** 2) / power)
-        responses.append(cross / power)
-        coherences.append(np.abs(cross) ** 2 / power / np.sum(np.abs(a[inside]) ** 2))
-    return Identified(np.array(centres), np.array(responses), np.array(coherences))
+def sweep_response(scene: Scene, grip_N: float, duration_s: float) -> TransferEstimate:
+    """Acceleration per current [m/s^2/A] from a sweep, the accelerometer's known pole taken out."""
+    command, sensed = swept(scene, grip_N, *SWEEP_HZ, duration_s, SWEEP_A)
+    current, acceleration = (replace(command, values=v) for v in (sensed.current_A, sensed.acceleration_m_s2))
+    found = estimate_transfer([Trial("sweep", current, acceleration)], band_Hz=SHOWN_HZ)
+    behind_pole = 1 / (1 + 1j * found.frequencies_Hz / SEED_SENSORS.accelerometer_bandwidth_Hz)
+    return replace(found, response=found.response / behind_pole)
 
 
-def deviation(scene: Scene, grip_N: float, found: Identified, from_Hz: float) -> tuple[float, float]:
+def deviation(scene: Scene, grip_N: float, found: TransferEstimate, from_Hz: float) -> tuple[float, float]:
     """Rms deviation of a sweep from the model above a frequency [dB, deg]."""
     used = found.frequencies_Hz >= from_Hz
     ratio = found.response[used] / scene.plant(grip_N).response(found.frequencies_Hz[used])
@@ -261,7 +183,7 @@ def deviation(scene: Scene, grip_N: float, found: Identified, from_Hz: float) ->
     return float(np.sqrt(np.mean(size**2))), float(np.sqrt(np.mean(turned**2)))
 
 
-def sweep_figure(scene: Scene, grip_N: float, found: Identified) -> Figure:
+def sweep_figure(scene: Scene, grip_N: float, found: TransferEstimate) -> Figure:
     """Seed Fig. 6: current to stylus acceleration, from a sweep and from the model."""
     figure = Figure(figsize=(5.6, 5.4), layout="constrained")
     magnitude, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))

@@ -68,12 +68,7 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
     speeds, grips = (list(dict.fromkeys(c[j] for c in conditions)) for j in (0, 1))
     figure = Figure(figsize=(1.4 + 2.5 * len(grips), 0.9 + 2.55 * len(speeds)), layout="constrained")
     rows = figure.subplots(
-        2 * len(speeds),
-        len(grips),
-        sharex=True,
-        sharey="row",
-        squeeze=False,
-        height_ratios=[1.6, 1.0] * len(speeds),
+        2 * len(speeds), len(grips), sharex=True, sharey="row", squeeze=False, height_ratios=[1.6, 1.0] * len(speeds)
     )
     g = STANDARD_GRAVITY_M_S2
     for condition in conditions:
@@ -90,7 +85,7 @@ def tap_grid(series: Sequence[Series], limits_A: Sequence[float], *, predicted: 
             above.plot(played.times_s * 1e3, played.acceleration_m_s2 / g, **line)
             below.plot(played.times_s * 1e3, played.current_A, **one.line)
         if predicted:
-            text = f"NRMSE {100 * first.metrics.nrmse_reference:.1f} %"
+            text = f"NRMSE {100 * first.nrmse_reference:.1f} %"
             above.text(0.97, 0.93, text, transform=above.transAxes, ha="right", va="top", fontsize=SMALL_PT)
         for limit in limits_A:
             for sign in (1, -1):

@@ -30,7 +30,7 @@ FIGURE_WORDS = {
 }
 WHY = {
     Method.NEAREST.value: " It plays the same optimum; all these taps are at the nodes, where rounding to a node "
-    "takes away the errors of measured speed and grip. Between the nodes only the blend is right: last columns.",
+    "takes away the errors of measured speed and grip. Between the nodes only the blend is right: last columns."
 }
 
 

@@ -11,6 +11,7 @@ MAINS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
     "transopt-device": "controller.cli.device",
+    "problems.stress": "problems.stress.__main__",
 }
 
 

@@ -81,19 +81,43 @@ class Hand:
         return self.held_N
 
 
-class Desk(SimulatedPort):
-    """A simulated port and the world behind it, which the commands take for a device that can do harm.
+class Cable(SimulatedPort):
+    """A simulated port that can be unplugged, and that the host takes for a device that can do harm.
 
     Attributes
     ----------
     gone : the cable is out.
     closed : how often the host has let go of the port.
+    """
+
+    name, harmless = "device", False
+    gone, closed = False, 0
+
+    def _need_cable(self) -> None:
+        if self.gone:
+            raise UnpluggedError("port: the connection is gone (test): plug the device in again")
+
+    def step(self) -> None:
+        self._need_cable()
+        super().step()
+
+    def write(self, data: bytes) -> None:
+        self._need_cable()
+        super().write(data)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Desk(Cable):
+    """A simulated port and the world behind it.
+
+    Attributes
+    ----------
     wrong : what is wrong with the sensors: applied to every tick's readings.
     motor : of the command on its way.
     each_ms : called every millisecond of virtual time, for what shall happen meanwhile.
     """
-
-    name, harmless = "device", False
 
     def __init__(
         self,
@@ -108,7 +132,6 @@ class Desk(SimulatedPort):
         super().__init__(self._started(), self, DT_S)
         self.hand = Hand()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
-        self.gone, self.closed = False, 0
         self.wrong: Callable[[Readings], Readings] | None = None
         self.motor = 1.0
         self.each_ms: Callable[[], None] = lambda: None
@@ -153,19 +176,9 @@ class Desk(SimulatedPort):
         self.plant.advance(self.motor * output.command_A)
 
     def step(self) -> None:
-        if self.gone:
-            raise UnpluggedError("port: the connection is gone (test): plug the device in again")
         super().step()
         if self.ticks % 10 == 0:
             self.each_ms()
-
-    def write(self, data: bytes) -> None:
-        if self.gone:
-            raise UnpluggedError("port: the connection is gone (test): plug the device in again")
-        super().write(data)
-
-    def close(self) -> None:
-        self.closed += 1
 
     def connect(self, port: str | Connection = "desk") -> Device:
         return Device(self if isinstance(port, str) else port, session=Session(self._tokens))

@@ -1,13 +1,14 @@
 """A host session, a link and the compiled device on one virtual clock; and a host that speaks frame by frame."""
 
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
-import numpy as np
 import pytest
 
-from controller.firmware.build import NoCompilerError, compiler
+from controller.firmware.build import NoCompilerError, build, compiler
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
 from controller.protocol.capacity import Hardware
@@ -20,35 +21,17 @@ from controller.protocol.wire import DELIMITER, Decoder, decode, encode
 from controller.servo.interface import Output, Readings, State
 from controller.servo.settings import Settings
 from controller.sim.virtual_link import Trouble
-from controller.waveforms.bank import Bank, Method
+from scripts.campaign.compiled_device import smooth_bank
 from scripts.campaign.rehearsal import Rehearsal
 from tests.benches.servo import AMPLIFIER, DT_S
 
 SETTINGS = Settings(DT_S, 3 * DT_S, 4.0, AMPLIFIER, window_ticks=20)
 CONFIGURATION = configuration_of(SETTINGS)
-
-
-def table(speeds: int = 2, grips: int = 2, samples: int = 60, peak_A: float = 1.0) -> Bank:
-    """A bank of smooth pulses that end in 10 zeros."""
-    shape = np.zeros(samples)
-    shape[: samples - 10] = np.sin(np.linspace(0, 3 * np.pi, samples - 10)) * np.linspace(1, 0.2, samples - 10) + 0.01
-    size = np.linspace(0.5, 1.0, speeds * grips).reshape(speeds, grips, 1)
-    norms = np.linalg.norm(shape) * size[..., 0] * peak_A
-    return Bank(
-        method=Method.BILINEAR,
-        speeds_m_s=np.linspace(0.1, 0.4, speeds).tolist() if speeds > 1 else [0.2],
-        grips_N=np.linspace(1.0, 5.0, grips).tolist() if grips > 1 else [3.0],
-        command_A=peak_A * size * shape,
-        transient_A=norms.tolist(),
-        feedback_A=(0.0 * norms).tolist(),
-        grip_min_N=0.5,
-        by_grip=True,
-        nearest=False,
-    )
+SANITIZERS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 
 
 def image(**sizes: int) -> bytes:
-    return image_of(table(**sizes), DT_S, SETTINGS.lead_s, 10)
+    return image_of(smooth_bank(**sizes), DT_S, SETTINGS.lead_s, 10)
 
 
 IMAGE = image()
@@ -67,6 +50,23 @@ def need_compiler() -> None:
         compiler()
     except NoCompilerError as missing:
         pytest.skip(str(missing))
+
+
+def clean_answers(name: str, files: list[Path], argument: Path, flags: tuple[str, ...] = ()) -> None:
+    """A program of the core says the same under the sanitizers as without them, and nothing of their own."""
+    programs = build(name, files, flags=flags), checked(name, files, flags)
+    command = [[str(program), str(argument)] for program in programs]
+    said = [subprocess.run(c, capture_output=True, text=True, check=True, timeout=100) for c in command]
+    assert [run.stderr for run in said] == ["", ""]
+    assert said[0].stdout == said[1].stdout
+
+
+def checked(name: str, files: list[Path], flags: tuple[str, ...] = ()) -> Path:
+    """Built under the sanitizers, where the compiler has them."""
+    try:
+        return build(f"{name}-checked", files, flags=(*flags, *SANITIZERS))
+    except NoCompilerError as refused:
+        pytest.skip(f"no sanitizers here: {refused}")
 
 
 def started(boot: int, hardware: Hardware | None = None, samples: int | None = None) -> CoreDevice:
@@ -126,10 +126,24 @@ class Talker:
     def heard(self) -> list[Packed]:
         return [m.read_frame(payload).message for payload in self.decoder.feed(self.device.bytes_to_send())]
 
+    def tell(self, *messages: Packed) -> list[Packed]:
+        """All that it says while these come."""
+        said = []
+        for message in messages:
+            self.sequence += 1
+            said += self.put(message)
+        return said
+
     def ask(self, message: Packed) -> Packed:
-        self.sequence += 1
-        (answer,) = (x for x in self.put(message) if not isinstance(x, m.Event))
+        (answer,) = (x for x in self.tell(message) if not isinstance(x, m.Event))
         return answer
+
+    def configure(self, configuration: bytes) -> Packed:
+        return self.tell(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))[-1]
+
+    def upload(self, image: bytes) -> Packed:
+        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
+        return self.tell(m.UploadBegin(len(image), sha256(image)), *chunks, m.Commit())[-1]
 
     def refused(self, message: Packed) -> Reason:
         answer = self.ask(message)
@@ -142,13 +156,11 @@ class Talker:
             assert isinstance(self.ask(message), m.Done), message
 
     def configured(self, configuration: bytes = CONFIGURATION) -> "Talker":
-        self.done(m.Configure(0, configuration), m.ConfigureCommit(sha256(configuration)))
+        assert isinstance(self.configure(configuration), m.Done)
         return self
 
     def loaded(self, image: bytes = IMAGE) -> "Talker":
-        assert self.ask(m.UploadBegin(len(image), sha256(image))) == m.UploadReady(0)
-        self.put(m.Data(0, image))
-        self.done(m.Commit())
+        assert isinstance(self.upload(image), m.Done)
         return self
 
     def ready(self) -> "Talker":

@@ -1,13 +1,21 @@
-"""Libraries made of arrays by the names that these have in a file."""
+"""A solved library with other numbers of speeds and grips than were solved."""
 
-from collections.abc import Mapping
-from typing import Any
+import numpy as np
 
-from transopt.library.library import MULTIPLIERS, Library
+from transopt.library.library import ARRAYS, Library
 
 
-def library_of(arrays: Mapping[str, Any], meta: dict[str, Any]) -> Library:
-    """A library of all its arrays, those of the multipliers among them."""
-    multipliers = {name: array for name, array in arrays.items() if name in MULTIPLIERS}
-    others = {name: array for name, array in arrays.items() if name not in MULTIPLIERS}
-    return Library(**others, multipliers_of=multipliers, meta=meta)
+def resized(library: Library, speeds: int, grips: int) -> Library:
+    """Waveforms of the nearest nodes on a grid of so many speeds and grips; nothing else in it is solved."""
+    nodes = {
+        "v": np.linspace(0, library.speeds_m_s.size - 1, speeds).round().astype(int),
+        "g": np.linspace(0, library.grips_N.size - 1, grips).round().astype(int),
+    }
+    arrays = {}
+    for name, stated in ARRAYS.items():
+        array = library.array(name)
+        for axis, letter in enumerate(stated.shape):
+            array = np.take(array, nodes[letter], axis=axis) if letter in nodes else array
+        arrays[name] = array
+    arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, speeds), np.linspace(1.0, 5.0, grips)
+    return Library.of(arrays, library.meta)

@@ -3,6 +3,5 @@
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-SCRIPTS = ROOT / "scripts"
 # Real recorded impacts, beside a checkout and no part of it: tests that need them skip where they are absent.
 IMPACTS = ROOT.parent / "shared" / "data" / "impacts"

@@ -72,10 +72,6 @@ def device_columns(grip_N: float, seed: int, *, sign: int = 1, seconds: float = 
 
 
 def save_amplifier_trial(path: Path, trial: Trial) -> Path:
-    columns = {
-        "time_s": trial.input.times_s,
-        "command_A": trial.input.values,
-        "current_A": trial.output.values,
-    }
+    columns = {"time_s": trial.input.times_s, "command_A": trial.input.values, "current_A": trial.output.values}
     write_measurement(path, columns, {})
     return path

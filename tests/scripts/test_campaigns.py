@@ -3,7 +3,6 @@
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from controller.record.telemetry import CSV_NAME, Telemetry
@@ -11,7 +10,6 @@ from controller.servo.interface import Output, Readings, State
 from scripts import device_end_to_end as end_to_end
 from scripts.campaign.unplug_cases import IMAGE, KINDS, PHASES, Case, Judged, Outcome
 from scripts.campaign.unplug_processes import play
-from scripts.device_end_to_end import StraightTaps, behind_pole
 from scripts.upload_speed import LINES, Line, images, measure
 from transopt.library.library import Library
 
@@ -122,32 +120,11 @@ def test_a_large_library_arrives(line: Line) -> None:
     assert result.sent > (1.05 if line.most_s is None else 0.99)
 
 
-def test_the_scripted_hand_goes_straight_through_the_window_and_jumps_nowhere() -> None:
-    hand = StraightTaps([(0.1, 1.0), (0.4, 5.0)], 1e-4)
-    times = np.arange(0.0, 2 * hand.period_s, 1e-3)
-    z = np.array([hand.intention_m(t) for t in times])
-    assert np.abs(np.diff(z)).max() < 1e-3 * 1.5
-    for tap, speed in enumerate((0.1, 0.4)):
-        for late in (-0.2, 0.0, 0.1):
-            assert hand.intention_m(hand.contact_s(tap) + late) == pytest.approx(-speed * late, abs=1e-12)
-        assert hand.grip_N(hand.contact_s(tap)) == (1.0, 5.0)[tap]
-
-
-def test_the_pole_is_that_of_a_first_order_lag() -> None:
-    """A ramp behind a pole of time constant T is late by T (1 - exp(-t / T))."""
-    dt_s, bandwidth_Hz = 1e-4, 400.0
-    t, T = dt_s * np.arange(100), 1 / (2 * np.pi * bandwidth_Hz)
-    np.testing.assert_allclose(behind_pole(t, bandwidth_Hz, dt_s), t - T * (1 - np.exp(-t / T)), atol=1e-15)
-
-
 @pytest.mark.usefixtures("_terminal")
 def test_a_tap_goes_over_the_line_into_a_file_and_agrees_with_its_prediction(
     library: Library, tmp_path: Path
 ) -> None:
-    hand = StraightTaps([(0.3, 3.0)], library.time_grid().dt_s)
-    recorder = end_to_end.recorded(library, hand, end_to_end.IDEAL, 1, 0, tmp_path / "taps")
-    bandwidth_Hz = end_to_end.IDEAL.accelerometer_bandwidth_Hz
-    [condition] = end_to_end.imported(library, hand, recorder, 1, bandwidth_Hz)
+    [condition] = end_to_end.recorded(library, [(0.3, 3.0)], end_to_end.IDEAL, 1, 0, tmp_path / "taps")
     assert condition.latency_rms_s < end_to_end.MOST_LATENCY_S
-    assert condition.nrmse < 0.01
-    assert condition.taps[0].speed_m_s == pytest.approx(condition.taps[0].fitted_m_s, rel=5e-3)
+    assert condition.nrmse[0] < 0.01
+    assert condition.taps[0].contact.speed_m_s == pytest.approx(0.3, rel=0.05)

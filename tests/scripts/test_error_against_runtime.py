@@ -11,8 +11,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import error_against_runtime
 import numpy as np
 import pytest
+from common import command
+from precision import cases, methods, periods, report, summary, user, wheels
+from precision.figure import work_precision
+from precision.run import Effort, Row
 
 from tests.benches.limits import with_numbers
 from tests.benches.places import ROOT
@@ -25,55 +30,45 @@ from transopt.solvers.options import SolverOptions
 
 
 class TestJudge:
-    def test_the_optimum_has_no_error(self, scripts: Any, short_case: Any) -> None:
-        verdict = scripts.precision.cases.judge(
-            short_case.problem, short_case.optimum.command_A, short_case.optimum.objective
-        )
+    def test_the_optimum_has_no_error(self, short_case: Any) -> None:
+        verdict = cases.judge(short_case.problem, short_case.optimum.command_A, short_case.optimum.objective)
         assert verdict.gap == 0.0
         assert verdict.error < 1e-12
 
-    def test_a_command_a_thousandth_too_large_violates_by_that(self, scripts: Any, short_case: Any) -> None:
-        verdict = scripts.precision.cases.judge(
-            short_case.problem, 1.001 * short_case.optimum.command_A, short_case.optimum.objective
-        )
+    def test_a_command_a_thousandth_too_large_violates_by_that(self, short_case: Any) -> None:
+        verdict = cases.judge(short_case.problem, 1.001 * short_case.optimum.command_A, short_case.optimum.objective)
         assert verdict.violation == pytest.approx(1e-3, rel=1e-6)
         assert verdict.error >= verdict.violation
 
-    def test_a_better_objective_outside_the_limits_is_no_better(self, scripts: Any, short_case: Any) -> None:
+    def test_a_better_objective_outside_the_limits_is_no_better(self, short_case: Any) -> None:
         """The optimum for 4.4 A has a lower J; its distance counts by its size, and so does its violation."""
         wider = with_numbers(short_case.small, current_A=4.4, command_A=6.6)
-        verdict = scripts.precision.cases.judge(
-            short_case.problem, solve(wider).command_A, short_case.optimum.objective
-        )
+        verdict = cases.judge(short_case.problem, solve(wider).command_A, short_case.optimum.objective)
         assert verdict.gap < -0.01
         assert verdict.violation == pytest.approx(0.1, rel=1e-3)
         assert verdict.error == max(-verdict.gap, verdict.violation)
-        above, below = (scripts.precision.cases.Verdict(sign * 0.5, 0.1) for sign in (1, -1))
+        above, below = (cases.Verdict(sign * 0.5, 0.1) for sign in (1, -1))
         assert above.error == below.error == 0.5
 
     @pytest.mark.parametrize("broken", ["nan", "inf", "short"])
-    def test_what_is_no_command_fails(self, scripts: Any, short_case: Any, broken: str) -> None:
+    def test_what_is_no_command_fails(self, short_case: Any, broken: str) -> None:
         command = short_case.optimum.command_A.copy()
         if broken == "short":
             command = command[:-1]
         else:
             command[3] = float(broken)
-        assert math.isinf(
-            scripts.precision.cases.judge(short_case.problem, command, short_case.optimum.objective).error
-        )
+        assert math.isinf(cases.judge(short_case.problem, command, short_case.optimum.objective).error)
 
-    def test_a_command_that_does_not_end_violates(self, scripts: Any, short_case: Any) -> None:
+    def test_a_command_that_does_not_end_violates(self, short_case: Any) -> None:
         command = short_case.optimum.command_A.copy()
         command[-1] = 0.06
-        verdict = scripts.precision.cases.judge(short_case.problem, command, short_case.optimum.objective)
+        verdict = cases.judge(short_case.problem, command, short_case.optimum.objective)
         assert verdict.violation == pytest.approx(0.01)
 
     def test_the_temperature_counts_relative_to_its_headroom(
-        self, scripts: Any, short_case: Any, hot_problem: TransientProblem
+        self, short_case: Any, hot_problem: TransientProblem
     ) -> None:
-        verdict = scripts.precision.cases.judge(
-            hot_problem, short_case.optimum.command_A, short_case.optimum.objective
-        )
+        verdict = cases.judge(hot_problem, short_case.optimum.command_A, short_case.optimum.objective)
         assert hot_problem.thermal is not None
         motion = hot_problem.stage.motion(short_case.optimum.command_A)
         hottest = hot_problem.thermal.temperatures_C(motion.current_A, short_case.optimum.command_A).max()
@@ -81,52 +76,46 @@ class TestJudge:
         assert verdict.violation > 0.1
 
     def test_references_that_disagree_end_the_run(
-        self, scripts: Any, short_case: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
+        self, short_case: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
     ) -> None:
         def loose(problem: TransientProblem, options: SolverOptions) -> Any:
             found = solve(problem, options)
             return replace(found, command_A=0.999 * found.command_A) if options.solver == "casadi-ipopt" else found
 
         def short(name: str) -> Any:
-            return scripts.precision.cases.make_case(name, short_case.scene, short_case.problem, 0.4, 5.0)
+            return cases.make_case(name, short_case.scene, short_case.problem, 0.4, 5.0)
 
-        monkeypatch.setattr(scripts.precision.cases, "solve", loose)
-        monkeypatch.setattr(scripts.error_against_runtime, "case_of_scene", short)
-        assert scripts.error_against_runtime.main(["--out", str(tmp_path), "--case", "wood_on_foam"]) == 1
+        monkeypatch.setattr(cases, "solve", loose)
+        monkeypatch.setattr(error_against_runtime, "case_of_scene", short)
+        assert error_against_runtime.compared(tmp_path, case=["wood_on_foam"]) == 1
         line = capsys.readouterr().err.strip()
         assert line.startswith("error: wood_on_foam: casadi-piqp at 1e-12 finds J = ")
         assert "nothing to compare with" in line
         assert "\n" not in line
 
-    def test_the_reference_methods_are_marked_as_such(self, scripts: Any, short_case: Any, rows_of: Any) -> None:
+    def test_the_reference_methods_are_marked_as_such(self, short_case: Any, rows_of: Any) -> None:
         """And no other: neither another tolerance of the same solver nor another solver at the same."""
         names = ("casadi-piqp", "casadi-ipopt", "riccati")
-        rows = rows_of(*(m for m in scripts.precision.methods.project_methods() if m.name in names))
+        rows = rows_of(*(m for m in methods.project_methods() if m.name in names))
         marked = {(row.method, row.tolerance) for row in rows if row.reference}
         assert marked == {("casadi-piqp", 1e-12), ("casadi-ipopt", 1e-12)}
         assert all(row.certificate < 1e-9 for row in rows if row.reference)
-        (line,) = (
-            one for one in scripts.precision.report.summaries_of([short_case], rows) if "casadi-piqp | high" in one
-        )
+        (line,) = (one for one in report.summaries_of([short_case], rows) if "casadi-piqp | high" in one)
         assert line.endswith("| reference |")
-        (other,) = (
-            one for one in scripts.precision.report.summaries_of([short_case], rows) if "casadi-piqp | def" in one
-        )
+        (other,) = (one for one in report.summaries_of([short_case], rows) if "casadi-piqp | def" in one)
         assert "reference" not in other
 
 
 class TestServoRates:
-    def test_a_held_command_is_the_same_at_any_rate(self, scripts: Any, short_case: Any) -> None:
+    def test_a_held_command_is_the_same_at_any_rate(self, short_case: Any) -> None:
         command = short_case.optimum.command_A
-        nrmse, violation = scripts.precision.periods.played(short_case, {10e3: command, 20e3: np.repeat(command, 2)})
+        nrmse, violation = periods.played(short_case, {10e3: command, 20e3: np.repeat(command, 2)})
         assert nrmse[10e3] == pytest.approx(nrmse[20e3], rel=1e-12)
         assert nrmse[10e3] == pytest.approx(short_case.optimum.nrmse, rel=0.1)
         assert abs(violation[10e3]) < 1e-9
 
-    def test_faster_servos_come_nearer(self, scripts: Any, short_case: Any) -> None:
-        rows = scripts.precision.periods.measure_periods(
-            short_case, scripts.precision.run.Effort(0.0, least=1), (5e3, 10e3)
-        )
+    def test_faster_servos_come_nearer(self, short_case: Any) -> None:
+        rows = periods.measure_periods(short_case, Effort(0.0, least=1), (5e3, 10e3))
         slow, fast = rows
         assert (slow.method, fast.method) == ("5 kHz", "10 kHz")
         assert slow.nrmse_excess > fast.nrmse_excess > 0
@@ -135,9 +124,9 @@ class TestServoRates:
 
 
 class TestSummary:
-    def row(self, scripts: Any, case: str, method: str, ms: float, error: float, level: str = "default") -> Any:
+    def row(self, case: str, method: str, ms: float, error: float, level: str = "default") -> Any:
         numbers = dict.fromkeys(("tolerance", "gap", "violation", "nrmse_excess", "certificate", "setup_ms"), 0.0)
-        return scripts.precision.run.Row(
+        return Row(
             case=case,
             method=method,
             kind="solver",
@@ -155,20 +144,20 @@ class TestSummary:
             **numbers,
         )
 
-    def test_by_hand(self, scripts: Any) -> None:
+    def test_by_hand(self) -> None:
         """Shift 10 ms: (20 + 10)(50 + 10)... ; a failure is charged 10000 ms."""
         rows = [
-            self.row(scripts, "a", "fast", 20.0, 1e-7),
-            self.row(scripts, "b", "fast", 50.0, 1e-9),
-            self.row(scripts, "a", "loose", 10.0, 1e-4),
-            self.row(scripts, "b", "loose", 10.0, 1e-7),
-            self.row(scripts, "a", "lost", 1.0, math.inf),
-            self.row(scripts, "b", "lost", 1.0, math.nan),
-            self.row(scripts, "a", "partial", 1.0, 0.0),
-            self.row(scripts, "a", "fast", 1.0, 0.0, level="sweep"),
-            self.row(scripts, "c", "fast", 1.0, 1.0),
+            self.row("a", "fast", 20.0, 1e-7),
+            self.row("b", "fast", 50.0, 1e-9),
+            self.row("a", "loose", 10.0, 1e-4),
+            self.row("b", "loose", 10.0, 1e-7),
+            self.row("a", "lost", 1.0, math.inf),
+            self.row("b", "lost", 1.0, math.nan),
+            self.row("a", "partial", 1.0, 0.0),
+            self.row("a", "fast", 1.0, 0.0, level="sweep"),
+            self.row("c", "fast", 1.0, 1.0),
         ]
-        fast, loose, lost = scripts.precision.summary.summarise(rows, ["a", "b"])
+        fast, loose, lost = summary.summarise(rows, ["a", "b"])
         assert [s.method for s in (fast, loose, lost)] == ["fast", "loose", "lost"]
         assert (fast.cases, fast.scores[1e-6].success, fast.scores[1e-3].success) == (2, 1.0, 1.0)
         assert fast.scores[1e-6].mean_ms == pytest.approx(math.sqrt(30 * 60) - 10)
@@ -183,8 +172,8 @@ class TestSummary:
         assert lost.worst == math.inf
 
 
-def test_readme_and_report_ask_for_one_citation_of_this_version(scripts: Any) -> None:
-    citation = scripts.precision.report.CITATION
+def test_readme_and_report_ask_for_one_citation_of_this_version() -> None:
+    citation = report.CITATION
     assert citation in (ROOT / "README.md").read_text(encoding="utf-8")
     assert f"version = {{{metadata.version('transopt')}}}" in citation
 
@@ -192,11 +181,11 @@ def test_readme_and_report_ask_for_one_citation_of_this_version(scripts: Any) ->
 class TestCommand:
     @pytest.fixture
     def run(
-        self, scripts: Any, short_case: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
+        self, short_case: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any
     ) -> Callable[..., tuple[int, str, str]]:
         """The command with the short case in place of every scene's."""
         monkeypatch.setattr(
-            scripts.error_against_runtime,
+            error_against_runtime,
             "case_of_scene",
             lambda name: replace(
                 short_case, name=name, qp=None if short_case.qp is None else replace(short_case.qp, name=name)
@@ -206,23 +195,22 @@ class TestCommand:
 
         def call(*arguments: str) -> tuple[int, str, str]:
             monkeypatch.setattr(sys, "argv", ["error_against_runtime.py", *arguments])
-            code = scripts.error_against_runtime.main()
+            with pytest.raises(SystemExit) as end:
+                command.run(error_against_runtime.compared)
             told = capsys.readouterr()
-            return code, told.out, told.err
+            return int(end.value.code or 0), told.out, told.err
 
         return call
 
-    def test_everything_with_a_users_method(self, scripts: Any, run: Any, user_file: Any, monkeypatch: Any) -> None:
+    def test_everything_with_a_users_method(self, run: Any, user_file: Any, monkeypatch: Any) -> None:
         user_file(
             "calls = 0\n"
             "def solve(qp, tolerance=1e-6):\n"
             "    return qp.solution, qp.multipliers, {'iterations': 7, 'status': f'at {tolerance:g}'}\n"
         )
-        real = scripts.precision.wheels.util.find_spec
+        real = wheels.util.find_spec
         monkeypatch.setattr(
-            scripts.precision.wheels.util,
-            "find_spec",
-            lambda name, *more: None if name == "osqp" else real(name, *more),
+            wheels.util, "find_spec", lambda name, *more: None if name == "osqp" else real(name, *more)
         )
         code, out, err = run(
             "--out", "out", "--dump", "qps", "--quick", "--case", "wood_on_foam", "--method", "mine.py"
@@ -258,10 +246,10 @@ class TestCommand:
         assert Path("out/work_precision.png").read_bytes()[:4] == b"\x89PNG"
 
     def test_an_nlp_is_not_dumped_and_said_so(
-        self, scripts: Any, short_scene: Scene, hot_problem: TransientProblem, tmp_path: Path
+        self, short_scene: Scene, hot_problem: TransientProblem, tmp_path: Path
     ) -> None:
-        hot = scripts.precision.cases.make_case("hot_coil", short_scene, hot_problem, 0.4, 5.0)
-        (line,) = scripts.error_against_runtime.dump_all([hot], tmp_path)
+        hot = cases.make_case("hot_coil", short_scene, hot_problem, 0.4, 5.0)
+        (line,) = error_against_runtime.dump_all([hot], tmp_path)
         assert "not dumped" in line
         assert list(tmp_path.iterdir()) == []
 
@@ -294,6 +282,7 @@ class TestCommand:
             (["--out", "file"], "--out file: cannot be written"),
             ([], "nothing to do: state --out DIR, --dump DIR or both"),
             (["--out", "out", "--figure", "e5.xyz"], "--figure e5.xyz: a PNG is written"),
+            (["--out", "out", "--case", "hot_coil", "--case", "wood"], "--case wood: unknown; choose one of wood_on"),
         ],
     )
     def test_refusals(self, run: Any, arguments: list[str], words: str) -> None:
@@ -301,13 +290,6 @@ class TestCommand:
         code, _, err = run(*arguments)
         assert (code, err.count("\n")) == (2, 1)
         assert words in err
-
-    def test_an_unknown_case_is_refused(self, scripts: Any, tmp_path: Path, capsys: Any) -> None:
-        out = tmp_path / "out"
-        given = ["--out", str(out), "--case", "hot_coil", "--case", "wood"]
-        assert scripts.error_against_runtime.main(given) == 2
-        assert "--case wood: unknown; choose one of wood_on_foam" in capsys.readouterr().err
-        assert not out.exists()
 
     @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm")
     @pytest.mark.parametrize(
@@ -318,11 +300,11 @@ class TestCommand:
         ],
     )
     def test_a_method_that_hangs_is_cut_and_has_failed(
-        self, scripts: Any, rows_of: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch, hang: str
+        self, rows_of: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch, hang: str
     ) -> None:
-        monkeypatch.setattr(scripts.precision.user, "TIME_LIMIT_S", 0.01)
+        monkeypatch.setattr(user, "TIME_LIMIT_S", 0.01)
         before = signal.getsignal(signal.SIGALRM)
-        method = scripts.precision.user.user_method(user_file(f"def solve(qp):\n{hang}"))
+        method = user.user_method(user_file(f"def solve(qp):\n{hang}"))
         (row,) = rows_of(method)
         assert row.status == "TimeoutError: time limit of 0.01 s"
         assert math.isinf(row.error)
@@ -330,20 +312,14 @@ class TestCommand:
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
     @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no alarm")
-    def test_a_file_that_hangs_is_refused(
-        self, scripts: Any, user_file: Any, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(scripts.precision.user, "TIME_LIMIT_S", 0.01)
+    def test_a_file_that_hangs_is_refused(self, user_file: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(user, "TIME_LIMIT_S", 0.01)
         with pytest.raises(InputError, match=r"mine.py: does not run \(TimeoutError: time limit of 0.01 s\)"):
-            scripts.precision.user.user_method(user_file("while True:\n    pass\n"))
+            user.user_method(user_file("while True:\n    pass\n"))
 
-    def test_what_failed_is_named_in_the_figure(
-        self, scripts: Any, short_case: Any, rows_of: Any, user_file: Any
-    ) -> None:
-        bad = scripts.precision.user.user_method(user_file("def solve(qp):\n    raise ValueError('lost')\n"))
-        figure = scripts.precision.figure.work_precision(
-            [short_case], rows_of(bad, *scripts.precision.methods.baselines())
-        )
+    def test_what_failed_is_named_in_the_figure(self, short_case: Any, rows_of: Any, user_file: Any) -> None:
+        bad = user.user_method(user_file("def solve(qp):\n    raise ValueError('lost')\n"))
+        figure = work_precision([short_case], rows_of(bad, *methods.baselines()))
         upper, lower = figure.axes
         assert upper.get_xlabel() == "failed: mine (ValueError)"
         names = {text.get_text() for text in lower.texts}

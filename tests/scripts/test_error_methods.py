@@ -1,12 +1,16 @@
 """Error against run time: the QP as others see it, every method on a short entry, the discretisations."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from common.measuring import take_turns
+from precision import cases, discretisations, methods, run, user, wheels
+from precision.qp import dump, project_multipliers, quadratic_program
+from precision.run import Effort
 from scipy import sparse
 
 import problems
@@ -57,18 +61,16 @@ class TestQP:
         assert np.isinf(upper).sum() + 2 * STAGES - 1 == upper.size
         np.testing.assert_array_equal(lower, -upper)
 
-    def test_reference_point_is_stationary_and_its_multipliers_certify(self, scripts: Any, short_case: Any) -> None:
+    def test_reference_point_is_stationary_and_its_multipliers_certify(self, short_case: Any) -> None:
         qp = short_case.qp
         assert np.abs(qp.P @ qp.solution + qp.q + qp.A.T @ qp.multipliers).max() < 1e-8
         assert qp.value(qp.solution) == pytest.approx(short_case.optimum.objective, rel=1e-10)
         assert qp.objective == short_case.optimum.objective
         np.testing.assert_allclose(qp.command(qp.solution), short_case.optimum.command_A, atol=1e-9)
         command = qp.command(qp.solution)
-        proof = certify(
-            short_case.small, command, scripts.precision.qp.project_multipliers(short_case.small, qp, qp.multipliers)
-        )
+        proof = certify(short_case.small, command, project_multipliers(short_case.small, qp, qp.multipliers))
         assert proof.accepted
-        flipped = scripts.precision.qp.project_multipliers(short_case.small, qp, -qp.multipliers)
+        flipped = project_multipliers(short_case.small, qp, -qp.multipliers)
         assert not certify(short_case.small, command, flipped).accepted
 
     def test_an_independent_solver_finds_the_projects_command(self, short_case: Any) -> None:
@@ -83,9 +85,8 @@ class TestQP:
         np.testing.assert_allclose(qp.command(np.array(found.x)), short_case.optimum.command_A, atol=1e-5)
 
     def test_what_the_plain_form_does_not_state_is_refused(
-        self, scripts: Any, hot_problem: TransientProblem, make_problem: ProblemMaker
+        self, hot_problem: TransientProblem, make_problem: ProblemMaker
     ) -> None:
-        quadratic_program = scripts.precision.qp.quadratic_program
         with pytest.raises(InputError, match="hot: has a temperature limit"):
             quadratic_program("hot", hot_problem)
         with pytest.raises(InputError, match="quick: has a slew limit"):
@@ -93,24 +94,8 @@ class TestQP:
         with pytest.raises(InputError, match="ideal: has an ideal amplifier"):
             quadratic_program("ideal", make_problem(stages=STAGES, ideal=True))
 
-    def test_a_foreign_file_is_refused(self, scripts: Any, tmp_path: Path) -> None:
-        np.savez(tmp_path / "foreign.npz", P=np.eye(2))
-        with pytest.raises(InputError, match="no QP of schema 1"):
-            scripts.precision.qp.load(tmp_path / "foreign.npz")
-
-    def test_dump_round_trip(self, scripts: Any, short_case: Any, tmp_path: Path) -> None:
-        path = tmp_path / "short.npz"
-        scripts.precision.qp.dump(short_case.qp, path)
-        again = scripts.precision.qp.load(path)
-        for field in fields(short_case.qp):
-            one, other = getattr(short_case.qp, field.name), getattr(again, field.name)
-            if sparse.issparse(one):
-                assert (one != other).nnz == 0
-            else:
-                np.testing.assert_array_equal(one, other)
-
-    def test_a_dump_is_enough_with_numpy_alone(self, scripts: Any, short_case: Any, tmp_path: Path) -> None:
-        scripts.precision.qp.dump(short_case.qp, tmp_path / "short.npz")
+    def test_a_dump_is_enough_with_numpy_alone(self, short_case: Any, tmp_path: Path) -> None:
+        dump(short_case.qp, tmp_path / "short.npz")
         with np.load(tmp_path / "short.npz", allow_pickle=False) as file:
             data = {name: file[name] for name in file.files}
         x, value = data["solution"], 0.0
@@ -122,8 +107,8 @@ class TestQP:
 
 
 class TestMethods:
-    def test_the_projects_solvers_tighten(self, scripts: Any, rows_of: Any) -> None:
-        rows = rows_of(*scripts.precision.methods.project_methods())
+    def test_the_projects_solvers_tighten(self, rows_of: Any) -> None:
+        rows = rows_of(*methods.project_methods())
         for method in ("casadi-piqp", "casadi-ipopt"):
             own = {row.tolerance: row for row in rows if row.method == method}
             assert own[1e-12].level == "high accuracy"
@@ -133,8 +118,8 @@ class TestMethods:
             assert own[1e-1].error >= own[1e-12].error
 
     @pytest.mark.parametrize("name", WHEELS)
-    def test_wheels_agree_and_start_cold(self, scripts: Any, short_case: Any, rows_of: Any, name: str) -> None:
-        found, _ = scripts.precision.wheels.wheels()
+    def test_wheels_agree_and_start_cold(self, short_case: Any, rows_of: Any, name: str) -> None:
+        found, _ = wheels.wheels()
         method = next((method for method in found if method.name == name), None)
         if method is None:
             pytest.skip(f"{name} is not installed")
@@ -152,8 +137,8 @@ class TestMethods:
             rounding = {"osqp": 1e-9, "piqp": 1e-9 + 1e-2 * off}.get(name, 0.0)
             np.testing.assert_allclose(one.command_A, two.command_A, rtol=0, atol=rounding)
 
-    def test_hpipm_and_opti(self, scripts: Any, rows_of: Any) -> None:
-        rows = rows_of(scripts.precision.wheels.hpipm(), scripts.precision.methods.opti_ipopt())
+    def test_hpipm_and_opti(self, rows_of: Any) -> None:
+        rows = rows_of(wheels.hpipm(), methods.opti_ipopt())
         best = {(row.method, row.level): row for row in rows}
         assert best["hpipm (CasADi)", "default"].error < 1e-9
         assert best["hpipm (CasADi)", "default"].certificate < 1e-6
@@ -161,22 +146,20 @@ class TestMethods:
         assert best["opti-ipopt", "default"].error < 1e-3
         assert best["opti-ipopt", "high accuracy"].error < 1e-7
 
-    def test_opti_knows_the_temperature(
-        self, scripts: Any, short_scene: Scene, hot_problem: TransientProblem
-    ) -> None:
-        hot = scripts.precision.cases.make_case("hot", short_scene, hot_problem, 0.4, 5.0)
+    def test_opti_knows_the_temperature(self, short_scene: Scene, hot_problem: TransientProblem) -> None:
+        hot = cases.make_case("hot", short_scene, hot_problem, 0.4, 5.0)
         assert hot.qp is None
         assert "coil" in hot.binding
-        assert scripts.precision.wheels.hpipm().settings(hot) == []
-        opti = scripts.precision.methods.opti_ipopt()
+        assert wheels.hpipm().settings(hot) == []
+        opti = methods.opti_ipopt()
         prepared = opti.prepare(hot, opti.settings(hot)[-1])
         answer = prepared.read(prepared.run())
-        assert scripts.precision.cases.judge(hot.problem, answer.command_A, hot.optimum.objective).error < 1e-6
-        solvers = {m.name for m in scripts.precision.methods.project_methods() if m.settings(hot)}
+        assert cases.judge(hot.problem, answer.command_A, hot.optimum.objective).error < 1e-6
+        solvers = {m.name for m in methods.project_methods() if m.settings(hot)}
         assert solvers - {"riccati"} == {"casadi-ipopt"}
 
-    def test_baselines_are_worse_and_said_so(self, scripts: Any, rows_of: Any) -> None:
-        rows = rows_of(*scripts.precision.methods.baselines())
+    def test_baselines_are_worse_and_said_so(self, rows_of: Any) -> None:
+        rows = rows_of(*methods.baselines())
         assert [row.kind for row in rows] == ["baseline"] * 2
         for row in rows:
             assert row.error > 0.1
@@ -193,87 +176,73 @@ class TestMethods:
         ],
     )
     def test_what_returns_nothing_of_use_is_shown_as_failed(
-        self, scripts: Any, rows_of: Any, user_file: Any, body: str, status: str
+        self, rows_of: Any, user_file: Any, body: str, status: str
     ) -> None:
-        (row,) = rows_of(
-            scripts.precision.user.user_method(user_file(f"import numpy as np\ndef solve(qp):\n    {body}\n"))
-        )
+        (row,) = rows_of(user.user_method(user_file(f"import numpy as np\ndef solve(qp):\n    {body}\n")))
         assert math.isinf(row.error)
         assert math.isinf(row.nrmse_excess)
         assert row.status.startswith(status)
 
-    def test_zeros_are_a_poor_answer(self, scripts: Any, short_case: Any, rows_of: Any, user_file: Any) -> None:
+    def test_zeros_are_a_poor_answer(self, short_case: Any, rows_of: Any, user_file: Any) -> None:
         text = "import numpy as np\ndef solve(qp):\n    return np.zeros(qp.q.size)\n"
-        (row,) = rows_of(scripts.precision.user.user_method(user_file(text)))
+        (row,) = rows_of(user.user_method(user_file(text)))
         assert row.gap == pytest.approx((1 - short_case.optimum.objective) / short_case.optimum.objective)
         assert row.violation == 0
         assert row.nrmse_excess == pytest.approx(1 - short_case.optimum.nrmse)
 
-    def test_what_takes_too_long_has_failed(
-        self, scripts: Any, rows_of: Any, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(scripts.precision.run, "TIME_LIMIT_S", 0.0)
-        for row in rows_of(*scripts.precision.methods.baselines()):
+    def test_what_takes_too_long_has_failed(self, rows_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(run, "TIME_LIMIT_S", 0.0)
+        for row in rows_of(*methods.baselines()):
             assert math.isinf(row.error)
             assert row.status == "time limit of 0 s"
 
-    def test_methods_take_turns(self, scripts: Any) -> None:
+    def test_methods_take_turns(self) -> None:
         order: list[str] = []
         methods = {name: lambda name=name: order.append(name) for name in "ab"}
-        times = scripts.common.measuring.take_turns(methods, {"a": 3, "b": 1})
+        times = take_turns(methods, {"a": 3, "b": 1})
         assert order == ["a", "b", "a", "a"]
         assert {name: len(values) for name, values in times.items()} == {"a": 3, "b": 1}
 
 
 class TestDiscretisations:
-    def test_the_exact_one_is_the_projects(self, scripts: Any, make_problem: ProblemMaker) -> None:
+    def test_the_exact_one_is_the_projects(self, make_problem: ProblemMaker) -> None:
         for ideal in (False, True):
             stage = make_problem(ideal=ideal).stage
-            again = scripts.precision.discretisations.discretised(
-                scripts.precision.discretisations.RULES["exact hold"], stage
-            )
+            again = discretisations.discretised(discretisations.RULES["exact hold"], stage)
             np.testing.assert_allclose(again.A, stage.A, rtol=0, atol=1e-12 * np.abs(stage.A).max())
             np.testing.assert_allclose(again.B, stage.B, rtol=0, atol=1e-12 * np.abs(stage.B).max())
 
     @pytest.mark.parametrize(("name", "order"), [("Euler", 1), ("Tustin", 2), ("RK4", 4), ("Radau IIA-5", 5)])
-    def test_known_orders(self, scripts: Any, make_problem: ProblemMaker, name: str, order: int) -> None:
+    def test_known_orders(self, make_problem: ProblemMaker, name: str, order: int) -> None:
         """Slope of the error after a fixed time against the step, small against the fastest mode."""
         problem = make_problem()
-        plant, amplifier, rule = (
-            problem.stage.plant,
-            problem.stage.amplifier,
-            scripts.precision.discretisations.RULES[name],
-        )
+        plant, amplifier, rule = (problem.stage.plant, problem.stage.amplifier, discretisations.RULES[name])
         steps = np.array([4e-5, 2e-5, 1e-5])
         errors = []
         for step in steps:
             exact = discretise(plant, amplifier, step)
-            stage = scripts.precision.discretisations.discretised(rule, exact)
+            stage = discretisations.discretised(rule, exact)
             count = round(4e-4 / step)
             own, true = (np.linalg.matrix_power(one.A, count) for one in (stage, exact))
             errors.append(np.linalg.norm(own - true) / np.linalg.norm(true))
         slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
         assert slope == pytest.approx(order, abs=0.25)
-        assert scripts.precision.discretisations.ORDERS[name] == order
 
     def test_explicit_steps_on_a_stiff_drive_fail_and_are_shown(
-        self, scripts: Any, short_case: Any, rows_of: Any, monkeypatch: pytest.MonkeyPatch
+        self, short_case: Any, rows_of: Any, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         stiff = problems.load("stiff_drive")
         stage = discretise(stiff.plant(5.0), stiff.amplifier_model(), stiff.time.dt_s)
         own = replace(short_case.small, stage=stage)
         stiff_case = replace(short_case, problem=own, small=own)
-        effort = scripts.precision.run.Effort(0.0, least=1)
-        rows = {
-            r.method: r
-            for r in scripts.precision.run.measure(stiff_case, scripts.precision.methods.discretisations(), effort)
-        }
+        effort = Effort(0.0, least=1)
+        rows = {r.method: r for r in run.measure(stiff_case, methods.discretisations(), effort)}
         for name in ("RK4", "Euler"):
             assert math.isinf(rows[name].error)
             assert rows[name].status.startswith("unstable: grows by")
         for name in ("exact hold", "Radau IIA-5", "Tustin"):
             assert math.isfinite(rows[name].error)
 
-    def test_errors_fall_with_the_order(self, rows_of: Any, scripts: Any) -> None:
-        rows = {row.method: row.error for row in rows_of(*scripts.precision.methods.discretisations())}
+    def test_errors_fall_with_the_order(self, rows_of: Any) -> None:
+        rows = {row.method: row.error for row in rows_of(*methods.discretisations())}
         assert rows["exact hold"] < 1e-9 < rows["Radau IIA-5"] < rows["RK4"] < rows["Euler"]

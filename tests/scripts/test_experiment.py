@@ -1,6 +1,6 @@
-"""The experiment: figures of merit on known signals, nominal taps played open loop, users, pace."""
+"""The experiment: figures of merit on known signals, nominal taps played open loop, users."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,13 +8,12 @@ from scipy import signal
 
 from controller.record.metrics import align, band_levels_dB, rate_hardness_N_m, spectral_error_dB
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
-from controller.servo.loop import run
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.simulated_tap import SimulatedTap, approach_ticks
-from controller.sim.simulator import Imperfections, Simulator
-from controller.sim.true_device import Ground, device_of
-from controller.sim.user import Habit, RepeatedTaps, TapUser, Tremor
+from controller.sim.simulator import Imperfections
+from controller.sim.true_device import Ground
+from controller.sim.user import Habit, Tremor
 from controller.waveforms.bank import bank
 from controller.waveforms.prediction import predict, scene_of
 from scripts.common.experiment import Played, play_tap
@@ -22,7 +21,6 @@ from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, nrmse
 from transopt.library.library import Library, speed_weights
 from transopt.recordings.reference import Reference, between
-from transopt.scene.scene import Scene
 
 DT = 1e-4
 LEAD_TICKS = 3
@@ -155,38 +153,38 @@ class TestPrediction:
 class TestNominalTap:
     @pytest.mark.parametrize(("speed", "grip"), [(0.1, 1.0), (0.2, 3.0), (0.4, 5.0)])
     def test_at_the_nodes(self, library: Library, speed: float, grip: float) -> None:
-        m = play(library, speed, grip).metrics
+        m = play(library, speed, grip)
         assert abs(m.latency_s) < 1e-8
         assert m.nrmse < 1e-6
         iv, ig = list(library.speeds_m_s).index(speed), list(library.grips_N).index(grip)
         assert m.nrmse_reference == pytest.approx(library.nrmse[iv, ig], abs=1e-6)
         assert m.peak_current_A == pytest.approx(library.peak_current_A[iv, ig], abs=1e-9)
-        assert m.peak_winding_C == pytest.approx(library.peak_temperature_C[iv, ig], abs=1e-3)
+        assert m.winding_C.max() == pytest.approx(library.peak_temperature_C[iv, ig], abs=1e-3)
         assert m.notices == {Notice.CONTACT: 1}
 
     @pytest.mark.parametrize(("speed", "grip"), [(0.15, 2.0), (0.33, 4.1)])
     def test_between_the_nodes(self, library: Library, speed: float, grip: float) -> None:
-        m = play(library, speed, grip).metrics
+        m = play(library, speed, grip)
         assert m.nrmse < 1e-5
         assert m.nrmse_reference < 0.2
 
     @pytest.mark.parametrize("late", [-2, 1, 5])
     def test_late_ticks_are_latency_not_error(self, library: Library, late: int) -> None:
-        m = play(library, 0.2, 3.0, late=late).metrics
+        m = play(library, 0.2, 3.0, late=late)
         assert m.latency_s == pytest.approx(late * DT, abs=1e-7)
         assert m.nrmse < 1e-4
 
     def test_phase_is_latency_when_nobody_blends(self, library: Library) -> None:
         tap = SimulatedTap(0.2, 3.0, phase=0.37)
-        m = play_tap(library, Player(library, 0.2, 3.0), tap).metrics
+        m = play_tap(library, Player(library, 0.2, 3.0), tap)
         assert m.latency_s == pytest.approx(-0.37 * DT, abs=1e-7)
         # Kinks of the held command meet the spline between its knots.
         assert m.nrmse < 1e-3
 
     def test_gain(self, library: Library) -> None:
-        m = play(library, 0.2, 3.0, gain=0.5).metrics
+        m = play(library, 0.2, 3.0, gain=0.5)
         assert m.nrmse < 1e-5
-        assert m.peak_m_s2 == pytest.approx(play(library, 0.2, 3.0).metrics.peak_m_s2 / 2, rel=1e-6)
+        assert m.peak_m_s2 == pytest.approx(play(library, 0.2, 3.0).peak_m_s2 / 2, rel=1e-6)
 
     def test_same_seed_same_tap_and_phase_of_its_own(self, library: Library) -> None:
         def once(seed: int) -> Played:
@@ -194,20 +192,20 @@ class TestNominalTap:
             return play_tap(library, Player(library, 0.2, 3.0), tap)
 
         first, second, other = once(1), once(1), once(2)
-        assert first.metrics == second.metrics
+        assert first.latency_s == second.latency_s
         np.testing.assert_array_equal(first.acceleration_m_s2, second.acceleration_m_s2)
-        assert other.metrics.latency_s != first.metrics.latency_s
+        assert other.latency_s != first.latency_s
 
 
 class TestUsersAndImperfections:
     def test_the_hand_that_moves_as_recorded_is_predicted_too(self, library: Library) -> None:
-        assert play(library, 0.3, 3.0, habit=Habit.RECORDED).metrics.nrmse < 1e-3
+        assert play(library, 0.3, 3.0, habit=Habit.RECORDED).nrmse < 1e-3
 
     def test_a_hand_that_departs_from_the_assumption_costs(self, library: Library) -> None:
         """An intention that ends at 30 ms costs tens of percent."""
         yielding = play(library, 0.3, 3.0, habit=Habit.YIELDING)
         stopping = play(library, 0.3, 3.0, habit=Habit.STOPPING)
-        assert 0.05 < yielding.metrics.nrmse < 0.4 < stopping.metrics.nrmse
+        assert 0.05 < yielding.nrmse < 0.4 < stopping.nrmse
         before = (yielding.times_s > 0) & (yielding.times_s < 0.029)
         np.testing.assert_allclose(
             yielding.acceleration_m_s2[before], stopping.acceleration_m_s2[before], rtol=0, atol=1e-9
@@ -223,28 +221,22 @@ class TestUsersAndImperfections:
         ],
     )
     def test_each_imperfection_is_felt_but_small(self, library: Library, imperfections: Imperfections) -> None:
-        m = play(library, 0.2, 3.0, imperfections=imperfections, seed=1).metrics
+        m = play(library, 0.2, 3.0, imperfections=imperfections, seed=1)
         assert 1e-4 < m.nrmse < 0.1
 
     def test_unmodelled_friction_costs_what_was_measured_before_building(self, library: Library) -> None:
         """2 N s/m of viscous friction to ground that the model lacks cost 10 %."""
         imperfections = Imperfections(crossover_A=0.0, ground=Ground(damping_N_s_m=2.0))
-        assert play(library, 0.3, 3.0, imperfections=imperfections).metrics.nrmse == pytest.approx(0.1, abs=0.04)
+        assert play(library, 0.3, 3.0, imperfections=imperfections).nrmse == pytest.approx(0.1, abs=0.04)
 
     def test_tremor(self, library: Library) -> None:
-        assert play(library, 0.2, 3.0, tremor=Tremor()).metrics.nrmse < 0.1
-
-    def test_real_object_beside_the_rendered_one(self, library: Library, scene: Scene) -> None:
-        m = play(library, 0.2, 3.0).metrics
-        assert 5e3 < m.rate_hardness_N_m < 2e4
-        assert 5e3 < m.real_rate_hardness_N_m < 3e4
+        assert play(library, 0.2, 3.0, tremor=Tremor()).nrmse < 0.1
 
 
 class TestNothingPlayed:
     def test_too_little_grip(self, library: Library) -> None:
-        m = play(library, 0.2, 0.1).metrics
+        m = play(library, 0.2, 0.1)
         assert not m.played
-        assert m.verdict == "no transient played"
         assert np.isnan(m.latency_s)
         assert m.peak_current_A == 0.0
 
@@ -256,85 +248,14 @@ class TestNothingPlayed:
                 events = (Event(readings.tick, Fault.EMERGENCY_STOP),) if readings.tick == 100 else ()
                 return Output(0.0, State.FAULT, 0.0, 0.0, 25.0, events)
 
-        m = play_tap(library, Broken(library, 0.2, 3.0), SimulatedTap(0.2, 3.0)).metrics
+        m = play_tap(library, Broken(library, 0.2, 3.0), SimulatedTap(0.2, 3.0))
         assert m.faults == (Fault.EMERGENCY_STOP,)
-        assert m.verdict.startswith("fault: emergency stop")
 
 
-@dataclass
-class SteppedClock:
-    """Time that passes only in sleeps and, `tick_s` each time, in looking at it."""
-
-    tick_s: float
-    time_s: float = 0.0
-    slept_s: float = 0.0
-
-    def now_s(self) -> float:
-        self.time_s += self.tick_s
-        return self.time_s
-
-    def sleep(self, duration_s: float) -> None:
-        self.time_s += duration_s
-        self.slept_s += duration_s
-
-
-class TestPace:
-    def loop(self, library: Library, scene: Scene, clock: SteppedClock) -> float:
-        simulator = Simulator(device_of(scene), TapUser(0.2, 3.0, 1.0), DT)
-        player = Player(library, 0.2, 3.0)
-        player.arm()
-        return run(simulator, player, 500, DT, clock=clock)
-
-    def test_a_fast_loop_waits_for_the_clock(self, library: Library, scene: Scene) -> None:
-        clock = SteppedClock(2e-5)
-        assert self.loop(library, scene, clock) < 1e-3
-        assert clock.time_s == pytest.approx(0.05, abs=1.5e-3)
-        assert clock.slept_s > 0.035
-
-    def test_a_slow_loop_says_how_far_it_fell_behind(self, library: Library, scene: Scene) -> None:
-        clock = SteppedClock(3e-4)
-        assert self.loop(library, scene, clock) == pytest.approx(500 * 2e-4, rel=0.01)
-        assert clock.slept_s == 0.0
-
-
-class TestClosedLoop:
-    """The servo of this project on the simulator, which find out for themselves what the player was told."""
-
-    @pytest.mark.parametrize("speed", [0.1, 0.3, 0.4])
-    @pytest.mark.parametrize("grip", [1.0, 5.0])
-    def test_nominal_tap_is_on_time_and_as_predicted(self, library: Library, speed: float, grip: float) -> None:
-        servo = Servo(Settings.of(library), bank(library))
-        m = play_tap(library, servo, SimulatedTap(speed, grip, imperfections=Imperfections())).metrics
-        assert abs(m.latency_s) < 20e-6
-        assert m.nrmse < 0.03
-        assert not m.faults
-
-    def test_between_the_nodes(self, library: Library) -> None:
-        servo = Servo(Settings.of(library), bank(library))
-        m = play_tap(library, servo, SimulatedTap(0.26, 2.2, imperfections=Imperfections())).metrics
-        assert abs(m.latency_s) < 20e-6
-        assert m.nrmse < 0.03
-
-    def test_gain_scales_the_prediction_alike(self, library: Library) -> None:
-        servo = Servo(Settings.of(library), bank(library))
-        servo.set_gain(0.5)
-        assert play_tap(library, servo, SimulatedTap(0.3, 3.0, gain=0.5)).metrics.nrmse < 0.03
-
-    def test_random_taps_stay_within_every_limit(self, library: Library, scene: Scene) -> None:
-        """Speeds and grips far outside the grid too, with tremor and a hand that lets go."""
-        servo = Servo(Settings.of(library), bank(library))
-        user = RepeatedTaps(3, tremor=Tremor())
-        simulator = Simulator(device_of(scene), user, DT, imperfections=Imperfections(), seed=3)
-        outputs: list[Output] = []
-        servo.arm()
-        run(simulator, servo, 50_000, DT, observe=lambda readings, output: outputs.append(output))
-        events = [event.what for output in outputs for event in output.events]
-        assert events.count(Notice.CONTACT) + events.count(Notice.NO_GRIP) >= 8
-        assert not [what for what in events if isinstance(what, Fault)]
-        assert simulator.peak_current_A <= library.meta["limits"]["current_A"] + 1e-6
-        assert max(abs(output.command_A) for output in outputs) <= 6.0
-        assert np.isfinite(simulator.winding_C)
-        assert simulator.winding_C < 100.0
+def test_gain_scales_the_prediction_of_the_real_servo_alike(library: Library) -> None:
+    servo = Servo(Settings.of(library), bank(library))
+    servo.set_gain(0.5)
+    assert play_tap(library, servo, SimulatedTap(0.3, 3.0, gain=0.5)).nrmse < 0.03
 
 
 def test_alignment_is_the_least_error_over_all_shifts(library: Library) -> None:
@@ -345,7 +266,7 @@ def test_alignment_is_the_least_error_over_all_shifts(library: Library) -> None:
         nrmse(np.interp(times + shift, played.times_s, played.acceleration_m_s2), predicted)
         for shift in np.arange(-1e-3, 1e-3, 5e-6)
     ]
-    assert played.metrics.nrmse <= min(errors) + 1e-4
+    assert played.nrmse <= min(errors) + 1e-4
 
 
 def test_a_library_of_another_version_is_refused_in_one_line(library: Library) -> None:

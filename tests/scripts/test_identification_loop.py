@@ -2,12 +2,15 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import identification_loop as loop
 import numpy as np
 import pytest
 
+import problems
 from controller.sim.chosen_device import device_in
 from controller.sim.simulator import Imperfections
 from transopt.design.build import build_library
@@ -16,14 +19,7 @@ from transopt.recordings.tap import read_recordings
 from transopt.scene.scene import Scene
 
 
-@pytest.fixture(scope="module")
-def loop(scripts: Any) -> Any:
-    return scripts.identification_loop
-
-
-def test_recorded_files_give_the_library_of_the_simulated_object(loop: Any, library: Library, tmp_path: Path) -> None:
-    import problems
-
+def test_recorded_files_give_the_library_of_the_simulated_object(library: Library, tmp_path: Path) -> None:
     path = loop.recorded_scene("wood_on_foam", tmp_path)
     scene = problems.load(path)
     assert scene.recordings.simulated is None
@@ -34,7 +30,7 @@ def test_recorded_files_give_the_library_of_the_simulated_object(loop: Any, libr
     np.testing.assert_allclose(again.nrmse, library.nrmse, atol=2e-3)
 
 
-def test_a_scene_on_its_model(loop: Any, tmp_path: Path) -> None:
+def test_a_scene_on_its_model(tmp_path: Path) -> None:
     path, model = loop.recorded_scene("wood_on_foam", tmp_path), tmp_path / "m.json"
     before = tomllib.loads(path.read_text())
     for parts, left in (({"amplifier": {"pole_Hz": 1.0}}, {"command_limit_A"}), ({}, set(before["amplifier"]))):
@@ -47,7 +43,7 @@ def test_a_scene_on_its_model(loop: Any, tmp_path: Path) -> None:
         }
 
 
-def test_without_mismatch_the_known_truth_is_the_library(loop: Any, scene: Scene, library: Library) -> None:
+def test_without_mismatch_the_known_truth_is_the_library(scene: Scene, library: Library) -> None:
     device = device_in(scene, Imperfections(), 0)
     f = np.geomspace(5, 2000, 30)
     for grip in (1.0, 5.0):
@@ -59,9 +55,7 @@ def test_without_mismatch_the_known_truth_is_the_library(loop: Any, scene: Scene
     assert other.worst > truth.worst
 
 
-def test_rounds_keep_the_best_so_far(loop: Any, library: Library) -> None:
-    from dataclasses import replace
-
+def test_rounds_keep_the_best_so_far(library: Library) -> None:
     rounds = [
         {"nrmse": [[0.2, 0.3]], "better": [[True, True]], "peak_current_A": [[1.0, 2.0]]},
         {"nrmse": [[0.1, 0.4]], "better": [[True, False]], "peak_current_A": [[1.0, 3.0]]},
@@ -72,7 +66,7 @@ def test_rounds_keep_the_best_so_far(loop: Any, library: Library) -> None:
     assert [stage.peak_current_A for stage in found] == [3.0, 1.0]
 
 
-def test_what_falls_short(loop: Any) -> None:
+def test_what_falls_short() -> None:
     def stages(nominal: float, model: float, refined: float, peak: float = 4.0) -> list[Any]:
         named = {"nominal model": nominal, "identified model": model, "refined, kept": refined, "known": 0.01}
         return [loop.Stage(name, [value], peak) for name, value in named.items()]

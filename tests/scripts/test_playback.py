@@ -51,14 +51,14 @@ def test_a_mismatched_amplifier_stays_within_the_limit_it_was_told_of(
     tap = SimulatedTap(0.4, 5.0, seed=3, imperfections=Imperfections(mismatch=mismatch, crossover_A=0.0))
     settings = Settings.of(library)
     told = replace(settings, amplifier_tolerance=mismatch)
-    peaks = [play_tap(library, Servo(s, tables), tap).metrics.peak_current_A for s in (settings, told)]
+    peaks = [play_tap(library, Servo(s, tables), tap).peak_current_A for s in (settings, told)]
     assert peaks[0] > 4.02
     assert peaks[1] <= 4.0 + 1e-6
 
 
 def test_every_method_plays_within_the_limits(library: Library) -> None:
     for method in Method:
-        m = play_tap(library, Servo(Settings.of(library), bank(library, method)), SimulatedTap(0.35, 4.5)).metrics
+        m = play_tap(library, Servo(Settings.of(library), bank(library, method)), SimulatedTap(0.35, 4.5))
         assert not m.faults, method
         assert m.notices[Notice.CONTACT] == 1
         assert m.played == (method is not Method.PROPORTIONAL), method

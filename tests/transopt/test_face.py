@@ -15,6 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import transopt as to
+from tests.benches.libraries import resized
 from transopt.design.verify import verify_library
 from transopt.solvers.native import extension
 
@@ -45,9 +46,9 @@ class TestNames:
     def test_reading_a_library_loads_no_optimiser_and_no_figures(self, library: to.Library, tmp_path: Path) -> None:
         library.save(tmp_path / "library.npz")
         program = (
-            "import sys, transopt as to\n"
+            "import sys, controller, transopt as to\n"
             "print(to.load_library('library.npz').at(0.33, 2.0).command_A.size)\n"
-            "print({'casadi', 'matplotlib', 'pydantic'} & set(sys.modules))\n"
+            "print({'casadi', 'matplotlib', 'pydantic', 'serial'} & set(sys.modules))\n"
         )
         assert python(program, tmp_path).split() == ["600", "set()"]
 
@@ -120,7 +121,6 @@ class TestSolving:
 
     def test_a_grid_tolerance_adds_nodes(self) -> None:
         made = to.build("second_order", grid_tolerance=0.2)
-        assert made.refinement is not None
         assert made.refinement.tolerance == 0.2
 
     def test_the_report_is_what_the_command_writes(self, build: to.Build, tmp_path: Path) -> None:
@@ -157,7 +157,6 @@ def reached(value: Any, seen: set[int]) -> Iterator[Any]:
 class TestShown:
     def test_every_object_fits_a_terminal(self, build: to.Build, taps: list[to.Recording]) -> None:
         library = build.library
-        assert library is not None
         shown = list(reached([build, taps, library.at(0.33, 2.0), to.verify(library)], set()))
         shown += [replace(build, library=None), library.problem(3, 2), library.stage(0), library.posing()]
         names = {type(each).__name__ for each in shown}
@@ -204,7 +203,6 @@ class TestInANotebook:
     @pytest.mark.parametrize("what", ["library", "build", "entry"])
     def test_a_table_and_a_figure(self, build: to.Build, what: str) -> None:
         shown = {"library": build.library, "build": build, "entry": build.entries[3][2]}[what]
-        assert shown is not None
         html = shown._repr_html_()
         assert len(html) < LARGEST_HTML
         assert html.startswith("<table>")
@@ -214,17 +212,7 @@ class TestInANotebook:
 
     def test_a_large_library_stays_small(self, library: to.Library) -> None:
         """20 speeds and 10 grips: the first rows, and some of the waveforms."""
-        from transopt.library.library import ARRAYS
-
-        arrays = {}
-        for name, stated in ARRAYS.items():
-            array = library.array(name)
-            for axis, letter in enumerate(stated.shape):
-                times = {"v": 5, "g": 4}.get(letter, 1)
-                array = np.repeat(array, times, axis=axis)
-            arrays[name] = array
-        arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, 20), np.linspace(1.0, 5.0, 12)
-        large = to.Library.of(arrays, library.meta)
+        large = resized(library, 20, 12)
         html = large._repr_html_()
         assert len(html) < LARGEST_HTML
         assert "and 200 more" in html
@@ -238,7 +226,6 @@ class TestInANotebook:
 
 class TestFigures:
     def test_a_library_and_its_build_draw_the_same_curves(self, build: to.Build) -> None:
-        assert build.library is not None
         one, other = build.library.plot(), build.plot()
         for mine, its in zip(one.axes, other.axes, strict=True):
             for a, b in zip(mine.get_lines(), its.get_lines(), strict=True):

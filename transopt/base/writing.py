@@ -3,8 +3,8 @@
 import csv
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -35,11 +35,17 @@ def write_csv(rows: Sequence[Any], path: Path) -> None:
     ------
     InputError : the place cannot be written.
     """
+    names = [field.name for field in fields(rows[0])]
+    write_text(csv_text(names, ([getattr(row, name) for name in names] for row in rows)), path)
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """The cells of rows as a CSV file whose header has the names of the columns."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, [field.name for field in fields(rows[0])], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    write_text(text.getvalue(), path)
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return text.getvalue()
 
 
 def percent(value: float) -> str:

@@ -8,12 +8,11 @@ from scipy import optimize, signal, special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.checks import Fault, Finding
+from transopt.identify.checks import COHERENT, Fault, Finding
 from transopt.identify.spectrum import ComplexArray, TransferEstimate, Trial, estimate_transfer
 from transopt.plant.discretise import split_delay
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
-COHERENT = 0.8  # bins below take no part
 LEAST_BINS = 12
 POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
 LATEST_TICKS = 20.0  # of delay

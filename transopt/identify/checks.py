@@ -222,9 +222,9 @@ def check_sign(where: str, estimate: TransferEstimate, what: str, remedy: str) -
     return [Finding(Fault.POLARITY, where, f"{what}: {phase}; {remedy}", True)]
 
 
-def low_coherence(where: str, estimate: TransferEstimate, least: float = COHERENT) -> list[Finding]:
+def low_coherence(where: str, estimate: TransferEstimate) -> list[Finding]:
     """Each stretch of the band whose output is mostly something else than the answer to the input."""
-    low = np.concatenate([[0], (estimate.coherence < least).astype(int), [0]])
+    low = np.concatenate([[0], (estimate.coherence < COHERENT).astype(int), [0]])
     starts, ends = np.flatnonzero(np.diff(low) == 1), np.flatnonzero(np.diff(low) == -1)
     f = estimate.frequencies_Hz
     found = []
@@ -233,7 +233,7 @@ def low_coherence(where: str, estimate: TransferEstimate, least: float = COHEREN
             continue  # a bin or two are the luck of the noise
         band = f"{f[a]:.3g} to {f[b - 1]:.3g} Hz"
         worst = float(estimate.coherence[a:b].min())
-        text = f"{worst:.2f} at {band}, must be {least:g}; record again there, longer or with more current"
+        text = f"{worst:.2f} at {band}, must be {COHERENT:g}; record again there, longer or with more current"
         found.append(Finding(Fault.INCOHERENT, where, text, False))
     return found
 
@@ -269,30 +269,33 @@ def check_passive(where: str, estimate: TransferEstimate) -> list[Finding]:
     return [Finding(Fault.POLARITY, where, f"{text}; {remedy}", True)]
 
 
-def check_gravity(
-    where: str, estimate: TransferEstimate, expected: FloatArray, against: str, tolerance: float = GRAVITY_TOLERANCE
-) -> list[Finding]:
+def off_by_gravity(ratio: float) -> float | None:
+    """9.81 or its inverse, whichever of the two a ratio of accelerations is near; None if neither."""
+    factors = (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2)
+    return next((factor for factor in factors if abs(np.log(ratio / factor)) < np.log1p(GRAVITY_TOLERANCE)), None)
+
+
+def check_gravity(where: str, estimate: TransferEstimate, expected: FloatArray, against: str) -> list[Finding]:
     """Acceleration in the wrong unit: the gain off by 9.81 or its inverse.
 
     Parameters
     ----------
     expected : (m,) magnitudes of a nominal model or of other files.
     against : what those are, for the message.
-    tolerance : relative, of the ratio.
     """
     good = (estimate.coherence >= COHERENT) & (expected > 0)
     if not np.any(good):
         return []
     ratio = float(np.exp(np.median(np.log(np.abs(estimate.response[good]) / expected[good]))))
-    for factor, is_, called in (
-        (STANDARD_GRAVITY_M_S2, "m/s^2", "acceleration_g"),
-        (1 / STANDARD_GRAVITY_M_S2, "g", "acceleration_m_s2"),
-    ):
-        if abs(np.log(ratio / factor)) < np.log1p(tolerance):
-            text = f"acceleration is {ratio:.3g} times that of {against}, 9.81 {'' if factor > 1 else 'inverted '}"
-            remedy = f"is the column in {is_} but named {called}? Correct its name"
-            return [Finding(Fault.UNITS, where, f"{text.rstrip()}; {remedy}", True)]
-    return []
+    factor = off_by_gravity(ratio)
+    if factor is None:
+        return []
+    which, is_, called = (
+        ("9.81", "m/s^2", "acceleration_g") if factor > 1 else ("9.81 inverted", "g", "acceleration_m_s2")
+    )
+    text = f"acceleration is {ratio:.3g} times that of {against}, {which}"
+    remedy = f"is the column in {is_} but named {called}? Correct its name"
+    return [Finding(Fault.UNITS, where, f"{text}; {remedy}", True)]
 
 
 def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
@@ -312,24 +315,14 @@ def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
     }
 
 
-def check_grips(runs: Sequence[Measurement], wanted_N: Sequence[float] = ()) -> list[Finding]:
-    """Every file states its grip, every grip has trials enough, of either polarity.
-
-    Parameters
-    ----------
-    wanted_N : grips that must have been recorded.
-    """
+def check_grips(runs: Sequence[Measurement]) -> list[Finding]:
+    """Every file states its grip, every grip has trials enough, of either polarity."""
     found = [
         Finding(Fault.MISSING_GRIP, run.name, "no grip stated; add # grip_N: 3 (0 if nobody holds it)", True)
         for run in runs
         if run.grip_N is None
     ]
-    groups = by_grip(runs)
-    for grip in wanted_N:
-        if not any(abs(grip - other) < 2 * GRIP_STEP_N for other in groups):
-            text = f"no trial; record at least {LEAST_TRIALS}, one of each polarity"
-            found.append(Finding(Fault.MISSING_GRIP, f"grip {grip:g} N", text, True))
-    for grip, group in groups.items():
+    for grip, group in by_grip(runs).items():
         where = f"grip {grip:.3g} N"
         if len(group) < LEAST_TRIALS:
             text = f"{len(group)} trial, at least {LEAST_TRIALS} are needed; record another one of the other polarity"

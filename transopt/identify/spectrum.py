@@ -67,7 +67,6 @@ class TransferEstimate:
     degrees : (m,) real degrees of freedom in `deviation`.
     coherence : (m,) in [0, 1]: the part of the output's power that the input explains, SNR / (1 + SNR).
     trial_responses : (K, m) complex, of each trial alone.
-    samples : (m,) lines in a bin, of all trials together.
     dt_s : sampling period of the records.
     """
 
@@ -77,7 +76,6 @@ class TransferEstimate:
     degrees: FloatArray
     coherence: FloatArray
     trial_responses: ComplexArray
-    samples: NDArray[np.int_]
     dt_s: float
 
     @property
@@ -123,7 +121,6 @@ class TransferEstimate:
             self.degrees[kept],
             self.coherence[kept],
             self.trial_responses[:, kept],
-            self.samples[kept],
             self.dt_s,
         )
 
@@ -138,16 +135,16 @@ class _Bin:
     trial: NDArray[np.int_]
 
 
-def estimate_transfer(
-    trials: Sequence[Trial], *, bins_per_octave: int = BINS_PER_OCTAVE, band_Hz: tuple[float, float] | None = None
-) -> TransferEstimate:
+def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
     """Frequency response by local polynomials over neighbouring lines and over trials.
 
     A record from rest to rest has an exact plain DFT: Y_j(f) = G(f) U_j(f) + V_j(f), without a window, and the noise
     V of different lines is independent. In a bin, G is a polynomial of at most second degree about the bin's mean
-    frequency; its coefficients follow from least squares over all lines and trials in the bin. Where a bin has lines
-    enough, each trial has a transient of first degree beside it: what is missing of an answer that the end of the
-    record cuts off (local polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7).
+    frequency; its coefficients follow from least squares over all lines and trials in the bin. A bin is a 24th of an
+    octave wide where the lines are dense; elsewhere it takes as many lines as it needs, one with at least four trials
+    of one length. Bins count where the input's energy per octave is at least 3 % of its highest. Where a bin has
+    lines enough, each trial has a transient of first degree beside it: what is missing of an answer that the end of
+    the record cuts off (local polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7).
     The polarity of a trial drops out, since Y and U change sign together; what does not change sign with the input,
     distortion of even order, cancels between trials of either polarity. Harmonics of a sweep arrive at other times
     than the fundamental, so that their phase turns from line to line: they count as noise and average out.
@@ -158,10 +155,6 @@ def estimate_transfer(
     Parameters
     ----------
     trials : at least one, at one rate; lengths and polarities may differ.
-    bins_per_octave : width of the bins where the lines are dense; elsewhere a bin takes as many lines as it needs,
-        one with at least four trials of one length.
-    band_Hz : part of the spectrum to estimate; otherwise where the input's energy per octave is at least 3 % of its
-        highest.
 
     Raises
     ------
@@ -176,11 +169,11 @@ def estimate_transfer(
                 f"{trial.name}: {trial.input.rate_Hz:.6g} Hz, {trials[0].name} {trials[0].input.rate_Hz:.6g} Hz: "
                 "must be one rate; record all trials at the servo's"
             )
-    bins = _bins(trials, dt_s, bins_per_octave)
-    bins = [one for one, kept in zip(bins, _excited(bins, band_Hz), strict=True) if kept]
+    bins = _bins(trials, dt_s)
+    bins = [one for one, kept in zip(bins, _excited(bins), strict=True) if kept]
     if not bins:
         shortest = min(trial.input.values.size for trial in trials) * dt_s
-        raise InputError(f"records of {shortest:g} s are too short for a spectrum in that band; sweep longer")
+        raise InputError(f"records of {shortest:g} s are too short for a spectrum; sweep longer")
     fitted = [_fit(one, len(trials)) for one in bins]
     frequencies = np.array([one.frequency_Hz.mean() for one in bins])
     response = np.array([fit[0] for fit in fitted])
@@ -196,12 +189,11 @@ def estimate_transfer(
         degrees=degrees,
         coherence=coherence,
         trial_responses=each,
-        samples=np.array([one.trial.size for one in bins]),
         dt_s=dt_s,
     )
 
 
-def _bins(trials: Sequence[Trial], dt_s: float, per_octave: int) -> list[_Bin]:
+def _bins(trials: Sequence[Trial], dt_s: float) -> list[_Bin]:
     """All lines between 0 and half the rate, both exclusive, in bins of at least as many as the fit needs."""
     lengths = [trial.input.values.size for trial in trials]
     spacing = 1 / (min(lengths) * dt_s)
@@ -220,7 +212,7 @@ def _bins(trials: Sequence[Trial], dt_s: float, per_octave: int) -> list[_Bin]:
     bins: list[_Bin] = []
     low = 0.5 * spacing
     while True:
-        high = max(low * 2 ** (1 / per_octave), low + needed * spacing)
+        high = max(low * 2 ** (1 / BINS_PER_OCTAVE), low + needed * spacing)
         if high > 0.5 / dt_s:
             return bins  # a rest of the lines just below half the rate would be a bin too small
         inside = slice(*np.searchsorted(frequency, [low, high]).tolist())
@@ -229,11 +221,9 @@ def _bins(trials: Sequence[Trial], dt_s: float, per_octave: int) -> list[_Bin]:
         low = high
 
 
-def _excited(bins: Sequence[_Bin], band_Hz: tuple[float, float] | None) -> NDArray[np.bool_]:
-    """(m,) bins in the band, or from the first to the last with enough energy per octave."""
+def _excited(bins: Sequence[_Bin]) -> NDArray[np.bool_]:
+    """(m,) bins from the first to the last with enough energy per octave."""
     middle = np.array([one.frequency_Hz.mean() for one in bins])
-    if band_Hz is not None:
-        return np.asarray((middle >= band_Hz[0]) & (middle <= band_Hz[1]))
     energy = middle * np.array([np.mean(np.abs(one.input) ** 2) for one in bins])
     strong = np.flatnonzero(energy >= EXCITED * energy.max(initial=0.0))
     kept = np.zeros(middle.size, dtype=bool)

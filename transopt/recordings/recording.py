@@ -88,8 +88,6 @@ def load_recording(
     *,
     columns: Sequence[str] = (),
     full_scale_m_s2: float | None = None,
-    speed_m_s: float | None = None,
-    grip_N: float | None = None,
 ) -> Recording:
     """Read one recorded tap; the format follows from the suffix.
 
@@ -99,7 +97,6 @@ def load_recording(
     columns : names of the file's columns, "-" for one to skip. Text needs them, in CSV they replace the
         header row, in NPZ and MAT they choose the variables; WAV ignores them.
     full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
-    speed_m_s, grip_N : override what the file states.
 
     Returns
     -------
@@ -110,8 +107,7 @@ def load_recording(
     ------
     InputError : one line, whatever is wrong with the file.
     """
-    stated = {"speed_m_s": speed_m_s, "grip_N": grip_N}
-    table = read_table(path, VOCABULARY, columns=columns, full_scale_m_s2=full_scale_m_s2, stated=stated)
+    table = read_table(path, VOCABULARY, columns=columns, full_scale_m_s2=full_scale_m_s2)
     acceleration = table.signals["acceleration"].values
     if np.all(acceleration == acceleration[0]):
         raise InputError(

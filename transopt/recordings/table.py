@@ -56,7 +56,6 @@ def read_table(
     *,
     columns: Sequence[str] = (),
     full_scale_m_s2: float | None = None,
-    stated: Mapping[str, float | None] | None = None,
 ) -> Table:
     """Read one file; the format follows from the suffix.
 
@@ -67,13 +66,11 @@ def read_table(
     columns : names of the file's columns, "-" for one to skip. Text needs them, in CSV they replace the
         header row, in NPZ and MAT they choose the variables; WAV ignores them.
     full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
-    stated : header name -> value that overrides what the file states; None does not.
 
     Raises
     ------
     InputError : one line, file first, whatever is wrong.
     """
-    overrides = {name: value for name, value in (stated or {}).items() if value is not None}
     try:
         data = read_bytes(path)
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the checks
@@ -81,7 +78,7 @@ def read_table(
             signals, off_grid = _signals(raw, words)
             scalars = {}
             for quantity in dict.fromkeys(scalar.quantity for scalar in words.header.values()):
-                value = _stated(raw.header, quantity, overrides, words)
+                value = _stated(raw.header, quantity, words)
                 if value is not None:
                     scalars[quantity] = value
     except InputError as error:
@@ -150,13 +147,10 @@ def _time_grid(
     return mean, float(off_grid_s.max()) / median
 
 
-def _stated(
-    header: Mapping[str, object], quantity: str, overrides: Mapping[str, float], words: Vocabulary
-) -> float | None:
-    """The quantity in SI: as overridden, else as the file states it, else None."""
+def _stated(header: Mapping[str, object], quantity: str, words: Vocabulary) -> float | None:
+    """The quantity in SI as the file states it, else None."""
     of = {key for key, scalar in words.header.items() if scalar.quantity == quantity}
-    stated: dict[str, object] = {key: value for key, value in overrides.items() if key in of}
-    stated = stated or {key: value for key, value in header.items() if key in of}
+    stated = {key: value for key, value in header.items() if key in of}
     if not stated:
         return None
     if len(stated) > 1:

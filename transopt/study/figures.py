@@ -69,17 +69,40 @@ def entry_grid(plan: Plan, rows: Sequence[Row], column: str) -> FloatArray:
     return table.reshape(*plan.shape, len(plan.speeds_m_s), len(plan.grips_N))
 
 
+def panels_of(count: int, most_across: int, wide_in: float, margin_in: float, *, share_x: bool) -> tuple[Figure, Any]:
+    """A figure and so many of its panels, row by row, as an array (down, across) whose surplus is not drawn."""
+    across = min(count, most_across)
+    down = math.ceil(count / across)
+    figure = Figure(figsize=(1.0 + wide_in * across, margin_in + 2.5 * down), layout="constrained")
+    panels = figure.subplots(down, across, sharex=share_x, sharey=True, squeeze=False)
+    for axes in panels.flat[count:]:
+        axes.set_visible(False)
+    for row in panels:
+        row[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
+    return figure, panels
+
+
+def legend_above(figure: Figure, handles: Sequence[Any], most_columns: int = 6) -> None:
+    """One legend above all panels."""
+    columns = min(len(handles), most_columns)
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, fontsize=SMALL_PT, frameon=False)
+
+
+def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> None:
+    """A line per entry of values (points, speeds, grips): a colour per grip, dashes per speed."""
+    for iv, (speed, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
+        for ig, (grip, colour) in enumerate(zip(plan.grips_N, colours(len(plan.grips_N)), strict=True)):
+            name = f"{speed:g} m/s, {grip:g} N"
+            drawn: dict[str, Any] = {"color": colour, "linestyle": dash, "linewidth": 1.2, "marker": "o"}
+            axes.plot(x, values[:, iv, ig], markersize=3, label=name, **drawn)
+
+
 def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
     """NRMSE and floor over one key: a panel per grip, a line per speed."""
     axis, grips, speeds = plan.axes[0], plan.grips_N, plan.speeds_m_s
     error, floor = (100 * entry_grid(plan, rows, column) for column in ("nrmse", "floor"))
     shade = colours(len(speeds))
-    across = min(len(grips), 4)
-    down = math.ceil(len(grips) / across)
-    figure = Figure(figsize=(1.0 + 2.3 * across, 0.9 + 2.5 * down), layout="constrained")
-    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-    for axes in panels.flat[len(grips) :]:
-        axes.set_visible(False)
+    figure, panels = panels_of(len(grips), 4, 2.3, 0.9, share_x=True)
     for ig, (axes, grip) in enumerate(zip(panels.flat, grips, strict=False)):
         style(axes)
         x = _prepared(axes, axis)
@@ -88,16 +111,12 @@ def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
             axes.plot(x, error[:, iv, ig], color=shade[iv], linewidth=1.3, marker="o", markersize=3)
         axes.set_title(f"grip {grip:g} N", fontsize=LABEL_PT)
         percent_axis(axes)
-    for row in panels:
-        row[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
     handles = [
         Line2D([], [], color=c, marker="o", markersize=3, label=f"{v:g} m/s")
         for c, v in zip(shade, speeds, strict=True)
     ]
     handles.append(Line2D([], [], color="0.4", linewidth=0.8, linestyle=":", label="floor"))
-    figure.legend(
-        handles=handles, loc="outside upper center", ncols=min(len(handles), 6), fontsize=SMALL_PT, frameon=False
-    )
+    legend_above(figure, handles)
     return figure
 
 
@@ -170,13 +189,8 @@ def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
     """NRMSE of every entry over each key, the others as they come; a colour per speed."""
     shade = dict(zip(plan.speeds_m_s, colours(len(plan.speeds_m_s)), strict=True))
     there = [row for row in rows if row["status"] == OPTIMAL]
-    across = min(len(plan.axes), 3)
-    down = math.ceil(len(plan.axes) / across)
-    figure = Figure(figsize=(1.0 + 2.7 * across, 0.8 + 2.5 * down), layout="constrained")
-    panels = figure.subplots(down, across, sharey=True, squeeze=False)
+    figure, panels = panels_of(len(plan.axes), 3, 2.7, 0.8, share_x=False)
     size = 4.0 if len(there) < 300 else 2.0
-    for axes in panels.flat[len(plan.axes) :]:
-        axes.set_visible(False)
     for axes, axis in zip(panels.flat, plan.axes, strict=False):
         style(axes)
         places = dict(zip(axis.labels, _prepared(axes, axis), strict=True))
@@ -188,14 +202,10 @@ def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
                 x, y, linestyle="", marker="o", markersize=size, color=shade[speed], alpha=0.6, markeredgewidth=0
             )
         percent_axis(axes)
-    for row in panels:
-        row[0].set_ylabel("NRMSE [%]", fontsize=LABEL_PT)
     handles = [
         Line2D([], [], linestyle="", marker="o", markersize=4, color=c, label=f"{v:g} m/s") for v, c in shade.items()
     ]
-    figure.legend(
-        handles=handles, loc="outside upper center", ncols=min(len(handles), 6), fontsize=SMALL_PT, frameon=False
-    )
+    legend_above(figure, handles)
     return figure
 
 

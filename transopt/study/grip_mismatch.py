@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from transopt.base.plotting import LABEL_PT, SEED, SMALL_PT, colours, style
+from transopt.base.plotting import LABEL_PT, SEED, colours, style
 from transopt.design.refine_grid import Errors
 from transopt.plant.discretise import StageModel
 from transopt.proof.replay import replayed_errors
 from transopt.scene.scene import Scene
-from transopt.study.figures import percent_axis
+from transopt.study.figures import legend_above, percent_axis
 from transopt.study.optima import Proven, errors_of, proven
 
 SPEEDS_M_S = (0.2, 0.4)
@@ -92,7 +92,7 @@ def mismatch_figure(found: Sequence[Played], blind_N: Sequence[float] = BLIND_GR
     shades = zip(blind_N, colours(len(blind_N)), strict=True)
     handles = [Line2D([], [], color=c, linewidth=1.2, label=f"blind, made for {F:g} N") for F, c in shades]
     handles.append(Line2D([], [], color=SEED, linewidth=1.6, label="made for the grip there is"))
-    figure.legend(handles=handles, loc="outside upper center", ncols=2, fontsize=SMALL_PT, frameon=False)
+    legend_above(figure, handles, 2)
     return figure
 
 

@@ -18,7 +18,7 @@ from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, label
 from transopt.study.columns import MEASURES
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row, number
+from transopt.study.rows import OPTIMAL, Row, entry_name, number
 
 SCAN = 9
 TOLERANCE = 1e-3  # of the range, without one of the user's
@@ -202,7 +202,7 @@ class Answer:
 
     def _entry(self, tried: Tried) -> str:
         row = self.worst(tried)
-        name = f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
+        name = entry_name(row)
         if row["status"] != OPTIMAL:
             return f"{name} ({row['status']}: {row['reason']})"
         measures = dict.fromkeys(requirement.measure for requirement in self.question.requirements)

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, colours, style
+from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, style
 from transopt.base.signals import FloatArray
 from transopt.base.writing import percent, table
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import Axis, parse_axis
 from transopt.study.executors import Pool
-from transopt.study.figures import entry_grid, heat_map, percent_axis, percent_norm
+from transopt.study.figures import entry_grid, entry_lines, heat_map, percent_axis, percent_norm
 from transopt.study.plan import Plan
 from transopt.study.report import LEGEND, binding_names, rows_table
-from transopt.study.rows import Row, number
+from transopt.study.rows import Row, entry_name, number
 from transopt.study.session import run_plan
 
 MOTORS = "faulhaber_0816k003sr,faulhaber_0816k006sr,maxon_re25_118743,maxon_re30_310009,maxon_re40_148877"
@@ -150,7 +150,7 @@ class Selection:
                     plan.scene.motor.name,
                     f"{c.ratio_1_m:.0f}",
                     percent(c.worst),
-                    f"{float(c.row['speed_m_s']):g} m/s, {float(c.row['grip_N']):g} N",
+                    entry_name(c.row),
                     f"{c.force_N_A:.2f}",
                     f"{1e3 * c.mass_kg:.1f}",
                     f"{number(c.row, 'peak_current_A'):.2f} of {plan.scene.limits.transient_current_A:g}",
@@ -200,23 +200,9 @@ def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
         ("peak_voltage_V", 1.0, "peak voltage [V]", plan.scene.limits.supply_V),
         ("peak_temperature_C", 1.0, "winding [C]", motor.winding_max_C),
     )
-    shade = colours(len(plan.grips_N))
     for axes, (column, scale, label, limit) in zip(panels.flat, measures, strict=True):
         style(axes)
-        values = scale * entry_grid(plan, rows, column)
-        for iv, (speed, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-"), strict=True)):
-            for ig, grip in enumerate(plan.grips_N):
-                name = f"{speed:g} m/s, {grip:g} N"
-                axes.plot(
-                    ratios,
-                    values[:, iv, ig],
-                    color=shade[ig],
-                    linestyle=dash,
-                    marker="o",
-                    markersize=3,
-                    linewidth=1.1,
-                    label=name,
-                )
+        entry_lines(axes, plan, ratios, scale * entry_grid(plan, rows, column))
         if limit is not None:
             axes.axhline(limit, color=DARK, linewidth=0.8, linestyle=":")
         axes.set_ylabel(label, fontsize=LABEL_PT)

@@ -13,7 +13,7 @@ from transopt.study.axes import label
 from transopt.study.columns import MULTIPLIERS, VIOLATIONS
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row, number
+from transopt.study.rows import OPTIMAL, Row, entry_name, number
 from transopt.study.store import LIBRARIES
 
 MOST_ROWS = 120  # of the table; rows.csv has them all
@@ -159,10 +159,11 @@ def answer_markdown(scene: str, found: Answer, head: Sequence[str]) -> str:
     cells = []
     for tried in found.tried:
         row = found.worst(tried)
-        entry = f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
         said = "met" if tried.met else "missed"
         figures = [f"{number(row, requirement.measure):.6g}" for requirement in question.requirements]
-        cells.append([label(tried.value), said, entry, *figures, row["status"], f"{number(row, 'relative_gap'):.0e}"])
+        cells.append(
+            [label(tried.value), said, entry_name(row), *figures, row["status"], f"{number(row, 'relative_gap'):.0e}"]
+        )
     measures = [requirement.measure for requirement in question.requirements]
     lines += ["![answer](answer.png)", "", "## Every value tried, with the entry that decides", ""]
     lines += table([f"{key} {unit}".strip(), "", "entry", *measures, "status", "gap"], cells)

@@ -1,8 +1,6 @@
 """One row of a study: what its cells hold, and what the rows of a study amount to."""
 
-import csv
-import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -46,16 +44,12 @@ def number(row: Row, column: str) -> float:
     return float(row[column]) if row[column] else float("nan")
 
 
+def entry_name(row: Row) -> str:
+    """How messages and tables call the entry of a row."""
+    return f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
+
+
 def exit_code(rows: Sequence[Row]) -> int:
     """0 if every row is certified or a refusal, and one at least is certified; else 1."""
     found = {row["status"] for row in rows}
     return 0 if OPTIMAL in found and found <= {OPTIMAL, *REFUSALS} else 1
-
-
-def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """The cells of rows as a CSV file whose header has the names of the columns."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(rows)
-    return text.getvalue()

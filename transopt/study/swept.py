@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from transopt.base.plotting import LABEL_PT, SMALL_PT, colours, style
+from transopt.base.plotting import LABEL_PT, style
 from transopt.base.writing import percent
 from transopt.problem.answer import AT_FLOOR
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
-from transopt.study.figures import curves, entry_grid, percent_axis
+from transopt.study.figures import curves, entry_grid, entry_lines, legend_above, percent_axis
 from transopt.study.plan import Plan
 from transopt.study.rows import Row
 
@@ -111,30 +111,16 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     rates = plan.axes[0].values
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")
     panels = figure.subplots(1, 2)
-    shade = colours(len(plan.grips_N))
     for axes, values, label in zip(
         panels, (used, error), ("greatest beta = |i| / steady current", "NRMSE [%]"), strict=True
     ):
         style(axes)
-        for iv, (speed, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
-            for ig, grip in enumerate(plan.grips_N):
-                name = f"{speed:g} m/s, {grip:g} N"
-                axes.plot(
-                    rates,
-                    values[:, iv, ig],
-                    color=shade[ig],
-                    linestyle=dash,
-                    linewidth=1.2,
-                    marker="o",
-                    markersize=3,
-                    label=name,
-                )
+        entry_lines(axes, plan, np.array(rates), values)
         axes.set_xlabel("taps per second, for ever", fontsize=LABEL_PT)
         axes.set_ylabel(label, fontsize=LABEL_PT)
     percent_axis(panels[1])
     panels[0].set_ylim(bottom=0)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=SMALL_PT, frameon=False)
+    legend_above(figure, panels[0].get_lines(), 3)
     return figure
 
 

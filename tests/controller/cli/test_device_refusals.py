@@ -102,35 +102,6 @@ def test_ports(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "no serial port" in play("ports").out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("tap", "library.npz"), "tap: name one device: --simulate, or --port PORT"),
-        (("tap", "library.npz", "--simulate", *PORT), "tap: name one device"),
-        (("tap", "library.npz", *PORT, "--speed", 0.2), "--speed: on a device that is up to its user"),
-        (("tap", "library.npz", *PORT, "--real-time"), "--real-time: "),
-        (("tap", "library.npz", "--simulate", "--taps", 2), "--taps: only with --port"),
-        (("tap", "library.npz", "--simulate", "--for", 2), "--for: only with --port"),
-        (("tap", "library.npz", *PORT, "--gain", 1.5), "--gain 1.5: must be 0 to 1"),
-        (("tap", "library.npz", *PORT, "--taps", 0), "--taps 0: must be 1 to "),
-        (("tap", "library.npz", *PORT, "--accelerometer-hz", 0), "--accelerometer-hz 0: must be 10 to "),
-        (("tap", "missing.npz", *PORT), "missing.npz"),
-        (("monitor", *PORT, "--every", 0), "--every 0: must be 1 to 65535 ticks"),
-        (("monitor", *PORT, "--for", -1), "--for -1: must be "),
-        (("check", *PORT, "--skip", "polarity"), "--skip polarity: must be one of emergency-stop"),
-        (("check", *PORT, "--rest-g", 2), "--rest-g 2: must be -1 to 1 g"),
-        (("check", *PORT, "--patience", 0), "--patience 0: must be "),
-        (("record", "tap", *PORT, "--out", "x", "--trigger", 0), "--trigger 0: must be "),
-        (("record", "tap", *PORT, "--out", "x", "--count-um", 0), "--count-um 0: must be "),
-        (("record", "tap", *PORT, "--out", "/proc/x"), "--out /proc/x: cannot be written"),
-        (("tap", "library.npz", *PORT, "--out", "/proc/x"), "--out /proc/x: cannot be written"),
-    ],
-)
-def test_bad_options_reach_no_device(play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
-    assert_refused(play(*arguments), words)
-    assert desk.ticks == 0
-
-
 def test_over_a_pseudo_terminal(play: Run, served: tuple[Served, str]) -> None:
     """The whole way once: pyserial, its thread, the kernel; what comes back is what went there."""
     server, name = served

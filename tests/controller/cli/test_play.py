@@ -4,9 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
-from tests.benches.commands import Run, assert_refused
+from tests.benches.commands import Run
 from tests.benches.places import ROOT
 from transopt.library.library import Library
 
@@ -29,29 +27,6 @@ def test_nothing_played_is_a_result_that_fell_short(play: Run) -> None:
     outcome = play("tap", "library.npz", "--simulate", "--grip", 0.1)
     assert outcome.code == 1
     assert "no transient played" in outcome.out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], ("--simulate",)),
-        (["--simulate", "--speed", "0"], ("--speed 0", "0.03 to 4.5 m/s")),
-        (["--simulate", "--speed", "nan"], ("--speed nan",)),
-        (["--simulate", "--grip", "-1"], ("--grip -1",)),
-        (["--simulate", "--gain", "1.5"], ("--gain 1.5", "0 to 1")),
-        (["--simulate", "--mismatch", "2"], ("--mismatch 2",)),
-        (["--simulate", "--method", "magic"], ("--method magic", "bilinear")),
-        (["--simulate", "--method", "proportional"], ("--method proportional", "no wall")),
-        (["--simulate", "--user", "robot"], ("--user robot", "yielding")),
-        (["--simulate", "--out", "library.npz"], ("--out library.npz",)),
-    ],
-)
-def test_bad_input_is_one_line(play: Run, arguments: list[str], words: tuple[str, ...]) -> None:
-    assert_refused(play("tap", "library.npz", *arguments), *words)
-
-
-def test_no_library(play: Run) -> None:
-    assert_refused(play("tap", "none.npz", "--simulate"), "none.npz: no such file")
 
 
 def test_a_simulated_tap_never_loads_the_optimiser(library: Library, tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from controller.record.excitation import sweep_command
 from controller.servo.interface import State
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.sensors import SEED_SENSORS
-from controller.sim.true_device import TrueDevice
 from controller.sim.user import StillHand
 from controller.sim.virtual_link import Trouble
 from scripts.campaign.compiled_device import CompiledDevice, plant_of
@@ -27,6 +26,7 @@ from tests.benches.desk import DT_S, PORT, Desk
 from tests.controller.cli.test_device import interrupt
 from transopt.identify.measurement import load_measurement
 from transopt.library.library import Library
+from transopt.plant.chain import Link, chain
 
 CHECK = ("check", "--sweep", *PORT, "--skip", "encoder", "--skip", "emergency-stop", "--skip", "grip-zero")
 SHORT = ("record", "sweep", *PORT, "--out", "rec", "--low", 20, "--high", 800, "--seconds", 0.2)
@@ -71,15 +71,8 @@ def test_check_then_trials_of_both_signs_at_the_grip_asked_for(play: Run, desk: 
     wanted = sweep_command(20, 800, 0.2, 0.75, DT_S)
     for name, factor in zip(files(), (0.1, -0.1, 1.0, -1.0), strict=True):
         trial = read(name)
-        assert set(trial) == {
-            "time_s",
-            "command_A",
-            "current_A",
-            "acceleration_m_s2",
-            "position_m",
-            "grip_N",
-            "accelerometer_Hz",
-        }
+        names = "time_s command_A current_A acceleration_m_s2 position_m grip_N accelerometer_Hz"
+        assert set(trial) == set(names.split())
         time, command = trial["time_s"], trial["command_A"]
         assert np.all(np.abs(np.diff(time) - DT_S) < 1e-12)
         assert (time[0], time[-1]) == (pytest.approx(-0.05), pytest.approx(0.2 + 0.1))
@@ -304,43 +297,24 @@ def served(patient: None) -> Iterator[CompiledDevice]:
         yield compiled
 
 
-def transfer(plant: TrueDevice, grip_N: float, frequency_Hz: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-    """From current to the acceleration of the stylus, of a chain whose last joint stands on the ground."""
-    masses, stiffness, damping = plant.at(grip_N)
-    out = []
-    for s in 2j * np.pi * frequency_Hz:
-        joints = np.asarray(stiffness) + s * np.asarray(damping)
-        dynamic = np.diag(s**2 * np.asarray(masses)).astype(complex)
-        for j, joint in enumerate(joints):
-            dynamic[j, j] += joint
-            if j + 1 < len(masses):
-                dynamic[j + 1, j + 1] += joint
-                dynamic[j, j + 1] -= joint
-                dynamic[j + 1, j] -= joint
-        force = np.zeros(len(masses))
-        force[0] = plant.force_per_current_N_A
-        out.append(s**2 * np.linalg.solve(dynamic, force)[plant.stylus])
-    return np.array(out)
-
-
 def test_what_is_recorded_over_a_port_is_the_device(play: Run, served: CompiledDevice) -> None:
     """Its transfer function, from the files alone: signs, units and instants are right."""
-    options = (
+    options = [
         "--out",
         "rec",
         "--low",
-        10,
+        "10",
         "--high",
-        1500,
+        "1500",
         "--seconds",
-        0.5,
+        "0.5",
         "--trials",
-        2,
+        "2",
         "--grips",
-        3,
+        "3",
         "--gain",
-        1,
-    )
+        "1",
+    ]
     outcome = play("record", "sweep", "--port", served.name, *options)
     assert outcome.code == 0, outcome.out + outcome.err
     currents, accelerations = 0j, 0j
@@ -352,7 +326,10 @@ def test_what_is_recorded_over_a_port_is_the_device(play: Run, served: CompiledD
     frequency = np.fft.rfftfreq(read("sweep_001.npz")["time_s"].size, DT_S)
     inner = (frequency > 20) & (frequency < 800)
     seen = (accelerations / currents)[inner] * (1 + 1j * frequency[inner] / SEED_SENSORS.accelerometer_bandwidth_Hz)
-    ratio = seen / transfer(DEFAULT_DEVICE, 3.0, frequency[inner])
+    masses, stiffness, damping = DEFAULT_DEVICE.at(3.0)
+    links, force = map(Link, stiffness, damping), DEFAULT_DEVICE.force_per_current_N_A
+    plant = chain(masses.tolist(), list(links), force_per_current_N_A=force, stylus=DEFAULT_DEVICE.stylus)
+    ratio = seen / plant.response(frequency[inner])
     assert np.median(np.abs(20 * np.log10(np.abs(ratio)))) < 0.5
     assert np.median(np.abs(np.angle(ratio, deg=True))) < 3.0
 

@@ -1,8 +1,6 @@
-"""What the compiled device asks of configurations and images, number by number, and where its memory ends.
+"""What the compiled device asks of configurations and images, number by number, and where its memory ends."""
 
-The oracle is `configuration.accept` and `image.check`: the same conditions in Python, in the same order.
-"""
-
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,18 +10,17 @@ import pytest
 
 from controller.firmware.core_device import CoreDevice
 from controller.protocol import messages as m
-from controller.protocol.capacity import Capacity, Hardware
 from controller.protocol.codes import REASONS, Reason
-from controller.protocol.configuration import HEADER, NAMES, ConfigurationError, accept, configuration_of
+from controller.protocol.configuration import HEADER, NAMES, configuration_of
 from controller.protocol.image import HEADER as IMAGE_HEADER
-from controller.protocol.image import IMAGE_FIELDS, ImageError, check, image_of
+from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
 from controller.protocol.packed import Packed
 from controller.protocol.wire import Decoder, encode
 from controller.servo.interface import Readings
 from controller.servo.settings import Settings
-from controller.waveforms.bank import Bank, Method
-from scripts.campaign.conversations import NUMBERS, TAIL, sha256
-from scripts.campaign.parity_runs import DT_S
+from scripts.campaign.compiled_device import DT_S, TAIL, smooth_bank
+from scripts.campaign.conversations import NUMBERS
+from tests.benches.device import REST, Talker
 from tests.benches.servo import AMPLIFIER, WALL
 from transopt.plant.coil import CoilModel
 
@@ -39,6 +36,12 @@ SETTINGS = Settings(
     slew_limit_A_per_s=5e3,
     assumed_grip_N=3.0,
 )
+CONFIGURATION_REASONS = (
+    Reason.BAD_VALUE,
+    Reason.BAD_CONFIGURATION,
+    Reason.BAD_TIMING,
+    Reason.BEYOND_HARDWARE,
+)
 IMAGE_REASONS = (
     Reason.BAD_FORMAT,
     Reason.TOO_LARGE,
@@ -50,88 +53,79 @@ IMAGE_REASONS = (
 )
 BARE = Settings(DT_S, 3e-4, 4.0)
 EXCITED = replace(BARE, host_starts=True)
-REST = Readings(0, 200, 3.0, 0.0, 0.0)
 
 
-class News:
-    """The device, and a host that tells it one thing after the other."""
-
-    def __init__(self) -> None:
-        self.core, self._decoder = CoreDevice(1), Decoder()
-        self._sequence = 0
-        self.tell(m.Hello(m.MAGIC, m.PROTOCOL, 0))
-
-    def tell(self, *told: Packed) -> list[Packed]:
-        """What it answers."""
-        for message in told:
-            self._sequence = (self._sequence + 1) % 0x10000
-            self.core.receive(encode(m.Frame(self._sequence, 5, message).payload()))
-        return self.fetch()
-
-    def fetch(self) -> list[Packed]:
-        return [m.read_frame(payload).message for payload in self._decoder.feed(self.core.bytes_to_send())]
-
-    def configure(self, data: bytes) -> Packed:
-        return self.tell(m.Configure(0, data), m.ConfigureCommit(sha256(data)))[-1]
-
-    def upload(self, image: bytes) -> Packed:
-        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
-        return self.tell(m.UploadBegin(len(image), sha256(image)), *chunks, m.Commit())[-1]
+def reason(answer: Packed) -> Reason | None:
+    """Of a refusal; None where it was taken."""
+    assert isinstance(answer, m.Done | m.Refused)
+    return REASONS[answer.reason] if isinstance(answer, m.Refused) else None
 
 
-def answered(answer: Packed, why: ConfigurationError | ImageError | None) -> Reason | None:
-    """The reason of a refusal, after it has been found to be the oracle's, with its value."""
-    if why is None:
-        assert isinstance(answer, m.Done)
-        return None
-    assert isinstance(answer, m.Refused)
-    assert REASONS[answer.reason] is why.reason
-    assert answer.value == pytest.approx(why.value, rel=1e-12, nan_ok=True)
-    return why.reason
-
-
-def refusal_of_configuration(data: bytes) -> ConfigurationError | None:
-    try:
-        accept(data, Capacity(), Hardware())
-    except ConfigurationError as why:
-        return why
-    return None
-
-
-def refusal_of_image(image: bytes, settings: Settings) -> ImageError | None:
-    try:
-        check(image, accept(configuration_of(settings), Capacity(), Hardware()), Capacity())
-    except ImageError as why:
-        return why
-    return None
-
-
-def table(speeds: int = 2, grips: int = 2, samples: int = 40) -> Bank:
-    command = np.zeros((speeds, grips, samples))
-    command[..., : samples - TAIL] = 1.0
-    norms = np.ones((speeds, grips)).tolist()
-    axes = np.linspace(0.1, 0.9, speeds).tolist(), np.linspace(1.0, 5.0, grips).tolist()
-    return Bank(Method.BILINEAR, *axes, command, norms, norms, 0.5, True, False)
-
-
-IMAGE = image_of(table(), DT_S, 3e-4, TAIL)
+IMAGE = image_of(smooth_bank(samples=40), DT_S, 3e-4, TAIL)
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE, EXCITED], ids=["all", "bare", "excited"])
 def test_every_number_of_a_configuration_is_asked_for(settings: Settings) -> None:
-    device, data = News(), configuration_of(settings)
+    device, data = Talker(), configuration_of(settings)
     answers = set()
     for place, name in enumerate(NAMES):
         at = HEADER.size + 8 * place
         (value,) = struct.unpack_from("<d", data, at)
         for other in (*NUMBERS, value * 1.001, -value, value + 1.0, 1e9, 1e-3):
             changed = data[:at] + struct.pack("<d", other) + data[at + 8 :]
-            answer = device.configure(changed)
-            answers.add(answered(answer, refusal_of_configuration(changed)))
+            answers.add(answer := reason(device.configure(changed)))
+            assert math.isfinite(other) or answer is Reason.BAD_VALUE, (name, other)
             if name.startswith(("guard_", "decay", "prefilter", "approach_")) and abs(other - value) > 1e-6:
-                assert isinstance(answer, m.Refused), (name, other)
+                assert answer is not None, (name, other)
     assert isinstance(device.configure(data), m.Done)
-    assert len(answers) == 5
+    assert answers == {None, *CONFIGURATION_REASONS}
+
+
+def with_number(settings: Settings, name: str, value: float) -> bytes:
+    data, at = configuration_of(settings), HEADER.size + 8 * NAMES.index(name)
+    return data[:at] + struct.pack("<d", value) + data[at + 8 :]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("dt_s", math.nan, Reason.BAD_VALUE),
+        ("gain_step", math.inf, Reason.BAD_VALUE),
+        ("has_wall", 0.5, Reason.BAD_VALUE),
+        ("host_starts", 0.5, Reason.BAD_VALUE),
+        ("window_ticks", 20.5, Reason.BAD_VALUE),
+        ("window_ticks", 3.0, Reason.BAD_CONFIGURATION),
+        ("has_wall", 1.0, Reason.BAD_CONFIGURATION),
+        ("has_coil", 1.0, Reason.BAD_CONFIGURATION),
+        ("current_limit_A", -1.0, Reason.BAD_CONFIGURATION),
+        ("current_limit_A", 5.0, Reason.BAD_CONFIGURATION),  # over_current_A does not follow
+        ("dt_s", 5e-324, Reason.BAD_TIMING),
+        ("window_ticks", 1e15, Reason.BEYOND_HARDWARE),
+    ],
+)
+def test_numbers_that_do_not_belong_together(device: Talker, name: str, value: float, expected: Reason) -> None:
+    assert reason(device.configure(with_number(BARE, name, value))) is expected
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (replace(SETTINGS, dt_s=2e-4), Reason.BAD_TIMING),
+        (replace(SETTINGS, window_ticks=257), Reason.BEYOND_HARDWARE),
+        (replace(SETTINGS, current_limit_A=10.5), Reason.BEYOND_HARDWARE),
+        (replace(SETTINGS, amplifier=replace(AMPLIFIER, command_limit_A=11.0)), Reason.BEYOND_HARDWARE),
+        (replace(SETTINGS, wall=replace(WALL, latency_ticks=32)), Reason.BEYOND_HARDWARE),
+        (replace(SETTINGS, encoder_limit_counts=1 << 30), Reason.BEYOND_HARDWARE),
+    ],
+)
+def test_what_the_device_cannot_do(device: Talker, settings: Settings, expected: Reason) -> None:
+    assert reason(device.configure(configuration_of(settings))) is expected
+
+
+def test_other_formats(device: Talker) -> None:
+    data = configuration_of(BARE)
+    for at in (0, 4, 6):  # magic, version, count
+        assert reason(device.configure(data[:at] + b"\7" + data[at + 1 :])) is Reason.BAD_FORMAT
 
 
 def odd_images() -> Iterator[bytes]:
@@ -152,27 +146,76 @@ def odd_images() -> Iterator[bytes]:
     for size in (1, 55, 56, len(IMAGE) - 1):
         yield IMAGE[:size]
     for sizes in ((64, 64, 12), (65, 1, 12), (1, 65, 12), (1, 1, 20_000), (1, 1, 20_001), (14, 1, 19_000)):
-        yield image_of(table(*sizes), DT_S, 3e-4, TAIL)
+        yield image_of(smooth_bank(*sizes), DT_S, 3e-4, TAIL)
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, BARE], ids=["all", "bare"])
 def test_every_number_of_an_image_is_asked_for(settings: Settings) -> None:
-    device = News()
+    device = Talker()
     assert isinstance(device.configure(configuration_of(settings)), m.Done)
     assert isinstance(device.upload(IMAGE), m.Done)
-    answers = []
-    for image in odd_images():
-        answers.append(answered(device.upload(image), refusal_of_image(image, settings)))
-    assert set(answers) >= set(IMAGE_REASONS)
+    assert {reason(device.upload(image)) for image in odd_images()} == {None, *IMAGE_REASONS}
     # What was refused leaves what was there in force.
     again = device.tell(m.UploadBegin(len(IMAGE), sha256(IMAGE)))[-1]
     assert isinstance(again, m.UploadReady)
 
 
-def test_where_the_host_starts_there_is_one_waveform(device: News) -> None:
-    one = table(1, 1)
+def imaged(**others: object) -> bytes:
+    return image_of(replace(smooth_bank(samples=40), **others), DT_S, 3e-4, TAIL)  # type: ignore[arg-type]
+
+
+def with_header(**values: float) -> bytes:
+    head = dict(zip((name for name, _ in IMAGE_FIELDS), IMAGE_HEADER.unpack_from(IMAGE), strict=True))
+    return IMAGE_HEADER.pack(*{**head, **values}.values()) + IMAGE[IMAGE_HEADER.size :]
+
+
+@pytest.mark.parametrize(
+    ("expected", "images"),
+    [
+        (Reason.BAD_FORMAT, [with_header(**{name: 1}) for name in ("magic", "reserved")]),
+        (Reason.BAD_FORMAT, [with_header(version=2), with_header(flags=4), with_header(samples=41)]),
+        (Reason.BAD_FORMAT, [with_header(speeds=0), IMAGE[:10], IMAGE[: IMAGE_HEADER.size], IMAGE + b"\0"]),
+        (Reason.BAD_TIMING, [with_header(dt_s=2e-4), with_header(lead_s=0.0), with_header(dt_s=math.nan)]),
+        (Reason.BAD_VALUE, [with_header(scale_A=math.inf), with_header(grip_min_N=math.nan)]),
+        (Reason.BAD_VALUE, [with_header(grip_min_N=-1.0)]),
+        (Reason.NO_ZERO_TAIL, [with_header(tail_samples=tail) for tail in (0, TAIL + 2, 41)]),
+        (Reason.OVER_LIMIT, [with_header(scale_A=1.0)]),
+        *(
+            (Reason.BAD_AXES, [imaged(speeds_m_s=axis), imaged(grips_N=axis)])
+            for axis in ([0.2, 0.2], [0.4, 0.1], [math.nan, 0.1], [0.1, math.inf], [-0.1, 0.2])
+        ),
+        *(
+            (Reason.BAD_VALUE, [imaged(transient_A=norms), imaged(feedback_A=norms)])
+            for norms in ([[bad, 0.0], [0.0, 0.0]] for bad in (math.nan, -1.0, math.inf))
+        ),
+        (None, [IMAGE, imaged(command_A=np.zeros((2, 2, 40)))]),
+    ],
+)
+def test_images_and_why_they_are_refused(device: Talker, expected: Reason | None, images: list[bytes]) -> None:
+    device.configure(configuration_of(BARE))
+    assert {reason(device.upload(image)) for image in images} == {expected}
+
+
+def test_peaks_are_those_of_the_current_from_rest(device: Talker) -> None:
+    """A command of 6 A for one tick is 2.9 A of current, for ten ticks it is 6."""
+    driven = replace(BARE, amplifier=AMPLIFIER)
+    device.configure(configuration_of(driven))
+    decay = math.exp(-AMPLIFIER.rate_rad_s * DT_S)
+    for ticks, peak_A in ((1, 6.0), (2, 6.0), (10, 6.0), (1, -6.01)):
+        command = np.zeros((1, 1, 40))
+        command[..., :ticks] = peak_A
+        image = image_of(replace(smooth_bank(1, 1, samples=40), command_A=command), DT_S, 3e-4, TAIL)
+        fits = 6.0 * (1 - decay**ticks) <= 4.0 and abs(peak_A) <= 6.0
+        assert reason(device.upload(image)) is (None if fits else Reason.OVER_LIMIT)
+    # Beside a wall, whose feedback is taken away from it, the command alone may be larger.
+    device.configure(configuration_of(replace(driven, wall=WALL)))
+    assert reason(device.upload(image)) is None
+
+
+def test_where_the_host_starts_there_is_one_waveform(device: Talker) -> None:
+    one = smooth_bank(1, 1, samples=40)
     assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
-    others = (table(1, 2), table(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
+    others = (smooth_bank(1, 2), smooth_bank(2, 1), replace(one, speeds_m_s=[0.0]), replace(one, grips_N=[0.4]))
     for other in others:
         answer = device.upload(image_of(other, DT_S, 3e-4, TAIL))
         assert isinstance(answer, m.Refused)
@@ -182,32 +225,32 @@ def test_where_the_host_starts_there_is_one_waveform(device: News) -> None:
     assert isinstance(device.configure(configuration_of(BARE)), m.Done)
     assert isinstance(device.upload(IMAGE), m.Done)
     assert isinstance(device.configure(configuration_of(EXCITED)), m.Done)
-    assert device.core.look().library_sha256 == m.NO_HASH
+    assert device.device.look().library_sha256 == m.NO_HASH
 
 
-def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: News) -> None:
+def test_events_that_nobody_acknowledges_are_counted_when_there_is_no_room(device: Talker) -> None:
     """And telemetry goes round in the memory for what goes out, and is dropped where nobody fetches it."""
     device.configure(configuration_of(SETTINGS))
     device.tell(m.Telemetry(1))
     extreme = (1e300, -1e300, 3.4028235e38, 3.5e38, float("nan"))
     for tick in range(6000):
         pressed = tick % 50 == 10
-        device.core.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
+        device.device.step(Readings(tick, 200, extreme[tick % 5], 0.0, extreme[tick % 4], pressed))
         if tick % 50 == 20:
             device.tell(m.Reset())
         if tick % (700 if tick < 3000 else 2600) == 0:
-            device.fetch()
+            device.heard()
     for said in device.tell(m.EventAck(64)):
         assert not isinstance(said, m.Event)
     for tick in range(6000, 6500):
-        device.core.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
-    last = [said for said in device.fetch() if isinstance(said, m.Event)][-1]
+        device.device.step(Readings(tick, 200, 3.0, 0.0, 0.0, tick == 6100))
+    last = [said for said in device.heard() if isinstance(said, m.Event)][-1]
     assert last.lost > 50
 
 
 @pytest.fixture
-def device() -> News:
-    return News()
+def device() -> Talker:
+    return Talker()
 
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
@@ -222,13 +265,13 @@ def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
     assert len(decoder.feed(core.bytes_to_send())) == 1
 
 
-def test_a_stop_before_any_configuration_is_latched(device: News) -> None:
-    device.core.step(REST)
+def test_a_stop_before_any_configuration_is_latched(device: Talker) -> None:
+    device.device.step(REST)
     device.tell(m.EmergencyStop(), m.Reset())
-    device.core.step(REST)
+    device.device.step(REST)
     assert isinstance(device.configure(configuration_of(BARE)), m.Refused)
-    device.core.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
+    device.device.step(Readings(1, 200, 3.0, 0.0, 0.0, True))
     device.tell(m.Reset())
-    device.core.step(REST)
+    device.device.step(REST)
     assert isinstance(device.tell(m.Reset())[-1], m.Done)
     assert isinstance(device.configure(configuration_of(BARE)), m.Done)

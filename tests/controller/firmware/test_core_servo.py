@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.firmware.build import CORE, FLAGS, STRICT, NoCompilerError, build, compiler, sources
+from controller.firmware.build import CORE, FLAGS, STRICT, build, compiler, sources
 from controller.firmware.replay import EXCITE, NEGATIVE, REPLAY, Core, Recorder, write_runs
 from controller.protocol.codes import EVENT_CODES, EVENTS
 from controller.protocol.image import image_of
 from controller.servo.interface import Fault, Notice
 from scripts.campaign.parity_runs import random_run, tap_run
 from scripts.device_parity import COMMAND_A, DOUBLE, FLOAT, Difference, heat_differences_K
+from tests.benches.device import clean_answers
 from transopt.library.library import Library
 from transopt.plant.wall import Wall
 
@@ -23,6 +24,7 @@ pytestmark = pytest.mark.usefixtures("c_compiler")
 
 # exp and fmod only where a configuration is checked, never in a servo period.
 MAY_CALL = {"memcpy", "memset", "memcmp", "memmove", "sqrt", "floor", "exp", "fmod"}
+PROGRAM = [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"]
 EXCITED = (1, 9, 17)  # the host starts what is played
 SEEDS = (2, 5, 7, 12, 16, 23, 24, *EXCITED)
 
@@ -39,8 +41,7 @@ def played(library: Library) -> list[Recorder]:
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
 def test_the_core_compiles_without_a_warning(flags: tuple[str, ...]) -> None:
-    files = [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"]
-    assert build("strict", files, flags=(*STRICT, *flags)).exists()
+    assert build("strict", PROGRAM, flags=(*STRICT, *flags)).exists()
 
 
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
@@ -163,23 +164,11 @@ def test_more_than_the_core_holds_is_refused() -> None:
 @pytest.mark.parametrize("flags", [DOUBLE, FLOAT], ids=["double", "single"])
 def test_sanitizers_find_nothing(played: list[Recorder], tmp_path: Path, flags: tuple[str, ...]) -> None:
     write_runs(tmp_path / "runs", [recorder.run_bytes() for recorder in (*played, *map(random_recorder, SEEDS))])
-    files = [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"]
-    plain = build("replay", files, flags=flags)
-    checks = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
-    try:
-        checked = build("replay-checked", files, flags=(*flags, *checks))
-    except NoCompilerError as refused:
-        pytest.skip(f"no sanitizers here: {refused}")
-    said = [
-        subprocess.run([str(program), str(tmp_path / "runs")], capture_output=True, text=True, check=True, timeout=60)
-        for program in (plain, checked)
-    ]
-    assert [run.stderr for run in said] == ["", ""]
-    assert said[0].stdout == said[1].stdout
+    clean_answers("replay", PROGRAM, tmp_path / "runs", flags)
 
 
 def test_the_driver_refuses_what_is_no_run(tmp_path: Path) -> None:
     (tmp_path / "runs").write_bytes(random_recorder(5).run_bytes()[:-1])
-    driver = build("replay", [*sources(CORE), REPLAY / "td_replay.c", REPLAY / "replay_main.c"])
+    driver = build("replay", PROGRAM)
     for path in (tmp_path / "runs", tmp_path / "nowhere"):
         assert subprocess.run([str(driver), str(path)], capture_output=True, check=False, timeout=60).returncode == 1

@@ -1,30 +1,27 @@
 """The compiled device: its plant against the simulator, its command line, its link."""
 
-import os
-import select
 import signal
-import socket
 import struct
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from controller.cli.device import simulated
-from controller.firmware.build import CORE, FIRMWARE, STRICT, NoCompilerError, build, sources
+from controller.firmware.build import CORE, FIRMWARE, STRICT, build, sources
 from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device
 from controller.host.payload import excitation, excitation_settings
 from controller.protocol import messages as m
 from controller.protocol.codes import EVENT_CODES, STATES
 from controller.protocol.configuration import configuration_of
-from controller.protocol.image import image_of
+from controller.protocol.image import image_of, sha256
 from controller.protocol.wire import Decoder, encode
 from controller.record.excitation import sweep_command
 from controller.servo.interface import Notice, State
@@ -37,8 +34,8 @@ from controller.sim.true_device import Ground, device_of
 from controller.sim.user import Habit, StillHand, TapsInTurn, TapUser
 from controller.waveforms.bank import Bank
 from scripts.campaign.compiled_device import CompiledDevice
-from scripts.campaign.conversations import sha256
 from tests.benches.commands import Terminal, assert_refused
+from tests.benches.device import Talker, checked
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
@@ -47,7 +44,6 @@ pytestmark = pytest.mark.usefixtures("c_compiler")
 
 DT_S = 1e-4
 QUIET = Sensors(accelerometer_noise_g_rtHz=0.0, grip_noise_N=0.0, current_noise_A=0.0)
-CHECKS = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 FILES = [*sources(CORE), *sources(FIRMWARE / "host")]
 WAIT_S = 60.0  # for a process on a busy machine; nothing is judged by it
 
@@ -59,10 +55,7 @@ def user() -> TapsInTurn:
 
 def hello() -> m.HelloReply:
     """Of a device without limits of its own."""
-    device = CoreDevice(7)
-    device.receive(encode(m.Frame(1, 5, m.Hello(m.MAGIC, m.PROTOCOL, 3)).payload()))
-    (payload,) = Decoder().feed(device.bytes_to_send())
-    reply = m.read_frame(payload).message
+    (reply,) = Talker().put(m.Hello(m.MAGIC, m.PROTOCOL, 3), session=5)
     assert isinstance(reply, m.HelloReply)
     return reply
 
@@ -151,10 +144,7 @@ class Both:
 def program(request: pytest.FixtureRequest) -> Path:
     if request.param == "plain":
         return build("transopt-device", FILES, flags=STRICT)
-    try:
-        return build("transopt-device-checked", FILES, flags=CHECKS)
-    except NoCompilerError as refused:
-        pytest.skip(f"no sanitizers here: {refused}")
+    return checked("transopt-device", FILES)
 
 
 def test_taps_go_as_on_the_simulator(
@@ -211,10 +201,7 @@ def _but_for_rounding(both: Both) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [({"ground": Ground(friction_N=0.1)}, "knows no friction")],
-)
+@pytest.mark.parametrize(("change", "message"), [({"ground": Ground(friction_N=0.1)}, "knows no friction")])
 def test_what_the_compiled_plant_cannot_do_is_refused(
     user: TapsInTurn, change: dict[str, object], message: str
 ) -> None:
@@ -279,97 +266,56 @@ def test_a_plant_file_cut_short_is_refused(plant: Path, tmp_path: Path) -> None:
         assert done.returncode == 2
 
 
-class Served:
-    """`transopt-device` as a process of its own, opened like a port."""
-
-    def __init__(self, *options: str) -> None:
-        command = [sys.executable, "-m", "controller.cli.device", "--tap", "0.2,3", *options]
-        self.running = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        assert self.running.stdout is not None
-        self.name = self.running.stdout.readline().strip()
-        self._socket: socket.socket | None = None
-        self.connect()
-
-    def connect(self) -> None:
-        """As a new host; on a socket the one before has gone."""
-        if self._socket is not None:
-            self._socket.close()
-        if self.name.startswith("socket://"):
-            host, port = self.name.removeprefix("socket://").split(":")
-            self._socket = socket.create_connection((host, int(port)))
-            self._port = self._socket.fileno()
-        else:
-            self._port = os.open(self.name, os.O_RDWR | os.O_NOCTTY)
-        self._decoder = Decoder()
-
-    def write(self, message: m.Packed, session: int = 5) -> None:  # type: ignore[name-defined]
-        os.write(self._port, encode(m.Frame(1, session, message).payload()))
-
-    def greeted(self, session: int) -> m.HelloReply:
-        """The answer to HELLO, asked again while it may have been lost."""
-        end = time.monotonic() + WAIT_S
-        while time.monotonic() < end:
-            self.write(m.Hello(m.MAGIC, m.PROTOCOL, 3), session)
-            if select.select([self._port], [], [], 0.2)[0]:
-                for payload in self._decoder.feed(os.read(self._port, 4096)):
-                    frame = m.read_frame(payload)
-                    if isinstance(frame.message, m.HelloReply) and frame.session == session:
-                        return frame.message
-        raise AssertionError("no answer")
-
-    def say(self, line: str) -> None:
-        assert self.running.stdin is not None
-        self.running.stdin.write(line + "\n")
-        self.running.stdin.flush()
-
-    def close(self) -> str:
-        """What it said on standard error."""
-        self.running.terminate()
-        said = self.running.communicate(timeout=WAIT_S)[1]
-        if self._socket is None:
-            os.close(self._port)
-        else:
-            self._socket.close()
-        return said
+@contextmanager
+def served(*options: str) -> Iterator[tuple["subprocess.Popen[str]", str]]:
+    """`transopt-device` as a process of its own, and the name of its port; it ends without a word."""
+    command = [sys.executable, "-m", "controller.cli.device", "--tap", "0.2,3", *options]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as running:
+        assert running.stdout is not None
+        yield running, running.stdout.readline().strip()
+        running.terminate()
+        assert running.communicate(timeout=WAIT_S)[1] == ""
 
 
-@pytest.mark.parametrize("options", [(), ("--listen", "localhost:0"), ("--loss", "0.3", "--corruption", "0.3")])
-def test_it_answers_like_a_device(options: tuple[str, ...]) -> None:
-    served = Served(*options)
-    reply = served.greeted(11)
-    assert (reply.real_bytes, reply.protocol, reply.dt_s) == (8, m.PROTOCOL, DT_S)
-    served.say("reset")
-    session = 12
-    while served.greeted(session).boot == reply.boot:
-        session += 1
-    served.say("quit")
-    assert served.running.wait(WAIT_S) == 0
-    assert served.close() == ""
+def greeted(port: str) -> m.HelloReply:
+    with Device(port) as host:
+        return host.hello
 
 
-def test_power_goes_off_and_on_by_itself() -> None:
-    served = Served("--reset-every", "0.2")
-    boots, end = [served.greeted(11).boot], time.monotonic() + WAIT_S
-    for session in count(12):
-        boot = served.greeted(session).boot
+def boots_of(port: str, count: int) -> list[int]:
+    """Numbers of so many starts, in the order in which they are seen."""
+    boots, end_s = [greeted(port).boot], time.monotonic() + WAIT_S
+    while len(boots) < count and time.monotonic() < end_s:
+        boot = greeted(port).boot
         boots += [boot] if boot != boots[-1] else []
-        if len(boots) == 3 or time.monotonic() > end:
-            break
+    return boots
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("options", [(), ("--listen", "localhost:0"), ("--loss", "0.1")])
+def test_it_answers_like_a_device(options: tuple[str, ...]) -> None:
+    with served(*options) as (running, port):
+        reply = greeted(port)
+        assert (reply.real_bytes, reply.protocol, reply.dt_s) == (8, m.PROTOCOL, DT_S)
+        # On a socket the host before has gone, and another one comes.
+        again = greeted(port)
+        assert again.boot == reply.boot
+        assert again.tick >= reply.tick
+        assert running.stdin is not None
+        print("reset", file=running.stdin, flush=True)
+        while greeted(port).boot == reply.boot:
+            pass
+        print("quit", file=running.stdin, flush=True)
+        assert running.wait(WAIT_S) == 0
+
+
+@pytest.mark.usefixtures("patient")
+def test_power_goes_off_and_on_by_itself() -> None:
+    with served("--reset-every", "0.2") as (_, port):
+        boots = boots_of(port, 3)
     assert len(boots) == 3
     assert boots == sorted(boots)
-    assert served.close() == ""
-
-
-def test_hosts_come_and_go_on_a_socket() -> None:
-    served = Served("--listen", "localhost:0")
-    first = served.greeted(11)
-    served.connect()
-    again = served.greeted(12)
-    assert (again.boot, again.nonce) == (first.boot, first.nonce)
-    assert again.tick >= first.tick
-    assert served.close() == ""
 
 
 def test_time_that_the_machine_slept_is_not_caught_up(plant: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from controller.firmware.build import NoCompilerError, compiler
 from scripts import firmware_targets
-from scripts.firmware_targets import TARGETS, MissingToolError, Target, need_tools, play, record, table
+from scripts.firmware_targets import TARGETS, MissingToolError, Target, need_tools, play, record, rows
 from transopt.base.errors import InputError
 
 CORTEX_M7 = TARGETS[1]
@@ -36,14 +36,14 @@ def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Pa
     if target.library:
         # What src/transopt_port.h promises: RAM2 of a Teensy with room for USB, and a third of 192 kB for others.
         assert found.device_bytes < (470_000 if "Teensy" in target.name else 120_000)
-    assert f"{target.name} | {target.precision} | {found.text_bytes}" in table({target: found})
+    assert f"{target.name} | {target.precision} | {found.text_bytes}" in "".join(rows({target: found}))
 
 
 def test_contracted_products_would_be_seen(records: dict[str, Path], tmp_path: Path) -> None:
     """Without the ban the processor's fused multiply-add gives other bits: the hash is worth something."""
     found = play(replace(CORTEX_M7, flags=("-ffp-contract=fast",)), records, tmp_path)
     assert not found.alike()
-    assert "| NO |" in table({CORTEX_M7: found})
+    assert "| NO |" in "".join(rows({CORTEX_M7: found}))
 
 
 def test_a_program_that_fails_on_the_target_is_told(records: dict[str, Path], tmp_path: Path) -> None:
@@ -59,5 +59,4 @@ def test_missing_tools_are_named_with_their_package(monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(MissingToolError, match=r"arm-none-eabi-gcc: not found; install gcc-arm-none-eabi"):
         need_tools()
-    monkeypatch.setattr("sys.argv", ["firmware_targets.py"])
     assert firmware_targets.main() == 3

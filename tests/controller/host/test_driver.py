@@ -7,46 +7,30 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from controller.host.connection import UnpluggedError
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.protocol.codes import Kind, LinkNotice
 from controller.protocol.events import Happened, Samples
 from controller.protocol.image import sha256
 from controller.servo.interface import Fault, Notice, Readings, State
 from controller.sim.virtual_link import Trouble
+from tests.benches.desk import Cable
 from tests.benches.device import CONFIGURATION, DT_S, EXCITED, IMAGE, ONE_WAVEFORM, World, image, started
 from transopt.base.errors import InputError
 
 
-class VirtualStream:
+class VirtualStream(Cable):
     """The host's side of a world, whose time passes while the host waits."""
 
-    name, harmless = "device", False
-
     def __init__(self, world: World) -> None:
-        self.world, self.gone, self.closed = world, False, 0
-        world.host_alive = False  # the driver pumps, not the world
+        super().__init__(world.device, world, DT_S, link=world.link)  # type: ignore[arg-type]
+        self.world, world.host_alive = world, False  # the driver pumps, not the world
 
     def now_s(self) -> float:
         return self.world.now_s
 
-    def read(self, timeout_s: float) -> bytes:
-        end_s = self.world.now_s + timeout_s
-        while True:
-            if self.gone:
-                raise UnpluggedError("port: the connection is gone (test): plug the device in again")
-            self.world.step()
-            data = self.world.link.to_host.arrived(self.world.now_s)
-            if data or self.world.now_s >= end_s:
-                return data
-
-    def write(self, data: bytes) -> None:
-        if self.gone:
-            raise UnpluggedError("port: the connection is gone (test): plug the device in again")
-        self.world.link.host_sends(data, self.world.now_s)
-
-    def close(self) -> None:
-        self.closed += 1
+    def step(self) -> None:
+        self._need_cable()
+        self.world.step()
 
 
 def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, VirtualStream, Callable[[], Device]]:
@@ -78,7 +62,8 @@ def test_one_session_from_end_to_end(trouble: Trouble) -> None:
         device.set_telemetry(10)
         device.arm(0.5, 200)
         assert device.state is State.ARMED
-        assert not device.listen(1.0, on_samples=samples.append)
+        device.listeners.append(lambda news: samples.append(news) if isinstance(news, Samples) else None)
+        assert not device.listen(1.0)
         assert world.device.state is State.ARMED
         device.set_gain(0.2)
         device.disarm()

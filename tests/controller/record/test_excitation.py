@@ -5,6 +5,7 @@ import pytest
 from scipy import signal
 
 from controller.record.excitation import sweep_command
+from controller.record.sweep_plan import FREE_LOW_HZ, Purpose, sweep_plan
 from controller.record.trial_file import write_measurement
 from transopt.base.errors import InputError
 
@@ -69,6 +70,33 @@ def test_numbers_out_of_range_are_named(change: dict[str, float], says: str) -> 
     given = {"low_Hz": 1.0, "high_Hz": 2000.0, "seconds": 2.0, "amplitude_A": 0.75, "dt_s": DT_S, **change}
     with pytest.raises(InputError, match=says):
         sweep_command(**given)
+
+
+def test_the_presets_of_a_plan() -> None:
+    planned = sweep_plan(Purpose.DEVICE, [0.0, 1.0, 5.0], 4)
+    assert [trial.polarity for trial in planned[:4]] == [1, -1, 1, -1]
+    assert [trial.low_Hz for trial in planned] == [FREE_LOW_HZ] * 4 + [1.0] * 8
+    assert {trial.high_Hz for trial in planned} == {2000.0}
+    assert planned[5].file_name == "device_1N_2_neg.npz"
+    amplifier = sweep_plan(Purpose.AMPLIFIER, None, 2)
+    assert [(trial.grip_N, trial.offset_A) for trial in amplifier] == [(3.0, 0.0)] * 2 + [(3.0, 0.5)] * 2
+    assert amplifier[3].file_name == "amplifier_3N_0.5A_2_neg.npz"
+    offset = amplifier[2].command(DT_S)
+    np.testing.assert_array_equal(offset, -amplifier[3].command(DT_S))
+    # Over the middle of the sweep the offset keeps the current clear of the crossover.
+    assert offset[offset.size // 4 : -offset.size // 10].min() > 0.1
+    assert len({trial.file_name for trial in [*planned, *amplifier]}) == 16
+
+
+def test_plans_that_are_refused() -> None:
+    for grips, trials, words in (
+        ([], 1, "at least one"),
+        ([3.0, 3.0], 1, "once"),
+        ([-1.0], 1, "0 to 50 N"),
+        (None, 0, "--trials 0"),
+    ):
+        with pytest.raises(InputError, match=words):
+            sweep_plan(Purpose.DEVICE, grips, trials)
 
 
 def test_a_measurement_comes_back_as_it_was(tmp_path) -> None:

@@ -8,18 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from controller.protocol.codes import STATES
+from controller.protocol.messages import Record
 from controller.record.telemetry import COLUMNS, CSV_NAME, NPZ_NAME, Telemetry, read_csv
-from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
+from controller.servo.interface import State
 from tests.benches.places import ROOT
 from transopt.base.errors import InputError
 
 DT = 1e-4
 
 
-def tick(k: int) -> tuple[Readings, Output]:
-    events = (Event(k, Notice.CONTACT, 0.2, 3.0), Event(k, Fault.GRIP_LOST)) if k % 7 == 0 else ()
-    readings = Readings(k, -k, float("nan") if k == 3 else 0.1 * k, 1 / 3, -2.5e-7 * k, emergency_stop=k == 5)
-    return readings, Output(np.float64(0.1 * k).item(), State.PLAYING, 0.2, -0.3, 25.0 + k, events)
+def tick(k: int) -> tuple[int, Record, str]:
+    grip_N = float("nan") if k == 3 else 0.1 * k
+    playing = STATES.index(State.PLAYING)
+    record = Record(-k, grip_N, 1 / 3, -2.5e-7 * k, 0.1 * k, 0.2, -0.3, 25.0 + k, playing, int(k == 5))
+    return k, record, "contact;grip_lost" if k % 7 == 0 else ""
 
 
 def write(folder: Path, ticks: int, block_ticks: int) -> Telemetry:
@@ -146,9 +149,9 @@ class TestRefusals:
 @pytest.mark.parametrize("counts", [float("nan"), float("inf"), 2**70])
 def test_a_broken_encoder_is_recorded_too(tmp_path: Path, counts: float) -> None:
     """The tick that shows the fault is the one that has to be in the file."""
-    readings, output = tick(0)
+    _, record, events = tick(0)
     with Telemetry(tmp_path, 1e-4) as telemetry:
-        telemetry.record(dataclasses.replace(readings, encoder_counts=counts), output)
+        telemetry.record(0, dataclasses.replace(record, encoder_counts=counts), events)
     expected = float(counts)
     np.testing.assert_equal(read_csv(tmp_path / CSV_NAME)["encoder_counts"][0], expected)
     with np.load(tmp_path / NPZ_NAME) as file:

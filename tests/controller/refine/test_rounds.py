@@ -18,9 +18,8 @@ from controller.refine.learning import Ratio, condition, corrected, factors, rat
 from controller.refine.rounds import Heard, Node, Refined, fade_of, node_near, nodes_of, refine, smooth
 from controller.refine.tables import best_round, refine_table, summary
 from controller.servo.interface import State
-from controller.sim.open_loop import true_device
 from controller.sim.sensors import SEED_SENSORS
-from controller.sim.simulator import Imperfections, Simulator
+from controller.sim.simulator import Imperfections, Simulator, true_device
 from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.commands import Run, assert_refused
@@ -374,23 +373,6 @@ class TestCommand:
 
     def test_a_device_that_has_not_played_yet(self, play: Run, ready: Desk) -> None:
         assert_refused(play("refine", "library.npz", *PORT, "--out", "x"), "has not played this configuration since")
-
-    @pytest.mark.parametrize(
-        ("arguments", "words"),
-        [
-            ((), "refine: name one device"),
-            (("--simulate", *PORT), "refine: name one device"),
-            (("--simulate", "--for", 3), "--for: only with --port"),
-            ((*PORT, "--mismatch", 0.1), "--mismatch: only with --simulate"),
-            (("--simulate", "--rounds", 0), "--rounds 0: must be 1 to 20"),
-            (("--simulate", "--taps", 1), "--taps 1: must be 2 to 100"),
-            (("--simulate", "--mismatch", 0.9), "--mismatch 0.9: must be 0 to 0.5"),
-            (("--simulate", "--device", "none"), "none: no built-in scene"),
-        ],
-    )
-    def test_bad_input_is_one_line(self, play: Run, desk: Desk, arguments: tuple[object, ...], words: str) -> None:
-        assert_refused(play("refine", "library.npz", "--out", "x", *arguments), words)
-        assert desk.ticks == 0
 
     def test_never_over_the_library_itself(self, play: Run) -> None:
         outcome = play("refine", "library.npz", "--simulate", "--out", ".")

@@ -15,12 +15,7 @@ DT_S, LEAD_S, COUNT_M, WINDOW = 1e-4, 3e-4, 24.5e-6, 100
 
 def _approach(surface_counts: float = 0.0, window: int = WINDOW) -> Approach:
     return Approach(
-        DT_S,
-        LEAD_S,
-        count_m=COUNT_M,
-        surface_counts=surface_counts,
-        window_ticks=window,
-        least_speed_m_s=0.02,
+        DT_S, LEAD_S, count_m=COUNT_M, surface_counts=surface_counts, window_ticks=window, least_speed_m_s=0.02
     )
 
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from controller.protocol import messages as m
-from controller.protocol.capacity import Capacity, Hardware
 from controller.protocol.codes import EVENT_CODES, REASONS, LinkNotice, Reason
-from controller.protocol.configuration import ConfigurationError, accept, configuration_of
+from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of, sha256
 from controller.servo.interface import Fault, Notice, Output, State
 from controller.servo.settings import Settings
@@ -160,17 +159,6 @@ def test_the_heat_allows_all_of_it_or_none() -> None:
 def test_no_wall_beside_it() -> None:
     with pytest.raises(InputError, match="host_starts beside a wall"):
         replace(SETTINGS, wall=WALL)
-
-
-def test_a_flag_is_one_or_zero() -> None:
-    data = configuration_of(SETTINGS)
-    assert accept(data, Capacity(), Hardware()).settings == SETTINGS
-    plain = configuration_of(replace(SETTINGS, host_starts=False))
-    (at,) = {j // 8 * 8 for j in range(len(data)) if data[j] != plain[j]}
-    half = data[:at] + np.array(0.5, "<f8").tobytes() + data[at + 8 :]
-    with pytest.raises(ConfigurationError) as refused:
-        accept(half, Capacity(), Hardware())
-    assert refused.value.reason is Reason.BAD_VALUE
 
 
 # The device around the servo.

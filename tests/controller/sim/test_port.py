@@ -68,8 +68,8 @@ def test_a_tap_is_that_of_servo_and_simulator_alone(library: Library) -> None:
     played = slice(at, at + 600), slice(there, there + 600)
     np.testing.assert_allclose(contact.command_A[played[0]], truth.command_A[played[1]], atol=1e-3)
     found = compared(library, contact).compared
-    assert found.latency_s == pytest.approx(truth.metrics.latency_s, abs=5e-6)
-    assert found.nrmse == pytest.approx(truth.metrics.nrmse, abs=5e-3)
+    assert found.latency_s == pytest.approx(truth.latency_s, abs=5e-6)
+    assert found.nrmse == pytest.approx(truth.nrmse, abs=5e-3)
 
 
 def test_the_same_seed_gives_the_same_tap(library: Library) -> None:

@@ -51,7 +51,6 @@ def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> No
     assert "next:" not in output
     assert "moving_mass_kg" in output
     part = load_model(out).device
-    assert part is not None
     assert part.kind == "drive"
     assert part.nrmse.keys() == {"3"}
     assert (tmp_path / "MODEL_device.png").read_bytes()[:4] == b"\x89PNG"
@@ -67,7 +66,6 @@ def test_a_force_per_ampere_scales_the_masses(folder: Path, tmp_path: Path) -> N
         out = tmp_path / f"{force}.json"
         assert call(*files, "--out", out, "--kind", "drive", "--force-per-current", force)[0] == 0
         part = load_model(out).device
-        assert part is not None
         assert part.kind == "drive"
         masses.append(part.moving_mass_kg)
     assert masses[1] == pytest.approx(2 * masses[0], rel=1e-3)
@@ -99,6 +97,5 @@ def test_the_free_device_alone_gives_a_black_box(folder: Path, tmp_path: Path) -
     code, _, _ = call(*sorted(folder.glob("sweep_0N*")), "--out", out, "--order", "2")
     assert code == 0
     part = load_model(out).device
-    assert part is not None
     assert part.kind == "state_space"
     assert_near(part.plant(0.0), mismatched(0.05, 3).plant(0.0))

@@ -31,14 +31,12 @@ def test_the_command_writes_part_and_figure(
     out = tmp_path / "MODEL.json"
     identify_hand(files(trials)[::2], out)
     part = load_model(out).hand
-    assert part is not None
     assert part.parameters == list(COEFFICIENTS)
     assert part.mass_kg.constant == pytest.approx(0.215, rel=0.06)
     assert part.grips_N[0] == trials.grip_N[::2].min()
     assert part.grips_N[-1] == trials.grip_N[::2].max()
     assert len(part.sources) == 41
     assert part.verdict.startswith("supports designs with a second_order hand")
-    assert part.fourth_order is not None
     assert part.fourth_order["parameters"] == list(NAMES)
     # What a scene builds from it is the hand of the lines.
     plant = part.plant(5.0, force_per_current_N_A=1.0)

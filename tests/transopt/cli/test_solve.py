@@ -115,9 +115,6 @@ class TestSolve:
         assert "tap in [g] and [/x]" in outcome.out
         assert run("show", "run [1]/[/b]/library.npz").code == 0
 
-    def test_second_solver(self, run: Run, quick_scene: Path) -> None:
-        assert run("solve", quick_scene, "--solver", "casadi-ipopt").code == 0
-
     @pytest.mark.parametrize(
         ("arguments", "words"),
         [

@@ -7,7 +7,6 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,8 @@ from transopt.design import sweep
 from transopt.problem.answer import Status
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
-from transopt.study.named import write
 from transopt.study.plan import TOGETHER, Plan
 from transopt.study.session import run_plan
-from transopt.study.swept import SWEPT
 
 
 @pytest.fixture
@@ -164,26 +161,9 @@ class TestCommandLine:
         assert run(scene_file, "--vary", "limits.current_A=50,60", *few).code == 1
         assert Path("out/nrmse.png").exists()
 
-    @pytest.mark.parametrize(
-        ("status", "code", "named"),
-        [
-            (Status.INFEASIBLE, 0, True),
-            (Status.HAND_OVER, 0, False),
-            (Status.NOT_CERTIFIED, 1, True),
-            (Status.REPLAY_VIOLATION, 1, False),
-            (None, 1, False),
-        ],
-    )
+    @pytest.mark.parametrize(("status", "code"), [(Status.INFEASIBLE, 0), (Status.NOT_CERTIFIED, 1), (None, 1)])
     def test_one_row_that_falls_short_is_told(
-        self,
-        run: Run,
-        scene: Scene,
-        scene_file: Path,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        status: Status | None,
-        code: int,
-        named: bool,
+        self, run: Run, scene_file: Path, monkeypatch: pytest.MonkeyPatch, status: Status | None, code: int
     ) -> None:
         """None: an exception, which becomes a DEFECT."""
         real, calls = sweep.admit, []
@@ -196,20 +176,11 @@ class TestCommandLine:
 
         monkeypatch.setattr(sweep, "admit", second_differs)
         monkeypatch.setattr("transopt.study.plan.TOGETHER", 1)
-        if named:
-            fewer = replace(
-                SWEPT["current_limit"], axis="limits.current_A=2,3", speeds_m_s=(0.4,), grips_N=(3.0, 5.0)
-            )
-            monkeypatch.setitem(SWEPT, "current_limit", fewer)
-            assert write("current_limit", short_scene(scene), tmp_path, serial())[0] == code
-            rows = read(tmp_path / "current_limit" / "rows.csv")
-        else:
-            few = ("--vary", "limits.current_A=2,3", "--speed", 0.4, "--grip", "3,5", "--executor", "serial")
-            assert run(scene_file, *few, "--out", "out").code == code
-            rows = read(Path("out/rows.csv"))
-        assert sorted(row["status"] for row in rows) == sorted(
-            ["OPTIMAL"] * 3 + [status.name if status else "DEFECT"]
-        )
+        few = ("--vary", "limits.current_A=2,3", "--speed", 0.4, "--grip", "3,5", "--executor", "serial")
+        assert run(scene_file, *few, "--out", "out").code == code
+        rows = read(Path("out/rows.csv"))
+        wanted = ["OPTIMAL"] * 3 + [status.name if status else "DEFECT"]
+        assert sorted(row["status"] for row in rows) == sorted(wanted)
 
     @pytest.mark.skipif(sys.platform == "win32", reason="signals")
     @pytest.mark.parametrize(

@@ -12,14 +12,14 @@ from tests.benches.commands import Outcome, Terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal, highpass
 from transopt.design.build import Build, build_library
-from transopt.design.refine_grid import CLOSER_LOOK, MARGIN, Refinement, refine_grid
+from transopt.design.refine_grid import Refinement, refine_grid
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
 from transopt.report.grid_figure import grid_figure
-from transopt.report.markdown import build_json, build_markdown
+from transopt.report.markdown import build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -53,10 +53,6 @@ class TestBetween:
             of_slow, of_middle, of_fast = (getattr(r, name) / r.speed_m_s for r in (slow, middle, fast))
             np.testing.assert_allclose(of_middle, (of_slow + of_fast) / 2, rtol=1e-12, atol=1e-12)
         assert middle.between_m_s == (0.1, 0.2)
-
-    def test_beside_a_node_it_is_the_scaled_tap(self, references: list[Reference]) -> None:
-        beside = between(references, 0.2 * (1 + 1e-9))
-        np.testing.assert_allclose(beside.motor_m_s2, references[1].motor_m_s2, rtol=1e-6, atol=1e-6)
 
     def test_it_is_a_reference_of_its_speed(self, scene: Scene, references: list[Reference]) -> None:
         """z_nom integrates r_raw - r from dz/dt = -v, and r = H r_raw, since every step is linear in (r, v)."""
@@ -131,24 +127,12 @@ class TestTolerance:
         expected = [(p.excess_before, p.excess_after) for p in points]
         np.testing.assert_allclose(expected, excess(scene, references, at, library, refined.library), atol=1e-9)
 
-    def test_margins_cover_a_kink_anywhere_in_an_interval(self) -> None:
-        at, kinks = np.linspace(0, 1, 5), np.linspace(0.001, 0.999, 997)
-        # Interpolating max(0, x - k) from its values at 0 and 1; the error is largest at k.
-        error = (1 - kinks) * at[:, None] - np.maximum(0, at[:, None] - kinks)
-        worst = kinks * (1 - kinks)
-        assert np.all(error[2] >= CLOSER_LOOK / MARGIN * worst)
-        assert np.all(error.max(axis=0) >= MARGIN * worst)
-
     def test_nothing_to_blend_at_a_node(self, scene: Scene, refinement: Refinement) -> None:
         """Optimum and blend are the same commands there; replayed side by side, each stage may round otherwise."""
         nodes = [p for p in refinement.points if p not in refinement.off(refinement.grid)]
         assert len(nodes) == refinement.entries
         rounding = scene.time.stages * np.finfo(float).eps  # of an NRMSE, which is of the size of 1 at most
         assert max(abs(p.excess_after) for p in nodes) <= rounding
-
-    def test_generous_tolerance_keeps_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
-        found = refine_grid(scene, taps, 0.5)
-        assert (found.grid, found.rounds, found.shortfall) == (scene.grid, 0, "")
 
 
 class TestSmallGrids:
@@ -176,28 +160,11 @@ class TestSmallGrids:
         assert "nothing lies between the nodes" in refinement_summary(found)
         build = build_library(single, taps, refinement=found)
         assert "nothing lies between the nodes" in build_markdown(build)
-        assert build.library is not None
         # No point lies off the nodes, so that this is what stands for nothing and no computed figure.
         assert build.library.meta["grid_refinement"]["worst_excess_after"] == 0.0
 
 
 class TestRefusals:
-    @pytest.mark.parametrize("tolerance", [0.0, -0.1, 1.0, float("nan")])
-    def test_tolerance(self, scene: Scene, taps: list[Recording], tolerance: float) -> None:
-        with pytest.raises(InputError, match=f"--grid-tolerance {tolerance:g}: must be between 0 and 1"):
-            refine_grid(scene, taps, tolerance)
-
-    def test_cap_below_the_grid(self, scene: Scene, taps: list[Recording]) -> None:
-        with pytest.raises(InputError, match="--grid-cap 11: the scene's own grid has 12 entries"):
-            refine_grid(scene, taps, 0.02, cap=11)
-
-    def test_cap_ends_it_with_what_remains(self, scene: Scene, taps: list[Recording]) -> None:
-        found = refine_grid(scene, taps, 0.02, cap=16)
-        assert found.entries <= 16
-        for words in ("not met", "--grid-cap 16", "worst remaining excess", "m/s", "raise --grid-cap"):
-            assert words in found.shortfall
-        assert refinement_summary(found) == found.shortfall
-
     def test_an_optimum_that_no_solver_can_prove(self, scene: Scene, taps: list[Recording]) -> None:
         with pytest.raises(InputError, match=r"--grid-tolerance: no proven optimum at 0\.4 m/s"):
             refine_grid(scene, taps, 0.02, options=SolverOptions(max_iterations=2))
@@ -224,14 +191,14 @@ class TestCommandLine:
         outcome = self.solve(terminal, "--grid-tolerance", "0.001", "--grid-cap", "3")
         assert outcome.code == 1
         message = "grid tolerance 0.1 % not met with 3 entries (3 speeds x 1 grips, --grid-cap 3)"
-        assert message in outcome.out
+        for words in (message, "worst remaining excess", "m/s", "raise --grid-cap"):
+            assert words in outcome.out
         assert load_library(Path("here/library.npz")).speeds_m_s.size == 3
         assert "not met" in Path("here/report.md").read_text()
 
 
 class TestWhatIsWritten:
     def test_library_says_what_was_recorded(self, scene: Scene, refinement: Refinement, refined: Build) -> None:
-        assert refined.library is not None
         meta = refined.library.meta
         said = meta["grid_refinement"]
         assert said["tolerance"] == 0.02
@@ -240,20 +207,6 @@ class TestWhatIsWritten:
         assert said["points"] == len(refinement.points)
         assert meta["scene"]["grid"]["speeds_m_s"] == refinement.grid.speeds_m_s
         assert {source["grid_speed_m_s"] for source in meta["sources"]} == set(scene.grid.speeds_m_s)
-
-    def test_a_library_as_it_stood_says_nothing(self, library: Library) -> None:
-        assert library.meta["grid_refinement"] is None
-
-    def test_report(self, refined: Build) -> None:
-        text = build_markdown(refined)
-        for words in (
-            "## Between the nodes",
-            "| of the scene | 4 | 3 | 12 |",
-            "| refined |",
-            "not recorded but derived",
-        ):
-            assert words in text
-        assert '"between_m_s": [' in build_json(refined)
 
     def test_figure(self, refinement: Refinement) -> None:
         before, after, bar = grid_figure(refinement).axes

@@ -86,11 +86,9 @@ class TestRobust:
     ) -> None:
         parts: Parts = {"device": drive_device(0.15)}
         build = built(make(ON_FILE, parts, SMALL, ("[1.0, 3.0, 5.0]", "[1.0, 5.0]"), more=ROBUST + spread), taps)
-        assert build.library is not None
         devices = 8 if spread else 4
         assert build.library.spread_A.shape == (2, devices, 6, 6)
         for entry in build.all_entries():
-            assert entry.spread is not None
             assert entry.certificate.accepted
             assert entry.spread.robust_rms <= entry.spread.nominal_rms * (1 + 1e-6)
         gains = [1 - e.spread.robust_rms / e.spread.nominal_rms for e in build.all_entries() if e.spread]
@@ -121,7 +119,7 @@ class TestPlayed:
         def played(**on: Any) -> float:
             tap = SimulatedTap(0.4, 3.0, imperfections=Imperfections(mismatch=0.1), seed=4)
             servo = Servo(Settings.of(own, amplifier_tolerance=0.1), bank(own, Method.BILINEAR))
-            return play_tap(own, servo, tap, **on).metrics.nrmse_reference
+            return play_tap(own, servo, tap, **on).nrmse_reference
 
         truth = device_of(scene)
         assert played(device=truth) == pytest.approx(played(), rel=1e-9)

@@ -8,7 +8,6 @@ import pytest
 
 from controller.record.trial_file import write_measurement
 from tests.benches.sweeps import DT_S, amplifier_trial, device_columns
-from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify import checks
 from transopt.identify.checks import Fault, Finding
@@ -53,7 +52,7 @@ def only(findings: list[Finding], fault: Fault, *, fatal: bool) -> str:
 def test_good_records_of_a_device_raise_nothing(columns: dict, grip_N: float) -> None:
     runs = [run(c, grip_N) for c in columns[grip_N]]
     assert [f for one in runs for f in checks.check_measurement(one, ALL)] == []
-    assert checks.check_grips(runs, [grip_N]) == []
+    assert checks.check_grips(runs) == []
     estimate = transfer(columns[grip_N])
     assert checks.check_passive("grip", estimate) == []
     trials = [
@@ -65,27 +64,7 @@ def test_good_records_of_a_device_raise_nothing(columns: dict, grip_N: float) ->
     assert checks.low_coherence("grip", estimate.between(10, 1000)) == []
 
 
-@pytest.mark.parametrize(
-    ("amplitude_A", "offset_A", "sign"), [(0.5, 0.0, 1), (1.0, 0.0, -1), (0.5, 1.0, 1), (0.5, 1.0, -1)]
-)
-def test_good_sweeps_of_an_amplifier_raise_nothing(amplitude_A: float, offset_A: float, sign: int) -> None:
-    trial = amplifier_trial(3, amplitude_A=amplitude_A, offset_A=offset_A, sign=sign)
-    recorded = run({"command_A": trial.input.values, "current_A": trial.output.values})
-    assert checks.check_measurement(recorded, ALL) == []
-    estimate = estimate_transfer([trial])
-    assert checks.check_sign("a", estimate, "from command to current", "swap") == []
-    assert checks.check_cycles("a", [trial], estimate, 10.0) == []
-
-
 # --------------------------------------------------------------------------------------------------- cycles, rates
-
-
-def test_too_few_cycles_name_the_band() -> None:
-    hasty = amplifier_trial(1, seconds=0.12)
-    found = checks.check_cycles("all files", [hasty], estimate_transfer([hasty]), 10.0)
-    message = only(found, Fault.TOO_FEW_CYCLES, fatal=False)
-    assert "cycles per octave below" in message
-    assert "Hz in 1 trials, must be at least 1; sweep" in message
 
 
 def test_cycles_are_counted_as_they_were_played() -> None:
@@ -127,13 +106,6 @@ def test_a_clipped_accelerometer(columns: dict, limit: float) -> None:
         assert "lower the amplitude, or take a sensor of wider range, and record again" in str(found[0])
 
 
-def test_a_clipped_current_monitor() -> None:
-    trial = amplifier_trial(1, amplitude_A=1.0)
-    clipped = {"command_A": trial.input.values, "current_A": np.clip(trial.output.values, -10.0, 0.95)}
-    message = only(checks.check_measurement(run(clipped), ALL), Fault.CLIPPED, fatal=True)
-    assert "at the highest value 0.95 A, first at" in message
-
-
 @pytest.mark.parametrize("bits", [6, 8, 12])
 def test_a_coarse_converter_is_not_a_clipped_one(bits: int) -> None:
     sine = 0.9 * np.sin(2 * np.pi * 1.0 * DT_S * np.arange(20000))
@@ -162,13 +134,6 @@ def test_a_record_that_is_cut_short() -> None:
         run({"command_A": trial.input.values[:9001], "current_A": trial.output.values[:9001]}), ALL
     )
     assert "record until everything rests" in only(found, Fault.CUT_SHORT, fatal=False)
-
-
-def test_a_value_that_is_no_number_is_refused_by_the_reader(tmp_path: Path) -> None:
-    rows = "\n".join(f"{k * DT_S:.6g},{'nan' if k == 20 else k % 3},0.1" for k in range(100))
-    (tmp_path / "nan.csv").write_text(f"time_s,command_A,current_A\n{rows}\n")
-    with pytest.raises(InputError, match=r"row 22, column command_A: nan: must be finite"):
-        load_measurement(tmp_path / "nan.csv")
 
 
 # -------------------------------------------------------------------------------------------------------- jitter
@@ -232,15 +197,13 @@ def test_a_file_without_its_grip(columns: dict) -> None:
     assert message == "a.npz: missing grip: no grip stated; add # grip_N: 3 (0 if nobody holds it)"
 
 
-def test_a_grip_with_one_trial_or_one_polarity_or_none(columns: dict) -> None:
+def test_a_grip_with_one_trial_or_one_polarity(columns: dict) -> None:
     first, second = columns[1.0]
     one = only(checks.check_grips([run(first, 1.0)]), Fault.MISSING_GRIP, fatal=False)
     assert one.startswith("grip 1 N: missing grip: 1 trial, at least 2 are needed")
     same = only(checks.check_grips([run(first, 1.0), run(first, 1.1)]), Fault.MISSING_GRIP, fatal=False)
     assert "all trials have one polarity" in same
-    pair = [run(first, 1.0), run(second, 1.1)]
-    none = only(checks.check_grips(pair, [1.0, 3.0]), Fault.MISSING_GRIP, fatal=True)
-    assert none == "grip 3 N: missing grip: no trial; record at least 2, one of each polarity"
+    assert checks.check_grips([run(first, 1.0), run(second, 1.1)]) == []
 
 
 def test_grips_that_wander_are_one_group_but_never_with_the_free_device(columns: dict) -> None:
@@ -260,11 +223,3 @@ def test_low_coherence_names_the_stretch(columns: dict) -> None:
     message = only(found, Fault.INCOHERENT, fatal=False)
     assert message.startswith("grip 5 N: coherence low: 0.40 at 8")
     assert "Hz, must be 0.8; record again there, longer or with more current" in message
-
-
-def test_refusal_shows_the_first_fatal_finding_and_keeps_the_others() -> None:
-    mild = Finding(Fault.JITTER, "a", "a little", False)
-    worse = Finding(Fault.CLIPPED, "b", "much", True)
-    assert checks.refuse([mild]) == [mild]
-    with pytest.raises(InputError, match=r"^b: clipped sensor: much \(and 1 more such findings\)$"):
-        checks.refuse([mild, worse, worse])

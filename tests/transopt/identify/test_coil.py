@@ -82,17 +82,6 @@ def test_the_datasheet_comes_back() -> None:
     assert replace(fit.coil, ambient_C=25.0).continuous_current_A() == pytest.approx(1.248, abs=0.005)
 
 
-def test_without_noise_the_parameters_are_exact() -> None:
-    run = measured()
-    assert run.current is not None
-    i = np.where(np.abs(run.current.values) > 0.5, 1.1, 0.0)
-    coil = CoilModel(R_OHM, **TRUTH, limit_C=1e9, ambient_C=22.0, start_winding_C=22.0, start_housing_C=22.0)  # type: ignore[arg-type]
-    winding, _ = coil.simulate(effective_square(i)[None, :-1], np.full(i.size - 1, 1.0))
-    exact = replace(run, current=replace(run.current, values=i), winding=Signal(0.0, 1.0, winding[0]), housing=None)
-    # What is left is that a step's mean is taken between its ends.
-    np.testing.assert_allclose(values(fitted(exact)), list(TRUTH.values()), rtol=2e-3)
-
-
 @pytest.mark.parametrize(
     "kind",
     [
@@ -141,7 +130,6 @@ def test_records_that_fall_short_say_what_to_record(kind: dict[str, Any], messag
 def test_a_unit_that_is_wrong_is_asked_for() -> None:
     """It fits as well as the right one."""
     run = measured(3)
-    assert run.current is not None
     in_mA = replace(run, current=run.current.scaled(1e3))
     assert any(
         "K/W is that of no such motor" in text and "current_A in A" in text for text in fitted(in_mA).shortfalls()
@@ -150,7 +138,6 @@ def test_a_unit_that_is_wrong_is_asked_for() -> None:
 
 def test_an_ambient_that_drifts_is_told() -> None:
     run = measured(ambient=True)
-    assert run.ambient is not None
     rising = replace(run.ambient, values=run.ambient.values + np.linspace(0, 6, run.ambient.values.size))
     found = fitted(replace(run, ambient=rising)).shortfalls()
     assert any("the ambient drifts by" in text for text in found)
@@ -158,7 +145,6 @@ def test_an_ambient_that_drifts_is_told() -> None:
 
 def test_records_that_tell_nothing_are_refused() -> None:
     run = measured(heating_s=100.0, cooling_s=100.0)
-    assert run.current is not None
     assert run.winding is not None
     n = run.current.values.size
     with pytest.raises(InputError, match=r"^heat\.npz: no column current_A; record it too"):
@@ -180,8 +166,6 @@ def test_records_that_tell_nothing_are_refused() -> None:
 
 
 def write(run: Measurement, path: Path) -> Path:
-    assert run.current is not None
-    assert run.winding is not None
     np.savez(path, time_s=run.current.times_s, current_A=run.current.values, winding_C=run.winding.values)
     return path
 
@@ -190,7 +174,6 @@ def test_the_command_writes_part_and_figure(tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "MODEL.json"
     identify_coil(write(measured(housing=False), tmp_path / "heat.npz"), out)
     part = load_model(out).coil
-    assert part is not None
     assert part.parameters == list(NAMES)
     assert part.R_ha_K_W == pytest.approx(14.0, rel=0.01)
     assert part.verdict.startswith("supports temperature limits")
@@ -207,7 +190,6 @@ def test_a_record_too_short_is_written_with_its_verdict(tmp_path: Path) -> None:
         identify_coil(heat, out, resistance_ohm=R_OHM)
     assert stop.value.exit_code == 1
     part = load_model(out).coil
-    assert part is not None
     assert part.verdict.startswith("not to be relied upon: current flows for 200 s")
 
 

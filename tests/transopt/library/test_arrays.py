@@ -1,15 +1,12 @@
 """Declarations of a library's arrays: one for each field, and all that is read from them agrees."""
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import pytest
 from scipy.io import loadmat
 
-from transopt.base.signals import FloatArray
-from transopt.library.arrays import Array, absent, content_hash, declared
+from transopt.library.arrays import absent, content_hash, declared
 from transopt.library.export import export_library
 from transopt.library.library import ARRAYS, MULTIPLIERS, Library
 from transopt.problem.limits import KINDS
@@ -42,26 +39,13 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
         assert stated.needs in ("", "spread", "refinement", *(kind.key for kind in KINDS))
 
 
-def test_an_array_is_added_in_one_place() -> None:
-    @dataclass(frozen=True)
-    class Wider:
-        """A library with one more array."""
-
-        speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "speeds")]
-        stroke_m: Annotated[FloatArray, Array("vgN", "m", "of the motor mass", needs="stroke_m")]
-        note: str = ""
-
-    arrays = declared(Wider)
-    assert list(arrays) == ["speeds_m_s", "stroke_m"]
-    assert absent(arrays, {"limits": {"stroke_m": None}, "weights": {"spread": None}}) == ["stroke_m"]
-    assert absent(arrays, {"limits": {"stroke_m": 0.01}, "weights": {"spread": None}}) == []
-
-
-@pytest.mark.parametrize(
-    ("dtype", "is_text", "fits"), [("f8", False, True), ("i8", False, False), ("U3", True, True), ("f8", True, False)]
-)
-def test_what_type_an_array_may_have(dtype: str, is_text: bool, fits: bool) -> None:
-    assert Array("v", "", "something", is_text=is_text).fits(np.dtype(dtype)) is fits
+def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, tmp_path: Path) -> None:
+    wanted = set(ARRAYS) - set(absent(ARRAYS, library.meta)) | {"meta", "content_sha256"}
+    library.save(tmp_path / "library.npz")
+    export_library(library, tmp_path / "library.mat")
+    with np.load(tmp_path / "library.npz") as file:
+        assert set(file.files) == wanted
+    assert {name for name in loadmat(tmp_path / "library.mat") if not name.startswith("__")} == wanted
 
 
 def test_the_hash_tells_names_types_shapes_and_bytes_apart() -> None:
@@ -74,12 +58,3 @@ def test_the_hash_tells_names_types_shapes_and_bytes_apart() -> None:
     ]
     assert content_hash(one) == content_hash(dict(reversed(one.items())))
     assert len({content_hash(each) for each in [one, *others]}) == 5
-
-
-def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, tmp_path: Path) -> None:
-    wanted = set(ARRAYS) - set(absent(ARRAYS, library.meta)) | {"meta", "content_sha256"}
-    library.save(tmp_path / "library.npz")
-    export_library(library, tmp_path / "library.mat")
-    with np.load(tmp_path / "library.npz") as file:
-        assert set(file.files) == wanted
-    assert {name for name in loadmat(tmp_path / "library.mat") if not name.startswith("__")} == wanted

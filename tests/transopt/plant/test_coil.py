@@ -94,3 +94,10 @@ def test_heat_of_a_current_that_follows_a_held_command(pole_Hz: float, before: f
 
 def test_a_step_without_length_heats_as_its_current() -> None:
     assert following_square_mean(np.array([3.0]), np.array([-1.0]), np.array([0.0]))[0] == pytest.approx(3.02**2)
+
+
+def test_a_coil_that_runs_away_within_one_period_is_hot_for_ever() -> None:
+    coil = CoilModel(2.18, 3.1, 14.0, 2e-5, 75.0, 100.0)
+    winding, housing = coil.steady_course(np.full((1, 40), 1e4), np.full(40, 2e-4), 0.01, np.zeros(1))
+    assert np.all(np.isposinf(winding))
+    assert not np.any(np.isnan(housing))

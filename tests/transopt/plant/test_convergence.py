@@ -13,11 +13,10 @@ from transopt.base.signals import FloatArray
 from transopt.design.optimum import optimum
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.continuous import _step_map
-from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.discretise import StageModel, discretise
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
-from transopt.proof.replay import replay
 from transopt.scene.strikes import rk4_step
 from transopt.solvers.options import SolverOptions
 
@@ -63,41 +62,6 @@ def test_the_recordings_integrator_has_order_four() -> None:
             x = rk4_step(lambda state: A @ state, x, whole_s / count)
         errors.append(float(np.abs(x - exact).max()))
     assert slope([1 / count for count in counts], errors) == pytest.approx(4, abs=0.3)
-
-
-@pytest.mark.parametrize(("phase", "order"), [(0.0, 1.0), (0.5, 2.0)])
-def test_a_held_input_converges_to_the_continuous_one(phase: float, order: float) -> None:
-    """Order one for samples taken when the hold begins, two for those of its middle; the hold itself is exact."""
-    device, amplifier = DrawnDevice(), Amplifier(1050.0, 0.0, 6.0)
-    rate, end_s = 2 * np.pi * 150.0, 8e-3
-    plant = device.plant()
-    n, w = plant.order, amplifier.rate_rad_s
-    # The sine's own two states drive plant and amplifier: no error but rounding.
-    flow = np.zeros((n + 3, n + 3))
-    flow[:n, : n + 1] = np.hstack([plant.A, plant.B])
-    flow[n, n], flow[n, n + 1] = -w, w
-    flow[n + 1, n + 2], flow[n + 2, n + 1] = rate, -rate
-    exact = (plant.C[0] @ (linalg.expm(flow * end_s) @ np.eye(n + 3)[n + 2])[:n]) + plant.D[0, 0] * (
-        linalg.expm(flow * end_s)[n, n + 2]
-    )
-    steps, errors = [2e-4, 1e-4, 5e-5, 2.5e-5, 1.25e-5], []
-    for dt in steps:
-        stage, count = discretise(plant, amplifier, dt), round(end_s / dt)
-        command = np.sin(rate * dt * (np.arange(count + 1) + phase))
-        errors.append(abs(stage.rollout(command)[0][-1] - exact))
-    assert slope(steps, errors) == pytest.approx(order, abs=0.15)
-
-
-@pytest.mark.parametrize("samples", [0.0, 0.37, 1.0, 2.999, 20.0])
-def test_a_delay_costs_no_order(samples: float) -> None:
-    """Rounded to ticks it would leave an error of order one; as a shift of the time axis it leaves none."""
-    command = np.random.default_rng(2).uniform(-1, 1, 60)
-    for dt in (1e-4, 5e-5):
-        amplifier = Amplifier(1050.0, samples * dt, 6.0)
-        stage, grid = discretise(DrawnDevice().plant(), amplifier, dt), TimeGrid(dt, 60, 3e-4, samples * dt)
-        predicted, _ = stage.rollout(command)
-        (played,) = replay(stage, grid, command[None], predicted[None], None)
-        assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-10 * np.abs(predicted).max()
 
 
 HARD = {

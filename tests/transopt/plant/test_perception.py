@@ -10,9 +10,8 @@ from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.base.signals import nrmse
 from transopt.design.optimum import optimum
-from transopt.problem.answer import Multipliers, Status
 from transopt.problem.objective.weighting import pacinian
-from transopt.proof.certify import certify, reduced_gradient
+from transopt.proof.certify import certify
 from transopt.scene.scene import Scene
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
@@ -29,34 +28,6 @@ def test_gain_is_one_where_vibration_is_felt_best_and_never_below_the_floor(dt_s
     _, response = signal.freqz(f.b, f.a, worN=np.linspace(0, 0.5 / dt_s, 20001), fs=1 / dt_s)
     assert np.abs(response).min() >= 0.1 - 1e-12
     assert np.abs(response).max() <= 1 + 1e-12
-
-
-def test_floor_far_from_the_peak() -> None:
-    """-20 dB at the ends; at 10 Hz and 3 kHz the wide skirts of Q 0.5 still add: -18.1 and -15.8 dB."""
-    f = pacinian(DT_S)
-    _, response = signal.freqz(f.b, f.a, worN=[0.0, 1.0, 10.0, 3000.0, 5000.0], fs=1 / DT_S)
-    decibels = 20 * np.log10(np.abs(response))
-    assert decibels[[0, 4]] == pytest.approx(-20, abs=1e-6)
-    assert decibels[1] == pytest.approx(-20, abs=0.1)
-    assert decibels[2] == pytest.approx(-18.14, abs=0.02)
-    assert decibels[3] == pytest.approx(-15.85, abs=0.02)
-
-
-def test_half_power_width_is_that_of_the_stated_q() -> None:
-    """Q 0.5 is a bandwidth of twice the centre frequency: the bare band-pass has -3 dB at its edges."""
-    b, a = signal.iirpeak(275.0, 0.5, fs=1 / DT_S)
-    f = pacinian(DT_S)
-    np.testing.assert_allclose(f.b, 0.1 * np.asarray(a) + 0.9 * np.asarray(b), atol=1e-15)
-    frequencies, response = signal.freqz(b, a, worN=np.linspace(1, 3000, 30000), fs=1 / DT_S)
-    wide = frequencies[np.abs(response) >= np.sqrt(0.5)]
-    assert wide[-1] - wide[0] == pytest.approx(550, rel=0.05)
-
-
-def test_transpose() -> None:
-    f = pacinian(DT_S)
-    random = np.random.default_rng(1)
-    e, g = random.standard_normal((2, 3, 300))
-    assert np.sum(f.apply(e) * g) == pytest.approx(np.sum(e * f.transpose(g)), rel=1e-12)
 
 
 def test_state_space_is_the_same_filter() -> None:
@@ -104,30 +75,6 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
     np.testing.assert_allclose(unlimited.solve(problem).command_A[:free], dense, atol=1e-6 * np.abs(dense).max())
 
 
-def test_gradient_of_the_weighted_objective_by_differences(make_problem: ProblemMaker) -> None:
-    problem = replace(make_problem(0.4, 3.0, stages=40), error_filter=pacinian(DT_S))
-    command = np.random.default_rng(3).uniform(-1, 1, 40)
-    gradient = reduced_gradient(problem, command, problem.stage.motion(command), Multipliers.zero(problem))
-    for k in (0, 11, 39):
-        step = np.eye(40)[k]  # quadratic: exact for any step
-        up, down = (problem.objective(c, problem.accelerations(c)) for c in (command + step, command - step))
-        assert gradient[k] == pytest.approx((up - down) / 2, rel=1e-9, abs=1e-13)
-
-
-@pytest.mark.parametrize(("speed_m_s", "grip_N"), [(0.4, 5.0), (0.4, 3.0), (0.2, 1.0)])
-def test_methods_agree(make_problem: ProblemMaker, speed_m_s: float, grip_N: float) -> None:
-    """Measured 3e-13."""
-    problem = replace(make_problem(speed_m_s, grip_N), error_filter=pacinian(DT_S))
-    objectives = []
-    for solver in ("casadi-piqp", "casadi-ipopt"):
-        answer = solve(problem, SolverOptions(solver))
-        assert (answer.solver, answer.status) == (solver, Status.OPTIMAL)
-        certificate = certify(problem, answer.command_A, answer.multipliers)
-        assert certificate.accepted
-        objectives.append(certificate.objective)
-    assert np.ptp(objectives) <= 1e-7 * max(objectives[0], 1e-3)
-
-
 @pytest.mark.parametrize("current_A", [4.0, 2.0])
 def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: ProblemMaker, current_A: float) -> None:
     plain = make_problem(0.4, 5.0, current_A=current_A)
@@ -141,20 +88,20 @@ def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: Prob
     assert raw[0] < raw[1] * (1 - 1e-3)
 
 
-def test_wrong_without_the_filter(make_problem: ProblemMaker) -> None:
-    """The plain optimum is no answer to the weighted problem, nor the other way round."""
-    plain = make_problem(0.4, 5.0)
-    weighted = replace(plain, error_filter=pacinian(DT_S))
-    for own, other in ((plain, weighted), (weighted, plain)):
-        answer = solve(own)
-        assert certify(own, answer.command_A, answer.multipliers).accepted
-        assert not certify(other, answer.command_A, answer.multipliers).accepted
-
-
 def test_the_scene_states_it(scene: Scene) -> None:
     data = scene.model_dump()
     assert scene.error_filter() is None
     data["weights"]["error_filter"] = "pacinian"
     stated = Scene.model_validate(data).error_filter()
-    assert stated is not None
     np.testing.assert_array_equal(stated.b, pacinian(DT_S).b)
+
+
+def test_floor_far_from_the_peak() -> None:
+    """-20 dB at the ends; at 10 Hz and 3 kHz the wide skirts of Q 0.5 still add: -18.1 and -15.8 dB."""
+    f = pacinian(DT_S)
+    _, response = signal.freqz(f.b, f.a, worN=[0.0, 1.0, 10.0, 3000.0, 5000.0], fs=1 / DT_S)
+    decibels = 20 * np.log10(np.abs(response))
+    assert decibels[[0, 4]] == pytest.approx(-20, abs=1e-6)
+    assert decibels[1] == pytest.approx(-20, abs=0.1)
+    assert decibels[2] == pytest.approx(-18.14, abs=0.02)
+    assert decibels[3] == pytest.approx(-15.85, abs=0.02)

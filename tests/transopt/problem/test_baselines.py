@@ -35,3 +35,15 @@ def test_inversion_recovers_a_known_current(make_problem: ProblemMaker) -> None:
     reference = stage.rollout(current)[0][::fine]
     found = seed_inversion(problem.stage, grid, reference, 100.0, 10)
     assert nrmse(found, current[::fine]) < 0.02
+
+
+def test_rivals_at_two_limits_are_those_at_each(make_problem: ProblemMaker) -> None:
+    problem = make_problem(0.4, 5.0)
+    rows = np.stack([problem.reference_m_s2, 0.5 * problem.reference_m_s2])
+    limits_A = np.array([4.0, 1.25])[:, None, None]
+    seed = seed_inversion(problem.stage, problem.grid, rows, limits_A, 10)
+    clipped = clipped_optimum(problem.stage, problem.grid, rows / 10, limits_A)
+    for j, limit_A in enumerate((4.0, 1.25)):
+        np.testing.assert_array_equal(seed[j], seed_inversion(problem.stage, problem.grid, rows, limit_A, 10))
+        np.testing.assert_array_equal(clipped[j], clipped_optimum(problem.stage, problem.grid, rows / 10, limit_A))
+    assert not np.allclose(seed[0], seed[1])

@@ -113,14 +113,6 @@ class TestHeating:
             chord = (model.mean_square(*a) + model.mean_square(*b)) / 2
             assert np.all(model.mean_square(*((a + b) / 2)) <= chord + 1e-14)
 
-    @pytest.mark.parametrize("sign", [-1.0, 0.3, 1.0])
-    def test_any_slope_at_the_kink_is_a_tangent_from_below(self, sign: float) -> None:
-        model, zero = heating(AMPLIFIER, DT_S), np.zeros(1)
-        by_current, by_command = model.gradient(zero, zero, np.array([sign]))
-        i, c = np.random.default_rng(5).uniform(-1, 1, (2, 1000))
-        tangent = model.mean_square(zero, zero) + by_current * i + by_command * c
-        assert np.all(model.mean_square(i, c) >= tangent - 1e-14)
-
 
 def ode(coil: CoilModel, command_A: np.ndarray, *, housing_held: bool = False) -> np.ndarray:
     """(N + 1, 2) winding and housing at tau_0 to tau_N, DOP853 on the equations of `CoilModel`'s docstring."""
@@ -185,16 +177,6 @@ class TestHeatModel:
         excess = model.rise(h)[1:, 0] + model.unpowered_C - ode(coil, command)[1:, 0]
         assert excess.max() <= 1e-6
         assert excess.min() > -1e-4
-
-    def test_one_node_is_two_nodes_with_a_housing_that_waits(self, coil: CoilModel) -> None:
-        hot = replace(coil, start_winding_C=80.0, start_housing_C=60.0)
-        h = heating(AMPLIFIER, DT_S).mean_square(*(tap_like(600, True, seed) for seed in (6, 7)))
-        one, two = (model_of(replace(hot, nodes=nodes), 600) for nodes in (1, 2))
-        first, second = (m.rise(h)[1:, 0] + m.unpowered_C for m in (one, two))
-        assert 0 < np.abs(first - second).max() < 2e-5
-        # The lumped 17.1 K/W over 12 s would heat several times as much.
-        lumped = model_of(replace(hot, nodes=1, R_wh_K_W=coil.R_wh_K_W + coil.R_ha_K_W), 600)
-        assert lumped.rise(h)[-1, 0] > 5 * one.rise(h)[-1, 0]
 
     @pytest.mark.parametrize(("nodes", "budget"), [(1, {}), (2, {}), (2, {"tap_rate_Hz": 8.0, "idle_A": 0.3})])
     def test_adjoint_by_differences(self, coil: CoilModel, nodes: int, budget: dict[str, float]) -> None:

@@ -110,12 +110,10 @@ class TestForcedIn:
     def test_feedback_of_a_wall_that_is_not_pressed(self, scene: Scene, references: list[Reference]) -> None:
         """A hand that has lifted the stylus off before the transient ends."""
         walled = entry(scene, references[-1], 5.0, feedback={"stiffness_N_m": 500.0})
-        assert walled.wall is not None
         nominal = walled.wall.nominal_m.copy()
         nominal[-60:] = 5e-3
         walled = replace(walled.without("temperature"), wall=replace(walled.wall, nominal_m=nominal))
         whole = pressing(walled, np.zeros(nominal.size))
-        assert whole.wall is not None
         assert whole.wall.pressing[100:500].all()
         assert not whole.wall.pressing[-11:].any()
         reduced = leave_out(whole)
@@ -172,7 +170,6 @@ class TestForcedIn:
 def admissible(problem: TransientProblem, wanted_A: np.ndarray) -> np.ndarray:
     """(M, N) commands whose currents go for the wanted ones (M, N) as fast as |c| allows, inside both limits."""
     limits, range_A, amplifier = problem.limits, command_limit_A(problem), problem.stage.amplifier
-    assert amplifier is not None
     p = np.exp(-amplifier.rate_rad_s * problem.grid.dt_s)
     command, current = np.zeros(wanted_A.shape), np.zeros(wanted_A.shape[0])
     for k in range(wanted_A.shape[1]):
@@ -207,7 +204,6 @@ class TestBounds:
         self, scene: Scene, references: list[Reference], start: dict[str, float]
     ) -> None:
         problem = entry(scene, references[-1], 5.0, thermal=start)
-        assert problem.thermal is not None
         commands = admissible(problem, square_waves(4.0, 600, 1))
         currents = problem.stage.rollout(commands)[1]
         assert np.abs(currents).max() <= 4 + 1e-12
@@ -231,7 +227,6 @@ class TestBounds:
     def test_past_runaway_there_is_no_bound(self, scene: Scene, references: list[Reference]) -> None:
         """4 A most of the time has no equilibrium above 2.6 A: the fixed point lies below the ambient."""
         problem = entry(scene, references[-1], 5.0, thermal={"tap_rate_Hz": 14.0})
-        assert problem.thermal is not None
         assert problem.thermal.bound_C(problem) == float("inf")
         assert "temperature" not in leave_out(problem).left_out
 
@@ -264,7 +259,6 @@ class TestBounds:
     def test_left_out_is_what_lies_below_its_bound(self, scene: Scene, references: list[Reference]) -> None:
         """A limit a hair above the bound goes, a hair below it stays."""
         problem = entry(scene, references[-1], 5.0, limits={"supply_V": 24.0})
-        assert problem.thermal is not None
         volts, celsius = supply_of(problem).bound_V(problem), problem.thermal.bound_C(problem)
         amplifier, budget = problem.stage.amplifier, problem.thermal.budget
         for shift, gone in ((1e-6, True), (-1e-6, False)):

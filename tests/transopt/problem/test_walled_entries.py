@@ -66,7 +66,6 @@ class TestMask:
         At 0.4 m/s and 5 N the answer saturates, so that its motion is not the reference's.
         """
         problem = walled(500, 0.4, 5.0, damping_N_s_m=0.0)
-        assert problem.wall is not None
         # Close to the surface the wall asks for next to nothing, so the answer is nearly that without a wall.
         plain = optimum(replace(problem, wall=None), SolverOptions())
         answer = plain.problem.encoder_at_ticks(plain.problem.stage.motion(plain.solution.command_A))
@@ -83,12 +82,9 @@ class TestMask:
         assert designed.solution.status is Status.OPTIMAL
         assert designed.certificate.accepted
         final = designed.problem
-        assert final.wall is not None
         first_guess = pressing(final, intended).wall
         course = final.encoder_at_ticks(final.stage.motion(designed.solution.command_A))
         last = pressing(final, course).wall
-        assert first_guess is not None
-        assert last is not None
         tail = slice(final.free_stages - 1, None)
         np.testing.assert_array_equal(final.wall.pressing[tail], last.pressing[tail])
         assert np.any(first_guess.pressing[tail] != last.pressing[tail]), "the mask did not change"

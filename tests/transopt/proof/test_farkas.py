@@ -20,7 +20,6 @@ COIL = Coil(below_K=0.0005, nodes=1, tau_w_s=12.0, warming=50.0)
 
 def with_headroom(problem: TransientProblem, headroom_K: np.ndarray) -> TransientProblem:
     thermal = problem.thermal
-    assert thermal is not None
     return problem.replaced(replace(thermal, model=replace(thermal.model, headroom_K=headroom_K)))
 
 
@@ -30,9 +29,7 @@ def warm() -> TransientProblem:
     case = StressCase("coil", current=Current(limit_A=1e-3), horizon=Horizon(stages=40), coil=COIL)
     problem = case.problem()
     thermal = problem.thermal
-    assert thermal is not None
     problem = with_limit(problem, thermal.relaxed(problem.limits.current_A))
-    assert problem.thermal is not None
     rest, full = np.zeros(40), np.full(40, 1e-3)
     full[problem.free_stages :] = 0.0
     idle, hot = (problem.thermal.temperatures_C(problem.stage.motion(c).current_A, c) for c in (rest, full))
@@ -55,7 +52,6 @@ class TestFarkas:
             assert not is_infeasible(warm, full, ray)
 
     def test_a_coil_that_nothing_keeps_cool_is_proven(self, warm: TransientProblem) -> None:
-        assert warm.thermal is not None
         frozen = with_headroom(warm, warm.thermal.model.headroom_K - 1.0)
         rest = np.zeros(40)
         ray = Multipliers.zero(frozen).with_pair("temperature", rest, np.eye(40)[-1])
@@ -81,11 +77,9 @@ def test_no_multiplier_counts_where_there_is_no_limit() -> None:
     )
     problem = case.problem()
     thermal = problem.thermal
-    assert thermal is not None
     problem = with_headroom(with_limit(problem, thermal.relaxed(4.0)), np.array([np.inf, 5.0]))
     command = 0.5 * solve(problem.without("temperature")).command_A
     motion = problem.stage.motion(command)
-    assert problem.thermal is not None
     slope = np.sign(problem.thermal.model.heating.mean_current(motion.current_A, command))
     forged = replace(Multipliers.zero(problem), slope=slope)
     plain = reduced_gradient(problem, command, motion, forged)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from tests.benches.places import IMPACTS
 from tests.benches.recording_files import (
     DT_S,
     PACKERS,
@@ -26,7 +25,7 @@ from tests.benches.recording_files import (
 )
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.base.signals import FloatArray
-from transopt.recordings.recording import Recording, load_recording
+from transopt.recordings.recording import Recording
 
 # ---- what is read ----------------------------------------------------------------------------------------
 
@@ -52,18 +51,8 @@ def test_units_become_si(tmp_path: Path) -> None:
     assert recording.speed_m_s == pytest.approx(0.21)
     signals = (recording.acceleration, recording.position, recording.force, recording.current)
     for signal, offset in zip(signals, (0, 0, 1, 2), strict=True):
-        assert signal is not None
         assert signal.dt_s == pytest.approx(DT_S, rel=1e-9)
         np.testing.assert_allclose(signal.values, TAP_M_S2 + offset, rtol=1e-9, atol=1e-9)
-
-
-def test_arguments_override_the_file(tmp_path: Path) -> None:
-    recording = load(tmp_path, VALID[".csv"], speed_m_s=0.4, grip_N=0)
-    assert (recording.speed_m_s, recording.grip_N) == (0.4, 0.0)
-    # Also where the file's own value is of no use.
-    useless = csv(comments="# speed_m_s: fast\n# grip_N: -1\n")
-    recording = load(tmp_path, useless, speed_m_s=0.4, grip_N=2.0)
-    assert (recording.speed_m_s, recording.grip_N) == (0.4, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -130,19 +119,6 @@ def test_mat_reader_agrees_with_scipy(tmp_path: Path, kind: str, do_compression:
     assert recording.grip_N == 2.5
 
 
-def test_the_recorded_impacts() -> None:
-    folder = IMPACTS
-    if not folder.is_dir():
-        pytest.skip(f"no recorded impacts at {folder}")
-    files = sorted(folder.glob("acc_base_a*.txt"))
-    assert len(files) == 25
-    for path in files:
-        acceleration = load_recording(path, columns=("time_s", "acceleration_g")).acceleration
-        assert acceleration.values.size == (1438 if path.name == "acc_base_a5.txt" else 1439)
-        assert acceleration.dt_s == pytest.approx(20.0028e-6, rel=1e-3)
-        assert 450 * G < np.max(np.abs(acceleration.values)) < 550 * G  # its README: about 500 g
-
-
 # ---- the time grid ---------------------------------------------------------------------------------------
 
 
@@ -178,7 +154,6 @@ def test_jitter_is_resampled_with_a_splines_order(tmp_path: Path) -> None:
 
 def test_every_quantity_is_resampled_alike(tmp_path: Path) -> None:
     recording = load_smooth(tmp_path, TIMES_S + 0.2 * DT_S * np.sin(np.arange(TIMES_S.size)))
-    assert recording.position is not None
     np.testing.assert_array_equal(recording.position.values, recording.acceleration.values)
     assert recording.position.dt_s == recording.acceleration.dt_s
 

@@ -57,7 +57,6 @@ class TestPrepare:
         found = [prepare(recording, scene.recordings) for recording in recordings(scene)]
         for tap in found:
             position = tap.recording.position
-            assert position is not None
             # Encoder counts reach zero within one count of the contact.
             assert -24.5e-6 <= np.interp(tap.onset_s, position.times_s, position.values) <= 24.5e-6
             before = position.times_s < tap.onset_s
@@ -284,22 +283,6 @@ class TestSimulatedTaps:
         fine = strike(plant, target, speeds, 0.02, 2.5e-6)[1][0][::4]
         size = min(coarse.size, fine.size)
         assert nrmse(coarse[:size], fine[:size]) < 1e-5
-
-    def test_the_object_takes_up_the_momentum(self, scene: Scene) -> None:
-        """Contact pushes the stylus out and never pulls: acceleration at contact starts from zero, upwards."""
-        target = scene.recordings.simulated
-        assert target is not None
-        t, acceleration, encoder = strike(scene.plant(3.0, struck=True), target, np.array([0.3]), 0.003)
-        assert acceleration[0, 0] == 0
-        assert np.all(acceleration[0, 1:50] > 0)
-        assert encoder[0, 1] == pytest.approx(-0.3 * t[1], rel=1e-3)
-
-    def test_same_seed_same_recordings(self, scene: Scene, taps: list[Recording]) -> None:
-        again = recordings(scene)
-        assert all(
-            np.array_equal(a.acceleration.values, b.acceleration.values) for a, b in zip(taps, again, strict=True)
-        )
-        assert len({recording.speed_m_s for recording in taps}) == len(taps)
 
     def test_repeats_serve_every_grid_speed(self, scene: Scene, taps: list[Recording]) -> None:
         built = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)

@@ -4,8 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,109 +12,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from tests.benches.libraries import resized
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
 from transopt.design.build import Build
-from transopt.design.entry import Baselines, Entry
+from transopt.design.entry import Baselines
 from transopt.library.figures import library_figure
-from transopt.library.library import ARRAYS, Library
+from transopt.library.library import Library
 from transopt.plant.chain import Link, chain
 from transopt.problem.answer import Status
-from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
-from transopt.recordings.tap import PreparedTap
+from transopt.recordings.tap import PreparedTap, prepare
 from transopt.report.figures import bode_figure, method_figure, taps_figure
+from transopt.scene.scene import Scene
 
-G = STANDARD_GRAVITY_M_S2
 LIMIT_A = 4.0
-FORCE_N_A, MASS_KG = 1.25, 0.04
 
 
-def make_library(nv: int = 2, ng: int = 2, stages: int = 300, decay_s: float = 2e-3) -> Library:
-    """A library of decaying oscillations that grow with speed; nothing in it is solved."""
-    sizes = {"v": nv, "g": ng, "N": stages, "h": 10, "n": 2, "s": 0, "1": 1, "2": 2}
-    arrays: dict[str, Any] = {
-        name: np.full([sizes[letter] for letter in stated.shape], "" if stated.is_text else 0.0)
-        for name, stated in ARRAYS.items()
-    }
-    arrays["speeds_m_s"] = 0.1 * np.arange(1, nv + 1)
-    arrays["grips_N"] = 1.0 + 2.0 * np.arange(ng)
-    t = 1e-4 * np.arange(stages)
-    wave = np.exp(-t / decay_s) * np.cos(2 * np.pi * 200 * t)
-    arrays["reference_m_s2"] = 300.0 * arrays["speeds_m_s"][:, None] * wave
-    by_grip = 1.0 - 0.02 * np.arange(ng)
-    arrays["acceleration_m_s2"] = arrays["reference_m_s2"][:, None] * by_grip[:, None]
-    arrays["current_A"] = np.clip(arrays["acceleration_m_s2"] / 20.0, -LIMIT_A, LIMIT_A)
-    for ig, grip in enumerate(arrays["grips_N"]):
-        plant = chain([MASS_KG], [Link(100.0 * grip, 4.0)], force_per_current_N_A=FORCE_N_A, stylus=0)
-        for matrix in ("A", "B", "C", "D", "Ce"):
-            arrays[f"plant_{matrix}"][ig] = getattr(plant, matrix)
-    amplifier = {"pole_Hz": 1050.0, "delay_s": 68e-6, "command_limit_A": 6.0}
-    meta = {
-        "dt_s": 1e-4,
-        "lead_s": 3e-4,
-        "amplifier": amplifier,
-        "limits": {"current_A": LIMIT_A},
-        "hand_over_samples": 10,
-    }
-    return Library.of(arrays, meta)
-
-
-def make_entry(speed_m_s: float = 0.1, grip_N: float = 3.0, nrmse: float = 0.1, **changes: Any) -> Entry:
-    nothing = cast(Any, None)
-    empty = np.zeros(0)
-    played = Replay(
-        acceleration_m_s2=empty,
-        current_A=empty,
-        nrmse=nrmse,
-        peak_current_A=0.0,
-        peak_command_A=0.0,
-        after_peak_m_s2=0.0,
-        after_peak_A=0.0,
-        reached={},
-        winding_C=0.0,
-        housing_C=0.0,
-        command_A=empty,
-        rounding_m_s2=0.0,
-        step_error=0.0,
-    )
-    entry = Entry(
-        speed_m_s=speed_m_s,
-        grip_N=grip_N,
-        problem=nothing,
-        solution=nothing,
-        certificate=nothing,
-        played=played,
-        predicted_m_s2=empty,
-        current_A=empty,
-        transient_command_A=empty,
-        floor=0.004,
-        free_peak_A=0.0,
-        baselines=Baselines(seed=0.15, clipped=0.12, seed_steady=0.7, clipped_steady=0.6),
-        repeatability=0.01,
-        status=Status.OPTIMAL,
-        shortfalls=[],
-        binding="none",
-        prices=[],
-        left_out={},
-        size=None,
-        spread=None,
-    )
-    return replace(entry, **changes)
-
-
-def make_build(entries: list[list[Entry]]) -> Build:
-    scene = SimpleNamespace(
-        limits=SimpleNamespace(steady_current_A=1.25, transient_current_A=LIMIT_A),
-    )
-    return Build(cast(Any, scene), [], entries, None, "riccati", 0.0)
-
-
-def make_tap(name: str, speed_m_s: float, end_s: float = 0.07) -> PreparedTap:
-    t = np.arange(-0.03, end_s, 1e-4)
-    pulse = 100.0 * np.where(t < 0, 0.0, np.exp(-np.abs(t) / 3e-3) * np.sin(2 * np.pi * 120 * t))
-    signal = Signal(-0.03, 1e-4, pulse)
-    recording = Recording(name, "made here", "", signal)
-    return PreparedTap(recording, signal, speed_m_s, "stated", 0.0, 1, 0.0, float(pulse.max()), 1.0, 0, ())
+@pytest.fixture(scope="module")
+def prepared(scene: Scene, taps: list[Recording]) -> list[PreparedTap]:
+    return [prepare(tap, scene.recordings) for tap in taps]
 
 
 def legend_texts(figure: Figure) -> list[str]:
@@ -142,181 +57,157 @@ def assert_nothing_clipped(figure: Figure) -> None:
     assert not any(axes.get_window_extent().padded(-1.0).overlaps(legend) for axes in figure.axes)
 
 
-# ---------------------------------------------------------------------------------------------------- library
+class TestLibrary:
+    def test_draws_the_arrays_in_g_ampere_and_ms(self, library: Library) -> None:
+        figure = library_figure(library)
+        panels, times_ms = figure.axes, 1e3 * library.time_grid().switching_times_s
+        assert [axes.get_title() for axes in panels] == ["grip 1 N", "grip 3 N", "grip 5 N", "", "", ""]
+        assert (panels[0].get_ylabel(), panels[3].get_ylabel()) == ("acceleration [g]", "current [A]")
+        speeds = [f"{speed:g} m/s" for speed in library.speeds_m_s]
+        assert legend_texts(figure) == [*speeds, "reference", "limit 4 A", "limit binds"]
+        levels = [line.get_ydata()[0] for line in panels[3].lines if line.get_linestyle() == ":"]
+        assert sorted(levels) == [-LIMIT_A, LIMIT_A]
+        for ig in range(3):
+            above, below = panels[ig], panels[3 + ig]
+            predicted, current = solid_curves(above, times_ms.size), solid_curves(below, times_ms.size)
+            references = [line for line in above.lines if line.get_linestyle() == "--"]
+            assert len(predicted) == len(current) == len(references) == 4
+            for iv in range(4):
+                np.testing.assert_allclose(predicted[iv].get_ydata(), library.acceleration_m_s2[iv, ig] / G)
+                np.testing.assert_allclose(references[iv].get_ydata(), library.reference_m_s2[iv] / G)
+                np.testing.assert_array_equal(current[iv].get_ydata(), library.current_A[iv, ig])
+                for line in (predicted[iv], references[iv], current[iv]):
+                    np.testing.assert_allclose(line.get_xdata(), times_ms)
+
+    def test_the_limit_is_shaded_where_it_binds_and_nowhere_else(self, library: Library) -> None:
+        panels, times_ms = library_figure(library).axes, 1e3 * library.time_grid().switching_times_s
+        bound = 0
+        for ig in range(3):
+            at = np.flatnonzero(np.any(np.abs(library.current_A[:, ig]) > LIMIT_A * (1 - 1e-6), axis=0))
+            runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
+            expected = [(times_ms[run[0]] - 0.05, times_ms[run[-1]] + 0.05) for run in runs]
+            for axes in (panels[ig], panels[3 + ig]):
+                assert shaded(axes) == [pytest.approx(span) for span in expected]
+            bound += len(runs)
+        assert bound >= 2
+        # At the limit without pushing against it, or pushed by rounding somewhere else, nothing binds.
+        elsewhere = {name: np.roll(array, 200, axis=-1) for name, array in library.multipliers_of.items()}
+        assert not any(shaded(axes) for axes in library_figure(replace(library, multipliers_of=elsewhere)).axes)
+
+    def test_the_whole_horizon_is_shown_and_a_compressed_axis_says_so(self, library: Library) -> None:
+        figure, times_ms = library_figure(library), 1e3 * library.time_grid().switching_times_s
+        left, right = figure.axes[0].get_xlim()
+        assert left < times_ms[0]
+        assert right > times_ms[-1]
+        said = figure.get_supxlabel()
+        assert said.startswith("time after contact [ms]")
+        assert "compressed" in said
+        assert "hand-over from 58.8 ms" in said
+        axis = figure.axes[0].xaxis.get_transform()
+        on_paper = axis.transform(times_ms)
+        assert np.all(np.diff(on_paper) > 0)
+        np.testing.assert_allclose(axis.inverted().transform(on_paper), times_ms, atol=1e-9)
+        lasting = replace(library, reference_m_s2=np.ones_like(library.reference_m_s2))
+        assert "compressed" not in library_figure(lasting).get_supxlabel()
+
+    @pytest.mark.parametrize(("speeds", "grips"), [(1, 1), (8, 6)])
+    def test_any_size_fits_on_the_paper(self, library: Library, speeds: int, grips: int) -> None:
+        assert_nothing_clipped(library_figure(resized(library, speeds, grips)))
+
+    def test_a_zero_reference_of_the_free_device_can_be_drawn(self, library: Library) -> None:
+        zero = {name: 0 * getattr(library, name) for name in ("reference_m_s2", "acceleration_m_s2", "current_A")}
+        figure = library_figure(replace(resized(library, 4, 1), grips_N=np.zeros(1)))
+        assert figure.axes[0].get_title() == "free device"
+        assert_nothing_clipped(library_figure(replace(library, **zero)))
+
+    def test_speeds_differ_in_colour_and_in_grey(self, library: Library) -> None:
+        lines = solid_curves(library_figure(resized(library, 8, 1)).axes[1], 600)
+        assert len({line.get_marker() for line in lines}) == 8
+        luminance = [float(np.dot(line.get_color()[:3], [0.2126, 0.7152, 0.0722])) for line in lines]
+        assert np.all(np.diff(luminance) > 0)
+        assert max(luminance) < 0.75  # still seen on white paper
+
+    def test_of_a_large_grid_some_nodes_are_drawn_and_the_axis_says_so(self, library: Library) -> None:
+        large = resized(library, 20, 10)
+        figure = library_figure(large)
+        columns = figure.axes[: len(figure.axes) // 2]
+        assert [axes.get_title() for axes in columns][:: len(columns) - 1] == ["grip 1 N", "grip 5 N"]
+        assert len(columns) == 6
+        curves = solid_curves(figure.axes[-1], 600)
+        assert len(curves) == 8
+        np.testing.assert_array_equal(curves[0].get_ydata(), large.current_A[0, -1])
+        np.testing.assert_array_equal(curves[-1].get_ydata(), large.current_A[-1, -1])
+        assert "8 of 20 speeds, 6 of 10 grips" in figure.get_supxlabel()
+        assert "speeds" not in library_figure(library).get_supxlabel()
 
 
-def test_library_figure_draws_the_arrays_in_g_ampere_and_ms() -> None:
-    library = make_library(nv=3, ng=2)
-    figure = library_figure(library)
-    panels = figure.axes
-    assert len(panels) == 4
-    times_ms = 1e3 * library.time_grid().switching_times_s
-    for ig in range(2):
-        above, below = panels[ig], panels[2 + ig]
-        predicted, current = solid_curves(above, times_ms.size), solid_curves(below, times_ms.size)
-        references = [line for line in above.lines if line.get_linestyle() == "--"]
-        assert len(predicted) == len(current) == len(references) == 3
-        for iv in range(3):
-            np.testing.assert_allclose(predicted[iv].get_ydata(), library.acceleration_m_s2[iv, ig] / G)
-            np.testing.assert_allclose(references[iv].get_ydata(), library.reference_m_s2[iv] / G)
-            np.testing.assert_array_equal(current[iv].get_ydata(), library.current_A[iv, ig])
-            for line in (predicted[iv], references[iv], current[iv]):
-                np.testing.assert_allclose(line.get_xdata(), times_ms)
+def of_size(build: Build, speeds: int, grips: int) -> Build:
+    """A build that has its first entry everywhere."""
+    one, places = build.entries[0][0], 0.5 + np.arange(grips)
+    rows = [[replace(one, speed_m_s=0.1 * (j + 1), grip_N=float(F)) for F in places] for j in range(speeds)]
+    return replace(build, entries=rows)
 
 
-def test_library_figure_names_units_grips_speeds_and_limit() -> None:
-    figure = library_figure(make_library())
-    assert [axes.get_title() for axes in figure.axes[:2]] == ["grip 1 N", "grip 3 N"]
-    assert figure.axes[0].get_ylabel() == "acceleration [g]"
-    assert figure.axes[2].get_ylabel() == "current [A]"
-    assert figure.get_supxlabel().startswith("time after contact [ms]")
-    assert legend_texts(figure) == ["0.1 m/s", "0.2 m/s", "reference", "limit 4 A"]
-    levels = [line.get_ydata()[0] for line in figure.axes[2].lines if line.get_linestyle() == ":"]
-    assert sorted(levels) == [-LIMIT_A, LIMIT_A]
+def with_entry(build: Build, **changes: Any) -> Build:
+    """A build whose first entry is another one."""
+    first, *others = build.entries[0]
+    return replace(build, entries=[[replace(first, **changes), *others], *build.entries[1:]])
 
 
-def test_the_free_device_is_named_so() -> None:
-    library = replace(make_library(ng=1), grips_N=np.array([0.0]))
-    assert library_figure(library).axes[0].get_title() == "free device"
+class TestMethods:
+    def test_every_method_is_drawn_in_percent(self, build: Build) -> None:
+        figure = method_figure(build)
+        axes, entries = figure.axes[0], list(build.all_entries())
+        assert axes.get_ylabel() == "NRMSE after replay [%]"
+        assert axes.get_yscale() == "log"
+        drawn = {str(line.get_label()): line.get_ydata() for line in axes.lines}
+        wanted = {
+            "optimum, 4 A": [e.nrmse for e in entries],
+            "floor (no limits)": [e.floor for e in entries],
+            "seed inversion, 4 A": [e.baselines.seed for e in entries],
+            "seed inversion, 1.25 A": [e.baselines.seed_steady for e in entries],
+            "clipped optimum, 4 A": [e.baselines.clipped for e in entries],
+            "clipped optimum, 1.25 A": [e.baselines.clipped_steady for e in entries],
+            "amplitude threshold 20 %": 0.2,
+        }
+        assert legend_texts(figure) == [*wanted, "repeatability of the taps"] == [*drawn, legend_texts(figure)[-1]]
+        for name, shares in wanted.items():
+            np.testing.assert_allclose(drawn[name], 100 * np.asarray(shares), err_msg=name)
+        labels = [label.get_text() for label in axes.get_xticklabels()]
+        assert labels[::11] == ["0.1 m/s\n1 N", "0.4 m/s\n5 N"]
+
+    def test_refused_entries_are_marked_and_what_is_unknown_is_left_out(self, build: Build) -> None:
+        refused = method_figure(with_entry(build, status=Status.NOT_CERTIFIED))
+        assert refused.axes[0].get_xticklabels()[0].get_text() == "0.1 m/s\n1 N\nrefused"
+        unknown = [[replace(entry, repeatability=float("nan")) for entry in row] for row in build.entries]
+        figure = method_figure(replace(build, entries=unknown))
+        assert "repeatability of the taps" not in legend_texts(figure)
+        assert_nothing_clipped(figure)
+
+    def test_zero_and_infinite_errors_do_not_break_the_axis(self, build: Build) -> None:
+        played = replace(build.entries[0][0].played, nrmse=0.0)
+        infinite = Baselines(float("inf"), 0.0, float("inf"), 0.0)
+        figure = method_figure(with_entry(build, played=played, floor=0.0, baselines=infinite))
+        bottom, top = figure.axes[0].get_ylim()
+        assert 0 < bottom < top < 1000
+        assert figure.axes[0].lines[0].get_ydata()[0] == pytest.approx(bottom)
+        assert_nothing_clipped(figure)
+
+    def test_many_entries_have_one_label_for_each_speed(self, build: Build) -> None:
+        axes = method_figure(of_size(build, 7, 10)).axes[0]
+        assert [label.get_text() for label in axes.get_xticklabels()] == [f"{0.1 * i + 0.1:.3g}" for i in range(7)]
+        np.testing.assert_allclose(axes.get_xticks(), 4.5 + 10 * np.arange(7))
+        assert axes.get_xlabel() == "speed [m/s], grips 0.5 to 9.5 N in each stripe"
+
+    @pytest.mark.parametrize(("speeds", "grips"), [(1, 1), (4, 3), (10, 6)])
+    def test_any_number_of_entries_fits_on_the_paper(self, build: Build, speeds: int, grips: int) -> None:
+        figure = method_figure(of_size(build, speeds, grips))
+        assert_nothing_clipped(figure)
+        boxes = [label.get_window_extent() for label in figure.axes[0].get_xticklabels()]
+        assert not any(a.overlaps(b) for a, b in pairwise(boxes))
 
 
-def test_the_limit_is_shaded_where_it_binds_and_nowhere_else() -> None:
-    library = make_library()
-    library.current_A[1, 1, 20:31] = LIMIT_A
-    library.multipliers_of["mu_current_upper"][1, 1, 20:31] = 1e-4
-    library.current_A[0, 1, 28:41] = -LIMIT_A
-    library.multipliers_of["mu_current_lower"][0, 1, 28:41] = 1e-4
-    library.current_A[0, 0, 50] = LIMIT_A  # touches the limit without pushing against it
-    library.multipliers_of["mu_current_upper"][0, 0, 60] = 1e-4  # a multiplier inside the limit is rounding
-    figure = library_figure(library)
-    times_ms = 1e3 * library.time_grid().switching_times_s
-    for axes in (figure.axes[1], figure.axes[3]):
-        np.testing.assert_allclose(shaded(axes), [(times_ms[20] - 0.05, times_ms[40] + 0.05)])
-    assert shaded(figure.axes[0]) == shaded(figure.axes[2]) == []
-    assert "limit binds" in legend_texts(figure)
-
-
-def test_the_whole_horizon_is_shown_and_a_compressed_axis_says_so() -> None:
-    library = make_library(stages=600)
-    figure = library_figure(library)
-    times_ms = 1e3 * library.time_grid().switching_times_s
-    left, right = figure.axes[0].get_xlim()
-    assert left < times_ms[0]
-    assert right > times_ms[-1]
-    assert "compressed" in figure.get_supxlabel()
-    assert "hand-over from 58.8 ms" in figure.get_supxlabel()
-    axis = figure.axes[0].xaxis.get_transform()
-    on_paper = axis.transform(times_ms)
-    assert np.all(np.diff(on_paper) > 0)
-    np.testing.assert_allclose(axis.inverted().transform(on_paper), times_ms, atol=1e-9)
-
-
-def test_a_reference_that_lasts_is_not_compressed() -> None:
-    figure = library_figure(make_library(decay_s=1.0))
-    assert "compressed" not in figure.get_supxlabel()
-
-
-@pytest.mark.parametrize(("nv", "ng", "stages"), [(1, 1, 300), (8, 6, 300), (2, 3, 11), (1, 2, 2000)])
-def test_any_size_of_library_fits_on_the_paper(nv: int, ng: int, stages: int) -> None:
-    assert_nothing_clipped(library_figure(make_library(nv, ng, stages)))
-
-
-def test_speeds_differ_in_colour_and_in_grey() -> None:
-    lines = solid_curves(library_figure(make_library(nv=8, ng=1)).axes[1], 300)
-    assert len({line.get_marker() for line in lines}) == 8
-    luminance = [float(np.dot(line.get_color()[:3], [0.2126, 0.7152, 0.0722])) for line in lines]
-    assert np.all(np.diff(luminance) > 0)
-    assert max(luminance) < 0.75  # still seen on white paper
-
-
-def test_of_a_large_grid_some_nodes_are_drawn_and_the_axis_says_so() -> None:
-    library = make_library(nv=20, ng=10)
-    figure = library_figure(library)
-    columns = figure.axes[: len(figure.axes) // 2]
-    assert [axes.get_title() for axes in columns][:: len(columns) - 1] == ["grip 1 N", "grip 19 N"]
-    assert len(columns) == 6
-    curves = solid_curves(figure.axes[-1], 300)
-    assert len(curves) == 8
-    np.testing.assert_array_equal(curves[0].get_ydata(), library.current_A[0, -1])
-    np.testing.assert_array_equal(curves[-1].get_ydata(), library.current_A[-1, -1])
-    assert "8 of 20 speeds, 6 of 10 grips" in figure.get_supxlabel()
-    assert "speeds" not in library_figure(make_library(nv=8, ng=6)).get_supxlabel()
-
-
-def test_a_zero_reference_can_be_drawn() -> None:
-    library = make_library()
-    zero = {name: 0 * getattr(library, name) for name in ("reference_m_s2", "acceleration_m_s2", "current_A")}
-    assert_nothing_clipped(library_figure(replace(library, **zero)))
-
-
-# ---------------------------------------------------------------------------------------------------- methods
-
-
-def test_method_figure_draws_every_method_in_percent() -> None:
-    entries = [[make_entry(v, g, nrmse=0.1 * v * g) for g in (1.0, 3.0)] for v in (0.3, 0.4)]
-    figure = method_figure(make_build(entries))
-    axes = figure.axes[0]
-    assert axes.get_ylabel() == "NRMSE after replay [%]"
-    assert axes.get_yscale() == "log"
-    drawn = {str(line.get_label()): line.get_ydata() for line in axes.lines}
-    np.testing.assert_allclose(drawn["optimum, 4 A"], [3.0, 9.0, 4.0, 12.0])
-    np.testing.assert_allclose(drawn["floor (no limits)"], 0.4)
-    np.testing.assert_allclose(drawn["seed inversion, 4 A"], 15.0)
-    np.testing.assert_allclose(drawn["seed inversion, 1.25 A"], 70.0)
-    np.testing.assert_allclose(drawn["clipped optimum, 4 A"], 12.0)
-    np.testing.assert_allclose(drawn["clipped optimum, 1.25 A"], 60.0)
-    np.testing.assert_allclose(drawn["amplitude threshold 20 %"], 20.0)
-    assert legend_texts(figure) == [*drawn, "repeatability of the taps"]
-    assert [label.get_text() for label in axes.get_xticklabels()] == [
-        "0.3 m/s\n1 N",
-        "0.3 m/s\n3 N",
-        "0.4 m/s\n1 N",
-        "0.4 m/s\n3 N",
-    ]
-
-
-def test_unknown_repeatability_is_left_out() -> None:
-    figure = method_figure(make_build([[make_entry(repeatability=float("nan"))]]))
-    assert "repeatability of the taps" not in legend_texts(figure)
-    assert_nothing_clipped(figure)
-
-
-def test_a_refused_entry_is_marked() -> None:
-    figure = method_figure(make_build([[make_entry(status=Status.NOT_CERTIFIED)]]))
-    assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["0.1 m/s\n3 N\nrefused"]
-
-
-def test_zero_and_infinite_errors_do_not_break_the_axis() -> None:
-    zero = make_entry(nrmse=0.0, floor=0.0, baselines=Baselines(float("inf"), 0.0, float("inf"), 0.0))
-    figure = method_figure(make_build([[zero, make_entry()]]))
-    bottom, top = figure.axes[0].get_ylim()
-    optimum = figure.axes[0].lines[0].get_ydata()
-    assert 0 < bottom < top < 1000
-    np.testing.assert_allclose(optimum, [bottom, 10.0])
-    assert_nothing_clipped(figure)
-
-
-def test_many_entries_have_one_label_for_each_speed() -> None:
-    figure = method_figure(make_build([[make_entry(0.1 * i + 0.1, j + 0.5) for j in range(10)] for i in range(7)]))
-    axes = figure.axes[0]
-    assert [label.get_text() for label in axes.get_xticklabels()] == [f"{0.1 * i + 0.1:.3g}" for i in range(7)]
-    np.testing.assert_allclose(axes.get_xticks(), 4.5 + 10 * np.arange(7))
-    assert axes.get_xlabel() == "speed [m/s], grips 0.5 to 9.5 N in each stripe"
-
-
-@pytest.mark.parametrize(("nv", "ng"), [(1, 1), (4, 3), (10, 6)])
-def test_any_number_of_entries_fits_on_the_paper(nv: int, ng: int) -> None:
-    figure = method_figure(make_build([[make_entry(0.1 * i + 0.1, j + 0.5) for j in range(ng)] for i in range(nv)]))
-    assert_nothing_clipped(figure)
-    boxes = [label.get_window_extent() for label in figure.axes[0].get_xticklabels()]
-    assert not any(a.overlaps(b) for a, b in pairwise(boxes))
-
-
-# ---------------------------------------------------------------------------------------------------- device
-
-
-def test_bode_figure_is_the_analytic_response_in_g_per_ampere_and_degrees() -> None:
-    library = make_library(ng=3)
+def test_bode_figure_is_the_response_in_g_per_ampere_and_degrees(library: Library, scene: Scene) -> None:
     figure = bode_figure(library)
     magnitude, phase = figure.axes
     assert magnitude.get_ylabel() == "acceleration per current [g/A]"
@@ -325,56 +216,52 @@ def test_bode_figure_is_the_analytic_response_in_g_per_ampere_and_degrees() -> N
     assert (magnitude.get_xscale(), magnitude.get_yscale(), phase.get_xscale()) == ("log", "log", "log")
     assert legend_texts(figure) == ["grip 1 N", "grip 3 N", "grip 5 N"]
     assert len({line.get_linestyle() for line in magnitude.lines}) == 3
-    for size, angle, grip in zip(magnitude.lines, phase.lines, library.grips_N, strict=True):
-        frequencies = np.asarray(size.get_xdata())
+    for size, angle, grip in zip(magnitude.lines, phase.lines, scene.grid.grips_N, strict=True):
+        frequencies, degrees = np.asarray(size.get_xdata()), np.asarray(angle.get_ydata())
         assert frequencies[[0, -1]] == pytest.approx([1.0, 2000.0])
-        s = 2j * np.pi * frequencies
-        expected = FORCE_N_A * s**2 / (MASS_KG * s**2 + 4.0 * s + 100.0 * grip)
+        expected = scene.plant(grip).response(frequencies)
         np.testing.assert_allclose(size.get_ydata(), np.abs(expected) / G, rtol=1e-9)
-        # One mass on a spring: from 180 deg down to 0, without a jump.
-        np.testing.assert_allclose(angle.get_ydata(), np.degrees(np.angle(expected)), atol=1e-6)
+        np.testing.assert_allclose(np.exp(1j * np.radians(degrees)), expected / np.abs(expected), atol=1e-6)
     assert_nothing_clipped(figure)
 
 
-def test_phase_does_not_wrap_behind_two_springs() -> None:
-    library = make_library(ng=1)
+def test_phase_does_not_wrap_behind_two_springs(library: Library) -> None:
     links = [Link(6e4, 1.0), Link(6e4, 1.0), Link(100.0, 4.0)]
-    plant = chain([0.014, 0.014, 0.026], links, force_per_current_N_A=FORCE_N_A, stylus=2)
+    plant = chain([0.014, 0.014, 0.026], links, force_per_current_N_A=1.25, stylus=2)
     matrices = {f"plant_{name}": getattr(plant, name)[None] for name in ("A", "B", "C", "D", "Ce")}
-    degrees = np.asarray(bode_figure(replace(library, **matrices)).axes[1].lines[0].get_ydata())
+    one = replace(library, grips_N=library.grips_N[:1], **matrices)
+    degrees = np.asarray(bode_figure(one).axes[1].lines[0].get_ydata())
     assert np.abs(np.diff(degrees)).max() < 90
     assert 90 < degrees[0] <= 180
     assert -360 < degrees[-1] < -270
 
 
-# ---------------------------------------------------------------------------------------------------- recordings
+class TestTaps:
+    def test_recordings_lie_over_each_other_from_slow_to_fast(self, prepared: list[PreparedTap]) -> None:
+        chosen = [prepared[-1], prepared[0]]
+        figure = taps_figure(chosen)
+        axes = figure.axes[0]
+        curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
+        for line, tap in zip(curves, reversed(chosen), strict=True):
+            np.testing.assert_allclose(line.get_xdata(), 1e3 * tap.acceleration.times_s)
+            np.testing.assert_allclose(line.get_ydata(), tap.acceleration.values / G)
+        assert legend_texts(figure) == [f"{tap.recording.name}, {tap.speed_m_s:.3g} m/s" for tap in chosen[::-1]]
+        assert axes.get_ylabel() == "acceleration [g]"
+        end_ms = 1e3 * max(tap.acceleration.end_s for tap in chosen)
+        assert axes.get_xlabel().startswith("time after contact [ms], to ")
+        assert axes.get_xlabel().endswith(f" of {end_ms:.0f} ms recorded")
+        assert axes.lines[0].get_xdata() == [0.0, 0.0]  # the contact
+        left, right = axes.get_xlim()
+        assert left < 0 < right < end_ms
 
+    def test_one_that_serves_every_speed_says_what_it_is_scaled_to(self, prepared: list[PreparedTap]) -> None:
+        every = replace(prepared[0], speed_m_s=float("nan"))
+        assert legend_texts(taps_figure([every]))[0].endswith(", scaled to 1 m/s")
 
-def test_taps_figure_overlays_recordings_from_slow_to_fast() -> None:
-    taps = [make_tap("fast", 0.4), make_tap("slow", 0.1, end_s=0.05)]
-    figure = taps_figure(taps)
-    axes = figure.axes[0]
-    curves = [line for line in axes.lines if len(line.get_xdata()) > 2]
-    for line, tap in zip(curves, reversed(taps), strict=True):
-        np.testing.assert_allclose(line.get_xdata(), 1e3 * tap.acceleration.times_s)
-        np.testing.assert_allclose(line.get_ydata(), tap.acceleration.values / G)
-    assert legend_texts(figure) == ["slow, 0.1 m/s", "fast, 0.4 m/s"]
-    assert axes.get_ylabel() == "acceleration [g]"
-    assert axes.get_xlabel().startswith("time after contact [ms], to ")
-    assert axes.get_xlabel().endswith(" of 70 ms recorded")
-    assert axes.lines[0].get_xdata() == [0.0, 0.0]  # the contact
-    left, right = axes.get_xlim()
-    assert left < 0 < right < 70
-
-
-def test_a_tap_that_serves_every_speed_says_what_it_is_scaled_to() -> None:
-    assert legend_texts(taps_figure([make_tap("drop", float("nan"))])) == ["drop, scaled to 1 m/s"]
-
-
-@pytest.mark.parametrize("count", [1, 12, 70])
-def test_any_number_of_taps_fits_on_the_paper(count: int) -> None:
-    name = "a_folder_with_a_very_long_name_and_a_tap_on_oak.csv"
-    assert_nothing_clipped(taps_figure([make_tap(name, 0.1 + 0.01 * j) for j in range(count)]))
+    @pytest.mark.parametrize("count", [1, 70])
+    def test_any_number_fits_on_the_paper(self, prepared: list[PreparedTap], count: int) -> None:
+        long = replace(prepared[0].recording, name="a_folder_with_a_very_long_name_and_a_tap_on_oak.csv")
+        assert_nothing_clipped(taps_figure([replace(prepared[0], recording=long)] * count))
 
 
 def test_drawing_needs_neither_pyplot_nor_casadi() -> None:

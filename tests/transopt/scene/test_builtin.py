@@ -17,11 +17,6 @@ def test_the_folder_is_that_of_the_package_problems() -> None:
     assert "wood_on_foam" in builtin.scene_names()
 
 
-def test_problems_asks_the_same() -> None:
-    assert problems.load("wood_on_foam") == builtin.load_scene("wood_on_foam")
-    assert problems.scene_names() == builtin.scene_names()
-
-
 def test_a_path_is_read_and_finds_built_in_motors(tmp_path: Path) -> None:
     file = tmp_path / "mine.TOML"
     file.write_text(builtin.scene_path("wood_on_foam").read_text(encoding="utf-8"), encoding="utf-8")

@@ -118,7 +118,6 @@ class TestTheSameDevice:
 
     def test_the_coil_is_the_identified_one(self, make: Make) -> None:
         coil = make(ON_FILE, {"device": drive_device(), "coil": coil_part(R_wh_K_W=4.5, tau_w_s=20.0)}).coil()
-        assert coil is not None
         assert (coil.R_ohm, coil.R_wh_K_W, coil.tau_w_s, coil.tau_h_s) == (2.18, 4.5, 20.0, 612.0)
 
     def test_without_a_motor_there_is_a_device_but_no_coil(self, make: Make, taps: list[Recording]) -> None:
@@ -259,7 +258,6 @@ class TestReport:
         assert build_markdown(identified).count("Below the model's own error") == 1
 
     def test_sources_name_the_model_file_and_what_it_was_fitted_to(self, identified: Build, tmp_path: Path) -> None:
-        assert identified.library is not None
         sources = identified.library.meta["sources"]
         [own] = [source for source in sources if source["origin"] == "model file"]
         assert own["sha256"] == digest(tmp_path / "MODEL.json")

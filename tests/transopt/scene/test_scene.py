@@ -124,7 +124,6 @@ def test_paths_count_from_the_scene_file(tmp_path: Path) -> None:
         )
     )
     scene = problems.load(path)
-    assert scene.motor is not None
     assert scene.motor.R_ohm == 3.0
     assert Path(scene.recordings.folder) == (tmp_path / "taps").resolve()
 

@@ -18,9 +18,9 @@ from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify, gradient_rounding
-from transopt.solvers import lq_pass, sparse_kkt, unlimited
+from transopt.solvers import lq_pass, unlimited
 from transopt.solvers.choose import solve
-from transopt.solvers.lq_pass import BLOCK, Gains, Pass, Tracking
+from transopt.solvers.lq_pass import Gains, Pass, Tracking
 from transopt.solvers.native import extension
 from transopt.solvers.options import SolverOptions
 
@@ -78,49 +78,6 @@ def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_sta
     np.testing.assert_allclose(found.movement, movement, atol=1e-11)
     np.testing.assert_allclose(found.error, error, atol=1e-11)
     assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
-
-
-@pytest.mark.parametrize(("stages", "ny", "rule_stages"), SIZES)
-def test_gradient_by_differences(stages: int, ny: int, rule_stages: int) -> None:
-    data = random_tracking(stages, ny, rule_stages)
-    free = np.random.default_rng(5).standard_normal(data.free_stages)
-    run = Pass(data)
-    point = run.at(free)
-    movement, error = rolled_out(data, free)
-    np.testing.assert_allclose(point.movement, movement, atol=1e-11)
-    np.testing.assert_allclose(point.error, error, atol=1e-11)
-    for k, step in enumerate(np.eye(data.free_stages)):
-        # The objective is quadratic: central differences are exact for any step.
-        up, down = (np.sum(residuals(data, free + sign * step) ** 2) for sign in (1, -1))
-        assert run.gradient(point)[k] == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
-
-
-def test_gradient_under_the_rule_is_what_one_more_offset_costs() -> None:
-    data = random_tracking(24, 2, 4)
-    free = np.random.default_rng(6).standard_normal(data.free_stages)
-    run = Pass(data)
-    for j, found in enumerate(run.gradient_under_rule(run.at(free))):
-        step = np.eye(4)[j]
-        up, down = (
-            np.sum(residuals(replace(data, rule_offsets=data.rule_offsets + sign * step), free) ** 2)
-            for sign in (1, -1)
-        )
-        assert found == pytest.approx((up - down) / 4, rel=1e-9, abs=1e-9)
-
-
-def test_units_change_nothing() -> None:
-    """States in other units: the same movement to rounding."""
-    data = random_tracking(24, 1, 4)
-    unit = np.array([1e-6, 1.0, 1e6, 1e3])
-    other = replace(
-        data,
-        A=data.A * unit / unit[:, None],
-        B=data.B / unit,
-        C=data.C * unit,
-        rule_gains=data.rule_gains * unit,
-    )
-    first, second = ((run := Pass(each)).improved(run.at_rest(), run.factored()) for each in (data, other))
-    np.testing.assert_allclose(first.movement, second.movement, atol=1e-12)
 
 
 @pytest.mark.parametrize("ideal", [False, True])
@@ -220,14 +177,6 @@ def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) ->
     assert not answer.command_A[problem.free_stages :].any()
 
 
-def test_a_long_horizon(make_problem: ProblemMaker) -> None:
-    problem = make_problem(0.4, 5.0, stages=6000)
-    answer = unlimited.solve(problem)
-    proof = certify(problem, answer.command_A, answer.multipliers)
-    assert proof.dual_residual < 1e-12
-    assert proof.relative_gap <= proof.GAP_TOLERANCE
-
-
 class TestWhenThePassFallsShort:
     """Gains that are wrong, as rounding could leave them: the gradient notices."""
 
@@ -280,21 +229,6 @@ def test_the_other_passes_run_apart_and_give_the_same(
     np.testing.assert_array_equal(unlimited.solve(problem).command_A, unlimited.solve_in_casadi(problem).command_A)
 
 
-def test_sparse_system_is_singular_without_weights(make_problem: ProblemMaker) -> None:
-    problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
-    assert np.isnan(sparse_kkt.movement(problem)).all()
-
-
-def test_blocks_are_filled_up(make_problem: ProblemMaker) -> None:
-    """Every remainder of the free stages by the block's length."""
-    for stages in range(30, 30 + BLOCK):
-        problem = make_problem(0.4, 3.0, stages=stages)
-        answer, other = unlimited.solve(problem), unlimited.solve_sparse_kkt(problem)
-        assert answer.message == "Riccati pass"
-        np.testing.assert_allclose(answer.command_A, other.command_A, atol=1e-10)
-        np.testing.assert_allclose(answer.multipliers.hand_over, other.multipliers.hand_over, atol=1e-12)
-
-
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
 class TestCompiledPass:
     """The pass of the extension against the one in CasADi's virtual machine, and its cached gains."""
@@ -330,21 +264,6 @@ class TestCompiledPass:
             error_filter=error_filter("pacinian", problem.grid.dt_s),
         )
         assert self.difference(problem) < 1e-9
-
-    def test_cached_gains_serve_any_reference_of_that_weight(self, make_problem: ProblemMaker) -> None:
-        problem = make_problem(0.2, 3.0)
-        r = problem.reference_m_s2
-        other = replace(problem, reference_m_s2=np.roll(r, 7))
-        run = extension.LinearPass(without_limits(problem))
-        assert run.solve(unlimited.GAP).code == extension.SOLVED
-        run.reference[:] = np.roll(run.reference, 7)
-        assert run.solve(unlimited.GAP).code == extension.SOLVED
-        afresh = extension.LinearPass(without_limits(problem))
-        afresh.reference[:] = run.reference
-        afresh.solve(unlimited.GAP)
-        np.testing.assert_array_equal(run.command_A(), afresh.command_A())
-        wanted = unlimited.solve(other).command_A  # whose |r| is another by rounding
-        np.testing.assert_allclose(run.command_A(), wanted, atol=1e-10 * np.abs(wanted).max())
 
     def test_in_shared_memory_no_pass_takes_anothers_gains(self, make_problem: ProblemMaker) -> None:
         """Nor what an interior point leaves there."""

@@ -44,7 +44,6 @@ class TestAxes:
         assert axis.labels == ("maxon_re25_118743", "own")
         plan = Plan(scene, (axis,), (0.4,), (5.0,))
         second = with_values(scene, plan.changes(1)).motor
-        assert second is not None
         assert (second.kt_Nm_A, second.rotor_kg_m2) == (60.3e-3, 13.7e-6)
 
     @pytest.mark.parametrize(

@@ -2,8 +2,9 @@
 
 import csv
 
+from transopt.base.writing import csv_text
 from transopt.design.sweep import Outcome
-from transopt.study.rows import OPTIMAL, csv_text, exit_code, row_of
+from transopt.study.rows import OPTIMAL, exit_code, row_of
 
 
 def test_cells_are_read_back_exactly_and_stay_on_one_line() -> None:

@@ -50,12 +50,6 @@ class TestExecutors:
                 pool.close()
                 assert plain(tmp_path / name / "rows.csv") == plain(finished / "rows.csv"), name
 
-    def test_dead_workers_are_replaced(self, small: Plan, finished: Path, tmp_path: Path) -> None:
-        dies = itertools.cycle([False, True])
-        pool = Pool.of(Dying(dies), 1)
-        run_plan(small, tmp_path, pool)
-        assert plain(tmp_path / "rows.csv") == plain(finished / "rows.csv")
-
     def test_workers_that_die_again_and_again(self, small: Plan, finished: Path, tmp_path: Path) -> None:
         dies = itertools.chain([False], itertools.repeat(True))
         pool = Pool.of(Dying(dies), 1)
@@ -87,13 +81,6 @@ class TestExecutors:
         pool.close()
         worker.join(timeout=10.0)
         assert not worker.is_alive()
-
-    def test_a_dead_worker_takes_nothing_but_its_own_call_with_it(self) -> None:
-        with closing(processes(1)) as pool:
-            first = pool.executor.submit(os.getpid).result()
-            with pytest.raises(BrokenExecutor):
-                pool.executor.submit(os._exit, 1).result()
-            assert pool.executor.submit(os.getpid).result() != first
 
     def test_what_a_call_raises_is_raised_here(self) -> None:
         with closing(processes(1)) as pool, pytest.raises(ZeroDivisionError):

@@ -11,8 +11,6 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.identify.device.response import Slope
 from transopt.plant.chain import Link, chain
-from transopt.plant.drive import drive
-from transopt.plant.hand import Hand, LinearInGrip
 from transopt.plant.state_space import StateSpace
 
 SHARED = ("moving_mass_kg", "stylus_mass_kg", "transmission_stiffness_N_m", "transmission_damping_N_s_m")
@@ -56,15 +54,7 @@ class DriveChain:
         ------
         InputError : not passive there.
         """
-        mass, stylus, stiffness, damping = self.shared.tolist()
-        return drive(
-            grip_N,
-            hand=Hand(*(LinearInGrip(*row) for row in self.hand.tolist())) if grip_N > 0 else _NOBODY,
-            stylus_mass_kg=stylus,
-            moving_mass_kg=mass,
-            transmission=Link(stiffness, damping),
-            force_per_current_N_A=self.force_per_current_N_A,
-        )
+        return chain_of(self.parameters(grip_N), self.force_per_current_N_A)
 
     def with_force(self, force_per_current_N_A: float) -> "DriveChain":
         """The device of the same response with another force per ampere."""
@@ -74,9 +64,6 @@ class DriveChain:
     def shares(self, grip_N: float) -> list[tuple[StateSpace, float]]:
         """The one plant of a grip, with its weight, as a black box that blends has several."""
         return [(self.plant(grip_N), 1.0)]
-
-
-_NOBODY = Hand(*(LinearInGrip(0.0, 0.0) for _ in HAND))
 
 
 def chain_of(parameters: FloatArray, force_per_current_N_A: float) -> StateSpace:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from transopt.base.signals import FloatArray
+from transopt.identify.amplifier import sampled_response as amplifier_response
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import acting_states, split_delay
 from transopt.plant.state_space import StateSpace
@@ -151,13 +152,11 @@ def _sampled(plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...
 
 def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> FloatArray:
     """(m,) sampled current over command, whole periods of the delay left out: what cancels in a ratio."""
-    back = np.exp(-2j * np.pi * np.asarray(frequencies_Hz) * instrument.dt_s)
-    if instrument.amplifier is None:
-        return np.asarray(back)
-    rate, dt = instrument.amplifier.rate_rad_s, instrument.dt_s
-    late = split_delay(instrument.amplifier.delay_s, dt)[1]
-    kept, rest = np.exp(-rate * dt), np.exp(-rate * (dt - late))
-    return np.asarray(((1 - rest) + (rest - kept) * back) * back / (1 - kept * back))
+    amplifier, dt_s = instrument.amplifier, instrument.dt_s
+    if amplifier is None:
+        return np.asarray(np.exp(-2j * np.pi * np.asarray(frequencies_Hz) * dt_s))
+    late_s = split_delay(amplifier.delay_s, dt_s)[1]
+    return np.asarray(amplifier_response(frequencies_Hz, amplifier.pole_Hz, late_s, dt_s))
 
 
 def sampled_response(

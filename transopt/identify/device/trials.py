@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from transopt.base.errors import InputError
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.base.signals import FloatArray, Signal
+from transopt.identify.amplifier import simulate_current
 from transopt.identify.checks import (
     COHERENT,
-    GRAVITY_TOLERANCE,
     GRIP_STEP_N,
     Fault,
     Finding,
@@ -22,6 +21,7 @@ from transopt.identify.checks import (
     check_measurement,
     check_passive,
     check_rates,
+    off_by_gravity,
     refuse,
 )
 from transopt.identify.device.chain_fit import GripResponse
@@ -29,7 +29,6 @@ from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.discretise import split_delay
 from transopt.plant.state_space import StateSpace
 
 QUANTITIES = ("command", "current", "acceleration")
@@ -90,13 +89,9 @@ def felt_current(run: Measurement, amplifier: Amplifier | None) -> Signal:
     if run.command is None:
         raise InputError(f"{run.name}: neither current_A nor command_A; record the measured current")
     command, dt = run.command.values, run.command.dt_s
-    whole, late = split_delay(0.0 if amplifier is None else amplifier.delay_s, dt)
-    late_command = np.concatenate([np.zeros(whole + 1), command])[: command.size]
     if amplifier is None:
-        return Signal(run.command.start_s, dt, late_command)
-    kept, rest = np.exp(-amplifier.rate_rad_s * dt), np.exp(-amplifier.rate_rad_s * (dt - late))
-    values = signal.lfilter([1 - rest, rest - kept], [1.0, -kept], late_command)
-    return Signal(run.command.start_s, dt, np.asarray(values))
+        return Signal(run.command.start_s, dt, np.append(0.0, command[:-1]))
+    return Signal(run.command.start_s, dt, simulate_current(command, amplifier.pole_Hz, amplifier.delay_s, dt))
 
 
 def instrument_of(runs: Sequence[Measurement], amplifier: Amplifier | None) -> Instrument:
@@ -158,19 +153,25 @@ def _odd_one_out(where: str, names: Sequence[str], estimate: TransferEstimate) -
     each = estimate.trial_responses[:, clear]
     middle = np.median(np.abs(each), axis=0)
     reference = each[int(np.argmin([np.median(np.abs(np.abs(one) / middle - 1)) for one in each]))]
-    found = []
+    found: list[Finding] = []
     signs = np.array([np.sum((one * reference.conj()).real / np.abs(reference) ** 2) for one in each])
     minority = 1.0 if np.sum(signs > 0) < np.sum(signs < 0) else -1.0
     for name, one, sign in zip(names, each, signs, strict=True):
-        if sign * minority > 0:
-            text = f"acceleration answers the current the other way than in the other trials of {where}"
-            remedy = "turn the accelerometer or the current's sign in this file, or record it again"
-            found.append(Finding(Fault.POLARITY, name, f"{text}; {remedy}", True))
         ratio = float(np.median(np.abs(one) / middle))
-        for factor in (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2):
-            if abs(np.log(ratio / factor)) < np.log1p(GRAVITY_TOLERANCE):
-                text = f"acceleration is {ratio:.3g} times that of the other trials of {where}"
-                found.append(Finding(Fault.UNITS, name, f"{text}; is its column in g or in m/s^2?", True))
+        found += _unlike(name, sign * minority > 0, ratio, f"the other trials of {where}")
+    return found
+
+
+def _unlike(name: str, turned: bool, ratio: float, others: str) -> list[Finding]:
+    """A file whose acceleration answers the current the other way than `others` do, or `ratio` times as strongly."""
+    found = []
+    if turned:
+        text = f"acceleration answers the current the other way than in {others}"
+        remedy = "turn the accelerometer or the current's sign in this file, or record it again"
+        found.append(Finding(Fault.POLARITY, name, f"{text}; {remedy}", True))
+    if off_by_gravity(ratio) is not None:
+        text = f"acceleration is {ratio:.3g} times that of {others}"
+        found.append(Finding(Fault.UNITS, name, f"{text}; is its column in g or in m/s^2?", True))
     return found
 
 
@@ -188,17 +189,8 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
     size = float(np.linalg.norm(expected) * np.linalg.norm(found))
     if not abs(along) > ALIKE * size:
         return []  # no word either way
-    if along < 0:
-        text = f"acceleration answers the current the other way than in the sweeps of {where}"
-        remedy = "turn the accelerometer or the current's sign in this file, or record it again"
-        return [Finding(Fault.POLARITY, run.name, f"{text}; {remedy}", True)]
-    ratio = along / float(np.linalg.norm(expected)) ** 2
-    if min(abs(np.log(ratio / factor)) for factor in (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2)) < np.log1p(
-        GRAVITY_TOLERANCE
-    ):
-        text = f"acceleration is {ratio:.3g} times that of the sweeps of {where}"
-        return [Finding(Fault.UNITS, run.name, f"{text}; is its column in g or in m/s^2?", True)]
-    return []
+    ratio = abs(along) / float(np.linalg.norm(expected)) ** 2
+    return _unlike(run.name, along < 0, ratio, f"the sweeps of {where}")
 
 
 def _too_short(where: str, estimate: TransferEstimate) -> list[Finding]:

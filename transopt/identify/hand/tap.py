@@ -5,7 +5,7 @@ incoming speed: F_surface = m y'' + b y' + k y. Before contact y = 0, so y' and 
 from contact on, and neither the incoming speed nor an encoder is needed. A hand cannot answer a tap within 30 ms:
 there the fit ends.
 
-What biases such a fit, and what is done about it (figures: `scripts/hand_coverage.py --bias`):
+What biases such a fit, and what is done about it:
 
 - a force and an acceleration that are not seen at the same time. The accelerometer's pole at 2.5 kHz alone, 64 us,
   takes 4 % of the damping away and adds 13 % of stiffness; so the force goes through the same pole.

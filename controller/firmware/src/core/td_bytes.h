@@ -38,15 +38,6 @@ static inline int32_t td_get_i32(const uint8_t *at)
     return value;
 }
 
-static inline float td_get_f32(const uint8_t *at)
-{
-    const uint32_t bits = td_get_u32(at);
-    float value;
-
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
-
 static inline double td_get_f64(const uint8_t *at)
 {
     const uint64_t bits = td_get_u64(at);

@@ -18,6 +18,15 @@ typedef struct {
     double value;
 } td_refusal;
 
+static const td_refusal td_granted = {0, 0};
+
+static inline td_refusal td_refuse(int reason, double value)
+{
+    const td_refusal refusal = {(uint8_t)reason, value};
+
+    return refusal;
+}
+
 /* A configuration of TD_CONFIGURATION_BYTES; unpacked into `config` if it is sound. */
 td_refusal td_check_config(const uint8_t *bytes, const td_hardware *hardware, td_config *config);
 

@@ -9,15 +9,6 @@
 #define RESISTANCE_REFERENCE_C 25.0
 #define PI 3.141592653589793
 
-static td_refusal refuse(int reason, double value)
-{
-    td_refusal refusal;
-
-    refusal.reason = (uint8_t)reason;
-    refusal.value = value;
-    return refusal;
-}
-
 static bool is_flag(int place)
 {
     return place == TD_CFG_HAS_SLEW_LIMIT_A_PER_S || place == TD_CFG_HAS_ASSUMED_GRIP_N ||
@@ -217,30 +208,30 @@ td_refusal td_check_config(const uint8_t *bytes, const td_hardware *hardware, td
 
     if (td_get_u32(bytes) != TD_CONFIGURATION_MAGIC || td_get_u16(bytes + 4) != TD_CONFIGURATION_VERSION ||
         td_get_u16(bytes + 6) != TD_CFG_COUNT)
-        return refuse(TD_REASON_BAD_FORMAT, TD_CONFIGURATION_BYTES);
+        return td_refuse(TD_REASON_BAD_FORMAT, TD_CONFIGURATION_BYTES);
     for (j = 0; j < TD_CFG_COUNT; j++) {
         value = came[j] = again[j] = td_get_f64(bytes + TD_CONFIGURATION_VALUES + 8 * j);
         if (!isfinite(value) || (is_flag(j) && !is(value, 0) && !is(value, 1)) ||
             (is_whole(j) && !is(value, floor(value))))
-            return refuse(TD_REASON_BAD_VALUE, value);
+            return td_refuse(TD_REASON_BAD_VALUE, value);
     }
     if (!holds(came))
-        return refuse(TD_REASON_BAD_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_BAD_CONFIGURATION, (double)NAN);
     if (!is(came[TD_CFG_DT_S], hardware->dt_s))
-        return refuse(TD_REASON_BAD_TIMING, came[TD_CFG_DT_S]);
+        return td_refuse(TD_REASON_BAD_TIMING, came[TD_CFG_DT_S]);
     value = beyond(came, hardware);
     if (!isnan(value))
-        return refuse(TD_REASON_BEYOND_HARDWARE, value);
+        return td_refuse(TD_REASON_BEYOND_HARDWARE, value);
     derive(again);
     for (j = 0; j < TD_CFG_COUNT; j++) {
         if (!isfinite(again[j]))
-            return refuse(TD_REASON_BAD_CONFIGURATION, (double)NAN);
+            return td_refuse(TD_REASON_BAD_CONFIGURATION, (double)NAN);
     }
     for (j = 0; j < TD_CFG_COUNT; j++) {
         if (!(fabs(came[j] - again[j]) <= AGREEMENT * fabs(again[j])))
-            return refuse(TD_REASON_BAD_CONFIGURATION, came[j]);
+            return td_refuse(TD_REASON_BAD_CONFIGURATION, came[j]);
     }
     if (!td_config_unpack(config, bytes, TD_CONFIGURATION_BYTES))
-        return refuse(TD_REASON_BAD_CONFIGURATION, (double)NAN);
-    return refuse(0, (double)NAN);
+        return td_refuse(TD_REASON_BAD_CONFIGURATION, (double)NAN);
+    return td_granted;
 }

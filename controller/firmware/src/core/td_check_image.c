@@ -3,15 +3,6 @@
 #include "td_bytes.h"
 #include "td_check.h"
 
-static td_refusal refuse(int reason, double value)
-{
-    td_refusal refusal;
-
-    refusal.reason = (uint8_t)reason;
-    refusal.value = value;
-    return refusal;
-}
-
 static double number(const uint8_t *configuration, int place)
 {
     return td_get_f64(configuration + TD_CONFIGURATION_VALUES + 8 * place);
@@ -30,33 +21,33 @@ static td_refusal check_size(const uint8_t *image, size_t size)
     int j;
 
     if (size < TD_IMAGE_BYTES)
-        return refuse(TD_REASON_BAD_FORMAT, (double)size);
+        return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
     if (td_get_u32(image + TD_IMAGE_MAGIC) != TD_IMAGE_MAGIC_VALUE ||
         td_get_u16(image + TD_IMAGE_VERSION) != TD_IMAGE_VERSION_VALUE ||
         td_get_u16(image + TD_IMAGE_FLAGS) > (TD_IMAGE_BY_GRIP | TD_IMAGE_NEAREST))
-        return refuse(TD_REASON_BAD_FORMAT, td_get_u16(image + TD_IMAGE_VERSION));
+        return td_refuse(TD_REASON_BAD_FORMAT, td_get_u16(image + TD_IMAGE_VERSION));
     speeds = td_get_u16(image + TD_IMAGE_SPEEDS);
     grips = td_get_u16(image + TD_IMAGE_GRIPS);
     samples = td_get_u32(image + TD_IMAGE_SAMPLES);
     nodes = (uint64_t)speeds * grips;
     if (nodes < 1 || samples < 1 || td_get_u32(image + TD_IMAGE_RESERVED) != 0 ||
         TD_IMAGE_BYTES + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples != size)
-        return refuse(TD_REASON_BAD_FORMAT, (double)size);
+        return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
     for (j = 0; j < 2; j++) {
         const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_SCALE_A : TD_IMAGE_GRIP_MIN_N));
 
         if (!is_size(value))
-            return refuse(TD_REASON_BAD_VALUE, value);
+            return td_refuse(TD_REASON_BAD_VALUE, value);
     }
     if (speeds > TD_MAX_SPEEDS)
-        return refuse(TD_REASON_TOO_LARGE, speeds);
+        return td_refuse(TD_REASON_TOO_LARGE, speeds);
     if (grips > TD_MAX_GRIPS)
-        return refuse(TD_REASON_TOO_LARGE, grips);
+        return td_refuse(TD_REASON_TOO_LARGE, grips);
     if (samples > TD_MAX_SAMPLES)
-        return refuse(TD_REASON_TOO_LARGE, (double)samples);
+        return td_refuse(TD_REASON_TOO_LARGE, (double)samples);
     if (nodes * samples > TD_MAX_LIBRARY_SAMPLES)
-        return refuse(TD_REASON_TOO_LARGE, (double)(nodes * samples));
-    return refuse(0, (double)NAN);
+        return td_refuse(TD_REASON_TOO_LARGE, (double)(nodes * samples));
+    return td_granted;
 }
 
 static bool is_axis(const td_wide *nodes, int32_t count)
@@ -119,32 +110,32 @@ td_refusal td_check_image(const uint8_t *image, size_t size, const uint8_t *byte
     if (found.reason != 0)
         return found;
     if (!td_bank_open(bank, image, size))
-        return refuse(TD_REASON_BAD_FORMAT, (double)size);
+        return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
     if (!is_axis(bank->speed_m_s, bank->speeds) || !is_axis(bank->grip_N, bank->grips))
-        return refuse(TD_REASON_BAD_AXES, (double)NAN);
+        return td_refuse(TD_REASON_BAD_AXES, (double)NAN);
     if (!are_sizes(bank))
-        return refuse(TD_REASON_BAD_VALUE, (double)NAN);
+        return td_refuse(TD_REASON_BAD_VALUE, (double)NAN);
     for (j = 0; j < 2; j++) {
         const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_DT_S : TD_IMAGE_LEAD_S));
         const double wanted = number(bytes, j == 0 ? TD_CFG_DT_S : TD_CFG_LEAD_S);
 
         if (!(value <= wanted && value >= wanted))
-            return refuse(TD_REASON_BAD_TIMING, value);
+            return td_refuse(TD_REASON_BAD_TIMING, value);
     }
     playable = bank->speed_m_s[0] > 0 && bank->grip_N[0] >= bank->grip_min_N;
     if (number(bytes, TD_CFG_HOST_STARTS) > 0 && !(bank->speeds * bank->grips == 1 && playable))
-        return refuse(TD_REASON_ONE_WAVEFORM, bank->speeds * bank->grips);
+        return td_refuse(TD_REASON_ONE_WAVEFORM, bank->speeds * bank->grips);
     tail = td_get_u32(image + TD_IMAGE_TAIL_SAMPLES);
     scale_A = td_get_f64(image + TD_IMAGE_SCALE_A);
     if (tail < 1 || tail > (uint32_t)bank->samples ||
         !measure(bank, scale_A, number(bytes, TD_CFG_DECAY), tail, peak_A))
-        return refuse(TD_REASON_NO_ZERO_TAIL, tail);
+        return td_refuse(TD_REASON_NO_ZERO_TAIL, tail);
     limit_A[0] = number(bytes, TD_CFG_COMMAND_LIMIT_A) * walled;
     limit_A[1] = number(bytes, TD_CFG_CURRENT_LIMIT_A);
     for (j = 0; j < 2; j++) {
         /* One count of room for rounding. */
         if (!(peak_A[j] <= limit_A[j] + scale_A))
-            return refuse(TD_REASON_OVER_LIMIT, peak_A[j]);
+            return td_refuse(TD_REASON_OVER_LIMIT, peak_A[j]);
     }
-    return refuse(0, (double)NAN);
+    return td_granted;
 }

@@ -4,17 +4,6 @@
 
 #include "td_bytes.h"
 
-static const td_refusal granted = {0, 0};
-
-static td_refusal refuse(int reason, double value)
-{
-    td_refusal refusal;
-
-    refusal.reason = (uint8_t)reason;
-    refusal.value = value;
-    return refusal;
-}
-
 static void hold(const td_device *device, bool held)
 {
     if (device->port.hold != NULL)
@@ -28,7 +17,7 @@ static bool same_hash(const uint8_t *one, const uint8_t *other)
 
 static td_refusal need_silent(const td_device *device)
 {
-    return td_device_is_active(device) ? refuse(TD_REASON_NOT_IDLE, (double)NAN) : granted;
+    return td_device_is_active(device) ? td_refuse(TD_REASON_NOT_IDLE, (double)NAN) : td_granted;
 }
 
 static td_refusal need_idle(const td_device *device)
@@ -36,10 +25,10 @@ static td_refusal need_idle(const td_device *device)
     td_refusal found;
 
     if (td_device_state(device) == TD_STATE_FAULT)
-        return refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
+        return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     found = need_silent(device);
     if (found.reason == 0 && device->pulse_left > 0)
-        return refuse(TD_REASON_PULSING, (double)NAN);
+        return td_refuse(TD_REASON_PULSING, (double)NAN);
     return found;
 }
 
@@ -47,7 +36,7 @@ static td_refusal need_gain(const td_device *device, double gain)
 {
     const double most = device->trial ? TD_TRIAL_GAIN : 1;
 
-    return gain >= 0 && gain <= most ? granted : refuse(TD_REASON_BAD_VALUE, gain);
+    return gain >= 0 && gain <= most ? td_granted : td_refuse(TD_REASON_BAD_VALUE, gain);
 }
 
 static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
@@ -76,7 +65,7 @@ static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
         guard->winding_C = guard->winding_C > before.winding_C ? guard->winding_C : before.winding_C;
         guard->housing_C = guard->housing_C > before.housing_C ? guard->housing_C : before.housing_C;
     }
-    return granted;
+    return td_granted;
 }
 
 static td_refusal commit(td_device *device)
@@ -92,7 +81,7 @@ static td_refusal commit(td_device *device)
         return found;
     td_store_committed(&device->store);
     device->servo.bank = td_store_bank(&device->store);
-    return granted;
+    return td_granted;
 }
 
 static td_refusal arm(td_device *device, const uint8_t *body)
@@ -107,44 +96,44 @@ static td_refusal arm(td_device *device, const uint8_t *body)
     if (found.reason != 0)
         return found;
     if (!store->configured)
-        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
     if (!same_hash(body + TD_ARM_CONFIGURATION_SHA256, store->configuration_sha256))
-        return refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
     if (same_hash(store->library_sha256, none))
-        return refuse(TD_REASON_NO_LIBRARY, (double)NAN);
+        return td_refuse(TD_REASON_NO_LIBRARY, (double)NAN);
     if (!same_hash(body + TD_ARM_LIBRARY_SHA256, store->library_sha256))
-        return refuse(TD_REASON_WRONG_LIBRARY, (double)NAN);
+        return td_refuse(TD_REASON_WRONG_LIBRARY, (double)NAN);
     if (!same_hash(device->checked_sha256, store->configuration_sha256) && trial != 1)
-        return refuse(TD_REASON_NOT_CHECKED, (double)NAN);
+        return td_refuse(TD_REASON_NOT_CHECKED, (double)NAN);
     if (lease_ms < TD_LEASE_LEAST_MS || lease_ms > TD_LEASE_MOST_MS)
-        return refuse(TD_REASON_BAD_LEASE, lease_ms);
+        return td_refuse(TD_REASON_BAD_LEASE, lease_ms);
     if (trial > 1)
-        return refuse(TD_REASON_BAD_VALUE, trial);
+        return td_refuse(TD_REASON_BAD_VALUE, trial);
     device->trial = trial == 1;
     found = need_gain(device, gain);
     if (found.reason != 0)
         return found;
     if (servo->config->coil.present && !(servo->guard.winding_C <= servo->config->coil.play_limit_C))
-        return refuse(TD_REASON_TOO_HOT, servo->guard.winding_C);
+        return td_refuse(TD_REASON_TOO_HOT, servo->guard.winding_C);
     if (!(fabs(servo->approach.speed_m_s) <= TD_REST_SPEED_M_S))
-        return refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
+        return td_refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
     td_servo_set_gain(servo, gain);
     td_servo_arm(servo);
     device->lease_ticks = device->lease_left = td_device_ticks(device, lease_ms);
-    return granted;
+    return td_granted;
 }
 
 static td_refusal reset(td_device *device)
 {
     if (device->store.configured) {
         if (device->stop_wanted || !td_servo_reset(&device->servo))
-            return refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
-        return granted;
+            return td_refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
+        return td_granted;
     }
     if (device->stop_pressed || device->stop_wanted)
-        return refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
+        return td_refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
     device->stop_latched = false;
-    return granted;
+    return td_granted;
 }
 
 static td_refusal change_gain(td_device *device, double gain)
@@ -152,7 +141,7 @@ static td_refusal change_gain(td_device *device, double gain)
     td_refusal found;
 
     if (!device->store.configured)
-        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
     if (need_silent(device).reason == 0)
         device->trial = false;
     found = need_gain(device, gain);
@@ -168,14 +157,14 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks)
     if (found.reason != 0)
         return found;
     if (!device->store.configured)
-        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
     if (!(fabs(current_A) <= TD_PULSE_LIMIT_A))
-        return refuse(TD_REASON_BAD_VALUE, current_A);
+        return td_refuse(TD_REASON_BAD_VALUE, current_A);
     if (ticks == 0 || ticks > td_device_ticks(device, 1e3 * TD_PULSE_LIMIT_S))
-        return refuse(TD_REASON_BAD_VALUE, ticks);
+        return td_refuse(TD_REASON_BAD_VALUE, ticks);
     device->pulse_A = (td_real)current_A;
     device->pulse_left = ticks;
-    return granted;
+    return td_granted;
 }
 
 static td_refusal start(td_device *device, uint8_t negative)
@@ -184,28 +173,28 @@ static td_refusal start(td_device *device, uint8_t negative)
     const uint8_t state = td_device_state(device);
 
     if (state == TD_STATE_FAULT)
-        return refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
+        return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     if (state == TD_STATE_IDLE)
-        return refuse(TD_REASON_NOT_ARMED, (double)NAN);
+        return td_refuse(TD_REASON_NOT_ARMED, (double)NAN);
     if (!servo->config->host_starts)
-        return refuse(TD_REASON_BY_CONTACT, (double)NAN);
+        return td_refuse(TD_REASON_BY_CONTACT, (double)NAN);
     if (state == TD_STATE_PLAYING)
-        return refuse(TD_REASON_STILL_PLAYING, (double)NAN);
+        return td_refuse(TD_REASON_STILL_PLAYING, (double)NAN);
     if (negative > 1)
-        return refuse(TD_REASON_BAD_VALUE, negative);
+        return td_refuse(TD_REASON_BAD_VALUE, negative);
     if (!td_servo_excite(servo, negative == 1))
-        return refuse(TD_REASON_TOO_HOT, servo->config->coil.present ? servo->guard.winding_C : (double)NAN);
-    return granted;
+        return td_refuse(TD_REASON_TOO_HOT, servo->config->coil.present ? servo->guard.winding_C : (double)NAN);
+    return td_granted;
 }
 
 static td_refusal note_check(td_device *device, const uint8_t *sha256)
 {
     if (!device->store.configured)
-        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
     if (!same_hash(sha256, device->store.configuration_sha256))
-        return refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
     memcpy(device->checked_sha256, sha256, sizeof device->checked_sha256);
-    return granted;
+    return td_granted;
 }
 
 static td_refusal begin(td_device *device, const uint8_t *body)
@@ -239,14 +228,14 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
         if (device->store.configured)
             td_servo_disarm(&device->servo);
         td_device_cut_pulse(device);
-        return granted;
+        return td_granted;
     case TD_KIND_RESET:
         return reset(device);
     case TD_KIND_GAIN:
         return change_gain(device, td_get_f64(body + TD_GAIN_GAIN));
     case TD_KIND_TELEMETRY:
         td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY));
-        return granted;
+        return td_granted;
     case TD_KIND_PULSE:
         return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS));
     case TD_KIND_START:

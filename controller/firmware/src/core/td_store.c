@@ -5,17 +5,6 @@
 
 #include "td_sha256.h"
 
-static const td_refusal nothing = {0, 0};
-
-static td_refusal refuse(int reason, double value)
-{
-    td_refusal refusal;
-
-    refusal.reason = (uint8_t)reason;
-    refusal.value = value;
-    return refusal;
-}
-
 static bool is_hash_of(const uint8_t *sha256, const uint8_t *bytes, size_t size)
 {
     uint8_t digest[TD_SHA256_BYTES];
@@ -39,9 +28,9 @@ static void forget(td_store *store)
 td_refusal td_store_configure(td_store *store, uint32_t offset, const uint8_t *bytes, size_t size)
 {
     if (size == 0 || offset > sizeof store->draft || size > sizeof store->draft - offset)
-        return refuse(TD_REASON_BAD_OFFSET, offset);
+        return td_refuse(TD_REASON_BAD_OFFSET, offset);
     memcpy(store->draft + offset, bytes, size);
-    return nothing;
+    return td_granted;
 }
 
 td_refusal td_store_check_config(
@@ -50,7 +39,7 @@ td_refusal td_store_check_config(
     td_refusal found;
 
     if (!is_hash_of(sha256, store->draft, sizeof store->draft))
-        return refuse(TD_REASON_WRONG_HASH, (double)NAN);
+        return td_refuse(TD_REASON_WRONG_HASH, (double)NAN);
     found = td_check_config(store->draft, hardware, config);
     *fits = found.reason == 0 && store->size > 0 &&
             td_check_image(store->images[store->current], store->size, store->draft, &store->banks[1 - store->current])
@@ -78,9 +67,9 @@ const td_bank *td_store_bank(const td_store *store)
 td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha256)
 {
     if (length > TD_MAX_IMAGE_BYTES)
-        return refuse(TD_REASON_TOO_LARGE, length);
+        return td_refuse(TD_REASON_TOO_LARGE, length);
     if (length == store->length && memcmp(sha256, store->sha256, sizeof store->sha256) == 0)
-        return nothing;
+        return td_granted;
     forget(store);
     store->length = length;
     memcpy(store->sha256, sha256, sizeof store->sha256);
@@ -89,7 +78,7 @@ td_refusal td_store_begin(td_store *store, uint32_t length, const uint8_t *sha25
         memcpy(arriving(store), store->images[store->current], store->size);
         store->arrived = store->size;
     }
-    return nothing;
+    return td_granted;
 }
 
 void td_store_take(td_store *store, uint32_t offset, const uint8_t *bytes, size_t size)
@@ -105,11 +94,11 @@ td_refusal td_store_check_image(td_store *store)
     td_refusal found;
 
     if (!store->configured)
-        return refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
     if (store->length == 0 || store->arrived != store->length)
-        return refuse(TD_REASON_INCOMPLETE, (double)store->arrived);
+        return td_refuse(TD_REASON_INCOMPLETE, (double)store->arrived);
     if (!is_hash_of(store->sha256, arriving(store), store->arrived))
-        found = refuse(TD_REASON_WRONG_HASH, (double)NAN);
+        found = td_refuse(TD_REASON_WRONG_HASH, (double)NAN);
     else
         found = td_check_image(
             arriving(store), store->arrived, store->bytes, &store->banks[1 - store->current]);

@@ -1,37 +1,16 @@
 """The black box: stable, real, with the zeros that physics asks for, and exact where the device has its order."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig
+from tests.benches.identification import DEFAULT
+from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.base.errors import InputError
 from transopt.identify.device.black_box import RESOLVED, BlackBox, fit_black_box
 from transopt.identify.device.chain_fit import GripResponse
-from transopt.identify.device.response import Instrument, sampled_response
-from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+from transopt.identify.spectrum import TransferEstimate
 from transopt.plant.chain import Link, chain
 from transopt.plant.state_space import StateSpace
-
-INSTRUMENT = Instrument(DT_S, AMPLIFIER, ACCELEROMETER_HZ)
-
-
-@pytest.fixture(scope="module")
-def estimate() -> TransferEstimate:
-    runs = Rig().sweeps((3.0,))
-    return estimate_transfer(
-        [Trial(run.name, run.require("current", ""), run.require("acceleration", "")) for run in runs]
-    )
-
-
-def response_of(
-    plant: StateSpace, grip_N: float, estimate: TransferEstimate, noise: float, seed: int = 0
-) -> GripResponse:
-    random = np.random.default_rng(seed)
-    truth, _ = sampled_response(plant, INSTRUMENT, estimate.frequencies_Hz)
-    error = random.standard_normal(truth.size) + 1j * random.standard_normal(truth.size)
-    return GripResponse(grip_N, replace(estimate, response=truth + noise * estimate.deviation * error))
 
 
 def four_masses() -> StateSpace:
@@ -49,10 +28,8 @@ def four_masses() -> StateSpace:
         (four_masses(), 3.0, 8),
     ],
 )
-def test_a_device_of_its_order_is_found(
-    plant: StateSpace, grip_N: float, order: int, estimate: TransferEstimate
-) -> None:
-    box = fit_black_box([response_of(plant, grip_N, estimate, 1.0)], INSTRUMENT, order)
+def test_a_device_of_its_order_is_found(plant: StateSpace, grip_N: float, order: int, respond: Respond) -> None:
+    box = fit_black_box([respond(plant, grip_N)], INSTRUMENT, order)
     assert box.order == order
     assert 0.8 < box.scatter[0] < 1.25
     frequencies = np.geomspace(2, 800, 200)
@@ -61,16 +38,16 @@ def test_a_device_of_its_order_is_found(
     assert np.all(np.abs(np.degrees(np.angle(ratio))) < 2.5)
 
 
-def test_the_order_is_found_where_none_is_stated(estimate: TransferEstimate) -> None:
-    box = fit_black_box([response_of(DEFAULT.plant(3.0), 3.0, estimate, 1.0)], INSTRUMENT)
+def test_the_order_is_found_where_none_is_stated(respond: Respond) -> None:
+    box = fit_black_box([respond(DEFAULT.plant(3.0), 3.0)], INSTRUMENT)
     assert box.order == 6
 
 
 @pytest.mark.parametrize("order", [2, 4, 8])
 def test_whatever_the_order_the_model_is_stable_real_and_stands_still_under_a_constant_current(
-    order: int, estimate: TransferEstimate
+    order: int, respond: Respond
 ) -> None:
-    plant = fit_black_box([response_of(DEFAULT.plant(3.0), 3.0, estimate, 1.0)], INSTRUMENT, order).plants[0]
+    plant = fit_black_box([respond(DEFAULT.plant(3.0), 3.0)], INSTRUMENT, order).plants[0]
     assert plant.A.dtype == float
     assert np.all(np.linalg.eigvals(plant.A).real < 0)
     # Two zeros at s = 0: the acceleration falls with the square of the frequency, far below the slowest pole.
@@ -98,10 +75,12 @@ def test_an_order_that_cannot_be_is_refused(order: int, estimate: TransferEstima
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_no_resonance_is_narrower_than_what_was_measured_between(seed: int, estimate: TransferEstimate) -> None:
+def test_no_resonance_is_narrower_than_what_was_measured_between(
+    seed: int, estimate: TransferEstimate, respond: Respond
+) -> None:
     """A pole pair to spare hides between two bins, where noise alone would put it: 24 dB off at 6.4 Hz were seen."""
     plant = DEFAULT.plant(5.0)
-    box = fit_black_box([response_of(plant, 5.0, estimate, 1.0, seed)], INSTRUMENT, 10)
+    box = fit_black_box([respond(plant, 5.0, random=seed)], INSTRUMENT, 10)
     poles = np.linalg.eigvals(box.plants[0].A)
     resonant = poles[poles.imag > 0]
     f = estimate.frequencies_Hz

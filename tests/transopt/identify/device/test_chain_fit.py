@@ -6,32 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
+from tests.benches.identification import DEFAULT, mismatched
+from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
 from transopt.base.errors import InputError
-from transopt.identify.device.chain import HAND, SHARED, DriveChain
+from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import GripResponse, fit_chain, fit_per_grip, refit, scaled_to
-from transopt.identify.device.response import Instrument, sampled_response
-from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
 
-INSTRUMENT = Instrument(DT_S, AMPLIFIER, ACCELEROMETER_HZ)
 GRIPS_N = (0.0, 1.0, 3.0, 5.0)
-
-
-@pytest.fixture(scope="module")
-def estimate() -> TransferEstimate:
-    """What four sweeps give: frequencies and noise that the tests put on responses of their own."""
-    runs = Rig().sweeps((3.0,))
-    trials = [Trial(run.name, run.require("current", ""), run.require("acceleration", "")) for run in runs]
-    return estimate_transfer(trials)
-
-
 Measured = Callable[..., list[GripResponse]]
 
 
 @pytest.fixture
-def measured(estimate: TransferEstimate) -> Measured:
-    """Responses of a device with normal noise of the stated deviation times `noise`."""
-    deviation = GripResponse(3.0, estimate).deviation
+def measured(respond: Respond) -> Measured:
+    """Responses of a device at several grips."""
 
     def make(
         device: DriveChain,
@@ -41,14 +28,9 @@ def measured(estimate: TransferEstimate) -> Measured:
         seed: int = 0,
         high_Hz: float = 2e3,
     ) -> list[GripResponse]:
-        random, found = np.random.default_rng(seed), []
-        for grip in grips_N:
-            truth, _ = sampled_response(device.plant(grip), INSTRUMENT, estimate.frequencies_Hz)
-            error = random.standard_normal(truth.size) + 1j * random.standard_normal(truth.size)
-            response = truth + noise * deviation * error
-            one = replace(estimate, response=response, deviation=deviation, degrees=np.full(truth.size, 1e3))
-            found.append(GripResponse(grip, one.between(0.0, high_Hz)))
-        return found
+        random = np.random.default_rng(seed)
+        whole = [respond(device.plant(grip), grip, noise, random) for grip in grips_N]
+        return [replace(one, estimate=one.estimate.between(0.0, high_Hz)) for one in whole]
 
     return make
 
@@ -114,14 +96,6 @@ def test_noise_beyond_the_stated_one_widens_the_intervals(measured: Measured) ->
     loud = fit_chain(measured(DEFAULT, noise=3.0), INSTRUMENT, DEFAULT, random_starts=0)
     ratio = np.sqrt(np.diag(loud.covariance) / np.diag(quiet.covariance))
     assert np.all((ratio > 2.5) & (ratio < 3.5))
-
-
-def test_one_held_grip_makes_a_hand_without_slopes(measured: Measured) -> None:
-    fit = fit_chain(measured(DEFAULT, (0.0, 3.0)), INSTRUMENT, DEFAULT, random_starts=0)
-    names, values, covariance = fit.stated()
-    assert names == (*SHARED, *(f"hand.{name}.constant" for name in HAND))
-    np.testing.assert_allclose(values[4:], DEFAULT.hand_at(3.0), rtol=0.1)
-    assert covariance.shape == (9, 9)
 
 
 def test_the_free_device_alone_is_refused_with_what_to_do(measured: Measured) -> None:

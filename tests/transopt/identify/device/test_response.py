@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.benches.identification import ACCELEROMETER_HZ, AMPLIFIER, DEFAULT, DT_S, sampled_run
-from transopt.identify.device.chain import HAND, SHARED, Coordinates, DriveChain, chain_of, log_slopes
-from transopt.identify.device.response import Instrument, Slope, current_response, sampled_response
+from transopt.identify.device.chain import HAND, SHARED, Coordinates, chain_of, log_slopes
+from transopt.identify.device.response import Instrument, Slope, sampled_response
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
@@ -34,18 +34,6 @@ def test_the_ratio_of_sampled_spectra_is_that_of_a_simulated_record(
     np.testing.assert_allclose(modelled, measured, rtol=1e-8, atol=1e-8 * np.abs(modelled).max())
 
 
-def test_an_ideal_instrument_far_below_half_the_rate_shows_the_plant_itself() -> None:
-    frequencies, plant = np.array([2.0, 5.0, 10.0]), DEFAULT.plant(3.0)
-    shown, _ = sampled_response(plant, Instrument(1e-6, AMPLIFIER), frequencies)
-    np.testing.assert_allclose(shown, plant.response(frequencies), rtol=1e-4)
-
-
-def test_the_current_of_an_ideal_amplifier_is_the_command_one_tick_late() -> None:
-    frequencies = np.array([10.0, 2000.0])
-    response = current_response(Instrument(DT_S), frequencies)
-    np.testing.assert_allclose(response, np.exp(-2j * np.pi * frequencies * DT_S), rtol=1e-14)
-
-
 @pytest.mark.parametrize("sensed", [None, ACCELEROMETER_HZ])
 @pytest.mark.parametrize("amplifier", AMPLIFIERS)
 def test_derivatives_agree_with_differences(amplifier: Amplifier | None, sensed: float | None) -> None:
@@ -63,18 +51,6 @@ def test_derivatives_agree_with_differences(amplifier: Amplifier | None, sensed:
         difference = (up - down) / (2 * step)
         size = np.abs(up).max()
         np.testing.assert_allclose(derivatives[j], difference, rtol=1e-5, atol=1e-7 * size)
-
-
-@pytest.mark.parametrize("amplifier", [None, AMPLIFIER])
-def test_the_direct_feed_of_a_rigid_device_is_sampled_and_differentiated(amplifier: Amplifier | None) -> None:
-    one = np.ones((1, 1))
-    plant = StateSpace(-50 * one, one, -40 * one, 2 * one)
-    slope = Slope(0 * one, 0 * one, 0 * one, one)
-    instrument, frequencies = Instrument(DT_S, amplifier), np.geomspace(2, 4500, 20)
-    value, derivatives = sampled_response(plant, instrument, frequencies, (slope,))
-    more, _ = sampled_response(replace(plant, D=3 * one), instrument, frequencies)
-    np.testing.assert_allclose(derivatives[0], more - value, rtol=1e-12)
-    np.testing.assert_allclose(derivatives[0], 1.0, rtol=1e-12)  # the current read is the current felt
 
 
 def test_an_output_that_happens_to_be_zero_has_slopes_all_the_same() -> None:
@@ -98,21 +74,3 @@ def test_unknowns_and_stated_parameters_tell_of_one_device(held_N: tuple[float, 
     random = np.random.default_rng(0).uniform(-1, 1, unknowns.size)
     up, down = (coordinates.stated(unknowns + side * 1e-6 * random)[1] for side in (1, -1))
     np.testing.assert_allclose(matrix @ random, (up - down) / 2e-6, rtol=1e-6, atol=1e-7 * np.abs(values).max())
-
-
-def test_any_unknowns_make_a_chain_that_is_passive_between_the_recorded_grips() -> None:
-    coordinates = Coordinates((1.0, 5.0))
-    for unknowns in np.random.default_rng(1).uniform(-12, 12, (50, coordinates.size)):
-        device = coordinates.device(unknowns, 1.25)
-        for grip in (0.0, 1.0, 2.7, 5.0):
-            assert np.all(device.parameters(grip) > 0)
-            device.plant(grip)
-
-
-def test_the_force_per_ampere_scales_the_device_and_not_its_response() -> None:
-    frequencies = np.geomspace(1, 1000, 20)
-    other: DriveChain = DEFAULT.with_force(0.5)
-    np.testing.assert_allclose(
-        other.plant(3.0).response(frequencies), DEFAULT.plant(3.0).response(frequencies), rtol=1e-9
-    )
-    assert other.shared[0] == pytest.approx(0.4 * DEFAULT.shared[0])

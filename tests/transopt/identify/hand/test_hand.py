@@ -1,5 +1,6 @@
 """The hand from taps on a real surface: what is recovered, how sure, and what is refused."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,15 @@ from problems.generators.tapping_trials import (
     surface,
     tapping_trials,
     taps,
-    write_trials,
 )
 from transopt.base.errors import InputError
 from transopt.base.plotting import save_figure
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
+from transopt.base.signals import FloatArray, Signal
 from transopt.identify.hand.chain import NAMES, OF_HAND, _simulate, fit_chain
-from transopt.identify.hand.lines import COEFFICIENTS, LEAST_TRIALS, HandFit, fit_hand, grip_groups
+from transopt.identify.hand.lines import LEAST_TRIALS, HandFit, fit_hand
 from transopt.identify.hand.tap import HandTap, cut_tap, fit_tap, onset, tap_of, usable_taps
-from transopt.identify.measurement import Measurement, load_measurement
+from transopt.identify.measurement import Measurement
 from transopt.plant.chain import Link, chain
 from transopt.scene.strikes import strike
 
@@ -63,11 +64,11 @@ def hand(cut_taps: list[HandTap]) -> HandFit:
     return fit_hand(cut_taps)
 
 
-def measurement(trials: Trials, j: int = 40, **changes: Any) -> Measurement:
+def measurement(trials: Trials, j: int = 40) -> Measurement:
     def signal(values: FloatArray) -> Signal:
         return Signal(0.0, DT_S, values)
 
-    made = Measurement(
+    return Measurement(
         name=f"trial_{j}.npz",
         source=f"trial_{j}.npz",
         sha256="0" * 64,
@@ -77,12 +78,6 @@ def measurement(trials: Trials, j: int = 40, **changes: Any) -> Measurement:
         grip_N=float(trials.grip_N[j]),
         accelerometer_Hz=trials.accelerometer_Hz,
     )
-    return replace(made, **changes)
-
-
-def scaled(x: Signal | None, factor: float) -> Signal:
-    assert x is not None
-    return x.scaled(factor)
 
 
 # ------------------------------------------------------------------------------------------------ the generator
@@ -99,25 +94,6 @@ def test_taps_agree_with_the_generator_of_the_recordings() -> None:
     np.testing.assert_allclose(position[:, some], encoder, atol=1e-12)
     # Momentum: the surface pushes the hand and what holds it.
     assert np.all(force >= 0)
-
-
-def test_a_session_is_81_trials_and_the_same_every_time(trials: Trials) -> None:
-    again = tapping_trials(1)
-    assert trials.force_N.shape == trials.acceleration_m_s2.shape == trials.position_m.shape
-    assert trials.grip_N.size == 81
-    assert len(grip_groups(trials.grip_N)) >= 6
-    np.testing.assert_array_equal(trials.acceleration_m_s2, again.acceleration_m_s2)
-    assert not np.array_equal(trials.force_N, tapping_trials(2).force_N)
-    assert np.abs(trials.acceleration_m_s2).max() < 18 * STANDARD_GRAVITY_M_S2
-
-
-def test_files_of_a_session_are_read_as_written(trials: Trials, tmp_path: Path) -> None:
-    paths = write_trials(trials, tmp_path / "session")
-    assert [path.name for path in paths[:2]] == ["trial_01.npz", "trial_02.npz"]
-    run = load_measurement(paths[7])
-    assert run.grip_N == trials.grip_N[7]
-    assert run.accelerometer_Hz == 2500.0
-    np.testing.assert_array_equal(run.require("force", "force_N").values, trials.force_N[7])
 
 
 # ------------------------------------------------------------------------------------------------ one tap
@@ -137,14 +113,6 @@ def test_a_quiet_tap_shows_its_hand() -> None:
         assert fit.unexplained < 1e-3
 
 
-def test_force_and_acceleration_must_be_seen_at_the_same_time(trials: Trials, cut_taps: list[HandTap]) -> None:
-    """Without the accelerometer's own pole on the force the fit is biased: the reason for the pole."""
-    with_pole = [fit_tap(tap) for tap in cut_taps]
-    without = [fit_tap(tap) for tap in cut(replace(trials, accelerometer_Hz=1e9))]
-    bias = np.mean([a.stiffness_N_m / b.stiffness_N_m for a, b in zip(without, with_pole, strict=True)])
-    assert bias > 1.08
-
-
 @pytest.mark.parametrize(("by", "word"), [(1, "later"), (-1, "earlier")])
 def test_a_force_that_is_read_a_sample_apart_is_reported(trials: Trials, hand: HandFit, by: int, word: str) -> None:
     """It takes half of the spring's constant away, or adds as much, and is no hand."""
@@ -153,15 +121,6 @@ def test_a_force_that_is_read_a_sample_apart_is_reported(trials: Trials, hand: H
     force[:, [0, -1]] = trials.force_N[:, [0, -1]]
     apart = fit_hand(cut(replace(trials, force_N=force)), resamples=200)
     assert any(f"the force is read about a sample {word} than" in text for text in apart.shortfalls())
-
-
-def test_a_bandwidth_that_is_not_stated_is_seen(trials: Trials) -> None:
-    taps = [
-        cut_tap(f"{j}", trials.force_N[j], trials.acceleration_m_s2[j], 1e-4, grip_N=float(trials.grip_N[j]))
-        for j in range(81)
-    ]
-    shortfalls = fit_hand(taps, resamples=200).shortfalls()
-    assert any("read about a sample earlier" in text and "state accelerometer_Hz" in text for text in shortfalls)
 
 
 def test_onset_is_where_the_force_rises(trials: Trials) -> None:
@@ -189,26 +148,6 @@ def test_the_lines_of_the_seed_come_back_from_81_trials(hand: HandFit) -> None:
         assert line.lack_of_fit_p > 0.01
 
 
-def test_bootstrap_agrees_with_theory(hand: HandFit) -> None:
-    """Intervals of the slope are about 2 x 1.99 standard errors of a heteroscedastic regression."""
-    line = hand.lines[2]
-    away = hand.grips_N - hand.grips_N.mean()
-    left = line.at_taps - line.line.constant - line.line.per_newton * hand.grips_N
-    error = np.sqrt(np.sum(away**2 * left**2)) / np.sum(away**2)
-    assert line.intervals[1, 1] - line.intervals[1, 0] == pytest.approx(2 * 1.99 * error, rel=0.1)
-    assert np.sqrt(hand.covariance[5, 5]) == pytest.approx(error, rel=0.1)
-
-
-def test_intervals_cover_the_truth(scripts: Any) -> None:
-    """20 repeats of the experiment; `scripts/hand_coverage.py` makes 200. At 95 % one in 10^4 falls below 14."""
-    coverage = scripts.hand_coverage.experiments(20, 5)
-    assert np.all(coverage.covered >= 14 / 20)
-    # All six together, 120 intervals that come in pairs: 84 % would be a chance of 10^-4 even so.
-    assert coverage.covered.mean() >= 0.84
-    rows = scripts.hand_coverage.coverage_rows(coverage)
-    assert [row[0] for row in rows] == list(COEFFICIENTS)
-
-
 def test_a_bent_dependence_is_no_line(cut_taps: list[HandTap]) -> None:
     bent = [replace(tap, force_N=tap.force_N * (1 + 0.01 * (tap.grip_N - 5.5) ** 2)) for tap in cut_taps]
     shortfalls = fit_hand(bent).shortfalls()
@@ -231,7 +170,7 @@ def test_too_few_trials_or_grips_are_refused(cut_taps: list[HandTap]) -> None:
         fit_hand([replace(tap, grip_N=1.0 if j % 2 else 10.0) for j, tap in enumerate(cut_taps)])
 
 
-@pytest.mark.parametrize(("factor", "remedy"), [(1 / STANDARD_GRAVITY_M_S2, "kgf"), (STANDARD_GRAVITY_M_S2, "twice")])
+@pytest.mark.parametrize(("factor", "remedy"), [(1 / G, "kgf"), (G, "twice")])
 def test_forces_off_by_gravity_are_named(cut_taps: list[HandTap], factor: float, remedy: str) -> None:
     with pytest.raises(InputError, match=rf"the taps show a mass of .*{remedy}.*[Uu]nits of force"):
         fit_hand([replace(tap, force_N=factor * tap.force_N) for tap in cut_taps])
@@ -290,80 +229,57 @@ def test_taps_of_one_rigid_mass_do_not_determine_a_skin(cut_taps: list[HandTap],
 # ------------------------------------------------------------------------------------------------ bad input
 
 
-def bad(name: str, trials: Trials) -> Measurement:
-    good = measurement(trials)
-    assert good.force is not None
-    assert good.acceleration is not None
-    match name:
-        case "force":
-            return replace(good, force=None)
-        case "grip":
-            return replace(good, grip_N=None)
-        case "free":
-            return replace(good, grip_N=0.0)
-        case "jitter":
-            return replace(good, off_grid=0.6)
-        case "clipped force":
-            clipped = np.minimum(good.force.values, 0.6 * good.force.values.max())
-            return replace(good, force=replace(good.force, values=clipped))
-        case "clipped acceleration":
-            clipped = np.minimum(good.acceleration.values, 0.7 * good.acceleration.values.max())
-            return replace(good, acceleration=replace(good.acceleration, values=clipped))
-        case "force turned":
-            return replace(good, force=scaled(good.force, -1.0))
-        case "force turned, no position":
-            return replace(good, force=scaled(good.force, -1.0), position=None)
-        case "acceleration turned":
-            return replace(good, acceleration=scaled(good.acceleration, -1.0))
-        case "in g":
-            return replace(good, acceleration=scaled(good.acceleration, 1 / STANDARD_GRAVITY_M_S2))
-        case "g twice":
-            return replace(good, acceleration=scaled(good.acceleration, STANDARD_GRAVITY_M_S2))
-        case "calibration":
-            return replace(good, acceleration=scaled(good.acceleration, 1.5))
-        case "late":
-            return measurement_part(good, slice(250, None))
-        case "short":
-            return measurement_part(good, slice(None, 500))
-    raise AssertionError(name)
+Spoil = Callable[[Measurement], dict[str, Any]]
 
 
-def measurement_part(good: Measurement, part: slice) -> Measurement:
-    def of(x: Signal | None) -> Signal:
-        assert x is not None
-        return replace(x, values=x.values[part])
+def part(kept: slice) -> Spoil:
+    return lambda run: {
+        name: replace(run.require(name, ""), values=run.require(name, "").values[kept])
+        for name in ("force", "acceleration", "position")
+    }
 
-    return replace(good, force=of(good.force), acceleration=of(good.acceleration), position=of(good.position))
+
+def times(name: str, factor: float) -> Spoil:
+    return lambda run: {name: run.require(name, "").scaled(factor)}
+
+
+def clipped(name: str, share: float) -> Spoil:
+    def cut_off(run: Measurement) -> dict[str, Any]:
+        signal = run.require(name, "")
+        return {name: replace(signal, values=np.minimum(signal.values, share * signal.values.max()))}
+
+    return cut_off
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("spoil", "message"),
     [
-        ("force", r"no column force_N; record it too"),
-        ("grip", r"no grip: state it in the file \(grip_N\)"),
-        ("free", r"grip_N = 0: nobody holds the stylus"),
-        ("jitter", r"0\.6 steps off a uniform grid: at most 0\.2; sample by a timer"),
-        ("clipped force", r"force stays at .* N for \d+ samples: clipped; .*record again"),
-        ("clipped acceleration", r"acceleration stays at .* m/s\^2 for \d+ samples: clipped"),
-        ("force turned", r"wrong polarity: at impact .* turn that of force$"),
-        ("force turned, no position", r"wrong polarity: .* turn that of force or acceleration"),
-        ("acceleration turned", r"wrong polarity: acceleration must be positive out of the object"),
-        ("in g", r"acceleration is 0\.(09|10)\d* times what the position says: it is in g"),
-        ("g twice", r"acceleration is 9\.\d+ times what the position says: it was multiplied by 9\.81 twice"),
-        ("calibration", r"acceleration is 1\.[45]\d* times .*must agree within 20 %"),
-        ("late", r"contact [45][.\d]* ms after the record's begin: at least 5\.5 ms"),
-        ("short", r"the record ends (19\.9|20) ms after contact: 30 ms are needed"),
+        (lambda _: {"force": None}, r"no column force_N; record it too"),
+        (lambda _: {"grip_N": None}, r"no grip: state it in the file \(grip_N\)"),
+        (lambda _: {"grip_N": 0.0}, r"grip_N = 0: nobody holds the stylus"),
+        (lambda _: {"off_grid": 0.6}, r"0\.6 steps off a uniform grid: at most 0\.2; sample by a timer"),
+        (clipped("force", 0.6), r"force stays at .* N for \d+ samples: clipped; .*record again"),
+        (clipped("acceleration", 0.7), r"acceleration stays at .* m/s\^2 for \d+ samples: clipped"),
+        (times("force", -1.0), r"wrong polarity: at impact .* turn that of force$"),
+        (
+            lambda run: {**times("force", -1.0)(run), "position": None},
+            r"wrong polarity: .* turn that of force or acceleration",
+        ),
+        (times("acceleration", -1.0), r"wrong polarity: acceleration must be positive out of the object"),
+        (times("acceleration", 1 / G), r"acceleration is 0\.(09|10)\d* times what the position says: it is in g"),
+        (
+            times("acceleration", G),
+            r"acceleration is 9\.\d+ times what the position says: it was multiplied by 9\.81 twice",
+        ),
+        (times("acceleration", 1.5), r"acceleration is 1\.[45]\d* times .*must agree within 20 %"),
+        (part(slice(250, None)), r"contact [45][.\d]* ms after the record's begin: at least 5\.5 ms"),
+        (part(slice(None, 500)), r"the record ends (19\.9|20) ms after contact: 30 ms are needed"),
     ],
 )
-def test_bad_trials_are_named(trials: Trials, name: str, message: str) -> None:
+def test_bad_trials_are_named(trials: Trials, spoil: Spoil, message: str) -> None:
+    good = measurement(trials)
     with pytest.raises(InputError, match=rf"^trial_40\.npz: .*{message}"):
-        tap_of(bad(name, trials))
-
-
-def test_every_trial_of_a_good_session_is_usable(trials: Trials) -> None:
-    found, left_out = usable_taps([measurement(trials, j) for j in range(81)])
-    assert len(found) == 81
-    assert not left_out
+        tap_of(replace(good, **spoil(good)))
 
 
 def test_a_few_bad_trials_are_left_out_many_are_refused(trials: Trials) -> None:
@@ -372,7 +288,7 @@ def test_a_few_bad_trials_are_left_out_many_are_refused(trials: Trials) -> None:
     found, left_out = usable_taps(runs)
     assert len(found) == 19
     assert left_out == ["trial_3.npz: no grip: state it in the file (grip_N); the fits run over grip"]
-    turned = [replace(run, force=scaled(run.force, -1.0)) for run in runs[:6]] + runs[6:]
+    turned = [replace(run, **times("force", -1.0)(run)) for run in runs[:6]] + runs[6:]
     with pytest.raises(InputError, match=r"^trial_0\.npz: wrong polarity.* \(and 5 more of 20 trials\)$"):
         usable_taps(turned)
 

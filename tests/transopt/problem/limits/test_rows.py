@@ -3,37 +3,36 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from problems.stress.cases import Coil, Current, Horizon, StressCase, Surface
+from problems.stress.judge import played
 from tests.benches.limits import supply_of
 from tests.conftest import ProblemMaker
 from transopt.base.errors import InputError
 from transopt.library.library import ARRAYS, MULTIPLIERS, Library
-from transopt.plant.discretise import AFTER, Motion, discretise
+from transopt.plant.discretise import discretise
 from transopt.problem.answer import Multipliers
 from transopt.problem.heat import Budget
 from transopt.problem.limits import KINDS, limits_of, needed_outputs
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, SIDES, Limit, Limits, Row, Setting, transposed
+from transopt.problem.limits.limit import SIDES, Limit, Limits, Setting
 from transopt.problem.limits.output import OutputLimit
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.velocity import VelocityLimit
 from transopt.problem.problem import TransientProblem
-from transopt.problem.stage import linear_stage
-from transopt.problem.stage_data import Stages, stages, stated_rows
+from transopt.problem.stage_data import stages
 from transopt.proof.certify import Effect, boxes, certify, reduced_gradient
 from transopt.proof.replay import replay
 from transopt.solvers import riccati
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import state_program
-from transopt.solvers.statement import state, variable
+from transopt.solvers.statement import state
 
 MOTION = {"current_A": 2.0, "stroke_m": 0.01, "velocity_m_s": 1.0}
 COIL = Coil(below_K=20.0, tau_w_s=12.0)
@@ -136,7 +135,6 @@ class TestValues:
     def test_temperature(self, problem: TransientProblem) -> None:
         """No row, since it is no sum of outputs; the certificate reads the limit's own course."""
         command, thermal = drawn_command(problem), problem.thermal
-        assert thermal is not None
         assert thermal.rows(problem) == ()
         motion = problem.stage.motion(command)
         (box,) = (
@@ -157,53 +155,8 @@ class TestValues:
             assert (row.lower, row.upper) == (-room, room)
             assert 0 < room <= limit.stated
 
-    def test_many_commands_at_once(self) -> None:
-        problem = all_limits()
-        commands = np.stack([drawn_command(problem, seed) for seed in range(3)])
-        together = problem.stage.motion(commands)
-        for _, row in problem.rows():
-            one_by_one = [row.value(problem.stage.motion(c), c) for c in commands]
-            np.testing.assert_allclose(row.value(together, commands), one_by_one, rtol=0, atol=1e-12)
-
 
 class TestTransposed:
-    """A dot product taken forwards and backwards."""
-
-    def forwards_and_backwards(self, problem: TransientProblem, rows: list[Row]) -> tuple[float, float]:
-        random, N = np.random.default_rng(2), problem.grid.stages
-        command, nothing = drawn_command(problem), np.zeros(N)
-        motion = problem.stage.motion(command)
-        weights = random.standard_normal((len(rows), N))
-        scale = [1 / np.abs(row.value(motion, command)).max() for row in rows]
-        by_row = [(row, s * weight) for row, s, weight in zip(rows, scale, weights, strict=True)]
-        at_rest = Motion.zero(N)
-        at_rest = replace(at_rest, outputs=dict.fromkeys(motion.outputs, nothing))
-        forwards = sum(
-            float((row.value(motion, command) - row.value(at_rest, nothing)) @ gradient) for row, gradient in by_row
-        )
-        through, directly = transposed(by_row, motion, command)
-        return forwards, float(command @ (problem.stage.adjoint(through) + directly))
-
-    def test_every_row_alone_and_all_together(self, problem: TransientProblem) -> None:
-        rows = [row for _, row in problem.rows()]
-        for chosen in (*([row] for row in rows), rows):
-            forwards, backwards = self.forwards_and_backwards(problem, chosen)
-            assert backwards == pytest.approx(forwards, rel=1e-10, abs=1e-12)
-
-    def test_a_row_of_every_output(self) -> None:
-        """The outputs that only a limit asks for as well, at the switching instant and a period later."""
-        problem = all_limits()
-        stage, further = problem.stage, ("position", "velocity", "state 1")
-        stage = discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=further)
-        problem = replace(problem, stage=stage)
-        names = [CURRENT, COMMAND, HELD, *further, *(name + AFTER for name in further)]
-        motion = stage.motion(drawn_command(problem))
-        sizes = {name: np.abs(motion.outputs[name]).max() if name in motion.outputs else 1.0 for name in names}
-        random = np.random.default_rng(3)
-        outputs = {name: random.uniform(0.5, 1.5) / sizes[name] for name in names}
-        forwards, backwards = self.forwards_and_backwards(problem, [Row("sum", outputs, -1.0, 1.0, 0.3)])
-        assert backwards == pytest.approx(forwards, rel=1e-10)
-
     def test_the_reduced_gradient_is_the_derivative_of_the_lagrangian(self, problem: TransientProblem) -> None:
         """Of the linear limits: J and the values are at most quadratic, so central differences are exact."""
         problem = problem.without("temperature")
@@ -228,108 +181,19 @@ class TestTransposed:
             assert gradient[k] == pytest.approx(difference, rel=1e-8, abs=1e-8 * np.abs(gradient).max())
 
 
-def point_of(given: Stages, movement: np.ndarray) -> np.ndarray:
-    """(N + 1, n) scaled states that movements (N,) lead to."""
-    x = np.zeros((movement.size + 1, given.arrays["A"].shape[0]))
-    for k, step in enumerate(movement):
-        x[k + 1] = given.arrays["A"] @ x[k] + given.arrays["A"][:, -1] * step
-    return x
-
-
-class TestOneSourceOfRows:
-    """The stage data of the project's own method and the QP data of the CasADi methods, at a random point."""
-
-    @pytest.mark.parametrize("name", sorted(PROBLEMS))
-    def test_both_programs_have_the_rows_of_the_limits(self, name: str) -> None:
-        problem = PROBLEMS[name]().without("temperature")
-        given, statement, stage = stages(problem), state(problem), linear_stage(problem)
-        N, shape, program = problem.grid.stages, statement.shape, state_program(statement.shape)
-        movement = np.random.default_rng(5).normal(size=N) * 0.1
-        x = point_of(given, movement)
-        point = np.column_stack([movement, x[1:]])
-        A = program.qp_data(p=statement.p)["A"].sparse()
-        of_program = A @ point.ravel()
-        command = np.cumsum(movement) * stage.current_A
-        motion = problem.stage.motion(command)
-        of_stages = (x[:-1] @ given.arrays["G"].T + np.outer(movement, given.arrays["d"])) * given.limits.unit
-        single = {row.name: row.single for row in stated_rows(problem, stage)}
-        seen = []
-        for limit, row in problem.rows():
-            wanted = (row.value(motion, command) - row.offset) / limit.stated
-            tolerance = 1e-11 * max(float(np.abs(wanted).max()), 1.0)
-            j = given.limits.kinds.index(row.name)
-            np.testing.assert_allclose(of_stages[:, j], wanted, rtol=0, atol=tolerance)
-            if single[row.name]:
-                column = point[:, variable(shape, single[row.name])] * stage.current_A / limit.stated
-                # The variable of stage k is the current that stage k + 1 begins with.
-                late = single[row.name] == CURRENT
-                np.testing.assert_allclose(
-                    column[:-1] if late else column, wanted[1:] if late else wanted, rtol=0, atol=tolerance
-                )
-            else:
-                at = program.rows[row.name]
-                first = N - (at.stop - at.start)
-                np.testing.assert_allclose(of_program[at], wanted[first:], rtol=0, atol=tolerance)
-            seen.append(row.name)
-        assert seen == [name for name in given.limits.kinds if name in ARRAYS_ROWS]
-        assert {row.name for row in shape.rows} == {row for row, variable in single.items() if not variable}
-
-    @pytest.mark.parametrize("name", sorted(PROBLEMS))
-    def test_both_have_the_bounds_of_the_limits(self, name: str) -> None:
-        """Less the part that no command changes; a bound on a variable is in the program's unit."""
-        problem = PROBLEMS[name]().without("temperature")
-        given, statement, stage = stages(problem), state(problem), linear_stage(problem)
-        N, shape, program = problem.grid.stages, statement.shape, state_program(statement.shape)
-        boxed = statement.upper_x.reshape(N, shape.variables)
-        single = {row.name: row.single for row in stated_rows(problem, stage)}
-        for limit, row in problem.rows():
-            j = given.limits.kinds.index(row.name)
-            upper, lower = (
-                bound[:-1, j] * given.limits.unit[j] for bound in (given.limits.upper, given.limits.lower)
-            )
-            stated = np.isfinite(upper)
-            assert stated.any()
-            for found, bound in ((upper, row.upper), (lower, row.lower)):
-                wanted = np.broadcast_to((bound - row.offset) / limit.stated, N)
-                np.testing.assert_allclose(found[stated], wanted[stated], rtol=1e-12)
-            if single[row.name]:
-                found = boxed[:, variable(shape, single[row.name])] * stage.current_A / limit.stated
-                assert np.all(found[np.isfinite(found)] <= 1 + 1e-12)
-            else:
-                at = program.rows[row.name]
-                first = N - (at.stop - at.start)
-                np.testing.assert_allclose(statement.upper_g[at], upper[first:], rtol=1e-12)
-                np.testing.assert_allclose(statement.lower_g[at], lower[first:], rtol=1e-12)
-
-    def test_the_objective_is_the_same_too(self) -> None:
-        problem = all_limits(coil=None)
-        given, statement = stages(problem), state(problem)
-        program, N = state_program(statement.shape), problem.grid.stages
-        movement = np.random.default_rng(6).normal(size=N) * 0.1
-        x = point_of(given, movement)
-        point = np.column_stack([movement, x[1:]]).ravel()
-        value = float(ca.Function("value", [program.x, program.p], [program.f])(point, statement.p))
-        a = given.arrays
-        error = x[:-1] @ a["C"].T + np.outer(movement, a["E"]) - a["reference"][:, None]
-        weight = given.numbers["movement_weight"]
-        assert (a["weight"] @ np.sum(error**2, axis=1) + weight * movement @ movement) / 2 == pytest.approx(
-            value, rel=1e-12
-        )
-
-    @pytest.mark.skipif(not riccati.available, reason="the extension is not built")
-    def test_a_certificate_accepts_the_answers_of_both_with_every_limit(self) -> None:
-        problem = all_limits(coil=None)
-        found = []
-        for solver in ("riccati", "casadi-piqp"):
-            answer = solve(problem, SolverOptions(solver))
-            proof = certify(problem, answer.command_A, answer.multipliers)
-            assert (answer.solver, proof.accepted) == (solver, True)
-            assert set(answer.multipliers.pairs) == {row.name for _, row in problem.rows()}
-            found.append(proof.objective)
-        assert found[0] == pytest.approx(found[1], rel=1e-6)
-
-
-ARRAYS_ROWS = {row for kind in KINDS for row in kind.row_names}
+@pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+@pytest.mark.parametrize("name", sorted(PROBLEMS))
+def test_both_programs_have_every_limit(name: str) -> None:
+    """The stage data of the project's own method and the program of CasADi: one certificate accepts both answers."""
+    problem = PROBLEMS[name]().without("temperature")
+    found = []
+    for solver in ("riccati", "casadi-piqp"):
+        answer = solve(problem, SolverOptions(solver))
+        proof = certify(problem, answer.command_A, answer.multipliers)
+        assert (answer.solver, proof.accepted) == (solver, True)
+        assert set(answer.multipliers.pairs) == {row.name for _, row in problem.rows()}
+        found.append(proof.objective)
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
 
 
 class TestLimitsThatAreNotThere:
@@ -356,15 +220,7 @@ class TestLimitsThatAreNotThere:
         proof = certify(problem, answer.command_A, answer.multipliers)
         assert proof.accepted
         assert ("V" in proof.violations) == ("supply" in problem.limits)
-        (run,) = replay(
-            problem.stage,
-            problem.grid,
-            answer.command_A[None],
-            problem.reference_m_s2[None],
-            None,
-            limits=[problem.limits],
-        )
-        assert set(run.reached) == {limit.name for limit in problem.limits}
+        assert set(played(problem, answer.command_A).reached) == {limit.name for limit in problem.limits}
 
     def test_no_temperature(self) -> None:
         problem = all_limits().without("temperature")
@@ -454,7 +310,6 @@ class TestCollection:
             if limit.name != "temperature":
                 assert limit.wider(factor).stated == pytest.approx(factor * limit.stated)
         thermal = all_limits().thermal
-        assert thermal is not None
         assert thermal.wider(factor).room == pytest.approx(thermal.room + (factor - 1) * max(thermal.room, 1.0))
 
     @pytest.mark.parametrize("number", [0.0, -1.0, np.nan, np.inf])

@@ -1,0 +1,180 @@
+"""`transopt-play record sweep`: trials of an excitation on a device of any kind, to files that `transopt` reads."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import typer
+
+from controller.cli.bench import Bench, holding_bench
+from controller.cli.port import STOPPED, StoppedError, connected, disarmed_by_ctrl_c, load, no_long_pauses
+from controller.cli.tables import sweep_table
+from controller.host.driver import LinkLostError
+from controller.host.first_run import gain_to_play_at, remember
+from controller.host.monitor import Monitor
+from controller.host.payload import excitation
+from controller.host.sweeps import AbortedError, Sweeps, Trial
+from controller.protocol.image import sha256
+from controller.protocol.messages import HelloReply
+from controller.record.sweep_plan import PlannedSweep
+from controller.record.trial_file import refuse_old
+from controller.servo.settings import Settings
+from controller.sim.chosen_device import scene_like
+from controller.sim.simulator import Imperfections
+from transopt.base import terminal
+from transopt.base.errors import InputError
+
+
+@dataclass(frozen=True)
+class Series:
+    """Trials, and how they are played.
+
+    Attributes
+    ----------
+    planned : with a file for each in `paths`.
+    settings : of the device, by what it says of itself.
+    remedy : options of `transopt-play check` with which these settings pass the bring-up check.
+    told : what is said once all trials are there.
+    gain : scale of what is played; None for 1, on a device's first run since its start 0.1.
+    as_held : whatever the grip is.
+    accelerometer_Hz : its bandwidth.
+    count_m : one encoder count at the tip.
+    patience_s : with a hand.
+    reset : a latched fault first.
+    """
+
+    planned: Sequence[PlannedSweep]
+    paths: Sequence[Path]
+    settings: Callable[[HelloReply], Settings]
+    remedy: str = ""
+    told: str = ""
+    gain: float | None = None
+    as_held: bool = False
+    accelerometer_Hz: float = 2500.0
+    count_m: float = Settings.count_m
+    patience_s: float = 60.0
+    reset: bool = False
+
+
+def _alike(trial: PlannedSweep) -> PlannedSweep:
+    """What the device holds of a trial: the other sign is its own business."""
+    return replace(trial, polarity=1, number=1)
+
+
+def record_sweeps(bench: Bench, series: Series) -> None:
+    """Trial after trial, one file each; whoever is at the device is asked for each grip.
+
+    Raises
+    ------
+    InputError : the device will not take it. typer.Exit : not every trial was had.
+    """
+    console, planned, first = terminal.console(), series.planned, series.planned[0]
+    out, names = series.paths[0].parent, iter(series.paths)
+    written: list[tuple[Path, Trial]] = []
+    stopped, why = False, ""
+
+    def say(words: str) -> None:
+        bench.console.print(f"  {words}", highlight=False, soft_wrap=True)
+
+    with connected(bench.port, series.reset) as device:
+        hello = device.hello
+        settings = series.settings(hello)
+        commands = {alike: alike.command(settings.dt_s) for alike in map(_alike, planned)}
+        # All of them are tried before any of them is played.
+        loads = {alike: excitation(settings, command, hello) for alike, command in commands.items()}
+        configuration = sha256(next(iter(loads.values())).configuration)
+        if not device.harmless and hello.checked_sha256 != configuration:
+            raise InputError(
+                f"{bench.name}: sweeps under these limits have not passed the bring-up check since the device "
+                f"started: run `transopt-play check --sweep {series.remedy}`"
+            )
+        played_at = gain_to_play_at(device, configuration, series.gain)
+        title = (
+            f"{first.low_Hz:g} to {first.high_Hz:g} Hz, {first.amplitude_A:g} A on {bench.name}, gain {played_at:g}"
+        )
+        shown = Monitor(bench.console, title, hello.dt_s, series.count_m)
+        with shown, no_long_pauses():
+            device.listeners.append(shown.take)
+            try:
+                for alike, trials in itertools.groupby(planned, _alike):
+                    load(device, loads[alike], bench.console)
+                    sweeps = Sweeps(
+                        device,
+                        bench.hold,
+                        commands[alike].size,
+                        gain=played_at,
+                        grip_N=None if series.as_held else alike.grip_N,
+                        count_m=series.count_m,
+                        patience_s=series.patience_s,
+                    )
+                    with sweeps, disarmed_by_ctrl_c(device):
+                        device.set_telemetry(1)
+                        for trial in trials:
+                            say(f"trial {len(written) + 1} of {len(planned)}")
+                            taken = sweeps.trial(negative=trial.polarity < 0, tell=say)
+                            path = next(names)
+                            taken.write(path, series.accelerometer_Hz)
+                            written.append((path, taken))
+                            if not device.harmless:
+                                remember(hello.boot, configuration)
+            except StoppedError:
+                stopped = True
+            except AbortedError as aborted:
+                why = str(aborted)
+            except LinkLostError as lost:
+                raise LinkLostError(f"{lost}; {out}: {len(written)} of {len(planned)} trials, all whole") from None
+            finally:
+                device.listeners.remove(shown.take)
+    console.print(sweep_table(written, title))
+    whole = len(written) == len(planned) and series.told
+    files = series.told if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"
+    console.print(files, highlight=False, soft_wrap=True)
+    if series.gain is None and played_at < 1:
+        console.print(
+            f"gain {played_at:g}: the first run since the device's start; the next one plays in full",
+            highlight=False,
+            soft_wrap=True,
+        )
+    if stopped:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130)
+    if why:
+        console.print(why, style="red", highlight=False, soft_wrap=True)
+        raise typer.Exit(1)
+
+
+def simulated_series(
+    out: Path,
+    planned: Sequence[PlannedSweep],
+    scene: str,
+    wrong: Imperfections,
+    seed: int,
+    gain: float | None,
+    patience_s: float,
+) -> tuple[Bench, Series]:
+    """On a scene's device in a simulated hand: files by purpose, grip and sign, which may join those of other grips.
+
+    Raises
+    ------
+    InputError : no such scene, or a trial of this name is there.
+    """
+    truth, purpose = scene_like(scene), planned[0].purpose.value
+    terminal.make_folder(out)
+    names = [trial.file_name for trial in planned]
+    refuse_old(out, names)
+    bench, settings = holding_bench(truth, wrong, seed, max(trial.seconds for trial in planned))
+    series = Series(
+        planned,
+        [out / name for name in names],
+        lambda _: settings,
+        told=(
+            f"{out}: {len(planned)} sweeps of {planned[0].seconds:g} s, {names[0]} to {names[-1]}\n"
+            f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json"
+        ),
+        gain=gain,
+        accelerometer_Hz=wrong.sensors.accelerometer_bandwidth_Hz,
+        count_m=wrong.sensors.count_m,
+        patience_s=patience_s,
+    )
+    return bench, series

@@ -1,0 +1,217 @@
+"""`transopt-play record tap`: taps on a real object or of a library, by a person or by a simulated hand."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import typer
+
+from controller.cli.bench import Bench, simulated_bench, striking_bench
+from controller.cli.port import STOPPED, connected, load, run
+from controller.host.driver import Device
+from controller.host.payload import payload_of
+from controller.record.played import met_surface
+from controller.record.recorder import Contact, Recorder, make_room
+from controller.record.trial_file import refuse_old, write_measurement
+from controller.servo.settings import Settings
+from controller.sim.chosen_device import device_in, scene_like
+from controller.sim.sensors import noise_seed
+from controller.sim.simulated_tap import SimulatedTap
+from controller.sim.simulator import Imperfections
+from controller.sim.tapping import Motion, TappingHand, strike_of, tap_of
+from controller.waveforms.prediction import scene_of
+from transopt.base import terminal
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.library.file import load_library
+
+
+def taps_by_a_person(
+    bench: Bench, out: Path, trigger_m_s2: float, count_m: float, taps: int | None, seconds: float | None
+) -> None:
+    """A real object's taps, the device idle: one file each, which `transopt taps` and scenes read."""
+    make_room(out)
+    with connected(bench.port) as device:
+        recorder = Recorder(out, device.hello.dt_s, count_m, trigger_m_s2=trigger_m_s2)
+        title, enough = f"recording on {bench.name}", lambda: taps is not None and len(recorder.contacts) >= taps
+        _, stopped = run(bench, device, recorder, title, enough=enough, seconds=seconds)
+    bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
+    if stopped:
+        typer.echo(STOPPED, err=True)
+        raise typer.Exit(130)
+    if not recorder.contacts:
+        raise typer.Exit(1)
+
+
+class TapFiles:
+    """Taps of a simulated hand at every speed and grip, each to a file of its own.
+
+    Parameters
+    ----------
+    out : a folder without such files.
+    wrong : with the true device and its sensors.
+
+    Raises
+    ------
+    InputError : the folder holds a recording already.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        speeds_m_s: Sequence[float],
+        grips_N: Sequence[float],
+        repeats: int,
+        wrong: Imperfections,
+        seed: int,
+    ) -> None:
+        terminal.make_folder(out)
+        refuse_old(out, sorted(path.name for path in out.glob("tap_*.npz")))
+        self._out, self._seed, self._wrong = out, seed, wrong
+        self._places = list(product(enumerate(speeds_m_s), enumerate(grips_N), range(repeats)))
+        self._written: list[str] = []
+        self._silent: list[str] = []
+
+    def _taps(self) -> Iterator[tuple[SimulatedTap, str]]:
+        wrong = replace(self._wrong, mismatch=0.0)
+        for (i, speed), (j, grip), n in self._places:
+            seed = noise_seed(self._seed, i, j, n)
+            yield SimulatedTap(speed, grip, seed=seed, imperfections=wrong), f"tap_{speed:g}m_s_{grip:g}N_{n + 1}.npz"
+
+    def record(
+        self,
+        bench: Bench,
+        device: Device,
+        hand: TappingHand,
+        settings: Settings,
+        motion_of: Callable[[SimulatedTap], Motion],
+        *,
+        gain: float | None = None,
+        trigger_m_s2: float | None = None,
+        more: Callable[[SimulatedTap, Contact], dict[str, FloatArray]] = lambda tap, contact: {},
+    ) -> None:
+        """Tap after tap.
+
+        Parameters
+        ----------
+        more : columns of what is measured beside the device.
+
+        Raises
+        ------
+        typer.Exit : a tap was not heard.
+        """
+        for tap, name in self._taps():
+            hand.plan([motion_of(tap)])
+            recorder = Recorder(None, settings.dt_s, settings.count_m, settings.surface_counts, trigger_m_s2)
+            run(bench, device, recorder, name, gain=gain)
+            if not recorder.contacts:
+                self._silent.append(name)
+                continue
+            contact = recorder.contacts[0]
+            columns, scalars = measured(contact, settings, self._wrong.sensors.accelerometer_bandwidth_Hz)
+            write_measurement(self._out / name, {**columns, **more(tap, contact)}, scalars)
+            self._written.append(name)
+
+    def tell(self, nothing: str, following: str = "") -> None:
+        """What is in the folder; exit code 1 if a tap is not.
+
+        Parameters
+        ----------
+        nothing : what it means that a tap was not heard. following : a line on what to do with the files.
+        """
+        if self._silent:
+            typer.echo(f"{nothing} in {', '.join(self._silent)}", err=True)
+            raise typer.Exit(1)
+        files = f"{self._out}: {len(self._written)} taps, {self._written[0]} to {self._written[-1]}"
+        terminal.console().print(
+            f"{files}\nnext: {following}" if following else files, highlight=False, soft_wrap=True
+        )
+
+
+def measured(
+    contact: Contact, settings: Settings, accelerometer_Hz: float
+) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """Columns and scalars of a tap as a measurement; times from contact, by the encoder."""
+    contact_s, speed_m_s = met_surface(contact, settings)
+    columns = {
+        "time_s": (contact.ticks - contact.tick) * contact.dt_s - contact_s,
+        "command_A": contact.command_A,
+        "current_A": contact.current_A,
+        "acceleration_m_s2": contact.acceleration_m_s2,
+        "position_m": (contact.counts - settings.surface_counts) * settings.count_m,
+    }
+    speed = contact.speed_m_s if np.isfinite(contact.speed_m_s) else speed_m_s
+    return columns, {"grip_N": contact.grip_N, "accelerometer_Hz": accelerometer_Hz, "speed_m_s": speed}
+
+
+def taps_on_object(
+    out: Path,
+    scene: str,
+    speeds: list[float] | None,
+    grips: list[float] | None,
+    repeats: int,
+    wrong: Imperfections,
+    seed: int,
+    trigger_g: float,
+    force_noise_N: float,
+) -> None:
+    """The undriven device on the scene's object, with the force on the stylus."""
+    if 0 in (grips or ()):
+        raise InputError("--grips 0: only a sweep is played on the free device: name grips above 0")
+    truth = scene_like(scene)
+    target = truth.recordings.simulated
+    if target is None:
+        raise InputError(
+            f"--object: {truth.name} states no simulated object: give --device with one, like wood_on_foam"
+        )
+    dt_s, true = truth.time.dt_s, device_in(truth, wrong, seed)
+    taps = TapFiles(out, speeds or truth.grid.speeds_m_s, grips or [target.grip_N], repeats, wrong, seed)
+    bench, hand = striking_bench(dt_s)
+
+    def force(tap: SimulatedTap, contact: Contact) -> dict[str, FloatArray]:
+        """Of a sensor under the object."""
+        noise = force_noise_N * np.random.default_rng([tap.seed, 6]).standard_normal(contact.ticks.size)
+        return {"force_N": noise + [hand.forces_N.get(int(tick), 0.0) for tick in contact.ticks]}
+
+    with connected(bench.port) as device:
+        taps.record(
+            bench,
+            device,
+            hand,
+            Settings(dt_s, 0.0, 1.0),
+            lambda tap: strike_of(target, true, tap, dt_s),
+            trigger_m_s2=trigger_g * STANDARD_GRAVITY_M_S2,
+            more=force,
+        )
+    taps.tell(
+        f"nothing above {trigger_g:g} g (--trigger)",
+        f"transopt taps {out}/tap_*.npz, and with 12 taps or more at several --grips "
+        f"transopt identify hand {out}/tap_*.npz --out MODEL.json",
+    )
+
+
+def taps_of_library(
+    out: Path,
+    library: Path,
+    scene: str | None,
+    speeds: list[float] | None,
+    grips: list[float] | None,
+    repeats: int,
+    wrong: Imperfections,
+    seed: int,
+) -> None:
+    """A library's taps, as a device on a port plays and measures them; exit code 1 if one was not played."""
+    loaded = load_library(library)
+    given = payload_of(loaded, amplifier_tolerance=wrong.mismatch)
+    if given.settings.assumed_grip_N == 0 and any(grips or ()):
+        raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
+    nodes = speeds or loaded.speeds_m_s.tolist(), grips or loaded.grips_N.tolist()
+    taps = TapFiles(out, *nodes, repeats, wrong, seed)
+    true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+    bench, hand = simulated_bench(given, true, ())
+    with connected(bench.port) as device:
+        load(device, given, bench.console)
+        taps.record(bench, device, hand, given.settings, lambda tap: tap_of(loaded, true, tap), gain=1.0)
+    taps.tell("nothing was played")

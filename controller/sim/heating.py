@@ -1,0 +1,80 @@
+"""The coil of a simulated device on a bench supply, its temperatures taken: what identifies the coil.
+
+No device measures this on a port either: it knows neither the coil's voltage nor its temperature.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from controller.sim.sensors import SEED_SENSORS
+from controller.sim.simulator import Coil
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.plant.coil import CoilModel, effective_square
+
+STEP_S = 0.05  # of the coil's integration: 1/240 of the winding's time constant, an error of microkelvins
+
+
+def true_coil(model: CoilModel, mismatch: float, seed: int) -> CoilModel:
+    """The coil with both thermal resistances and both time constants times 1 +- `mismatch`, independent and uniform.
+
+    Only for a heating record: in a tap the simulated coil is the scene's, since no limit there feels the difference.
+    """
+    R_wh, R_ha, tau_w, tau_h = 1 + mismatch * np.random.default_rng([seed, 8]).uniform(-1, 1, 4)
+    return replace(
+        model,
+        R_wh_K_W=model.R_wh_K_W * float(R_wh),
+        R_ha_K_W=model.R_ha_K_W * float(R_ha),
+        tau_w_s=model.tau_w_s * float(tau_w),
+        tau_h_s=model.tau_h_s * float(tau_h),
+    )
+
+
+def heat_record(
+    model: CoilModel,
+    current_A: float,
+    heating_s: float,
+    cooling_s: float,
+    every_s: float,
+    *,
+    noise_K: float,
+    current_noise_A: float = SEED_SENSORS.current_noise_A,
+    seed: int,
+) -> dict[str, FloatArray]:
+    """A constant current from the coil's rest, then none; the winding as its resistance tells it.
+
+    Parameters
+    ----------
+    model : the true coil.
+    noise_K, current_noise_A : rms.
+
+    Returns
+    -------
+    Columns (n,) by name as `write_measurement` takes them. Row k is read at k `every_s`; the current of row k flows
+    until row k + 1.
+
+    Raises
+    ------
+    InputError : the winding would leave its limit.
+    """
+    rows = round((heating_s + cooling_s) / every_s) + 1
+    current = np.where(np.arange(rows) < round(heating_s / every_s), current_A, 0.0)
+    steps = max(round(every_s / STEP_S), 1)
+    coil, winding, housing = Coil(model), np.empty(rows), np.empty(rows)
+    for k, square in enumerate(effective_square(current).tolist()):
+        winding[k], housing[k] = coil.winding_C, coil.housing_C
+        if coil.winding_C > model.limit_C:
+            raise InputError(
+                f"record heat: the winding would pass its limit of {model.limit_C:g} C after {k * every_s:g} s at "
+                f"{current_A:g} A; lower --current or --heating"
+            )
+        for _ in range(steps):
+            coil.step(square, every_s / steps)
+    random = np.random.default_rng([seed, 9])
+    return {
+        "time_s": np.asarray(every_s * np.arange(rows)),
+        "current_A": current + current_noise_A * random.standard_normal(rows),
+        "winding_C": winding + noise_K * random.standard_normal(rows),
+        "housing_C": housing + noise_K * random.standard_normal(rows),
+    }
