@@ -22,17 +22,17 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 MOST_S = 1.0  # between the signal and the end
-LONGEST_S = 20.0  # after which a command that is let run is not waited for: the instants lie before
-GIVEN_UP_S = 30.0  # after the signal
+LONGEST_S = 12.0  # from the start of a command: the instants lie before
+GIVEN_UP_S = 100.0  # for an end that does not come
 BIN = Path(sys.executable).parent
 PROGRAM = "import sys; sys.path[:0] = {path!r}; from transopt.base import terminal; terminal.run(lambda: {call})"
 LONG = """
@@ -242,11 +242,12 @@ def undisturbed(command: Command, given: Path) -> float:
         begun = time.monotonic()
         process = place.start(command)
         try:
-            code = process.wait(LONGEST_S)
+            # A result is waited for; what has none may have no end either.
+            code = process.wait(GIVEN_UP_S if command.result else LONGEST_S)
         except subprocess.TimeoutExpired:
             end_all(process)
             return LONGEST_S
-        took = time.monotonic() - begun
+        took = min(time.monotonic() - begun, LONGEST_S)
         end_all(process)
         if code not in (0, 1):
             raise SystemExit(f"{command.name}: exit code {code} undisturbed: {place.said()}")
@@ -308,7 +309,9 @@ def disturbed(command: Command, given: Path, after_s: float, number: signal.Sign
         )
 
 
-def campaign(wanted: Sequence[Command], instants: int, seed: int, processes: int, folder: Path) -> Iterator[Ended]:
+def campaign(
+    wanted: Sequence[Command], instants: int, seed: int, processes: int, folder: Path
+) -> Generator[Ended, None, None]:
     """So many runs with a signal, the commands in turn."""
     random, given = np.random.default_rng(seed), folder / "given"
     prepare(given, wanted)
@@ -357,14 +360,16 @@ def main() -> int:
     wanted = [command for command in commands() if options.only in command.name]
     ended = []
     with tempfile.TemporaryDirectory(prefix="signals-given-") as folder:
-        for each in campaign(wanted, options.instants, options.seed, options.processes, Path(folder)):
-            ended.append(each)
-            for complaint in each.complaints:
-                print(f"{each.command.name}, {each.signal.name} after {each.after_s:.3f} s: {complaint}", flush=True)
-            if each.traceback:
-                print(f"traceback after {each.after_s:.3f} s: {each.traceback.splitlines()[-1][:80]}", flush=True)
-                if options.verbose:
-                    print(each.traceback, flush=True)
+        runs = campaign(wanted, options.instants, options.seed, options.processes, Path(folder))
+        # Stopped, it says what it has found until then.
+        with closing(runs), suppress(KeyboardInterrupt):
+            for each in runs:
+                ended.append(each)
+                when = f"{each.command.name}, {each.signal.name} after {each.after_s:.3f} s"
+                for complaint in each.complaints:
+                    print(f"{when}: {complaint}", flush=True)
+                if each.traceback:
+                    print(f"{when}: {each.traceback if options.verbose else 'a traceback'}", flush=True)
     print("\n".join(table(ended)))
     off = sum(bool(each.complaints) for each in ended)
     print(f"{len(ended)} instants, {off} with anything off")
