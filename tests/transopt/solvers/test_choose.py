@@ -7,10 +7,11 @@ import pytest
 
 from problems.stress.cases import Current, Horizon, StressCase, Surface
 from problems.stress.draw import drawn
+from transopt.base import apart
 from transopt.design.optimum import optimum
 from transopt.problem.answer import Status
 from transopt.problem.problem import TransientProblem
-from transopt.solvers import choose, feasibility
+from transopt.solvers import choose, feasibility, riccati
 from transopt.solvers.options import SolverOptions
 
 FALLBACKS = ("casadi-piqp", "casadi-ipopt")
@@ -79,3 +80,12 @@ def test_what_a_factorisation_prints_reaches_no_terminal(capfd: pytest.CaptureFi
     designed = optimum(drawn(3, 286).problem(), SolverOptions())
     assert designed.solution.status is Status.INFEASIBLE
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+def test_the_own_method_needs_no_other_process(saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch) -> None:
+    def started(*_: object, **__: object) -> None:
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr(apart, "call", started)
+    assert optimum(saturated, SolverOptions()).is_proven
