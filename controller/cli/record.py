@@ -181,17 +181,17 @@ def record_tap(
         return
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
-    from controller.cli.record_taps import taps_of_library, taps_on_object
+    from controller.cli.record_taps import Wanted, taps_of_library, taps_on_object
 
     within("repeats", repeats, 1, 1000)
     within("force-noise", force_noise, 0.0, 10.0, " N")
     chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
     chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
-    chosen = chosen_speeds, chosen_grips, repeats, imperfect(mismatch, seed, crossover), seed
+    wanted = Wanted(out, chosen_speeds, chosen_grips, repeats, imperfect(mismatch, seed, crossover), seed)
     if library is None:
-        taps_on_object(out, scene or DEFAULT_SCENE, *chosen, trigger, force_noise)
+        taps_on_object(wanted, scene or DEFAULT_SCENE, trigger, force_noise)
     else:
-        taps_of_library(out, library, scene, *chosen)
+        taps_of_library(wanted, library, scene)
 
 
 @record_app.command("heat")

@@ -1,7 +1,7 @@
 """`transopt-play record tap`: taps on a real object or of a library, by a person or by a simulated hand."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -45,32 +45,45 @@ def taps_by_a_person(
         raise typer.Exit(1)
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """Taps of a simulated hand, as asked for.
+
+    Attributes
+    ----------
+    out : a folder without such files.
+    speeds_m_s, grips_N : None for those of the library or scene.
+    repeats : at each of them.
+    wrong : with the true device and its sensors.
+    seed : of it all.
+    """
+
+    out: Path
+    speeds_m_s: Sequence[float] | None
+    grips_N: Sequence[float] | None
+    repeats: int
+    wrong: Imperfections
+    seed: int
+
+
 class TapFiles:
-    """Taps of a simulated hand at every speed and grip, each to a file of its own.
+    """A tap at every speed and grip, each in a file of its own.
 
     Parameters
     ----------
-    out : a folder without such files.
-    wrong : with the true device and its sensors.
+    speeds_m_s, grips_N : where none were asked for.
 
     Raises
     ------
     InputError : the folder holds a recording already.
     """
 
-    def __init__(
-        self,
-        out: Path,
-        speeds_m_s: Sequence[float],
-        grips_N: Sequence[float],
-        repeats: int,
-        wrong: Imperfections,
-        seed: int,
-    ) -> None:
-        terminal.make_folder(out)
-        refuse_old(out, sorted(path.name for path in out.glob("tap_*.npz")))
-        self._out, self._seed, self._wrong = out, seed, wrong
-        self._places = list(product(enumerate(speeds_m_s), enumerate(grips_N), range(repeats)))
+    def __init__(self, wanted: Wanted, speeds_m_s: Sequence[float], grips_N: Sequence[float]) -> None:
+        terminal.make_folder(wanted.out)
+        refuse_old(wanted.out, sorted(path.name for path in wanted.out.glob("tap_*.npz")))
+        self._out, self._seed, self._wrong = wanted.out, wanted.seed, wanted.wrong
+        speeds, grips = wanted.speeds_m_s or speeds_m_s, wanted.grips_N or grips_N
+        self._places = list(product(enumerate(speeds), enumerate(grips), range(wanted.repeats)))
         self._written: list[str] = []
         self._silent: list[str] = []
 
@@ -96,20 +109,19 @@ class TapFiles:
 
         Parameters
         ----------
+        gain : of the library in force; None leaves the device idle.
+        trigger_m_s2 : takes for a contact what the device does not report as one.
         more : columns of what is measured beside the device.
-
-        Raises
-        ------
-        typer.Exit : a tap was not heard.
         """
         for tap, name in self._taps():
             hand.plan([motion_of(tap)])
             recorder = Recorder(None, settings.dt_s, settings.count_m, settings.surface_counts, trigger_m_s2)
             run(bench, device, recorder, name, gain=gain)
-            if not recorder.contacts:
+            heard = [contact for contact in recorder.contacts if np.isfinite(met_surface(contact, settings)[0])]
+            if not heard:
                 self._silent.append(name)
                 continue
-            contact = recorder.contacts[0]
+            contact = heard[0]
             columns, scalars = measured(contact, settings, self._wrong.sensors.accelerometer_bandwidth_Hz)
             write_measurement(self._out / name, {**columns, **more(tap, contact)}, scalars)
             self._written.append(name)
@@ -146,19 +158,9 @@ def measured(
     return columns, {"grip_N": contact.grip_N, "accelerometer_Hz": accelerometer_Hz, "speed_m_s": speed}
 
 
-def taps_on_object(
-    out: Path,
-    scene: str,
-    speeds: list[float] | None,
-    grips: list[float] | None,
-    repeats: int,
-    wrong: Imperfections,
-    seed: int,
-    trigger_g: float,
-    force_noise_N: float,
-) -> None:
+def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: float) -> None:
     """The undriven device on the scene's object, with the force on the stylus."""
-    if 0 in (grips or ()):
+    if 0 in (wanted.grips_N or ()):
         raise InputError("--grips 0: only a sweep is played on the free device: name grips above 0")
     truth = scene_like(scene)
     target = truth.recordings.simulated
@@ -166,8 +168,8 @@ def taps_on_object(
         raise InputError(
             f"--object: {truth.name} states no simulated object: give --device with one, like wood_on_foam"
         )
-    dt_s, true = truth.time.dt_s, device_in(truth, wrong, seed)
-    taps = TapFiles(out, speeds or truth.grid.speeds_m_s, grips or [target.grip_N], repeats, wrong, seed)
+    dt_s, true = truth.time.dt_s, device_in(truth, wanted.wrong, wanted.seed)
+    taps = TapFiles(wanted, truth.grid.speeds_m_s, [target.grip_N])
     bench, hand = striking_bench(dt_s)
 
     def force(tap: SimulatedTap, contact: Contact) -> dict[str, FloatArray]:
@@ -187,29 +189,19 @@ def taps_on_object(
         )
     taps.tell(
         f"nothing above {trigger_g:g} g (--trigger)",
-        f"transopt taps {out}/tap_*.npz, and with 12 taps or more at several --grips "
-        f"transopt identify hand {out}/tap_*.npz --out MODEL.json",
+        f"transopt taps {wanted.out}/tap_*.npz, and with 12 taps or more at several --grips "
+        f"transopt identify hand {wanted.out}/tap_*.npz --out MODEL.json",
     )
 
 
-def taps_of_library(
-    out: Path,
-    library: Path,
-    scene: str | None,
-    speeds: list[float] | None,
-    grips: list[float] | None,
-    repeats: int,
-    wrong: Imperfections,
-    seed: int,
-) -> None:
+def taps_of_library(wanted: Wanted, library: Path, scene: str | None) -> None:
     """A library's taps, as a device on a port plays and measures them; exit code 1 if one was not played."""
     loaded = load_library(library)
-    given = payload_of(loaded, amplifier_tolerance=wrong.mismatch)
-    if given.settings.assumed_grip_N == 0 and any(grips or ()):
+    given = payload_of(loaded, amplifier_tolerance=wanted.wrong.mismatch)
+    if given.settings.assumed_grip_N == 0 and any(wanted.grips_N or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
-    nodes = speeds or loaded.speeds_m_s.tolist(), grips or loaded.grips_N.tolist()
-    taps = TapFiles(out, *nodes, repeats, wrong, seed)
-    true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+    taps = TapFiles(wanted, loaded.speeds_m_s.tolist(), loaded.grips_N.tolist())
+    true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wanted.wrong, wanted.seed)
     bench, hand = simulated_bench(given, true, ())
     with connected(bench.port) as device:
         load(device, given, bench.console)

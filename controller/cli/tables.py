@@ -1,6 +1,6 @@
 """Tables of what was seen on a device: the bring-up check, taps, sweeps."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,64 +74,46 @@ def figures_table(
 ) -> Table:
     """What the taps came to, on average or at most, and beside it what that is to be compared with."""
     compared = [tap for tap in taps if not tap.why]
+    g, limits, coil = STANDARD_GRAVITY_M_S2, library.meta["limits"], library.coil()
+
+    def mean(values: Iterable[float], size: float, form: str, unit: str) -> str:
+        return _number(size * float(np.mean(list(values))) if compared else np.nan, form, unit)
+
+    def figure(name: str, size: float, form: str, unit: str) -> str:
+        return mean((getattr(tap.compared, name) for tap in compared), size, form, unit)
+
+    floor = mean((tap.prediction.floor for tap in compared), 100, ".2f", "%")
+    predicted, recorded = (figure(f"{name}_peak_m_s2", 1 / g, ".2f", "g") for name in ("predicted", "reference"))
+    hardness = (tap.rate_hardness_N_m(yardstick.force_per_current_N_A) for tap in compared)
+    real = _number(yardstick.real_rate_hardness_N_m, ".0f", "N/m")
+    peak_A = max((tap.peak_current_A for tap in taps), default=np.nan)
+    hottest_C = max((float(tap.contact.winding_C.max(initial=-np.inf)) for tap in taps), default=np.nan)
+    winding, of_winding = "-", "no motor data"
+    if coil is not None:
+        winding = _number(hottest_C, ".2f", "°C")
+        of_winding = f"estimated; start {coil.start_winding_C:.2f} °C, limit {coil.limit_C:g} °C"
+    clamps = str(events.get(Notice.COMMAND_SATURATED, 0))
+    by_hand = "against the library's prediction, until the hand can react"
     table = Table()
     table.add_column("figure")
     table.add_column("played" if len(taps) <= 1 else f"{len(compared)} taps", justify="right", no_wrap=True)
     table.add_column("compare with", overflow="fold")
-
-    def mean(of: Callable[[PlayedTap], float], size: float, form: str, unit: str) -> str:
-        return _number(size * float(np.mean([of(tap) for tap in compared])) if compared else np.nan, form, unit)
-
-    def most(values: Sequence[float], form: str, unit: str) -> str:
-        return _number(max(values, default=np.nan), form, unit)
-
-    g, limits, coil = STANDARD_GRAVITY_M_S2, library.meta["limits"], library.coil()
-    table.add_row(
-        "latency",
-        mean(lambda tap: tap.compared.latency_s, 1e6, ".1f", "µs"),
-        "the one shift that aligns played and predicted",
-    )
-    table.add_row(
-        "NRMSE after the shift",
-        mean(lambda tap: tap.compared.nrmse, 100, ".2f", "%"),
-        "against the library's prediction, until the hand can react",
-    )
-    floor = mean(lambda tap: tap.prediction.floor, 100, ".2f", "%")
-    table.add_row(
-        "",
-        mean(lambda tap: tap.compared.nrmse_reference, 100, ".2f", "%"),
-        f"against the recorded tap; floor {floor}",
-    )
-    predicted = mean(lambda tap: tap.compared.predicted_peak_m_s2, 1 / g, ".2f", "g")
-    recorded = mean(lambda tap: tap.compared.reference_peak_m_s2, 1 / g, ".2f", "g")
-    table.add_row(
-        "peak",
-        mean(lambda tap: tap.compared.peak_m_s2, 1 / g, ".2f", "g"),
-        f"predicted {predicted}, recorded {recorded}",
-    )
-    table.add_row(
-        "spectral error",
-        mean(lambda tap: tap.compared.spectral_error_dB, 1, ".2f", "dB"),
-        "rms over third octaves 10 Hz to 1 kHz",
-    )
-    real = _number(yardstick.real_rate_hardness_N_m, ".0f", "N/m")
-    table.add_row(
-        "rate-hardness",
-        mean(lambda tap: tap.rate_hardness_N_m(yardstick.force_per_current_N_A), 1, ".0f", "N/m"),
-        f"motor force at the tip; the real object, struck: {real}",
-    )
-    table.add_row(
-        "peak current", most([tap.peak_current_A for tap in taps], ".3f", "A"), f"limit {limits['current_A']:g} A"
-    )
-    table.add_row(
-        "winding",
-        most([float(tap.contact.winding_C.max(initial=-np.inf)) for tap in taps], ".2f", "°C") if coil else "-",
-        "no motor data"
-        if coil is None
-        else f"estimated; start {coil.start_winding_C:.2f} °C, limit {coil.limit_C:g} °C",
-    )
-    clamps = events.get(Notice.COMMAND_SATURATED, 0)
-    table.add_row("clamps", str(clamps), "times that transient and feedback together were cut")
+    for row in (
+        ("latency", figure("latency_s", 1e6, ".1f", "µs"), "the one shift that aligns played and predicted"),
+        ("NRMSE after the shift", figure("nrmse", 100, ".2f", "%"), by_hand),
+        ("", figure("nrmse_reference", 100, ".2f", "%"), f"against the recorded tap; floor {floor}"),
+        ("peak", figure("peak_m_s2", 1 / g, ".2f", "g"), f"predicted {predicted}, recorded {recorded}"),
+        ("spectral error", figure("spectral_error_dB", 1, ".2f", "dB"), "rms over third octaves 10 Hz to 1 kHz"),
+        (
+            "rate-hardness",
+            mean(hardness, 1, ".0f", "N/m"),
+            f"motor force at the tip; the real object, struck: {real}",
+        ),
+        ("peak current", _number(peak_A, ".3f", "A"), f"limit {limits['current_A']:g} A"),
+        ("winding", winding, of_winding),
+        ("clamps", clamps, "times that transient and feedback together were cut"),
+    ):
+        table.add_row(*row)
     faults = [what.value for what in events if isinstance(what, Fault)]
     words = [f"fault: {faults[0]}"] if faults else list(dict.fromkeys(tap.verdict for tap in taps))
     table.add_row("verdict", "", "; ".join(words) or "no transient played", style=None if compared else "red")

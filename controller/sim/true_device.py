@@ -184,29 +184,20 @@ COMMAND, INTENTION, INTENTION_SPEED, CARRIED, MOTOR_FORCE, CONTACT_FORCE = range
 INPUTS = 6
 
 
-@dataclass(frozen=True)
 class Layout:
-    """Where things stand in the state vector for n masses: positions, velocities, current, accelerometer, object."""
+    """Where things stand in the state vector for n masses: positions, velocities, and these.
 
-    n: int
+    Attributes
+    ----------
+    current : in the coil.
+    sensed : acceleration behind the accelerometer's own pole.
+    target : position of the struck object's mass; its velocity follows.
+    states : their number.
+    """
 
-    @property
-    def current(self) -> int:
-        return 2 * self.n
-
-    @property
-    def sensed(self) -> int:
-        """Acceleration behind the accelerometer's own pole."""
-        return 2 * self.n + 1
-
-    @property
-    def target(self) -> int:
-        """Position of the struck object's mass; its velocity follows."""
-        return 2 * self.n + 2
-
-    @property
-    def states(self) -> int:
-        return 2 * self.n + 4
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.current, self.sensed, self.target, self.states = 2 * n, 2 * n + 1, 2 * n + 2, 2 * n + 4
 
 
 def nonlinear(device: TrueDevice, target: SimulatedTaps | None) -> bool:

@@ -203,8 +203,27 @@ def _height_m(speed_m_s: float) -> float:
     return speed_m_s * (STARTING_S / 2 + STRAIGHT_S) + STRAIGHT_M
 
 
-class RepeatedTaps(User):
-    """Taps without end at random speeds and grips, the hand yielding to each and retreating; for long runs.
+class _Taps(User):
+    """A hand that taps in cycles, yielding to each tap and retreating."""
+
+    tremor: Tremor | None = None
+
+    def _at(self, time_s: float) -> tuple[_Cycle, float]:
+        """The tap that is on, and the time by which its cycle goes."""
+        raise NotImplementedError
+
+    def intention_m(self, time_s: float) -> float:
+        cycle, into_s = self._at(time_s)
+        z = cycle.intention_m(into_s)
+        return z if self.tremor is None else z + self.tremor.at(time_s)
+
+    def grip_N(self, time_s: float) -> float:
+        cycle, into_s = self._at(time_s)
+        return cycle.held_N(into_s)
+
+
+class RepeatedTaps(_Taps):
+    """Taps without end at random speeds and grips; for long runs.
 
     Speeds are drawn evenly in their logarithm, grips evenly; the grip changes during the retreat.
 
@@ -222,7 +241,7 @@ class RepeatedTaps(User):
         tremor: Tremor | None = None,
     ) -> None:
         self._random = np.random.default_rng([seed, 4])
-        self._speeds_m_s, self._grips_N, self._tremor = speeds_m_s, grips_N, tremor
+        self._speeds_m_s, self._grips_N, self.tremor = speeds_m_s, grips_N, tremor
         self._next = self._draw()
         self._cycles: list[_Cycle] = []
         self._starts: list[float] = []
@@ -240,22 +259,19 @@ class RepeatedTaps(User):
         self._starts.append(start_s)
 
     def cycle(self, time_s: float) -> _Cycle:
+        """The tap that is on."""
         if not self._now.start_s <= time_s < self._now.end_s:
             while time_s >= self._cycles[-1].end_s:
                 self._append(self._cycles[-1].end_s)
             self._now = self._cycles[max(bisect_right(self._starts, time_s) - 1, 0)]
         return self._now
 
-    def intention_m(self, time_s: float) -> float:
-        z = self.cycle(time_s).intention_m(time_s)
-        return z if self._tremor is None else z + self._tremor.at(time_s)
-
-    def grip_N(self, time_s: float) -> float:
-        return self.cycle(time_s).held_N(time_s)
+    def _at(self, time_s: float) -> tuple[_Cycle, float]:
+        return self.cycle(time_s), time_s
 
 
-class TapsInTurn(User):
-    """The given taps one after the other, over and over, the hand yielding to each and retreating.
+class TapsInTurn(_Taps):
+    """The given taps one after the other, over and over.
 
     Parameters
     ----------
@@ -281,17 +297,8 @@ class TapsInTurn(User):
         self._starts = [cycle.start_s for cycle in self._cycles]
 
     def _at(self, time_s: float) -> tuple[_Cycle, float]:
-        """The tap that is on, and the time in its round."""
-        into = time_s % self.period_s
-        return self._cycles[bisect_right(self._starts, into) - 1], into
-
-    def intention_m(self, time_s: float) -> float:
-        cycle, into = self._at(time_s)
-        return cycle.intention_m(into)
-
-    def grip_N(self, time_s: float) -> float:
-        cycle, into = self._at(time_s)
-        return cycle.held_N(into)
+        into_s = time_s % self.period_s
+        return self._cycles[bisect_right(self._starts, into_s) - 1], into_s
 
 
 @dataclass(frozen=True)

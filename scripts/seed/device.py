@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from controller.sim.open_loop import Sensed, play_still
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from controller.record.excitation import sweep_command
-from controller.sim.open_loop import Sensed, play_still
 from controller.sim.sensors import SEED_SENSORS
 from controller.sim.simulated_tap import Struck, strike_real
 from controller.sim.simulator import Imperfections, Simulator

@@ -1,7 +1,5 @@
 """`transopt-play` on a device: what it says of ports, devices and options that will not do."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -117,10 +115,3 @@ def test_over_a_pseudo_terminal(play: Run, served: tuple[Served, str]) -> None:
     assert_refused(
         play("tap", "library.npz", "--port", name), f"{name}: arm refused: this configuration has not passed"
     )
-
-
-def test_start_up_is_light() -> None:
-    heavy = "('numpy', 'serial', 'scipy', 'matplotlib', 'casadi')"
-    program = f"import sys, controller.cli.play; print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.strip() == "[]"

@@ -315,29 +315,6 @@ def test_a_value_out_of_range_is_an_input_error(act: Act, words: str) -> None:
     assert world.session.state is SessionState.READY
 
 
-def test_frames_byte_by_byte_whole_and_with_more_behind() -> None:
-    """The session's answer to a stream does not depend on how it is cut."""
-    outcomes = []
-    for size in (1, 7, 10_000):
-        world = World().connected()
-        session = world.session
-        session.reset()
-        session.bytes_to_send(world.now_s)
-        frames = [
-            m.Frame(2, 1, m.Done(Kind.RESET, 0, 0)),
-            m.Frame(0, 1, m.Event(0, 7, 1, 0, 0.2, 3.0)),
-            m.Frame(0, 1, m.Event(1, 9, 2, 0, 0.0, 0.0)),
-            m.Frame(0, 1, m.Log(b"hello")),
-        ]
-        stream = b"".join(encode(frame.payload()) for frame in frames) + encode(b"rest")[:-2]
-        told = []
-        for j in range(0, len(stream), size):
-            told += session.receive(stream[j : j + size], world.now_s)
-        outcomes.append(told)
-    assert outcomes[0] == outcomes[1] == outcomes[2]
-    assert len(outcomes[0]) == 4
-
-
 def test_the_table_of_states_is_closed() -> None:
     """Each state can be left, ends on misuse, and only the device's own report leads to ARMED."""
     for (before, trigger), after in TRANSITIONS.items():

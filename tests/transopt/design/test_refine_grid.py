@@ -19,7 +19,7 @@ from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
 from transopt.report.grid_figure import grid_figure
-from transopt.report.markdown import build_markdown
+from transopt.report.markdown import build_json, build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
@@ -165,6 +165,11 @@ class TestSmallGrids:
 
 
 class TestRefusals:
+    @pytest.mark.parametrize("tolerance", [0.0, -0.1, 1.0, float("nan")])
+    def test_tolerance(self, scene: Scene, taps: list[Recording], tolerance: float) -> None:
+        with pytest.raises(InputError, match=f"--grid-tolerance {tolerance:g}: must be between 0 and 1"):
+            refine_grid(scene, taps, tolerance)
+
     def test_an_optimum_that_no_solver_can_prove(self, scene: Scene, taps: list[Recording]) -> None:
         with pytest.raises(InputError, match=r"--grid-tolerance: no proven optimum at 0\.4 m/s"):
             refine_grid(scene, taps, 0.02, options=SolverOptions(max_iterations=2))
@@ -207,6 +212,17 @@ class TestWhatIsWritten:
         assert said["points"] == len(refinement.points)
         assert meta["scene"]["grid"]["speeds_m_s"] == refinement.grid.speeds_m_s
         assert {source["grid_speed_m_s"] for source in meta["sources"]} == set(scene.grid.speeds_m_s)
+
+    def test_report(self, refined: Build) -> None:
+        text = build_markdown(refined)
+        for words in (
+            "## Between the nodes",
+            "| of the scene | 4 | 3 | 12 |",
+            "| refined |",
+            "not recorded but derived",
+        ):
+            assert words in text
+        assert '"between_m_s": [' in build_json(refined)
 
     def test_figure(self, refinement: Refinement) -> None:
         before, after, bar = grid_figure(refinement).axes

@@ -145,12 +145,24 @@ def test_the_crossover_is_found_where_the_records_hold_it(fits: Fits) -> None:
     assert 0.6 < widths.std() / np.mean(deviations) < 1.5
 
 
+def test_gains_through_zero_and_beyond_the_crossover_are_the_describing_function_s() -> None:
+    trials = [amplifier_trial(0), amplifier_trial(1, sign=-1), amplifier_trial(2, offset_A=1.0)]
+    describing = 1 - 4 * 0.01 / (np.pi * 0.5)
+    np.testing.assert_allclose(fit_amplifier(trials).trial_gains, [describing, describing, 1.0], atol=2e-3)
+
+
 @pytest.mark.parametrize("crossover_A", [0.0, 0.05])
 def test_a_crossover_is_neither_invented_nor_missed(crossover_A: float) -> None:
     trials = [amplifier_trial(j, crossover_A=crossover_A, sign=(-1) ** j) for j in range(2)]
     found = estimate_crossover(trials, POLE_HZ, DELAY_S)
     assert found.shows == (crossover_A > 0)
     assert abs(found.half_width_A - crossover_A) < 4 * found.deviation_A
+
+
+def test_what_a_continuous_fit_would_say() -> None:
+    fit = fit_amplifier([amplifier_trial(1, crossover_A=0.0)])
+    assert fit.continuous_delay_s == pytest.approx(fit.delay_with_hold_s, abs=6e-6)
+    assert fit.continuous_pole_Hz < 0.95 * POLE_HZ  # the hold is taken for a slower pole
 
 
 def test_an_amplifier_that_is_no_single_pole_is_told() -> None:

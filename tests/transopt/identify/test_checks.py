@@ -8,6 +8,7 @@ import pytest
 
 from controller.record.trial_file import write_measurement
 from tests.benches.sweeps import DT_S, amplifier_trial, device_columns
+from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal
 from transopt.identify import checks
 from transopt.identify.checks import Fault, Finding
@@ -65,6 +66,14 @@ def test_good_records_of_a_device_raise_nothing(columns: dict, grip_N: float) ->
 
 
 # --------------------------------------------------------------------------------------------------- cycles, rates
+
+
+def test_too_few_cycles_name_the_band() -> None:
+    hasty = amplifier_trial(1, seconds=0.12)
+    found = checks.check_cycles("all files", [hasty], estimate_transfer([hasty]), 10.0)
+    message = only(found, Fault.TOO_FEW_CYCLES, fatal=False)
+    assert "cycles per octave below" in message
+    assert "Hz in 1 trials, must be at least 1; sweep" in message
 
 
 def test_cycles_are_counted_as_they_were_played() -> None:
@@ -223,3 +232,11 @@ def test_low_coherence_names_the_stretch(columns: dict) -> None:
     message = only(found, Fault.INCOHERENT, fatal=False)
     assert message.startswith("grip 5 N: coherence low: 0.40 at 8")
     assert "Hz, must be 0.8; record again there, longer or with more current" in message
+
+
+def test_refusal_shows_the_first_fatal_finding_and_keeps_the_others() -> None:
+    mild = Finding(Fault.JITTER, "a", "a little", False)
+    worse = Finding(Fault.CLIPPED, "b", "much", True)
+    assert checks.refuse([mild]) == [mild]
+    with pytest.raises(InputError, match=r"^b: clipped sensor: much \(and 1 more such findings\)$"):
+        checks.refuse([mild, worse, worse])

@@ -348,6 +348,13 @@ def test_header_plays_the_transient_clamped_to_the_command_limit(
     assert {-1.5, 1.5} <= set(commands)
 
 
+def test_header_of_a_zero_library_is_silent(compiler: list[str], make_library: Make, tmp_path: Path) -> None:
+    library = make_library()
+    library = replace(library, transient_command_A=np.zeros_like(library.command_A))
+    scale, commands = run_header(library, compiler, tmp_path, random_points(library))
+    assert not np.any([scale, *commands])
+
+
 def test_header_survives_any_scene_name_and_says_what_it_is(
     compiler: list[str], make_library: Make, tmp_path: Path
 ) -> None:

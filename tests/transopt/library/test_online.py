@@ -78,6 +78,37 @@ class TestHeat:
         assert hot.winding_C > coil.limit_C + 0.01
         assert not cool.shortfalls(problem, commands[0], problem.stage.rollout(commands[0])[0])
 
+    @pytest.mark.parametrize("start_C", [99.5, 99.97])
+    def test_which_problem_comes_first_changes_no_answer(
+        self, solver: Online, monkeypatch: pytest.MonkeyPatch, start_C: float
+    ) -> None:
+        """The winding binds from one of the starts on; a wrong guess costs time alone."""
+        taps = []
+        for guess in (False, True):
+            monkeypatch.setattr(online, "_overheats", lambda effect, guess=guess: guess)
+            taps.append(solver.solve(0.4, 5.0, start_C, start_C))
+        cold, hot = taps
+        assert cold.certificate is not None
+        assert hot.certificate is not None
+        assert hot.certificate.accepted
+        assert cold.certificate.objective == pytest.approx(hot.certificate.objective, rel=1e-7)
+        np.testing.assert_allclose(cold.wave.command_A, hot.wave.command_A, atol=1e-4)
+        # Only where it binds is a convex problem needed to bound J from below.
+        convex = [
+            abs(c.objective - c.duality_gap - c.lower_bound) < 1e-12 for c in (cold.certificate, hot.certificate)
+        ]
+        assert convex == [start_C == 99.5] * 2
+
+    def test_without_a_bound_of_its_own_the_convex_problem_is_solved(
+        self, solver: Online, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        own = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
+        monkeypatch.setattr(online, "relaxed_bound", lambda effect, multipliers: -np.inf)
+        solved = solver.solve(0.4, 5.0, 99.97, 99.97).certificate
+        assert own is not None
+        assert solved is not None
+        assert own.lower_bound == pytest.approx(solved.lower_bound, rel=1e-4)
+
     def test_far_below_the_limit_it_changes_nothing(self, solver: Online) -> None:
         cold, warm = solver.solve(0.4, 5.0, 25.0), solver.solve(0.4, 5.0, 90.0)
         np.testing.assert_array_equal(cold.wave.command_A, warm.wave.command_A)

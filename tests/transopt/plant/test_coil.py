@@ -101,3 +101,13 @@ def test_a_coil_that_runs_away_within_one_period_is_hot_for_ever() -> None:
     winding, housing = coil.steady_course(np.full((1, 40), 1e4), np.full(40, 2e-4), 0.01, np.zeros(1))
     assert np.all(np.isposinf(winding))
     assert not np.any(np.isnan(housing))
+
+
+def test_a_coil_that_runs_away_is_infinitely_hot_and_no_other_is() -> None:
+    coil = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
+    heat = np.array([np.full(50, 1e12), np.full(50, 1.0)])
+    winding, housing = coil.simulate(heat, np.full(50, 1e-2))
+    assert winding[0, -1] == housing[0, -1] == np.inf
+    alone, _ = coil.simulate(heat[1:], np.full(50, 1e-2))
+    # In arrays of another shape every one of the steps may round otherwise.
+    np.testing.assert_allclose(winding[1], alone[0], rtol=50 * np.finfo(float).eps)

@@ -7,11 +7,13 @@ import pytest
 from scipy import linalg
 
 from problems.stress.cases import Coil, Current, Demand, DrawnDevice, Horizon, StressCase, Surface
+from problems.stress.draw import drawn
 from problems.stress.judge import played
 from transopt.base.errors import InputError
 from transopt.design.explain import unstable_wall
 from transopt.design.optimum import optimum
 from transopt.plant.coil import COPPER_PER_K, RESISTANCE_REFERENCE_C, CoilModel
+from transopt.plant.wall import earlier_by
 from transopt.problem.answer import Status
 from transopt.problem.leave_out import encoder_course, silence
 from transopt.problem.limits import hand_over, limits_of
@@ -107,6 +109,7 @@ class TestWhatCancelsAtTheSwitchingInstants:
 def test_a_wall_that_grows_by_itself_is_named() -> None:
     shaky = StressCase("wall", DrawnDevice(moving_kg=1e-4), surface=Surface(2000.0, 50.0, latency_ticks=5)).problem()
     assert hand_over.growth(shaky) > 1
+    assert optimum(drawn(77, 723).problem(), SolverOptions()).solution.status is Status.UNSTABLE_WALL
     assert "latency_ticks (5)" in unstable_wall(shaky)
     for surface, lower in (
         (
@@ -141,3 +144,8 @@ def test_a_zero_reference_over_a_wall_leaves_it_alone() -> None:
     assert designed.solution.status is Status.OPTIMAL
     assert designed.certificate.accepted
     assert np.abs(designed.solution.command_A).max() > 0.01
+
+
+def test_a_delay_longer_than_the_horizon() -> None:
+    np.testing.assert_array_equal(earlier_by(2, np.array([1.0, 2.0, 3.0])), [3.0, 0.0, 0.0])
+    np.testing.assert_array_equal(earlier_by(5, np.array([1.0, 2.0, 3.0])), np.zeros(3))

@@ -19,7 +19,7 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.identify.checks import Fault
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.identify import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
-from transopt.identify.device.validation import short_of, verdict
+from transopt.identify.device.validation import compare, short_of, verdict
 from transopt.identify.measurement import Measurement
 from transopt.plant.state_space import StateSpace
 from transopt.scene.scene import Scene
@@ -64,6 +64,14 @@ def test_transients_outside_the_fit_are_predicted_at_recorded_grips_and_between(
     assert all(error <= 0.08 for error in found.chosen.between.values())
     assert found.verdict.startswith("supports design errors down to ")
     assert all(len(grip.fitted) == 4 for grip in found.grips)
+
+
+def test_a_static_offset_of_the_accelerometer_costs_nothing(rig: Rig, found: DeviceResult) -> None:
+    run = found.grips[2].kept[0]
+    signal = run.require("acceleration", "")
+    tilted = replace(run, acceleration=replace(signal, values=signal.values + 9.81))
+    plain = compare(rig.device, 3.0, found.instrument, run)
+    assert compare(rig.device, 3.0, found.instrument, tilted).nrmse == pytest.approx(plain.nrmse, rel=1e-6)
 
 
 def test_without_transients_the_last_trial_of_each_grip_is_kept_out(sweeps: list[Measurement]) -> None:
@@ -273,6 +281,11 @@ def test_a_current_that_is_read_at_another_tick_is_reported(held: list[Measureme
     assert words in findings[0]
     assert "their intervals do not hold" in result.verdict
     assert "their intervals do not hold" in device_part(result).verdict
+
+
+def test_good_records_raise_no_doubt(found: DeviceResult) -> None:
+    assert "do not hold" not in found.verdict
+    assert [f for f in found.findings if f.fault in {Fault.SHIFTED, Fault.CURRENT_SCALE, Fault.BANDWIDTH}] == []
 
 
 def test_an_accelerometer_of_unknown_bandwidth_is_reported(held: list[Measurement]) -> None:

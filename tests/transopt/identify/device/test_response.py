@@ -53,6 +53,18 @@ def test_derivatives_agree_with_differences(amplifier: Amplifier | None, sensed:
         np.testing.assert_allclose(derivatives[j], difference, rtol=1e-5, atol=1e-7 * size)
 
 
+@pytest.mark.parametrize("amplifier", [None, AMPLIFIER])
+def test_the_direct_feed_of_a_rigid_device_is_sampled_and_differentiated(amplifier: Amplifier | None) -> None:
+    one = np.ones((1, 1))
+    plant = StateSpace(-50 * one, one, -40 * one, 2 * one)
+    slope = Slope(0 * one, 0 * one, 0 * one, one)
+    instrument, frequencies = Instrument(DT_S, amplifier), np.geomspace(2, 4500, 20)
+    value, derivatives = sampled_response(plant, instrument, frequencies, (slope,))
+    more, _ = sampled_response(replace(plant, D=3 * one), instrument, frequencies)
+    np.testing.assert_allclose(derivatives[0], more - value, rtol=1e-12)
+    np.testing.assert_allclose(derivatives[0], 1.0, rtol=1e-12)  # the current read is the current felt
+
+
 def test_an_output_that_happens_to_be_zero_has_slopes_all_the_same() -> None:
     one = np.ones((1, 1))
     plant = StateSpace(-50 * one, one, 0 * one, 0 * one)
