@@ -177,10 +177,24 @@ def session_of(process: int) -> list[int]:
     return found
 
 
-def digest(path: Path) -> dict[str, str]:
-    """Name -> hash of a file, or of all files in a folder."""
+def state_of(path: Path) -> dict[str, tuple[int, str]]:
+    """Name -> which file it is, and a hash of what is in it, of a file or of all files in a folder."""
     files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
-    return {str(each.relative_to(path.parent)): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}
+    return {
+        str(each.relative_to(path.parent)): (each.stat().st_ino, hashlib.sha256(each.read_bytes()).hexdigest())
+        for each in files
+    }
+
+
+def half(before: dict[str, tuple[int, str]], after: dict[str, tuple[int, str]]) -> list[str]:
+    """What is off with a result: files that are gone or written into, or only some of them new."""
+    said = [f"gone: {name}" for name in before if name not in after]
+    there = [name for name in before if name in after]
+    said += [
+        f"written into: {name}" for name in there if before[name][0] == after[name][0] and before[name] != after[name]
+    ]
+    new = [name for name in there if before[name][0] != after[name][0]]
+    return said + ([f"new are only {new} of {there}"] if new and len(new) < len(there) else [])
 
 
 @dataclass
@@ -253,7 +267,9 @@ def undisturbed(command: Command, given: Path) -> float:
             raise SystemExit(f"{command.name}: exit code {code} undisturbed: {place.said()}")
         if command.result:
             result = place.folder / command.result
-            (shutil.copytree if result.is_dir() else shutil.copy)(result, given / command.result)
+            kept = given / command.result
+            kept.parent.mkdir(exist_ok=True)
+            (shutil.copytree if result.is_dir() else shutil.copy)(result, kept)
         return took
 
 
@@ -262,8 +278,8 @@ def disturbed(command: Command, given: Path, after_s: float, number: signal.Sign
     complaints = []
     with Place.of(given) as place:
         result = place.folder / command.result
-        before = digest(result) if command.result else {}
-        beside = result if result.is_dir() else place.folder
+        before = state_of(result) if command.result else {}
+        beside = result if result.is_dir() else result.parent
         there = set(beside.iterdir())
         process = place.start(command)
         with suppress(subprocess.TimeoutExpired):
@@ -289,12 +305,10 @@ def disturbed(command: Command, given: Path, after_s: float, number: signal.Sign
         if any(place.temporary.iterdir()):
             complaints.append(f"temporary files left: {[path.name for path in place.temporary.rglob('*')]}")
         if command.result:
-            after = digest(result)
-            changed = [name for name in before if after.get(name) != before[name]]
-            whole = not changed or len(changed) == len(before)
-            if not whole:
-                complaints.append(f"half a result: {changed} of {sorted(before)} are new")
-            extra = sorted(path.name for path in set(beside.iterdir()) - there)
+            complaints += half(before, state_of(result))
+            # A figure may accompany a file; what is hidden is what was under way.
+            new = {path.name for path in set(beside.iterdir()) - there}
+            extra = sorted(name for name in new if name.startswith(".") or result.is_dir())
             if extra:
                 complaints.append(f"beside the result: {extra}")
         return Ended(
