@@ -123,8 +123,8 @@ def commands() -> list[Command]:
         line("transopt identify device device/device_*.npz --out D.json", "D.json"),
         line("transopt identify hand hand/tap_*.npz --out H.json", "H.json"),
         line("transopt identify coil heat/heat.npz --out C.json", "C.json"),
-        line("transopt-play tap library.npz --simulate --out played", "played"),
-        line("transopt-play tap library.npz --simulate --method online --out played", "played"),
+        line("transopt-play tap library.npz --simulate --out played"),
+        line("transopt-play tap library.npz --simulate --method online --out played"),
         line(
             "transopt-play refine library.npz --simulate --mismatch 0.1 --rounds 1 --taps 2 --out refined", "refined"
         ),
