@@ -60,11 +60,7 @@ class Table(Rehearsal[Overheard]):
         self.hand.command_A = self.output.command_A
 
     def ready(self, configuration: bytes = CONFIGURATION, image: bytes = IMAGE) -> "Table":
-        self.connected()
-        self.session.configure(configuration)
-        self.session.upload(image)
-        self.session.checked()
-        return self.until(lambda: self.session.idle, 2.0)
+        return super().ready(configuration, image)
 
     def armed(self, lease_ms: int = 200) -> "Table":
         self.until(lambda: self.session.state is SessionState.READY, 1.0)

@@ -41,8 +41,7 @@ class Look(ctypes.Structure):
     events : number of the next event.
     oldest_event : number of the first event that is not acknowledged; `events` if all are.
     arrived_bytes : of the image on its way.
-    frames, bad_frames : sound and other ones that have arrived.
-    dropped_frames : sound ones that were not for this session, out of order, or of no meaning.
+    dropped_frames : sound ones that have arrived and were not for this session, out of order, or of no meaning.
     lost_frames : that found no room to go out.
     configuration_sha256, library_sha256, checked_sha256 : zeros for what is not there.
     """
@@ -54,8 +53,6 @@ class Look(ctypes.Structure):
         ("events", ctypes.c_uint32),
         ("oldest_event", ctypes.c_uint32),
         ("arrived_bytes", ctypes.c_uint32),
-        ("frames", ctypes.c_uint32),
-        ("bad_frames", ctypes.c_uint32),
         ("dropped_frames", ctypes.c_uint32),
         ("lost_frames", ctypes.c_uint32),
         ("_state", ctypes.c_uint8),
@@ -70,8 +67,6 @@ class Look(ctypes.Structure):
     events: int
     oldest_event: int
     arrived_bytes: int
-    frames: int
-    bad_frames: int
     dropped_frames: int
     lost_frames: int
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from controller.protocol import capacity, codes, configuration, image, messages, packed, wire
 from controller.protocol.messages import MESSAGES
-from controller.protocol.packed import OPEN_END, Packed
+from controller.protocol.packed import OPEN_END
 
 HEADER_PATH = Path(__file__).parents[1] / "firmware" / "src" / "core" / "td_messages.h"
 C_TYPES = {"B": "u8", "H": "u16", "I": "u32", "i": "i32", "Q": "u64", "f": "f32", "d": "f64"}
@@ -36,23 +36,25 @@ def _type(form: str) -> str:
     return "bytes up to the end" if form == OPEN_END else C_TYPES.get(form, f"{form[:-1]} bytes")
 
 
-def _offsets(prefix: str, layout: list[tuple[str, str]]) -> list[str]:
-    lines, offset = [], 0
+def _offsets(title: str, prefix: str, layout: list[tuple[str, str]]) -> list[str]:
+    """Where each field begins, and how many bytes all of them take; their types stand in the comment."""
+    places, offset = {}, 0
     for name, form in layout:
-        lines.append(_define(f"{prefix}_{name.upper()}", offset, _type(form)))
+        places[name] = offset
         offset += 0 if form == OPEN_END else struct.calcsize("<" + form)
-    return [*lines, _define(f"{prefix}_BYTES", offset)]
+    types = ", ".join(f"{name} {_type(form)}" for name, form in layout)
+    head = textwrap.wrap(f"/* {title}: {types or 'nothing'} */", 110, subsequent_indent=" * ")
+    return [f"    {line}" for line in (*head, *_members(prefix, {**places, "bytes": offset}))]
 
 
-def _message(name: str, message: type[Packed]) -> list[str]:
-    note = "and more" if message.OPEN else ""
-    lines = _offsets(f"TD_{name}", message.layout())
-    return [*lines[:-1], lines[-1] + (f" /* {note} */" if note else "")]
+def _members(prefix: str, members: dict[str, int]) -> list[str]:
+    """Of an enumeration, several to a line."""
+    words = " ".join(f"{prefix}_{name.upper()}@=@{value}," for name, value in members.items())
+    return [line.replace("@", " ") for line in textwrap.wrap(words, 110)]
 
 
 def _enumeration(title: str, prefix: str, members: dict[str, int]) -> list[str]:
-    body = textwrap.wrap(", ".join(f"{prefix}_{name.upper()}@=@{value}" for name, value in members.items()), 110)
-    return [f"/* {title} */", "enum {", *(f"    {line.replace('@', ' ')}" for line in body), "};", ""]
+    return [f"/* {title} */", "enum {", *(f"    {line}" for line in _members(prefix, members)), "};", ""]
 
 
 def header_text() -> str:
@@ -90,12 +92,11 @@ def header_text() -> str:
     lines += _enumeration(
         "What an event tells, 0 for nothing", "TD_WHAT", {w.name: code for code, w in codes.EVENTS.items()}
     )
+    lines += ["/* Bodies of the messages: where each field begins. */", "enum {"]
     for kind, message in MESSAGES.items():
-        if message.layout():
-            lines += [*_message(kind.name, message), ""]
-        else:
-            lines += [_define(f"TD_{kind.name}_BYTES", 0), ""]
-    lines += ["/* One record of TELEMETRY_DATA. */", *_message("RECORD", messages.Record), ""]
+        lines += _offsets(kind.name, f"TD_{kind.name}", message.layout())
+    lines += _offsets("One record of TELEMETRY_DATA", "TD_RECORD", messages.Record.layout())
+    lines += [*_offsets("Header of an image", "TD_IMAGE", list(image.IMAGE_FIELDS)), "};", ""]
     lines += ["/* Image of a library: header, then speeds, grips, transient and feedback norms f64, counts i16. */"]
     lines += [
         _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),
@@ -105,7 +106,6 @@ def header_text() -> str:
         _define(
             "TD_IMAGE_WALLED_COMMAND", image.WALLED_COMMAND, "of the command limit, for a transient beside a wall"
         ),
-        *_offsets("TD_IMAGE", list(image.IMAGE_FIELDS)),
         "",
         "/* Configuration: magic u32, version u16, count u16, then float64 by these places. */",
         _define("TD_CONFIGURATION_MAGIC", f"0x{configuration.CONFIGURATION_MAGIC:08X}u"),

@@ -79,52 +79,7 @@ class Watch:
             self.still_A_s += transient_A * s.dt_s if abs(transient_A) >= s.stuck_A else 0.0
 
 
-def _hot(w: Watch) -> bool:
-    return w.guard is not None and w.guard.too_hot
-
-
-def _still_hot(w: Watch) -> bool:
-    return w.guard is not None and not w.guard.winding_C <= w.guard.play_limit_C
-
-
-def _bad(w: Watch) -> bool:
-    return w.bad_encoder or w.bad_current
-
-
-def _jumped(w: Watch) -> bool:
-    return not -w.settings.fastest_m_s <= w.step_m_s <= w.settings.fastest_m_s
-
-
-def _stuck(w: Watch) -> bool:
-    return w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s
-
-
-def _open(w: Watch) -> bool:
-    return w.has_grip and not w.raw_grip_N >= w.settings.grip_open_N
-
-
-def _short(w: Watch) -> bool:
-    return w.has_grip and w.raw_grip_N > w.settings.grip_short_N
-
-
-def _loose(w: Watch) -> bool:
-    return w.has_grip and not w.raw_grip_N >= w.settings.grip_min_N
-
-
-def _lost(w: Watch) -> bool:
-    return w.playing and _loose(w)
-
-
-def _too_much(w: Watch) -> bool:
-    return not -w.over_current_A <= w.current_A <= w.over_current_A
-
-
-def _too_little(w: Watch) -> bool:
-    return w.missing_ticks >= w.missing_limit
-
-
-def _stopped(w: Watch) -> bool:
-    return w.emergency_stop
+Test = Callable[[Watch], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,20 +87,37 @@ class Rule:
     """`trips` in any state sends the servo to FAULT at once; there `remains` bars the reset."""
 
     fault: Fault
-    trips: Callable[[Watch], bool]
-    remains: Callable[[Watch], bool]
+    trips: Test
+    remains: Test
 
 
-# The first that trips is the one reported as the servo's fault; each that trips in that tick is an event.
+def _rule(fault: Fault, trips: Test, remains: Test | None = None) -> Rule:
+    """What trips bars the reset too, unless something else does."""
+    return Rule(fault, trips, trips if remains is None else remains)
+
+
+def _loose(w: Watch) -> bool:
+    return w.has_grip and not w.raw_grip_N >= w.settings.grip_min_N
+
+
+# The first that trips is the one reported as the servo's fault; each that trips in that tick is an event. Comparisons
+# with NaN are false: where a reading must lie within a range, its negation is asked.
 FAULTS = (
-    Rule(Fault.EMERGENCY_STOP, _stopped, _stopped),
-    Rule(Fault.BAD_SENSOR, _bad, _bad),
-    Rule(Fault.OVER_CURRENT, _too_much, _too_much),
-    Rule(Fault.OVER_TEMPERATURE, _hot, _still_hot),
-    Rule(Fault.ENCODER_JUMP, _jumped, _jumped),
-    Rule(Fault.ENCODER_STUCK, _stuck, _stuck),
-    Rule(Fault.NO_CURRENT, _too_little, _too_little),
-    Rule(Fault.GRIP_OPEN, _open, _open),
-    Rule(Fault.GRIP_SHORT, _short, _short),
-    Rule(Fault.GRIP_LOST, _lost, _loose),
+    _rule(Fault.EMERGENCY_STOP, lambda w: w.emergency_stop),
+    _rule(Fault.BAD_SENSOR, lambda w: w.bad_encoder or w.bad_current),
+    _rule(Fault.OVER_CURRENT, lambda w: not -w.over_current_A <= w.current_A <= w.over_current_A),
+    _rule(
+        Fault.OVER_TEMPERATURE,
+        lambda w: w.guard is not None and w.guard.too_hot,
+        lambda w: w.guard is not None and not w.guard.winding_C <= w.guard.play_limit_C,
+    ),
+    _rule(Fault.ENCODER_JUMP, lambda w: not -w.settings.fastest_m_s <= w.step_m_s <= w.settings.fastest_m_s),
+    _rule(
+        Fault.ENCODER_STUCK,
+        lambda w: w.still_ticks >= w.still_limit or abs(w.still_A_s) >= w.settings.stuck_A_s,
+    ),
+    _rule(Fault.NO_CURRENT, lambda w: w.missing_ticks >= w.missing_limit),
+    _rule(Fault.GRIP_OPEN, lambda w: w.has_grip and not w.raw_grip_N >= w.settings.grip_open_N),
+    _rule(Fault.GRIP_SHORT, lambda w: w.has_grip and w.raw_grip_N > w.settings.grip_short_N),
+    _rule(Fault.GRIP_LOST, lambda w: w.playing and _loose(w), _loose),
 )

@@ -36,7 +36,7 @@ class Servo:
     Attributes
     ----------
     state, fault : what it does; the fault it latched, None without.
-    counts : how often each notice was given. saturated_ticks : in how many ticks the sum was cut.
+    counts : how often each notice was given.
     play : what was played last, None before anything. scale : how much of it the heat allowed, below 0 with the
         other sign.
     expected_A : current of the amplifier model at the coming switching instant.
@@ -49,7 +49,6 @@ class Servo:
         self.state = State.IDLE
         self.fault: Fault | None = None
         self.counts = dict.fromkeys(Notice, 0)
-        self.saturated_ticks = 0
         self.play: Play | None = None
         self.scale, self.gain, self.wanted_gain, self.expected_A = 0.0, 1.0, 1.0, 0.0
         self.guard = None if s.coil is None else Guard(s.coil, s.dt_s, s.withhold_K, s.least_scale)
@@ -297,10 +296,8 @@ class Servo:
     def _saturation(self, tick: int, cut_A: float, events: tuple[Event, ...]) -> tuple[Event, ...]:
         """Tell once per run of cut ticks."""
         saturated = abs(cut_A) > SATURATED_A
-        if saturated:
-            self.saturated_ticks += 1
-            if not self._was_saturated:
-                events = self._note(events, tick, Notice.COMMAND_SATURATED)
+        if saturated and not self._was_saturated:
+            events = self._note(events, tick, Notice.COMMAND_SATURATED)
         self._was_saturated = saturated
         return events
 

@@ -98,6 +98,14 @@ class Rehearsal(Generic[End]):
             self.step()
         return self
 
+    def ready(self, configuration: bytes, image: bytes) -> Self:
+        """Connected, configured, loaded, checked."""
+        self.connected()
+        self.session.configure(configuration)
+        self.session.upload(image)
+        self.session.checked()
+        return self.until(lambda: self.session.idle, 10.0)
+
     def restart_host(self) -> None:
         """Another process, which knows nothing of the one before."""
         self.session, self.host_alive = Session(self._token), True

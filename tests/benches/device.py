@@ -91,13 +91,8 @@ class World(Rehearsal[CoreDevice]):
     def of(self, kind: type[News]) -> list[News]:
         return [news for news in self.told if isinstance(news, kind)]
 
-    def ready(self, library: bytes = IMAGE, configuration: bytes = CONFIGURATION) -> "World":
-        """Connected, configured, loaded, checked."""
-        self.connected()
-        self.session.configure(configuration)
-        self.session.upload(library)
-        self.session.checked()
-        return self.until(lambda: self.session.idle, 10.0)
+    def ready(self, configuration: bytes = CONFIGURATION, image: bytes = IMAGE) -> "World":
+        return super().ready(configuration, image)
 
     def armed(self, lease_ms: int = 200, gain: float = 1.0) -> "World":
         self.ready()

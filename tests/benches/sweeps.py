@@ -6,25 +6,16 @@ import numpy as np
 
 from controller.record.excitation import sweep_command
 from controller.record.trial_file import write_measurement
+from tests.benches.identification import DEFAULT
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.amplifier import less_dead_band, simulate_current
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
-from transopt.plant.chain import Link
 from transopt.plant.discretise import discretise
-from transopt.plant.drive import drive
-from transopt.plant.hand import Hand, LinearInGrip
 
 DT_S = 1e-4
 POLE_HZ, DELAY_S = 1050.0, 68e-6
 CURRENT_NOISE_A, ACCELERATION_NOISE_M_S2 = 0.005, 0.2
-HAND = Hand(
-    mass_kg=LinearInGrip(0.010, 0.0),
-    skin_stiffness_N_m=LinearInGrip(3000.0, 2000.0),
-    skin_damping_N_s_m=LinearInGrip(6.0, 3.0),
-    arm_stiffness_N_m=LinearInGrip(160.0, 110.0),
-    arm_damping_N_s_m=LinearInGrip(6.0, 3.0),
-)
 
 
 def amplifier_trial(
@@ -52,16 +43,8 @@ def device_columns(grip_N: float, seed: int, *, sign: int = 1, seconds: float = 
 
     The accelerometer's polarity and unit are right.
     """
-    plant = drive(
-        grip_N,
-        hand=HAND,
-        stylus_mass_kg=0.026,
-        moving_mass_kg=0.014,
-        transmission=Link(6e4, 8.0),
-        force_per_current_N_A=1.25,
-    )
     command = sign * sweep_command(1, 2000, seconds, 0.75, DT_S)
-    acceleration, current = discretise(plant, Amplifier(POLE_HZ, 0.0, 6.0), DT_S).rollout(command)
+    acceleration, current = discretise(DEFAULT.plant(grip_N), Amplifier(POLE_HZ, 0.0, 6.0), DT_S).rollout(command)
     random = np.random.default_rng(seed)
     return {
         "time_s": DT_S * np.arange(command.size),

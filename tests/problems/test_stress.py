@@ -3,7 +3,6 @@
 import os
 import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -17,9 +16,6 @@ from problems.stress.run import run_cases, summary
 from tests.benches.commands import Terminal, assert_refused
 from transopt.design.optimum import Designed, optimum
 from transopt.problem.answer import Certificate, Status
-from transopt.problem.limits.command import CommandLimit
-from transopt.problem.limits.current import CurrentLimit
-from transopt.problem.limits.slew import SlewLimit
 from transopt.solvers.choose import prove
 from transopt.solvers.options import SolverOptions
 
@@ -265,13 +261,3 @@ def test_a_seed_of_its_own_is_told_with_the_command_that_repeats_it(terminal: Te
 def test_thousands_of_cases_that_nobody_has_tried_are_certified_or_refused_by_name(terminal: Terminal) -> None:
     outcome = terminal("problems.stress", "--cases", 5000)
     assert outcome.code == 0, outcome.out
-
-
-def test_limits_that_are_no_numbers_are_refused_by_their_names() -> None:
-    for name, make in (
-        ("current_A", CurrentLimit),
-        ("command_A", CommandLimit),
-        ("slew_A_per_s", partial(SlewLimit, dt_s=1e-4)),
-    ):
-        with pytest.raises(ValueError, match=f"limits.{name} = nan"):
-            make(float("nan"))

@@ -1,10 +1,7 @@
-/* The device's core with a compiled plant, on a pseudo-terminal or a socket in real time, or in lock-step.
+/* The device's core with a compiled plant, on a pseudo-terminal or a socket in real time.
  *
  * The program that `transopt-device` builds and starts. Its first line on standard output says where it can be
  * opened. While it runs it obeys lines on standard input: reset (power gone and back), quit.
- *
- * In lock-step time passes only when asked for: standard input brings u32 ticks, u32 size and so many bytes that have
- * arrived, standard output u32 size and the bytes that the device said, u32 little-endian.
  */
 #define _XOPEN_SOURCE 700
 
@@ -20,19 +17,19 @@
 
 #include "link.h"
 #include "plant.h"
-#include "td_bytes.h"
 #include "td_device.h"
 #include "trouble.h"
 
 #define CHUNK 8192
 #define BEHIND_MOST_S 0.25 /* after a longer sleep of the machine time is not caught up */
 #define LINE 128
+#define MOST_A 10.0 /* of the amplifier, current and command */
+#define DT_S 1e-4
 
 typedef struct {
     const char *listen, *plant;
-    double dt_s, current_A, command_A, delay_ms, loss, corruption, reset_s;
+    double delay_ms, loss, corruption, reset_s;
     long seed, boot;
-    bool lock_step;
 } options;
 
 static td_device device;
@@ -76,18 +73,12 @@ static bool parse(int argc, char **argv, options *said)
     for (j = 1; j < argc; j++) {
         const char *name = argv[j], *text = j + 1 < argc ? argv[j + 1] : "";
 
-        if (strcmp(name, "--lock-step") == 0) {
-            said->lock_step = true;
-            continue;
-        }
         j++;
         if (strcmp(name, "--listen") == 0)
             said->listen = text;
         else if (strcmp(name, "--plant") == 0)
             said->plant = text;
-        else if (!number_of(name, "--dt", text, &said->dt_s) && !number_of(name, "--current", text, &said->current_A) &&
-                 !number_of(name, "--command", text, &said->command_A) &&
-                 !number_of(name, "--delay-ms", text, &said->delay_ms) &&
+        else if (!number_of(name, "--delay-ms", text, &said->delay_ms) &&
                  !number_of(name, "--loss", text, &said->loss) &&
                  !number_of(name, "--corruption", text, &said->corruption) &&
                  !number_of(name, "--reset-every", text, &said->reset_s) && !number_of(name, "--seed", text, &seed) &&
@@ -104,12 +95,8 @@ static bool parse(int argc, char **argv, options *said)
 /* Power gone and back: what it knew is lost, the hand and the stylus go on. */
 static void start_device(const options *said)
 {
-    td_port port = {0, {0, 0, 0}, NULL, NULL};
+    const td_port port = {(uint32_t)said->boot + boots++, {MOST_A, MOST_A, DT_S}, NULL, NULL};
 
-    port.boot = (uint32_t)said->boot + boots++;
-    port.hardware.current_A = said->current_A;
-    port.hardware.command_A = said->command_A;
-    port.hardware.dt_s = said->dt_s;
     td_device_start(&device, &port);
     tick = 0;
 }
@@ -123,42 +110,6 @@ static void one_tick(void)
     td_device_step(&device, &readings, &output);
     plant_advance(&body, (double)output.command_A);
 }
-
-/* ------------------------------------------------------------------------------------------------ lock-step */
-
-static bool read_all(uint8_t *bytes, size_t size)
-{
-    return fread(bytes, 1, size, stdin) == size;
-}
-
-static int run_lock_step(void)
-{
-    static uint8_t bytes[TD_OUTPUT_BYTES];
-    uint8_t head[8];
-
-    while (read_all(head, sizeof head)) {
-        uint32_t ticks = td_get_u32(head), size = td_get_u32(head + 4);
-
-        while (size > 0) {
-            const uint32_t part = size < sizeof bytes ? size : (uint32_t)sizeof bytes;
-
-            if (!read_all(bytes, part))
-                return 0;
-            td_device_receive(&device, bytes, part);
-            size -= part;
-        }
-        for (; ticks > 0; ticks--)
-            one_tick();
-        size = (uint32_t)td_device_send(&device, bytes, sizeof bytes);
-        td_put_u32(head, size);
-        fwrite(head, 1, 4, stdout);
-        fwrite(bytes, 1, size, stdout);
-        fflush(stdout);
-    }
-    return 0;
-}
-
-/* ------------------------------------------------------------------------------------------------ real time */
 
 static double now_s(void)
 {
@@ -227,14 +178,14 @@ static int run_real_time(const options *said, port_link *link)
     while (!ended && obey(said)) {
         double time_s = now_s();
 
-        if (time_s - started_s - (double)passed * said->dt_s > BEHIND_MOST_S)
-            started_s = time_s - (double)passed * said->dt_s;
+        if (time_s - started_s - (double)passed * DT_S > BEHIND_MOST_S)
+            started_s = time_s - (double)passed * DT_S;
         if (time_s >= reset_at_s) {
             start_device(said);
             reset_at_s = time_s + said->reset_s;
         }
         exchange(link);
-        for (; (double)(passed + 1) * said->dt_s <= time_s - started_s; passed++)
+        for (; (double)(passed + 1) * DT_S <= time_s - started_s; passed++)
             one_tick();
         exchange(link);
         link_wait(link, 1);
@@ -244,7 +195,7 @@ static int run_real_time(const options *said, port_link *link)
 
 int main(int argc, char **argv)
 {
-    options said = {NULL, NULL, 1e-4, 10.0, 10.0, 0, 0, 0, 0, 0, 1, false};
+    options said = {NULL, NULL, 0, 0, 0, 0, 0, 1};
     static port_link link = {-1, -1, -1, false};
     char name[LINK_NAME], where[LINK_NAME] = "pseudo-terminal";
     const char *wrong;
@@ -265,19 +216,15 @@ int main(int argc, char **argv)
     trouble_start(&to_device, 1e-3 * said.delay_ms, said.loss, said.corruption, 2 * (uint64_t)said.seed);
     trouble_start(&to_host, 1e-3 * said.delay_ms, said.loss, said.corruption, 2 * (uint64_t)said.seed + 1);
     start_device(&said);
-    if (said.lock_step) {
-        result = run_lock_step();
-    } else {
-        if (said.listen != NULL)
-            snprintf(where, sizeof where, "--listen %s", said.listen);
-        wrong = said.listen != NULL ? link_listen(&link, said.listen, name) : link_open_terminal(&link, name);
-        if (wrong != NULL)
-            return fail(where, wrong);
-        printf("%s\n", name);
-        fflush(stdout);
-        result = run_real_time(&said, &link);
-        link_close(&link);
-    }
+    if (said.listen != NULL)
+        snprintf(where, sizeof where, "--listen %s", said.listen);
+    wrong = said.listen != NULL ? link_listen(&link, said.listen, name) : link_open_terminal(&link, name);
+    if (wrong != NULL)
+        return fail(where, wrong);
+    printf("%s\n", name);
+    fflush(stdout);
+    result = run_real_time(&said, &link);
+    link_close(&link);
     plant_free(&body);
     return result;
 }

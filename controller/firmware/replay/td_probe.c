@@ -85,8 +85,6 @@ void td_probe_look(const td_device *device, td_probe_view *view)
     view->events = device->events.number;
     view->oldest_event = td_events_oldest(&device->events);
     view->arrived_bytes = (uint32_t)store->arrived;
-    view->frames = device->decoder.frames;
-    view->bad_frames = device->decoder.bad_frames;
     view->dropped_frames = device->dropped_frames;
     view->lost_frames = device->output.lost;
     view->state = td_device_state(device);

@@ -28,7 +28,6 @@ typedef struct {
     uint32_t boot;
     uint32_t events, oldest_event; /* number of the next event, and of the first that is not acknowledged */
     uint32_t arrived_bytes;        /* of the image on its way */
-    uint32_t frames, bad_frames;   /* of the decoder */
     uint32_t dropped_frames;       /* sound, but not for this session, out of order, or of no meaning */
     uint32_t lost_frames;          /* that found no room to go out */
     uint8_t state, fault;

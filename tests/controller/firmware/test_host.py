@@ -1,7 +1,7 @@
 """The compiled device: its plant against the simulator, its command line, its link."""
 
+import ctypes
 import signal
-import struct
 import subprocess
 import sys
 import time
@@ -15,27 +15,17 @@ import pytest
 
 from controller.cli.device import simulated
 from controller.firmware.build import CORE, FIRMWARE, STRICT, build, sources
-from controller.firmware.core_device import CoreDevice
 from controller.host.driver import Device
-from controller.host.payload import excitation, excitation_settings
 from controller.protocol import messages as m
-from controller.protocol.codes import EVENT_CODES, STATES
-from controller.protocol.configuration import configuration_of
-from controller.protocol.image import image_of, sha256
-from controller.protocol.wire import Decoder, encode
 from controller.record.excitation import sweep_command
-from controller.servo.interface import Notice, State
-from controller.servo.settings import Settings
 from controller.sim.default_device import DEFAULT_DEVICE
 from controller.sim.plant_file import plant_bytes
 from controller.sim.sensors import Sensors
 from controller.sim.simulator import Imperfections, Simulator
 from controller.sim.true_device import Ground, device_of
 from controller.sim.user import Habit, StillHand, TapsInTurn, TapUser
-from controller.waveforms.bank import Bank
 from scripts.campaign.compiled_device import CompiledDevice
 from tests.benches.commands import Terminal, assert_refused
-from tests.benches.device import Talker, checked
 from transopt.base.errors import InputError
 from transopt.library.library import Library
 from transopt.scene.scene import Scene
@@ -53,13 +43,6 @@ def user() -> TapsInTurn:
     return TapsInTurn([(0.2, 3.0), (0.3, 5.0)], 1.2)
 
 
-def hello() -> m.HelloReply:
-    """Of a device without limits of its own."""
-    (reply,) = Talker().put(m.Hello(m.MAGIC, m.PROTOCOL, 3), session=5)
-    assert isinstance(reply, m.HelloReply)
-    return reply
-
-
 def simulator(user: TapsInTurn | StillHand, **others: object) -> Simulator:
     return Simulator(DEFAULT_DEVICE, user, DT_S, imperfections=Imperfections(sensors=QUIET, **others))  # type: ignore[arg-type]
 
@@ -71,134 +54,42 @@ def plant(user: TapsInTurn, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class Stepped:
-    """The compiled device in lock-step."""
+class Sensed(ctypes.Structure):
+    """`td_readings` of td_interface.h."""
 
-    def __init__(self, program: Path, plant: Path) -> None:
-        command = [str(program), "--plant", str(plant), "--lock-step", "--boot", "7"]
-        self._running = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-
-    def turn(self, ticks: int, data: bytes = b"") -> bytes:
-        assert self._running.stdin is not None
-        assert self._running.stdout is not None
-        self._running.stdin.write(struct.pack("<II", ticks, len(data)) + data)
-        self._running.stdin.flush()
-        (size,) = struct.unpack("<I", self._running.stdout.read(4))
-        return self._running.stdout.read(size)
-
-    def close(self) -> int:
-        assert self._running.stdin is not None
-        self._running.stdin.close()
-        ended = self._running.wait(WAIT_S)
-        assert self._running.stdout is not None
-        self._running.stdout.close()
-        return ended
+    _fields_ = (
+        ("tick", ctypes.c_uint64),
+        ("encoder_counts", ctypes.c_int32),
+        *((name, ctypes.c_double) for name in ("grip_N", "current_A", "acceleration_m_s2")),
+        ("emergency_stop", ctypes.c_bool),
+    )
 
 
-class Both:
-    """The program with its compiled plant, and the core on the simulator, told the same at the same ticks."""
-
-    def __init__(self, program: Path, plant: Path, truth: Simulator) -> None:
-        self._compiled, self._core, self._truth = Stepped(program, plant), CoreDevice(7), truth
-        self._decoders = Decoder(), Decoder()
-        self.said: tuple[list[m.Frame], list[m.Frame]] = ([], [])
-        self._sequence = 0
-
-    def turn(self, ticks: int, *told: object) -> None:
-        data = b""
-        for message in told:
-            self._sequence += 1
-            data += encode(m.Frame(self._sequence, 5, message).payload())  # type: ignore[arg-type]
-        self._core.receive(data)
-        for _ in range(ticks):
-            self._truth.advance(self._core.step(self._truth.readings()).command_A)
-        answers = self._compiled.turn(ticks, data), self._core.bytes_to_send()
-        for decoder, said, answer in zip(self._decoders, self.said, answers, strict=True):
-            said += [m.read_frame(payload) for payload in decoder.feed(answer)]
-
-    def armed(self, configuration: bytes, image: bytes) -> None:
-        """Both, with these in force."""
-        hashes = sha256(configuration), sha256(image)
-        chunks = [m.Data(j, image[j : j + m.DATA_LIMIT]) for j in range(0, len(image), m.DATA_LIMIT)]
-        self.turn(0, m.Hello(m.MAGIC, m.PROTOCOL, 3), m.Configure(0, configuration), m.ConfigureCommit(hashes[0]))
-        begin = m.UploadBegin(len(image), hashes[1])
-        self.turn(10, begin, *chunks, m.Commit(), m.Checked(hashes[0]), m.Telemetry(1))
-        self.turn(10, m.Arm(0, 200, 1.0, *hashes))
-
-    def records(self, which: int) -> np.ndarray:  # type: ignore[type-arg]
-        size, rows = m.Record.FORMAT.size, []
-        for frame in self.said[which]:
-            if isinstance(frame.message, m.TelemetryData):
-                data = frame.message.records
-                rows += [m.Record.FORMAT.unpack(data[j : j + size]) for j in range(0, len(data), size)]
-        return np.array(rows)
-
-    def others(self, which: int) -> list[object]:
-        return [frame.message for frame in self.said[which] if not isinstance(frame.message, m.TelemetryData)]
-
-    def close(self) -> int:
-        return self._compiled.close()
-
-
-@pytest.fixture(params=["plain", "checked"])
-def program(request: pytest.FixtureRequest) -> Path:
-    if request.param == "plain":
-        return build("transopt-device", FILES, flags=STRICT)
-    return checked("transopt-device", FILES)
-
-
-def test_taps_go_as_on_the_simulator(
-    program: Path, plant: Path, user: TapsInTurn, stated: Settings, tables: Bank
-) -> None:
-    """Brought up, armed, two taps in one round: the same answers and events, the same motion and commands."""
-    configuration, image = configuration_of(stated), image_of(tables, DT_S, stated.lead_s, 10)
-    both = Both(program, plant, simulator(user))
-    both.armed(configuration, image)
-    for _ in range(118):
-        both.turn(100, m.Lease(0))
-    assert both.close() == 0
-    assert both.others(0) == both.others(1) or _but_for_rounding(both)
-    records = both.records(0), both.records(1)
-    assert records[0].shape == records[1].shape
-    assert len(records[0]) > 11_500
-    assert max(abs(records[0][:, 4])) > 2.0
-    np.testing.assert_allclose(records[0], records[1], rtol=1e-5, atol=1e-5)
-
-
-def test_an_excitation_goes_as_on_the_simulator(program: Path, tmp_path: Path) -> None:
-    """Held still, swept with either sign: the same answers and events, the same motion and commands."""
-    _, hand = simulated(None, [(0.2, 3.0)], 0.0, 0.0, 3, hold_N=3.0)
-    assert hand.grip_N(0.0) == 3.0
-    (tmp_path / "plant").write_bytes(plant_bytes(simulator(hand), hand, hand.period_s))
-    both = Both(program, tmp_path / "plant", simulator(hand))
-    given = excitation(excitation_settings(hello(), None), sweep_command(10, 1500, 0.3, 0.75, DT_S), hello())
-    both.armed(given.configuration, given.image)
-    for negative in (0, 1):
-        both.turn(10, m.Start(negative))
-        for _ in range(31):
-            both.turn(100, m.Lease(0))
-    assert both.close() == 0
-    assert _but_for_rounding(both)
-    codes = [said.code for said in both.others(0) if isinstance(said, m.Event)]
-    assert set(codes) == {EVENT_CODES[Notice.FINISHED]}
-    records = both.records(0), both.records(1)
-    playing = records[0][:, 8] == STATES.index(State.PLAYING)
-    assert int(playing.sum()) == 2 * 3000
-    first, second = np.split(records[0][playing][:, 4], 2)
-    np.testing.assert_array_equal(first, -second)
-    np.testing.assert_allclose(records[0], records[1], rtol=1e-5, atol=1e-5)
-
-
-def _but_for_rounding(both: Both) -> bool:
-    """Speeds and grips of events may differ in their last digits, since sums are taken in another order."""
-    pairs = list(zip(both.others(0), both.others(1), strict=True))
-    events = [(one, other) for one, other in pairs if one != other]
-    for one, other in events:
-        assert isinstance(one, m.Event)
-        assert isinstance(other, m.Event)
-        assert (one.number, one.tick, one.code) == (other.number, other.tick, other.code)
-        np.testing.assert_allclose([one.speed_m_s, one.grip_N], [other.speed_m_s, other.grip_N], rtol=1e-9)
-    return True
+@pytest.mark.parametrize(
+    "hand", [TapsInTurn([(0.2, 3.0), (0.3, 5.0)], 1.2), StillHand()], ids=lambda h: type(h).__name__
+)
+def test_the_compiled_plant_moves_as_the_simulator(hand: TapsInTurn | StillHand, tmp_path: Path) -> None:
+    """Swept by the same commands, in a hand that taps and in one that holds still, over more than one round."""
+    path, room = tmp_path / "plant", ctypes.create_string_buffer(1 << 16)
+    path.write_bytes(plant_bytes(simulator(hand), hand, hand.period_s))
+    library = ctypes.CDLL(str(build("plant", [FIRMWARE / "host" / "plant.c"], flags=STRICT, shared=True)))
+    library.plant_load.restype = ctypes.c_char_p
+    library.plant_read.argtypes = [ctypes.c_char_p, ctypes.c_uint64, ctypes.POINTER(Sensed)]
+    library.plant_advance.argtypes = [ctypes.c_char_p, ctypes.c_double]
+    assert library.plant_load(room, str(path).encode(), ctypes.c_uint64(0)) is None
+    truth, found, sensed = simulator(hand), ([], []), Sensed()
+    for tick, command in enumerate(sweep_command(10, 1500, 1.5, 2.5, DT_S).tolist()):
+        library.plant_read(room, tick, ctypes.byref(sensed))
+        for rows, read in zip(found, (sensed, truth.readings()), strict=True):
+            rows.append((read.encoder_counts, read.grip_N, read.current_A, read.acceleration_m_s2))
+        library.plant_advance(room, command)
+        truth.advance(command)
+    library.plant_free(room)
+    compiled, wanted = map(np.array, found)
+    assert np.ptp(wanted[:, 0]) > 10
+    assert np.ptp(wanted[:, 2]) > 2.0
+    assert np.abs(compiled[:, 0] - wanted[:, 0]).max() <= 1  # where it rounds the other way
+    np.testing.assert_allclose(compiled[:, 1:], wanted[:, 1:], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(("change", "message"), [({"ground": Ground(friction_N=0.1)}, "knows no friction")])
@@ -261,7 +152,7 @@ def test_a_plant_file_cut_short_is_refused(plant: Path, tmp_path: Path) -> None:
     whole = plant.read_bytes()
     for size in (10, 100, len(whole) - 1):
         (tmp_path / "cut").write_bytes(whole[:size])
-        command = [str(program), "--plant", str(tmp_path / "cut"), "--lock-step"]
+        command = [str(program), "--plant", str(tmp_path / "cut")]
         done = subprocess.run(command, input=b"", capture_output=True, check=False, timeout=WAIT_S)
         assert done.returncode == 2
 

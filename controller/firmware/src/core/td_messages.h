@@ -30,12 +30,12 @@ enum {
     TD_KIND_RESET = 10, TD_KIND_GAIN = 11, TD_KIND_TELEMETRY = 12, TD_KIND_PULSE = 13, TD_KIND_CHECKED = 14,
     TD_KIND_EVENT_ACK = 15, TD_KIND_EMERGENCY_STOP = 16, TD_KIND_START = 17, TD_KIND_HELLO_REPLY = 64,
     TD_KIND_DONE = 65, TD_KIND_REFUSED = 66, TD_KIND_UPLOAD_READY = 67, TD_KIND_ACK = 68,
-    TD_KIND_LEASE_REPLY = 69, TD_KIND_EVENT = 70, TD_KIND_TELEMETRY_DATA = 71, TD_KIND_LOG = 72
+    TD_KIND_LEASE_REPLY = 69, TD_KIND_EVENT = 70, TD_KIND_TELEMETRY_DATA = 71, TD_KIND_LOG = 72,
 };
 
 /* State */
 enum {
-    TD_STATE_IDLE = 0, TD_STATE_ARMED = 1, TD_STATE_PLAYING = 2, TD_STATE_FAULT = 3
+    TD_STATE_IDLE = 0, TD_STATE_ARMED = 1, TD_STATE_PLAYING = 2, TD_STATE_FAULT = 3,
 };
 
 /* Reason of REFUSED */
@@ -47,7 +47,8 @@ enum {
     TD_REASON_BAD_OFFSET = 15, TD_REASON_INCOMPLETE = 16, TD_REASON_WRONG_HASH = 17, TD_REASON_BAD_FORMAT = 18,
     TD_REASON_BAD_CONFIGURATION = 19, TD_REASON_BAD_AXES = 20, TD_REASON_BAD_TIMING = 21,
     TD_REASON_OVER_LIMIT = 22, TD_REASON_NO_ZERO_TAIL = 23, TD_REASON_BEYOND_HARDWARE = 24,
-    TD_REASON_ONE_WAVEFORM = 25, TD_REASON_NOT_ARMED = 26, TD_REASON_BY_CONTACT = 27, TD_REASON_STILL_PLAYING = 28
+    TD_REASON_ONE_WAVEFORM = 25, TD_REASON_NOT_ARMED = 26, TD_REASON_BY_CONTACT = 27,
+    TD_REASON_STILL_PLAYING = 28,
 };
 
 /* What an event tells, 0 for nothing */
@@ -57,145 +58,93 @@ enum {
     TD_WHAT_LEASE_LOST = 32, TD_WHAT_PULSE_ENDED = 33, TD_WHAT_PULSE_CUT = 34, TD_WHAT_OVER_TEMPERATURE = 64,
     TD_WHAT_BAD_SENSOR = 65, TD_WHAT_ENCODER_JUMP = 66, TD_WHAT_ENCODER_STUCK = 67, TD_WHAT_GRIP_OPEN = 68,
     TD_WHAT_GRIP_SHORT = 69, TD_WHAT_GRIP_LOST = 70, TD_WHAT_OVER_CURRENT = 71, TD_WHAT_NO_CURRENT = 72,
-    TD_WHAT_EMERGENCY_STOP = 73
+    TD_WHAT_EMERGENCY_STOP = 73,
 };
 
-#define TD_HELLO_MAGIC 0 /* u32 */
-#define TD_HELLO_PROTOCOL 4 /* u16 */
-#define TD_HELLO_NONCE 6 /* u32 */
-#define TD_HELLO_BYTES 10
-
-#define TD_CONFIGURE_OFFSET 0 /* u32 */
-#define TD_CONFIGURE_DATA 4 /* bytes up to the end */
-#define TD_CONFIGURE_BYTES 4 /* and more */
-
-#define TD_CONFIGURE_COMMIT_SHA256 0 /* 32 bytes */
-#define TD_CONFIGURE_COMMIT_BYTES 32
-
-#define TD_UPLOAD_BEGIN_LENGTH 0 /* u32 */
-#define TD_UPLOAD_BEGIN_SHA256 4 /* 32 bytes */
-#define TD_UPLOAD_BEGIN_BYTES 36
-
-#define TD_DATA_OFFSET 0 /* u32 */
-#define TD_DATA_DATA 4 /* bytes up to the end */
-#define TD_DATA_BYTES 4 /* and more */
-
-#define TD_COMMIT_BYTES 0
-
-#define TD_ARM_TRIAL 0 /* u8 */
-#define TD_ARM_LEASE_MS 1 /* u16 */
-#define TD_ARM_GAIN 3 /* f64 */
-#define TD_ARM_CONFIGURATION_SHA256 11 /* 32 bytes */
-#define TD_ARM_LIBRARY_SHA256 43 /* 32 bytes */
-#define TD_ARM_BYTES 75
-
-#define TD_LEASE_HOST_US 0 /* u64 */
-#define TD_LEASE_BYTES 8
-
-#define TD_DISARM_BYTES 0
-
-#define TD_RESET_BYTES 0
-
-#define TD_GAIN_GAIN 0 /* f64 */
-#define TD_GAIN_BYTES 8
-
-#define TD_TELEMETRY_EVERY 0 /* u16 */
-#define TD_TELEMETRY_BYTES 2
-
-#define TD_PULSE_CURRENT_A 0 /* f64 */
-#define TD_PULSE_TICKS 8 /* u16 */
-#define TD_PULSE_BYTES 10
-
-#define TD_CHECKED_CONFIGURATION_SHA256 0 /* 32 bytes */
-#define TD_CHECKED_BYTES 32
-
-#define TD_EVENT_ACK_WANTED 0 /* u32 */
-#define TD_EVENT_ACK_BYTES 4
-
-#define TD_EMERGENCY_STOP_BYTES 0
-
-#define TD_START_NEGATIVE 0 /* u8 */
-#define TD_START_BYTES 1
-
-#define TD_HELLO_REPLY_MAGIC 0 /* u32 */
-#define TD_HELLO_REPLY_PROTOCOL 4 /* u16 */
-#define TD_HELLO_REPLY_REAL_BYTES 6 /* u8 */
-#define TD_HELLO_REPLY_STATE 7 /* u8 */
-#define TD_HELLO_REPLY_FAULT 8 /* u8 */
-#define TD_HELLO_REPLY_BODY_LIMIT 9 /* u16 */
-#define TD_HELLO_REPLY_UPLOAD_FRAMES 11 /* u16 */
-#define TD_HELLO_REPLY_FIRMWARE 13 /* u32 */
-#define TD_HELLO_REPLY_BOOT 17 /* u32 */
-#define TD_HELLO_REPLY_NONCE 21 /* u32 */
-#define TD_HELLO_REPLY_EVENT 25 /* u32 */
-#define TD_HELLO_REPLY_CAPACITY_SAMPLES 29 /* u32 */
-#define TD_HELLO_REPLY_CAPACITY_WAVEFORM_SAMPLES 33 /* u32 */
-#define TD_HELLO_REPLY_CAPACITY_SPEEDS 37 /* u16 */
-#define TD_HELLO_REPLY_CAPACITY_GRIPS 39 /* u16 */
-#define TD_HELLO_REPLY_CAPACITY_APPROACH_TICKS 41 /* u16 */
-#define TD_HELLO_REPLY_CAPACITY_LATENCY_TICKS 43 /* u16 */
-#define TD_HELLO_REPLY_TICK 45 /* u64 */
-#define TD_HELLO_REPLY_DT_S 53 /* f64 */
-#define TD_HELLO_REPLY_CURRENT_LIMIT_A 61 /* f64 */
-#define TD_HELLO_REPLY_COMMAND_LIMIT_A 69 /* f64 */
-#define TD_HELLO_REPLY_CONFIGURATION_SHA256 77 /* 32 bytes */
-#define TD_HELLO_REPLY_LIBRARY_SHA256 109 /* 32 bytes */
-#define TD_HELLO_REPLY_CHECKED_SHA256 141 /* 32 bytes */
-#define TD_HELLO_REPLY_BYTES 173
-
-#define TD_DONE_REQUEST 0 /* u8 */
-#define TD_DONE_STATE 1 /* u8 */
-#define TD_DONE_FAULT 2 /* u8 */
-#define TD_DONE_BYTES 3
-
-#define TD_REFUSED_REQUEST 0 /* u8 */
-#define TD_REFUSED_REASON 1 /* u8 */
-#define TD_REFUSED_STATE 2 /* u8 */
-#define TD_REFUSED_FAULT 3 /* u8 */
-#define TD_REFUSED_VALUE 4 /* f64 */
-#define TD_REFUSED_BYTES 12
-
-#define TD_UPLOAD_READY_OFFSET 0 /* u32 */
-#define TD_UPLOAD_READY_BYTES 4
-
-#define TD_ACK_WANTED 0 /* u32 */
-#define TD_ACK_BYTES 4
-
-#define TD_LEASE_REPLY_HOST_US 0 /* u64 */
-#define TD_LEASE_REPLY_TICK 8 /* u64 */
-#define TD_LEASE_REPLY_STATE 16 /* u8 */
-#define TD_LEASE_REPLY_FAULT 17 /* u8 */
-#define TD_LEASE_REPLY_BYTES 18
-
-#define TD_EVENT_NUMBER 0 /* u32 */
-#define TD_EVENT_TICK 4 /* u64 */
-#define TD_EVENT_CODE 12 /* u8 */
-#define TD_EVENT_LOST 13 /* u16 */
-#define TD_EVENT_SPEED_M_S 15 /* f64 */
-#define TD_EVENT_GRIP_N 23 /* f64 */
-#define TD_EVENT_BYTES 31
-
-#define TD_TELEMETRY_DATA_FIRST 0 /* u32 */
-#define TD_TELEMETRY_DATA_TICK 4 /* u64 */
-#define TD_TELEMETRY_DATA_EVERY 12 /* u16 */
-#define TD_TELEMETRY_DATA_RECORDS 14 /* bytes up to the end */
-#define TD_TELEMETRY_DATA_BYTES 14 /* and more */
-
-#define TD_LOG_TEXT 0 /* bytes up to the end */
-#define TD_LOG_BYTES 0 /* and more */
-
-/* One record of TELEMETRY_DATA. */
-#define TD_RECORD_ENCODER_COUNTS 0 /* i32 */
-#define TD_RECORD_GRIP_N 4 /* f32 */
-#define TD_RECORD_MEASURED_CURRENT_A 8 /* f32 */
-#define TD_RECORD_ACCELERATION_M_S2 12 /* f32 */
-#define TD_RECORD_COMMAND_A 16 /* f32 */
-#define TD_RECORD_TRANSIENT_A 20 /* f32 */
-#define TD_RECORD_FEEDBACK_A 24 /* f32 */
-#define TD_RECORD_WINDING_C 28 /* f32 */
-#define TD_RECORD_STATE 32 /* u8 */
-#define TD_RECORD_FLAGS 33 /* u8 */
-#define TD_RECORD_BYTES 34
+/* Bodies of the messages: where each field begins. */
+enum {
+    /* HELLO: magic u32, protocol u16, nonce u32 */
+    TD_HELLO_MAGIC = 0, TD_HELLO_PROTOCOL = 4, TD_HELLO_NONCE = 6, TD_HELLO_BYTES = 10,
+    /* CONFIGURE: offset u32, data bytes up to the end */
+    TD_CONFIGURE_OFFSET = 0, TD_CONFIGURE_DATA = 4, TD_CONFIGURE_BYTES = 4,
+    /* CONFIGURE_COMMIT: sha256 32 bytes */
+    TD_CONFIGURE_COMMIT_SHA256 = 0, TD_CONFIGURE_COMMIT_BYTES = 32,
+    /* UPLOAD_BEGIN: length u32, sha256 32 bytes */
+    TD_UPLOAD_BEGIN_LENGTH = 0, TD_UPLOAD_BEGIN_SHA256 = 4, TD_UPLOAD_BEGIN_BYTES = 36,
+    /* DATA: offset u32, data bytes up to the end */
+    TD_DATA_OFFSET = 0, TD_DATA_DATA = 4, TD_DATA_BYTES = 4,
+    /* COMMIT: nothing */
+    TD_COMMIT_BYTES = 0,
+    /* ARM: trial u8, lease_ms u16, gain f64, configuration_sha256 32 bytes, library_sha256 32 bytes */
+    TD_ARM_TRIAL = 0, TD_ARM_LEASE_MS = 1, TD_ARM_GAIN = 3, TD_ARM_CONFIGURATION_SHA256 = 11,
+    TD_ARM_LIBRARY_SHA256 = 43, TD_ARM_BYTES = 75,
+    /* LEASE: host_us u64 */
+    TD_LEASE_HOST_US = 0, TD_LEASE_BYTES = 8,
+    /* DISARM: nothing */
+    TD_DISARM_BYTES = 0,
+    /* RESET: nothing */
+    TD_RESET_BYTES = 0,
+    /* GAIN: gain f64 */
+    TD_GAIN_GAIN = 0, TD_GAIN_BYTES = 8,
+    /* TELEMETRY: every u16 */
+    TD_TELEMETRY_EVERY = 0, TD_TELEMETRY_BYTES = 2,
+    /* PULSE: current_A f64, ticks u16 */
+    TD_PULSE_CURRENT_A = 0, TD_PULSE_TICKS = 8, TD_PULSE_BYTES = 10,
+    /* CHECKED: configuration_sha256 32 bytes */
+    TD_CHECKED_CONFIGURATION_SHA256 = 0, TD_CHECKED_BYTES = 32,
+    /* EVENT_ACK: wanted u32 */
+    TD_EVENT_ACK_WANTED = 0, TD_EVENT_ACK_BYTES = 4,
+    /* EMERGENCY_STOP: nothing */
+    TD_EMERGENCY_STOP_BYTES = 0,
+    /* START: negative u8 */
+    TD_START_NEGATIVE = 0, TD_START_BYTES = 1,
+    /* HELLO_REPLY: magic u32, protocol u16, real_bytes u8, state u8, fault u8, body_limit u16, upload_frames u16,
+     * firmware u32, boot u32, nonce u32, event u32, capacity_samples u32, capacity_waveform_samples u32,
+     * capacity_speeds u16, capacity_grips u16, capacity_approach_ticks u16, capacity_latency_ticks u16, tick u64,
+     * dt_s f64, current_limit_A f64, command_limit_A f64, configuration_sha256 32 bytes, library_sha256 32 bytes,
+     * checked_sha256 32 bytes */
+    TD_HELLO_REPLY_MAGIC = 0, TD_HELLO_REPLY_PROTOCOL = 4, TD_HELLO_REPLY_REAL_BYTES = 6,
+    TD_HELLO_REPLY_STATE = 7, TD_HELLO_REPLY_FAULT = 8, TD_HELLO_REPLY_BODY_LIMIT = 9,
+    TD_HELLO_REPLY_UPLOAD_FRAMES = 11, TD_HELLO_REPLY_FIRMWARE = 13, TD_HELLO_REPLY_BOOT = 17,
+    TD_HELLO_REPLY_NONCE = 21, TD_HELLO_REPLY_EVENT = 25, TD_HELLO_REPLY_CAPACITY_SAMPLES = 29,
+    TD_HELLO_REPLY_CAPACITY_WAVEFORM_SAMPLES = 33, TD_HELLO_REPLY_CAPACITY_SPEEDS = 37,
+    TD_HELLO_REPLY_CAPACITY_GRIPS = 39, TD_HELLO_REPLY_CAPACITY_APPROACH_TICKS = 41,
+    TD_HELLO_REPLY_CAPACITY_LATENCY_TICKS = 43, TD_HELLO_REPLY_TICK = 45, TD_HELLO_REPLY_DT_S = 53,
+    TD_HELLO_REPLY_CURRENT_LIMIT_A = 61, TD_HELLO_REPLY_COMMAND_LIMIT_A = 69,
+    TD_HELLO_REPLY_CONFIGURATION_SHA256 = 77, TD_HELLO_REPLY_LIBRARY_SHA256 = 109,
+    TD_HELLO_REPLY_CHECKED_SHA256 = 141, TD_HELLO_REPLY_BYTES = 173,
+    /* DONE: request u8, state u8, fault u8 */
+    TD_DONE_REQUEST = 0, TD_DONE_STATE = 1, TD_DONE_FAULT = 2, TD_DONE_BYTES = 3,
+    /* REFUSED: request u8, reason u8, state u8, fault u8, value f64 */
+    TD_REFUSED_REQUEST = 0, TD_REFUSED_REASON = 1, TD_REFUSED_STATE = 2, TD_REFUSED_FAULT = 3,
+    TD_REFUSED_VALUE = 4, TD_REFUSED_BYTES = 12,
+    /* UPLOAD_READY: offset u32 */
+    TD_UPLOAD_READY_OFFSET = 0, TD_UPLOAD_READY_BYTES = 4,
+    /* ACK: wanted u32 */
+    TD_ACK_WANTED = 0, TD_ACK_BYTES = 4,
+    /* LEASE_REPLY: host_us u64, tick u64, state u8, fault u8 */
+    TD_LEASE_REPLY_HOST_US = 0, TD_LEASE_REPLY_TICK = 8, TD_LEASE_REPLY_STATE = 16, TD_LEASE_REPLY_FAULT = 17,
+    TD_LEASE_REPLY_BYTES = 18,
+    /* EVENT: number u32, tick u64, code u8, lost u16, speed_m_s f64, grip_N f64 */
+    TD_EVENT_NUMBER = 0, TD_EVENT_TICK = 4, TD_EVENT_CODE = 12, TD_EVENT_LOST = 13, TD_EVENT_SPEED_M_S = 15,
+    TD_EVENT_GRIP_N = 23, TD_EVENT_BYTES = 31,
+    /* TELEMETRY_DATA: first u32, tick u64, every u16, records bytes up to the end */
+    TD_TELEMETRY_DATA_FIRST = 0, TD_TELEMETRY_DATA_TICK = 4, TD_TELEMETRY_DATA_EVERY = 12,
+    TD_TELEMETRY_DATA_RECORDS = 14, TD_TELEMETRY_DATA_BYTES = 14,
+    /* LOG: text bytes up to the end */
+    TD_LOG_TEXT = 0, TD_LOG_BYTES = 0,
+    /* One record of TELEMETRY_DATA: encoder_counts i32, grip_N f32, measured_current_A f32, acceleration_m_s2
+     * f32, command_A f32, transient_A f32, feedback_A f32, winding_C f32, state u8, flags u8 */
+    TD_RECORD_ENCODER_COUNTS = 0, TD_RECORD_GRIP_N = 4, TD_RECORD_MEASURED_CURRENT_A = 8,
+    TD_RECORD_ACCELERATION_M_S2 = 12, TD_RECORD_COMMAND_A = 16, TD_RECORD_TRANSIENT_A = 20,
+    TD_RECORD_FEEDBACK_A = 24, TD_RECORD_WINDING_C = 28, TD_RECORD_STATE = 32, TD_RECORD_FLAGS = 33,
+    TD_RECORD_BYTES = 34,
+    /* Header of an image: magic u32, version u16, flags u16, speeds u16, grips u16, samples u32, tail_samples
+     * u32, reserved u32, dt_s f64, lead_s f64, scale_A f64, grip_min_N f64 */
+    TD_IMAGE_MAGIC = 0, TD_IMAGE_VERSION = 4, TD_IMAGE_FLAGS = 6, TD_IMAGE_SPEEDS = 8, TD_IMAGE_GRIPS = 10,
+    TD_IMAGE_SAMPLES = 12, TD_IMAGE_TAIL_SAMPLES = 16, TD_IMAGE_RESERVED = 20, TD_IMAGE_DT_S = 24,
+    TD_IMAGE_LEAD_S = 32, TD_IMAGE_SCALE_A = 40, TD_IMAGE_GRIP_MIN_N = 48, TD_IMAGE_BYTES = 56,
+};
 
 /* Image of a library: header, then speeds, grips, transient and feedback norms f64, counts i16. */
 #define TD_IMAGE_MAGIC_VALUE 0x4D494E54u
@@ -203,19 +152,6 @@ enum {
 #define TD_IMAGE_BY_GRIP 1 /* flag */
 #define TD_IMAGE_NEAREST 2 /* flag */
 #define TD_IMAGE_WALLED_COMMAND 2.0 /* of the command limit, for a transient beside a wall */
-#define TD_IMAGE_MAGIC 0 /* u32 */
-#define TD_IMAGE_VERSION 4 /* u16 */
-#define TD_IMAGE_FLAGS 6 /* u16 */
-#define TD_IMAGE_SPEEDS 8 /* u16 */
-#define TD_IMAGE_GRIPS 10 /* u16 */
-#define TD_IMAGE_SAMPLES 12 /* u32 */
-#define TD_IMAGE_TAIL_SAMPLES 16 /* u32 */
-#define TD_IMAGE_RESERVED 20 /* u32 */
-#define TD_IMAGE_DT_S 24 /* f64 */
-#define TD_IMAGE_LEAD_S 32 /* f64 */
-#define TD_IMAGE_SCALE_A 40 /* f64 */
-#define TD_IMAGE_GRIP_MIN_N 48 /* f64 */
-#define TD_IMAGE_BYTES 56
 
 /* Configuration: magic u32, version u16, count u16, then float64 by these places. */
 #define TD_CONFIGURATION_MAGIC 0x46434E54u
@@ -250,7 +186,7 @@ enum {
     TD_CFG_APPROACH_SLOPE_1 = 77, TD_CFG_APPROACH_SLOPE_2 = 78, TD_CFG_GUARD_TICKS = 79, TD_CFG_GUARD_BY_W = 80,
     TD_CFG_GUARD_A11 = 81, TD_CFG_GUARD_A12 = 82, TD_CFG_GUARD_A21 = 83, TD_CFG_GUARD_A22 = 84,
     TD_CFG_GUARD_INFLOW_C = 85, TD_CFG_GUARD_COLD = 86, TD_CFG_GUARD_RISE_K = 87, TD_CFG_GUARD_FROM_HOUSING = 88,
-    TD_CFG_GUARD_LIMIT_C = 89, TD_CFG_GUARD_PLAY_LIMIT_C = 90, TD_CFG_COUNT = 91
+    TD_CFG_GUARD_LIMIT_C = 89, TD_CFG_GUARD_PLAY_LIMIT_C = 90, TD_CFG_COUNT = 91,
 };
 
 /* What a device holds; a port may set less with -D, HELLO_REPLY tells. */

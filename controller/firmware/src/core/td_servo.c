@@ -304,11 +304,8 @@ static void saturation(td_servo *servo, td_output *output, uint64_t tick, td_rea
 {
     const bool saturated = td_size(cut_A) > (td_real)SATURATED_A;
 
-    if (saturated) {
-        servo->saturated_ticks++;
-        if (!servo->was_saturated)
-            note(servo, output, tick, TD_WHAT_COMMAND_SATURATED, (td_real)NAN, (td_real)NAN);
-    }
+    if (saturated && !servo->was_saturated)
+        note(servo, output, tick, TD_WHAT_COMMAND_SATURATED, (td_real)NAN, (td_real)NAN);
     servo->was_saturated = saturated;
 }
 

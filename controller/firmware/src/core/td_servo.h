@@ -25,7 +25,6 @@ typedef struct {
     uint8_t fault;                 /* the first that tripped, TD_NO_FAULT without */
     uint32_t latched;              /* all that tripped, see td_fault_bit */
     uint32_t counts[TD_NOTICES];   /* how often each notice was given, modulo 2^32 */
-    uint32_t saturated_ticks;      /* in how many ticks the sum was cut, modulo 2^32 */
     td_wide gain, wanted_gain;     /* in force; it follows the wanted one, in steps that would add up their rounding */
     td_real scale;                 /* how much of the transient the heat allowed */
     td_real expected_A;            /* current of the amplifier model at the coming switching instant */
