@@ -49,7 +49,7 @@ static void run(FILE *file)
                     arrays[9], arrays[10], arrays[11], arrays[12], arrays[13], arrays[14], arrays[15], arrays[16],
                     arrays[17], numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]};
     const size_t N = (size_t)q.stages, rows = (N + 1) * (size_t)q.rows;
-    const tr_options options = {60, 1e-9};
+    const tr_options options = {60, 1e-9, NULL};
     tr_result r = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),
                    0, 0.0, 0.0, 0.0};
     /* A result that is not written, as of a breakdown at once, is zero as from Python. */
@@ -61,7 +61,7 @@ static void run(FILE *file)
     if (!q.rows && !q.nodes) {
         workspace = doubles(tr_workspace(&q));
         for (int factored = 0; factored < 2; factored++) {
-            const int linear = tr_linear(&q, 1e-9, factored, workspace, &r);
+            const int linear = tr_linear(&q, &options, factored, workspace, &r);
             tell(factored ? "again" : "linear", linear, &r, q.stages);
             if (linear > TR_ACCURACY) break;
         }

@@ -21,6 +21,8 @@ from pathlib import Path
 import numpy as np
 
 import problems
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.plant.wall import reference_course
 from transopt.problem import stage_data
@@ -60,6 +62,17 @@ def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
     )
 
 
+def moved(stages: Stages, lower: float, upper: float) -> Stages:
+    """The same problem with all its limits moved."""
+    by = {"lower": lower, "upper": upper}
+    return replace(stages, arrays=stages.arrays | {name: stages.arrays[name] + value for name, value in by.items()})
+
+
+def at_the_end(bounds: FloatArray) -> FloatArray:
+    """(N + 1, rows) bounds with those of stage N - 1 at stage N too."""
+    return np.concatenate([bounds[:-1], bounds[-2:-1]])
+
+
 def cases() -> Iterator[Stages]:
     found = {name: hardest(name) for name in SCENES}
     plain = found["wood_on_foam"].without("temperature")
@@ -71,7 +84,10 @@ def cases() -> Iterator[Stages]:
         yield stage_data.stages(shortened(plain, stages))
         yield without_limits(shortened(plain, stages))
     tight = stage_data.stages(found["walled"])
-    yield replace(tight, arrays=tight.arrays | {"upper": tight.arrays["upper"] - 2.0})  # below the lower limits
+    yield moved(tight, 2.0, 2.0)  # away from rest, where all hand-overs end: nothing meets them
+    yield moved(tight, 0.0, -2.0)  # the upper ones below the lower ones: no limits
+    # At the last instant, which no command moves any more, the limits of the one before.
+    yield replace(tight, arrays=tight.arrays | {name: at_the_end(tight.arrays[name]) for name in ("lower", "upper")})
     nothing = np.full_like(plain.reference_m_s2, np.nan)
     given = stage_data.stages(plain)
     yield replace(given, arrays=given.arrays | {"reference": nothing})
@@ -92,7 +108,10 @@ def written(stages: Stages) -> bytes:
 def expected(stages: Stages) -> list[list[float]]:
     """What the installed extension says of a problem, as the driver prints it."""
     buffers = extension.Buffers(stages.sizes)
-    answers = [extension.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)]
+    try:
+        answers = [extension.interior_point(stages, buffers, tolerance=1e-9, max_iterations=60)]
+    except InputError:
+        return [[extension.NO_BOUNDS, 0, 0.0, 0.0]]
     sums = [buffers.command.sum()]
     if not stages.sizes["rows"] and not stages.sizes["nodes"]:
         run = extension.LinearPass(stages)

@@ -84,14 +84,18 @@ def disarmed_by_ctrl_c(device: "Device") -> Iterator[None]:
     Raises
     ------
     StoppedError : that happened.
+    KeyboardInterrupt : the device is a simulated one.
     """
     from controller.servo.interface import State
 
     try:
         yield
     except KeyboardInterrupt:
+        if device.harmless:
+            raise  # a simulation that is stopped has nothing to tell
         if device.state is not State.FAULT:
             device.disarm()
+        terminal.takes_its_time()  # for what was recorded until then
         raise StoppedError from None
 
 

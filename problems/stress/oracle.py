@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
+from transopt.base import apart
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import inside
 
 MOST_STAGES = 700  # of the linear program
 LONGEST_S = 60.0  # of the linear program
+LATE_S = 20.0  # beyond that: it does not come back
 CLEARLY = 1e-4  # of the limits' width: room that no rounding of either method makes
 DECIDED = (0, 2)  # status of scipy's linprog: an optimum, or a proof that there is none
 
@@ -45,14 +47,18 @@ def admits_a_command(problem: TransientProblem, *, ignoring_heat: bool = False) 
         return Verdict("", decided=not inside(problem, nothing, only="temperature"))
     if problem.grid.stages > MOST_STAGES:
         return Verdict("", decided=False)
-    room = _room(problem)
+    try:
+        # Whatever the method's native code does, prints or waits for, stays in a process of its own.
+        room = apart.call(_room, problem, LONGEST_S, within_s=LONGEST_S + LATE_S)
+    except apart.UnansweredError:
+        room = None
     if room is None:
         return Verdict("", decided=False)
     way_out = f"a command keeps all limits with {room:.1e} of them to spare" if room > CLEARLY else ""
     return Verdict(way_out, decided=True)
 
 
-def _room(problem: TransientProblem) -> float | None:
+def _room(problem: TransientProblem, longest_s: float) -> float | None:
     """Largest share s of every limit that can be left unused: min over limits of 1 - |value| / limit.
 
     Minus infinity if the hand-over cannot be met at all, None if the linear program ended without deciding it.
@@ -97,7 +103,7 @@ def _room(problem: TransientProblem) -> float | None:
         b_eq=asked / unit,
         bounds=[*[(-1.0, 1.0)] * N, (None, 1.0)],
         method="highs",
-        options={"time_limit": LONGEST_S},
+        options={"time_limit": longest_s},
     )
     if found.status not in DECIDED:
         return None

@@ -7,6 +7,7 @@ import signal
 import socket
 import stat
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -114,11 +115,13 @@ def staging_folder(folder: Path) -> Iterator[Path]:
     for name, process in _staged(folder):
         if not _runs(process):
             shutil.rmtree(folder / name, ignore_errors=True)
-    staging = Path(tempfile.mkdtemp(dir=folder, prefix=f"{STAGING}{_computer()}-{os.getpid()}-"))
+    with ctrl_c_waits():
+        staging = Path(tempfile.mkdtemp(dir=folder, prefix=f"{STAGING}{_computer()}-{os.getpid()}-"))
     try:
         yield staging
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        with ctrl_c_waits():
+            shutil.rmtree(staging, ignore_errors=True)
 
 
 def _computer() -> str:
@@ -150,15 +153,30 @@ def _runs(process: int) -> bool:
 
 @contextmanager
 def ctrl_c_waits() -> Iterator[None]:
-    """A Ctrl-C that comes inside is delivered at the end; processes started inside never see one."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield  # Windows has no signal masks
-        return
-    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """A Ctrl-C or SIGTERM that comes inside is answered at the end; processes started inside never see a Ctrl-C.
+
+    A Ctrl-C is held back in this thread, which a process started here inherits. The system may hand a signal to
+    another thread, and Python then answers it in the main thread all the same: so the answers are put off too.
+    """
+    waiting = [number for number in (signal.SIGINT, signal.SIGTERM) if _answered_here(number)]
+    came: list[int] = []
+    masks = hasattr(signal, "pthread_sigmask")  # Windows has no signal masks
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else set()
+    answers = {number: signal.signal(number, lambda given, _: came.append(given)) for number in waiting}
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+        for number, answer in answers.items():
+            signal.signal(number, answer)
+        for given in came:
+            signal.raise_signal(given)
+
+
+def _answered_here(number: int) -> bool:
+    """Whether a signal has an answer in Python, and this is the thread that gives it."""
+    return threading.current_thread() is threading.main_thread() and callable(signal.getsignal(number))
 
 
 def without_nan(value: Any) -> Any:

@@ -1,12 +1,14 @@
 """What the command lines share: the console, folders that can be written, errors in one line."""
 
+import faulthandler
 import io
 import os
 import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -14,8 +16,10 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from transopt.base import apart
 from transopt.base.errors import InputError
 
+LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
 
 
@@ -69,7 +73,7 @@ def run(app: Callable[..., object]) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback.
 
     The process ends with the code that `app` returns (0 if it returns none), with 2 after an error of the user's,
-    with 130 after Ctrl-C.
+    with 130 after Ctrl-C, with 128 and its number after another signal that asks it to end.
 
     Parameters
     ----------
@@ -82,34 +86,95 @@ def run(app: Callable[..., object]) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # SIGTERM is answered like Ctrl-C: no process is left behind, and nothing half written.
-    ours = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)) if ours else None
+    with _signals_end_it() as came:
+        code = _code(app, came)
+        if came:
+            _leave(code)
+    sys.exit(code)
+
+
+def takes_its_time() -> None:
+    """A signal has been answered by what a command does at its end anyway, tables and figures: it may finish that."""
+    faulthandler.cancel_dump_traceback_later()
+
+
+def _code(app: Callable[..., object], came: list[int]) -> int:
+    """The exit code of a command line, its errors said."""
     try:
         code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
     except InputError as error:
         typer.echo(f"error: {harmless(str(error))}", err=True)
-        sys.exit(2)
+        return 2
     except _ClickException as error:
         _refuse(error)
+        return 2
     except (KeyboardInterrupt, typer.Abort):
-        sys.exit(130)
-    else:
-        sys.exit(code if isinstance(code, int) else 0)
-    finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+        return 130
+    except SystemExit as stop:
+        if not isinstance(stop.code, int | None):
+            raise
+        return stop.code or 0
+    except Exception:
+        # What a signal cuts short may call it by another name: an import that fails, a file that ends.
+        if not came:
+            raise
+        return 128 + came[0]
+    return code if isinstance(code, int) else 0
 
 
-def _refuse(error: Any) -> NoReturn:
-    """End with one line about a command, option or value that does not exist, or with the help it needs."""
+def _leave(code: int) -> NoReturn:
+    """End the process at once: all is tidied up, and what Python does at its own end can take a second."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    apart.end()
+    os._exit(code)
+
+
+@contextmanager
+def _signals_end_it() -> Iterator[list[int]]:
+    """SIGINT, SIGTERM and SIGHUP raise an exception, so that all that is open is tidied up on the way out.
+
+    If the process has not ended `LAST_S` after the first of them, because a library has swallowed the exception or
+    does not come back, it ends at once, unless the command `takes_its_time`. Yields the signals that came.
+    """
+    came: list[int] = []
+
+    def end(number: int, _: object) -> None:
+        came.append(number)
+        if len(came) == 1:
+            # A thread without Python in it, which native code cannot hold up.
+            faulthandler.dump_traceback_later(LAST_S, exit=True, file=nothing)
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        sys.exit(128 + number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+    asked = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in asked}
+    with Path(os.devnull).open("w") as nothing:
+        try:
+            for number, answer in before.items():
+                if answer is not signal.SIG_IGN:  # as in the background of a shell
+                    signal.signal(number, end)
+            yield came
+        finally:
+            for number, answer in before.items():
+                signal.signal(number, answer)
+            if came:
+                faulthandler.cancel_dump_traceback_later()
+
+
+def _refuse(error: Any) -> None:
+    """Say in one line which command, option or value does not exist, or print the help that it needs."""
     said: str = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
         # Its message is the help, which Rich has printed already.
         typer.echo(said, err=True, nl=bool(said))
-        sys.exit(2)
+        return
     context = getattr(error, "ctx", None)
     asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
     words = " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
     typer.echo(f"error: {harmless(words)}{asking}", err=True)
-    sys.exit(2)

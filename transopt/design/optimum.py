@@ -246,7 +246,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     free_proof = certify(problem, free.command_A, free.multipliers) if inside_all else None
     if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
-        other = unlimited.solve_in_casadi(small)
+        other = unlimited.solve_apart(small)
         its_proof = certify(problem, other.command_A, other.multipliers)
         if inside(problem, other.command_A) and its_proof.relative_gap < free_proof.relative_gap:
             free, free_proof = other, its_proof

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.units import unit_of
 from transopt.design.entry import replayed
 from transopt.design.explain import Change, Remedy
 from transopt.design.optimum import optimum
@@ -23,7 +24,6 @@ from transopt.problem.answer import Status
 from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import Replay
-from transopt.scene.keys import unit_of
 from transopt.solvers.options import SolverOptions, TrialOptions
 
 MOST_S = 5.0  # of a processor's time for the trials of one entry; the one that runs then is the last

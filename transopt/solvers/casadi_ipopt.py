@@ -8,11 +8,9 @@ import numpy as np
 
 from transopt.problem.answer import Solution, Status
 from transopt.problem.problem import TransientProblem
-from transopt.solvers.options import SolverOptions
+from transopt.solvers.options import SolverOptions, most_time_s
 from transopt.solvers.program import Shape, program_shape, state_program
 from transopt.solvers.statement import state
-
-LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
 
 STATUS = {
     "Solve_Succeeded": Status.OPTIMAL,
@@ -47,7 +45,7 @@ def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
                 "tol": options.tolerance,
                 "max_iter": options.max_iterations,
                 # Far from any feasible point a single iteration may search for minutes.
-                "max_wall_time": LEAST_TIME_S + TIME_PER_STAGE_S * shape.stages,
+                "max_wall_time": most_time_s(shape.stages),
                 # Otherwise the answer leaves the box by 6e-8 A.
                 "bound_relax_factor": 0.0,
                 # The statement is in physical scale.

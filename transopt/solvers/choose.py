@@ -1,10 +1,11 @@
 """Solvers behind one function: `solve(problem, options) -> Solution`. One file per solver."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
+from transopt.base import apart
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
@@ -13,7 +14,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.solvers import casadi_ipopt, casadi_piqp, riccati
 from transopt.solvers.feasibility import least_widening
-from transopt.solvers.options import SolverOptions, default_solver
+from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 
 __all__ = [
     "SOLVERS",
@@ -30,10 +31,28 @@ NEARLY_INSIDE = 100.0  # times what is tolerated of the temperature: rounding of
 NEARLY_PROVEN = 100.0  # times the gap that is tolerated
 ROOM = 1.5  # times what was missed, by which the limit is taken narrower then
 MOST_ASKED_STAGES = 2000  # beyond, a linear program takes longer than another method
-SOLVERS = {
+LATE_S = 20.0  # after the time that a method gives itself: it does not come back
+Method = Callable[[TransientProblem, SolverOptions], Solution]
+
+
+def _apart(name: str, method: Method) -> Method:
+    """The same method in a process of its own, since a library's native code answers no signal and may not return."""
+
+    def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
+        within_s = most_time_s(problem.grid.stages) + LATE_S
+        try:
+            return apart.call(method, problem, options, within_s=within_s)
+        except apart.UnansweredError as why:
+            nothing = np.zeros(problem.grid.stages)
+            return Solution(Status.NUMERICAL_FAILURE, nothing, Multipliers.zero(problem), name, str(why), 0, within_s)
+
+    return solve
+
+
+SOLVERS: dict[str, Method] = {
     "riccati": riccati.solve,
-    "casadi-piqp": casadi_piqp.solve,
-    "casadi-ipopt": casadi_ipopt.solve,
+    "casadi-piqp": _apart("casadi-piqp", casadi_piqp.solve),
+    "casadi-ipopt": _apart("casadi-ipopt", casadi_ipopt.solve),
 }
 
 

@@ -1,7 +1,13 @@
 """Whether any command meets all limits, and by what factor they would have to be wider: a linear program.
 
-Feasibility is asked of HiGHS and not of the interior-point methods: where there is no feasible point these search for
-one until their iterations run out, and say little; the simplex method decides.
+Feasibility is asked of HiGHS and not of the methods that solve the problem: where there is no feasible point these
+search for one until their iterations run out, and say little. A vertex of a linear program decides.
+
+HiGHS is given what its tolerances are made for. The program stands in the units of the stage, in which every row and
+every column has a coefficient of order one. All variables are divided by the largest bound, which is large where a
+wall asks for far more than the limit. Coefficients below `NOTHING`, which HiGHS would leave out by itself, are left
+out: beside variables of order one they are less than its tolerance. Its presolve is off: on some of these programs it
+writes outside its memory (with scipy 1.17 and 1.18), whatever their scale. And it runs in a process of its own.
 """
 
 from collections.abc import Collection
@@ -10,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 import scipy
 
+from transopt.base import apart
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import Row
 from transopt.problem.problem import TransientProblem
@@ -19,8 +26,12 @@ from transopt.solvers.statement import Statement, state, variable
 
 SLACK = 1e-9  # relative, of limits that are as good as met
 TOLERANCE = 1e-9  # of the method
+NOTHING = 1e-9  # coefficient
 MOST_TIME_S = 30.0
-METHODS: tuple[Literal["highs", "highs-ipm"], ...] = ("highs", "highs-ipm")  # where the simplex loses its way
+LATE_S = 20.0  # after the time that both methods have: they do not come back
+# The interior point is the faster one without presolve, and crosses over to a vertex; where it stops undecided, the
+# simplex method is asked.
+METHODS: tuple[Literal["highs-ipm", "highs"], ...] = ("highs-ipm", "highs")
 DECIDED = (0, 2)  # an optimum, or proof that there is none
 
 
@@ -32,7 +43,18 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
     Parameters
     ----------
     limits : names of limits; the others stay as they are.
+
+    Raises
+    ------
+    InputError : a limit's bounds are none.
     """
+    try:
+        return apart.call(_found, problem, tuple(limits), within_s=MOST_TIME_S * len(METHODS) + LATE_S)
+    except apart.UnansweredError:
+        return None
+
+
+def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, FloatArray] | None:
     # Before the first command is felt nothing that a limit bounds can be helped: no row of the program has it.
     least = 0.0
     for limit, row in problem.rows():
@@ -69,20 +91,22 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
             blocks += [scipy.sparse.hstack([matrix, factor]), scipy.sparse.hstack([-matrix, factor])]
             bounds += [upper, -lower]
     lower_x[columns], upper_x[columns] = -np.inf, np.inf
-    inequalities: Any = scipy.sparse.vstack(blocks).tocsr() if blocks else None
-    equalities: Any = scipy.sparse.hstack(
-        [A_rows[np.flatnonzero(equal)], scipy.sparse.csr_array((int(equal.sum()), 1))]
-    ).tocsr()
+    inequalities = _without_nothing(scipy.sparse.vstack(blocks)) if blocks else None
+    equalities = _without_nothing(
+        scipy.sparse.hstack([A_rows[np.flatnonzero(equal)], scipy.sparse.csr_array((int(equal.sum()), 1))])
+    )
+    above, level = np.concatenate(bounds) if bounds else None, lower_g[equal]
     box: Any = np.column_stack([np.append(lower_x, least), np.append(upper_x, np.inf)])
-    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S}
+    unit = max(_largest(each) for each in (np.ones(1), box, level, *bounds))
+    options: Any = {"primal_feasibility_tolerance": TOLERANCE, "time_limit": MOST_TIME_S, "presolve": False}
     for method in METHODS:
         found = scipy.optimize.linprog(
             c=np.append(np.zeros(A.shape[1]), 1.0),
             A_ub=inequalities,
-            b_ub=np.concatenate(bounds) if bounds else None,
+            b_ub=None if above is None else above / unit,
             A_eq=equalities,
-            b_eq=lower_g[equal],
-            bounds=box,
+            b_eq=level / unit,
+            bounds=box / unit,
             method=method,
             options=options,
         )
@@ -90,12 +114,24 @@ def least_widening(problem: TransientProblem, limits: Collection[str]) -> tuple[
             break
     if found.status != 0 or found.x is None:
         return None
-    widened = float(found.x[-1])
-    command = found.x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.command]
+    x = found.x * unit
+    widened = float(x[-1])
+    command = x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.command]
     command = np.asarray(command * statement.stage.current_A)
     if problem.wall is None:
         command[problem.free_stages :] = 0.0
     return 1.0 + (widened if widened > SLACK else 0.0), command
+
+
+def _largest(bounds: FloatArray) -> float:
+    return float(np.abs(bounds[np.isfinite(bounds)]).max(initial=0.0))
+
+
+def _without_nothing(matrix: Any) -> Any:
+    matrix = matrix.tocsr()
+    matrix.data[np.abs(matrix.data) < NOTHING] = 0.0
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def _first_excess(row: Row) -> float:

@@ -7,6 +7,12 @@ from transopt.base.errors import InputError
 from transopt.solvers.native import extension
 
 FALLBACK = "casadi-piqp"
+LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
+
+
+def most_time_s(stages: int) -> float:
+    """How long a method of a library may search."""
+    return LEAST_TIME_S + TIME_PER_STAGE_S * stages
 
 
 def default_solver() -> str:

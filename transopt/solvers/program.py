@@ -6,7 +6,7 @@ the size e_k of the mean current and the nodes' rises. x_0 = 0 is not a variable
 repeat. Current, command and movement are single variables, so that their limits are boxes. Nothing is condensed.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -22,6 +22,7 @@ from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
 from transopt.problem.stage_data import stated_rows
 
 REPEATED_WEIGHT = 1e3
+UNLIKE = 4  # stages at the start, and more, that differ from those that follow: before the first one all is at rest
 
 
 @dataclass(frozen=True)
@@ -339,6 +340,15 @@ class Size:
 
 @lru_cache(maxsize=16)
 def _size(shape: Shape) -> Size:
+    """That of a long program follows from two short ones: all stages between the first and the hand-over are alike.
+
+    To state a long one takes CasADi seconds, in which no signal is answered.
+    """
+    short = shape.hand_over_samples + UNLIKE
+    if shape.stages > short + 1:
+        sizes = (_size(replace(shape, stages=stages)) for stages in (short, short + 1))
+        pairs = zip(*(astuple(each) for each in sizes), strict=True)
+        return Size(*(first + (shape.stages - short) * (second - first) for first, second in pairs))
     program = state_program(shape)
     if not program.nlp_only:
         nonzeros = program.qp_data.sparsity_out("A").nnz()

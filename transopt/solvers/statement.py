@@ -22,6 +22,7 @@ from transopt.problem.stage_data import (
     stated_rows,
     tracking_values,
 )
+from transopt.solvers.bounds import check_bounds
 from transopt.solvers.program import Shape, nonzeros, program_shape, state_program
 
 
@@ -185,9 +186,16 @@ def _row_bounds(
 
 
 def state(problem: TransientProblem) -> Statement:
-    """Numbers of one problem for the program of its shape."""
+    """Numbers of one problem for the program of its shape.
+
+    Raises
+    ------
+    InputError : a limit's bounds are none.
+    """
     stage, unit = linear_stage(problem), kelvin(problem)
     shape, rows = program_shape(problem, stage), stated_rows(problem, stage)
+    for row in rows:
+        check_bounds(row.name, row.lower, row.upper)
     lower_x, upper_x = _variable_bounds(problem, shape, stage, rows, unit)
     lower_g, upper_g = _row_bounds(problem, shape, stage, rows)
     values = _parameters(problem, shape, stage, rows)

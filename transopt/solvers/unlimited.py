@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from transopt.base import apart
 from transopt.base.signals import FloatArray
 from transopt.problem import stage_data
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Status
@@ -18,6 +19,7 @@ from transopt.problem.stage import layout, linear_stage
 from transopt.solvers import sparse_kkt
 from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
 from transopt.solvers.native import extension
+from transopt.solvers.options import most_time_s
 
 GAP = 1e-8  # of max(J, 1e-3): a hundredth of what a certificate may have, a hundred times what rounding leaves
 REFINEMENTS = 4
@@ -164,7 +166,17 @@ def solve(problem: TransientProblem) -> Solution:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problem, time.perf_counter())
-    return solve_in_casadi(problem) if found is None else found
+    return solve_apart(problem) if found is None else found
+
+
+def solve_apart(problem: TransientProblem) -> Solution:
+    """`solve_in_casadi` in a process of its own: the factorisation of a broken system prints, or takes long."""
+    within_s = most_time_s(problem.grid.stages)
+    try:
+        return apart.call(solve_in_casadi, problem, within_s=within_s)
+    except apart.UnansweredError as why:
+        nothing, none = np.zeros(problem.grid.stages), Multipliers.zero(problem)
+        return Solution(Status.NUMERICAL_FAILURE, nothing, none, "unlimited", str(why), 0, within_s)
 
 
 def solve_in_casadi(problem: TransientProblem) -> Solution:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any, ParamSpec, TypeVar
 
@@ -24,8 +24,6 @@ T = TypeVar("T")
 
 # The workers multiply small matrices: threads of theirs would only wait for each other.
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-# What a task takes; scipy loads its parts when they are first used.
-LOADED = ("transopt.design.sweep", "scipy.fft", "scipy.integrate", "scipy.interpolate")
 
 
 @dataclass(frozen=True)
@@ -106,24 +104,6 @@ def _work(line: "connection.Connection[Any, Any]") -> None:
             line.send(answer)
 
 
-def _process() -> Callable[..., BaseProcess]:
-    """How workers start: where that is possible, forked from a server process that has loaded what a task takes.
-
-    They are not forked from this process, whose solver objects and threads a fork would copy half-alive. And they
-    are not started from nothing each, which takes as long as solving a hundred entries.
-    """
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn").Process
-    from multiprocessing import forkserver, resource_tracker
-
-    forks = multiprocessing.get_context("forkserver")
-    forks.set_forkserver_preload(list(LOADED))
-    resource_tracker.ensure_running()  # if it were started with the server, it would unblock Ctrl-C for it
-    with _starting():
-        forkserver.ensure_running()
-    return forks.Process
-
-
 @dataclass(frozen=True, eq=False)
 class _Worker:
     """A worker process, and this process's end of the line to it."""
@@ -199,9 +179,13 @@ class Processes(Executor):
 
     def _start(self) -> _Worker:
         with self._one_at_a_time:
-            start, (ours, theirs) = _process(), multiprocessing.Pipe()
+            # Started by itself: what a fork server is asked for it starts only when it has loaded everything, which
+            # a Ctrl-C would have to wait for. And a fork of this process would copy its threads half-alive.
+            spawn = multiprocessing.get_context("spawn")
+            resource_tracker.ensure_running()  # if it were started with a worker, it would let a Ctrl-C through to it
+            ours, theirs = spawn.Pipe()
             with _starting(), theirs:
-                process = start(target=_work, args=(theirs,), daemon=True)
+                process = spawn.Process(target=_work, args=(theirs,), daemon=True)
                 process.start()
         worker = _Worker(process, ours)
         self._live.add(worker)

@@ -1,6 +1,5 @@
 """What all command lines do with words they do not know: one line, exit code 2."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -48,17 +47,32 @@ def test_help_comes_at_once(module: str) -> None:
     assert said.strip() == "[]"
 
 
-def test_asked_to_end_it_ends_as_by_ctrl_c() -> None:
-    ended, before = [], signal.getsignal(signal.SIGTERM)
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize("swallowed", [False, True], ids=["", "swallowed"])
+def test_asked_to_end_it_ends(number: signal.Signals, code: int, swallowed: bool) -> None:
+    """With all tidied up, or, where a library swallows what the signal raises and goes on, all the same."""
+    program = (
+        "import os, time\n"
+        "from transopt.base.terminal import run\n"
+        "def work():\n"
+        "    try:\n"
+        f"        os.kill(os.getpid(), {number.value})\n"
+        "    except BaseException:\n"
+        f"        if not {swallowed}: raise\n"
+        "        time.sleep(600)\n"
+        "    finally:\n"
+        "        print('tidied up')\n"
+        "run(work)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == (1 if swallowed else code)
+    assert done.stdout == ("" if swallowed else "tidied up\n")
+    assert "Traceback" not in done.stderr
 
-    def work() -> None:
-        try:
-            os.kill(os.getpid(), signal.SIGTERM)
-        finally:
-            ended.append("tidied up")
 
-    with pytest.raises(SystemExit) as stopped:
-        run(work)
-    assert stopped.value.code == 143
-    assert ended == ["tidied up"]
+def test_without_a_signal_the_answers_to_signals_stay() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as ended:
+        run(lambda: 3)
+    assert ended.value.code == 3
     assert signal.getsignal(signal.SIGTERM) is before

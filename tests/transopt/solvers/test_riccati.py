@@ -1,15 +1,21 @@
 """The project's own interior-point method: its stage data, its answers, its refusals, its absence."""
 
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import problems
+from problems.stress.cases import Horizon, StressCase
 from tests.benches.limits import drawn_ray, with_limit, with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.errors import InputError
@@ -21,6 +27,7 @@ from transopt.problem.heat import Budget
 from transopt.problem.leave_out import pressing
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage_data import Stages, stages
 from transopt.proof.certify import certify
 from transopt.proof.farkas import is_infeasible
 from transopt.recordings.reference import build_references
@@ -37,7 +44,9 @@ pytestmark = pytest.mark.skipif(not riccati.available, reason="the extension is 
 
 OWN = SolverOptions("riccati")
 SCENES = [
-    path.stem for path in sorted(Path(problems.__file__).parent.glob("*.toml")) if path.stem != "measured_impacts"
+    path.stem
+    for path in sorted((Path(problems.__file__).parent / "scenes").glob("*.toml"))
+    if path.stem != "measured_impacts"
 ]
 
 
@@ -161,6 +170,136 @@ class TestInfeasible:
             assert not is_infeasible(problem, answer.command_A, ray)
 
 
+class TestTheLastInstant:
+    """Rows hold at stage N too, after the last command."""
+
+    @staticmethod
+    def bounded(given: Stages, at: int, most: float) -> Stages:
+        """With the first of the states below `most` at one stage, in a row behind the others."""
+        arrays, n = dict(given.arrays), given.sizes["states"]
+        wide = np.full((given.sizes["stages"] + 1, 1), np.inf)
+        arrays["lower"] = np.concatenate([arrays["lower"], -wide], axis=1)
+        wide[at] = most
+        arrays["upper"] = np.concatenate([arrays["upper"], wide], axis=1)
+        arrays["G"] = np.concatenate([arrays["G"], np.eye(1, n)])
+        arrays |= {name: np.append(arrays[name], 0.0) for name in ("d", "d_size")}
+        arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        return replace(given, sizes=given.sizes | {"rows": given.sizes["rows"] + 1}, arrays=arrays)
+
+    @staticmethod
+    def longer(given: Stages) -> Stages:
+        """The same problem with one more stage at its end, where nothing moves and nothing is weighed."""
+        arrays, sizes = dict(given.arrays), given.sizes | {"stages": given.sizes["stages"] + 1}
+        arrays |= {name: np.append(arrays[name], 0.0) for name in ("weight", "reference", "rule_offset")}
+        arrays["rule_gain"] = np.concatenate([arrays["rule_gain"], arrays["rule_gain"][-1:]])
+        wide = np.full((1, given.sizes["rows"]), np.inf)
+        arrays["lower"] = np.concatenate([arrays["lower"], -wide])
+        arrays["upper"] = np.concatenate([arrays["upper"], wide])
+        return replace(given, sizes=sizes, arrays=arrays)
+
+    @staticmethod
+    def solved(given: Stages) -> tuple[extension.Answer, extension.Buffers]:
+        found = extension.Buffers(given.sizes)
+        return extension.interior_point(given, found, tolerance=1e-9, max_iterations=100), found
+
+    @staticmethod
+    def reached(given: Stages, command: NDArray[np.float64]) -> float:
+        """The first of the states at stage N."""
+        A, x = given.arrays["A"], np.zeros(given.sizes["states"])
+        for movement in np.diff(command, prepend=0.0):
+            x = A @ x + A[:, -1] * movement
+        return float(x[0])
+
+    def test_as_that_of_a_stage_more(self, make_problem: ProblemMaker) -> None:
+        plain = stages(make_problem(0.4, 5.0, stages=60))
+        N = plain.sizes["stages"]
+        _, free = self.solved(plain)
+        most = self.reached(plain, free.command) - 0.1 * abs(self.reached(plain, free.command))
+        answer, found = self.solved(self.bounded(plain, N, most))
+        other, again = self.solved(self.bounded(self.longer(plain), N, most))
+        assert answer.code == other.code == extension.SOLVED
+        assert self.reached(plain, found.command) == pytest.approx(most, rel=1e-6)
+        assert answer.objective == pytest.approx(other.objective, rel=1e-7)
+        np.testing.assert_allclose(found.command, again.command[:N], rtol=0, atol=1e-5)
+        assert found.upper[N, -1] == pytest.approx(again.upper[N, -1], rel=1e-4)
+
+
+class TestBounds:
+    """What no value can lie between is refused, by the extension and by the statement of the other methods."""
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [("upper", np.nan), ("lower", np.nan), ("upper", -2.0), ("upper", -np.inf), ("lower", np.inf)],
+    )
+    def test_are_refused_by_name_and_stage(self, make_problem: ProblemMaker, name: str, value: float) -> None:
+        given = stages(make_problem(0.4, 5.0))
+        row = given.limits.kinds.index("current")
+        bounds = getattr(given.limits, name).copy()
+        bounds[7, row] = value
+        limits = replace(given.limits, **{name: bounds})
+        broken = replace(given, limits=limits, arrays=given.arrays | {name: bounds})
+        with pytest.raises(InputError, match=r"limit current: bounds .* at stage 7, .* must be numbers"):
+            extension.interior_point(broken, extension.Buffers(broken.sizes), tolerance=1e-9, max_iterations=9)
+
+    @pytest.mark.parametrize("solver", ["riccati", "casadi-piqp", "casadi-ipopt"])
+    def test_are_refused_by_every_method(self, make_problem: ProblemMaker, solver: str) -> None:
+        problem = make_problem(0.4, 5.0)
+        limit = copy(problem.limits["current"])
+        object.__setattr__(limit, "limit_A", float("nan"))  # whatever a limit's own checks let through
+        problem = problem.replaced(limit)
+        with pytest.raises(InputError, match=r"limit .*bounds nan and nan at stage"):
+            choose.SOLVERS[solver](problem, SolverOptions(solver))
+
+
+class Stopped(Exception):  # noqa: N818 - not an error
+    """What the answer to the signal raises."""
+
+
+@contextmanager
+def signalled(after_s: float) -> Iterator[list[int]]:
+    """A signal after so long, whose answer raises; what has come is listed."""
+    came: list[int] = []
+
+    def answer(number: int, _: object) -> None:
+        came.append(number)
+        raise Stopped
+
+    before = signal.signal(signal.SIGINT, answer)
+    timer = threading.Timer(after_s, signal.raise_signal, [signal.SIGINT])
+    try:
+        timer.start()
+        yield came
+    finally:
+        timer.cancel()
+        timer.join()
+        signal.signal(signal.SIGINT, before)
+
+
+class TestSignals:
+    def test_one_that_raises_ends_the_search(self, make_problem: ProblemMaker) -> None:
+        given = stages(make_problem(0.4, 5.0, current_A=1.0))
+        found = extension.Buffers(given.sizes)
+
+        def search() -> None:
+            while True:
+                extension.interior_point(given, found, tolerance=1e-9, max_iterations=60)
+
+        with signalled(0.05) as came, pytest.raises(Stopped):
+            search()
+        assert came == [signal.SIGINT]
+        assert extension.interior_point(given, found, tolerance=1e-9, max_iterations=60).code == extension.SOLVED
+
+    def test_the_largest_problem_does_not_hold_it_up(self) -> None:
+        """One iteration of it takes a third of a second, all of them seven."""
+        problem = StressCase("long", horizon=Horizon(stages=20000)).problem()
+        given = stages(replace(problem, spread=(problem.stage,) * 6))
+        assert given.sizes["states"] > 40
+        found = extension.Buffers(given.sizes)
+        with signalled(0.2) as came, pytest.raises(Stopped):
+            extension.interior_point(given, found, tolerance=1e-9, max_iterations=100)
+        assert came == [signal.SIGINT]
+
+
 class TestAbsence:
     """Without a compiler there is no extension."""
 
@@ -181,8 +320,8 @@ class TestAbsence:
     def test_one_of_another_version_is_none(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Its arrays may mean something else; before there was a number to ask for, none had one."""
         monkeypatch.setattr(
-            extension.ct, "CDLL", lambda path: SimpleNamespace(tr_interface=lambda: extension.INTERFACE - 1)
+            extension.ct, "PyDLL", lambda path: SimpleNamespace(tr_interface=lambda: extension.INTERFACE - 1)
         )
         assert extension._library() is None
-        monkeypatch.setattr(extension.ct, "CDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
+        monkeypatch.setattr(extension.ct, "PyDLL", lambda path: SimpleNamespace(tr_solve=None, tr_linear=None))
         assert extension._library() is None

@@ -183,7 +183,6 @@ class TestWhenThePassFallsShort:
     @staticmethod
     def spoil(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
         exact = lq_pass.Pass.factored
-        monkeypatch.setattr(extension, "available", False)
 
         def spoilt(run: Pass) -> Gains:
             gains = exact(run)
@@ -195,7 +194,7 @@ class TestWhenThePassFallsShort:
         problem = make_problem(0.2, 3.0)
         wanted = unlimited.solve(problem).command_A
         self.spoil(monkeypatch, 1 + 1e-5)
-        answer = unlimited.solve(problem)
+        answer = unlimited.solve_in_casadi(problem)
         assert answer.message == "Riccati pass, refined"
         assert certify(problem, answer.command_A, answer.multipliers).dual_residual < 1e-14
         np.testing.assert_allclose(answer.command_A, wanted, atol=1e-10)
@@ -206,7 +205,7 @@ class TestWhenThePassFallsShort:
     ) -> None:
         problem = make_problem(0.2, 3.0)
         self.spoil(monkeypatch, factor)
-        answer = unlimited.solve(problem)
+        answer = unlimited.solve_in_casadi(problem)
         assert answer.message == "sparse KKT system"
         assert answer.status is Status.OPTIMAL
         proof = certify(problem, answer.command_A, answer.multipliers)
@@ -216,9 +215,17 @@ class TestWhenThePassFallsShort:
     def test_where_any_command_is_optimal_none_is_the_answer(self, make_problem: ProblemMaker) -> None:
         """Without weights pass and sparse system would break down; rest is as good as any command, and proven."""
         problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
-        answer = unlimited.solve(problem)
+        answer = unlimited.solve_in_casadi(problem)
         assert not answer.command_A.any()
         assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+
+def test_the_other_passes_run_apart_and_give_the_same(
+    make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = make_problem(0.2, 3.0)
+    monkeypatch.setattr(extension, "available", False)
+    np.testing.assert_array_equal(unlimited.solve(problem).command_A, unlimited.solve_in_casadi(problem).command_A)
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")

@@ -1,4 +1,7 @@
-"""The compiled interior point (`riccati.c`) through ctypes, which releases the GIL; no CasADi.
+"""The compiled interior point (`riccati.c`) through ctypes; no CasADi.
+
+The method lets go of the GIL while it works, and asks now and then whether a signal has come: a Ctrl-C ends it within
+one iteration.
 
 The extension is optional. Where it could not be built, `available` is False.
 """
@@ -13,10 +16,11 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.stage_data import Stages
+from transopt.solvers.bounds import check_bounds
 
 EXTENSION = "_riccati"
 MOST_STATES = 48  # of riccati.c
-INTERFACE = 2  # as `tr_interface` of riccati.c: both change with what arguments and results mean
+INTERFACE = 3  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 
@@ -35,8 +39,12 @@ class _Problem(ct.Structure):
     _fields_ = PROBLEM_FIELDS
 
 
+class _Host(ct.Structure):
+    _fields_ = tuple((name, ct.c_void_p) for name in ("release", "acquire", "interrupted"))
+
+
 class _Options(ct.Structure):
-    _fields_ = (("max_iterations", ct.c_int), ("tolerance", ct.c_double))
+    _fields_ = (("max_iterations", ct.c_int), ("tolerance", ct.c_double), ("host", ct.POINTER(_Host)))
 
 
 class _Result(ct.Structure):
@@ -51,19 +59,27 @@ def _library() -> ct.CDLL | None:
     found = PathFinder.find_spec(EXTENSION, [str(Path(__file__).parent)])
     if found is None or found.origin is None:
         return None
-    library = ct.CDLL(found.origin)
+    # With the GIL held, so that an exception which a signal has raised inside is raised by the call.
+    library = ct.PyDLL(found.origin)
     if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
         return None  # left behind by another version: as good as none
     problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)
     library.tr_workspace.restype, library.tr_workspace.argtypes = ct.c_size_t, (problem,)
     library.tr_solve.argtypes = (problem, ct.POINTER(_Options), DOUBLES, result)
-    library.tr_linear.argtypes = (problem, ct.c_double, ct.c_int, DOUBLES, result)
+    library.tr_linear.argtypes = (problem, ct.POINTER(_Options), ct.c_int, DOUBLES, result)
     return library
+
+
+def _host() -> _Host:
+    """The interpreter as `tr_host`: its lock, and whether a signal has come that raises an exception."""
+    names = ("PyEval_SaveThread", "PyEval_RestoreThread", "PyErr_CheckSignals")
+    return _Host(*(ct.cast(getattr(ct.pythonapi, name), ct.c_void_p) for name in names))
 
 
 _LIBRARY = _library()
 available = _LIBRARY is not None
-SOLVED, ACCURACY = 0, 1  # codes of an answer; the others are failures
+_HOST = ct.pointer(_host())
+SOLVED, ACCURACY, NO_BOUNDS = 0, 1, 6  # codes of an answer; the others are failures
 
 
 def _pointer(array: FloatArray) -> int:
@@ -130,10 +146,18 @@ def interior_point(stages: Stages, buffers: Buffers, *, tolerance: float, max_it
     Parameters
     ----------
     tolerance : on the gap, relative to max(J, 1e-3), and on the residuals of the limits, in their units.
+
+    Raises
+    ------
+    InputError : a limit's bounds are none.
     """
     assert _LIBRARY is not None
-    stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance), None
+    stated, asked, buffers.gains_of = _stated(stages), _Options(max_iterations, tolerance, _HOST), None
     code = _LIBRARY.tr_solve(ct.byref(stated), ct.byref(asked), _pointer(buffers.workspace), ct.byref(buffers.result))
+    if code == NO_BOUNDS:
+        rows = stages.limits
+        for name, lower, upper in zip(rows.kinds, rows.lower.T, rows.upper.T, strict=True):
+            check_bounds(name, lower, upper)
     return _answer(code, buffers.result)
 
 
@@ -160,6 +184,7 @@ class LinearPass:
         self._stated.reference = _pointer(self.reference)
         self._arguments = (_pointer(self.buffers.workspace), ct.byref(self.buffers.result))
         self._problem, self._token = ct.byref(self._stated), object()
+        self._asked = _Options(0, 0.0, _HOST)
         self._pass = _LIBRARY.tr_linear
         problem = stages.problem
         self._tail = slice(problem.free_stages, None)
@@ -168,7 +193,9 @@ class LinearPass:
     def solve(self, tolerance: float) -> Answer:
         """Answer to `tolerance` on the gap, relative to max(J, 1e-3); command and gradient stand in the buffers."""
         buffers = self.buffers
-        code = self._pass(self._problem, tolerance, buffers.gains_of is self._token, *self._arguments)
+        factored, buffers.gains_of = buffers.gains_of is self._token, None
+        self._asked.tolerance = tolerance
+        code = self._pass(self._problem, ct.byref(self._asked), factored, *self._arguments)
         buffers.gains_of = self._token if code in (SOLVED, ACCURACY) else None
         return _answer(code, buffers.result)
 

@@ -5,7 +5,9 @@
  *                 th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k,  th_0 = 0 or th_0 = F th_N + f,
  *                 h_k = quadratic in (current, command) + 2 ripple e_k + ripple^2,
  *                 u_k = f_k' x_k + g_k over the last stages (the hand-over),
- *                 lower_k <= G x_k + d u_k + d_size e_k <= upper_k,  the winding th_w,k being the first row.
+ *                 lower_k <= G x_k + d u_k + d_size e_k <= upper_k,  the winding th_w,k being the first row,
+ *
+ * k = 0..N-1 but for the rows and the temperatures, which are bounded at N as well, where u_N = e_N = 0.
  *
  * The movement u and the size e of the mean current are the controls; x_(n-1) is the command held before. Predictor and
  * corrector follow Mehrotra (SIAM J. Optim. 2, 1992); each Newton step is a Riccati recursion (Rao, Wright, Rawlings,
@@ -14,13 +16,15 @@
  * factorisation costs a step's quality and never the answer's.
  *
  * C99 without dependencies, no global state, no allocation: the caller gives the workspace. Compile with contraction of
- * floating-point expressions off. All arrays are row by row.
+ * floating-point expressions off. All arrays are row by row. A caller that may be interrupted is asked for it now and
+ * then (`tr_host`).
  */
 #if !defined(WIDTH)
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#include <time.h>
 
 enum { MOST_STATES = 48, MOST_NODES = 2, MOST_ROWS = 16 };
 
@@ -39,9 +43,19 @@ typedef struct {
     double command_bound;                    /* on |x_(n-1) + u|, for the gap */
 } tr_problem;
 
+/* An interpreter whose lock the caller holds: the lock is let go while the method works, and taken back to ask whether
+ * a signal ends the work. In CPython: PyEval_SaveThread, PyEval_RestoreThread, PyErr_CheckSignals.
+ */
+typedef struct {
+    void *(*release)(void);
+    void (*acquire)(void *thread);
+    int (*interrupted)(void); /* not 0: stop */
+} tr_host;
+
 typedef struct {
     int max_iterations;
-    double tolerance; /* on the gap, relative to max(objective, 1), and on residuals */
+    double tolerance;     /* on the gap, relative to max(objective, 1), and on residuals */
+    const tr_host *host;  /* NULL: nobody interrupts, and no lock is held */
 } tr_options;
 
 typedef struct {
@@ -53,7 +67,12 @@ typedef struct {
     double objective, gap, residual;
 } tr_result;
 
-enum { TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN, TR_TOO_LARGE /* or none */ };
+enum {
+    TR_SOLVED, TR_ACCURACY, TR_ITERATION_LIMIT, TR_STALLED, TR_BREAKDOWN,
+    TR_TOO_LARGE,   /* or no problem at all */
+    TR_NO_BOUNDS,   /* a bound is no number, above the other one, or infinite on the wrong side */
+    TR_INTERRUPTED
+};
 
 /* Constants of the method. */
 static const double NEAR = 1e3;       /* times the tolerance: from here on the best iterate counts */
@@ -63,8 +82,10 @@ static const double NEAREST = 1e-9, NEARNESS = 0.1;
 static const double FIRST_GAP = 3.0;  /* of the first iterate, in units of its objective */
 static const double LAST_GAP = 0.03;  /* that is aimed at, of what is allowed: less only costs digits elsewhere */
 static const double LEAST = 1e-290;   /* nothing beside a multiplier, and never zero */
+static const double LOOK_S = 0.01;    /* of processor time between two questions to the host: its lock may be taken */
 enum {
     PATIENCE = 6,    /* iterations without a better iterate */
+    STRIDE = 256,    /* stages of a factorisation after which the host may be asked */
     SYMMETRISED = 4, /* stages after which the cost to go is made symmetric again */
     REFINEMENTS = 4  /* of a linear pass, each one more step with the same gains */
 };
@@ -73,6 +94,35 @@ enum {
 typedef struct {
     double complementarity, residual, stationarity, objective;
 } tr_state;
+
+/* The host during one call. */
+typedef struct {
+    const tr_host *host;
+    void *thread;
+    clock_t asked;
+} tr_watch;
+
+static tr_watch released(const tr_host *host)
+{
+    tr_watch watch = {host, host ? host->release() : NULL, clock()};
+    return watch;
+}
+
+static void acquired(const tr_watch *watch)
+{
+    if (watch->host) watch->host->acquire(watch->thread);
+}
+
+/* Whether the host wants the work to stop. */
+static int interrupted(tr_watch *watch)
+{
+    if (!watch->host || (double)(clock() - watch->asked) < LOOK_S * CLOCKS_PER_SEC) return 0;
+    watch->host->acquire(watch->thread);
+    const int stop = watch->host->interrupted();
+    watch->thread = watch->host->release();
+    watch->asked = clock();
+    return stop;
+}
 
 static size_t padded(size_t n) { return (n + 3) & ~(size_t)3; }
 
@@ -176,7 +226,7 @@ static void eliminate(int count, const double *matrix, double *right)
 #endif
 
 /* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
-int tr_interface(void) { return 2; }
+int tr_interface(void) { return 3; }
 
 /* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
 size_t tr_workspace(const tr_problem *q)
@@ -187,6 +237,15 @@ size_t tr_workspace(const tr_problem *q)
     return BY_WIDTH(workspace)(q);
 }
 
+static int has_bounds(const tr_problem *q)
+{
+    for (size_t i = 0; i < ((size_t)q->stages + 1) * (size_t)q->rows; i++) {
+        const double lower = q->lower[i], upper = q->upper[i];
+        if (!(lower <= upper) || lower == INFINITY || upper == -INFINITY) return 0;
+    }
+    return 1;
+}
+
 /* Solve; the answer is judged by the caller.
  *
  * Near the answer rounding wins over progress at last: the best iterate is returned, as TR_ACCURACY where it is not
@@ -195,19 +254,27 @@ size_t tr_workspace(const tr_problem *q)
 int tr_solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r)
 {
     r->iterations = 0;
-    return tr_workspace(q) ? BY_WIDTH(solve)(q, options, space, r) : TR_TOO_LARGE;
+    if (!tr_workspace(q)) return TR_TOO_LARGE;
+    if (!has_bounds(q)) return TR_NO_BOUNDS;
+    tr_watch watch = released(options->host);
+    const int code = BY_WIDTH(solve)(q, options, space, r, &watch);
+    acquired(&watch);
+    return code;
 }
 
 /* The problem without rows and nodes: one Newton step from rest, and as many more as refine it.
  *
  * The gains stay in the workspace: with `factored` they are those of the last call, of a problem that differs in
- * nothing but `reference` and `rule_offset`. TR_BREAKDOWN leaves none.
+ * nothing but `reference` and `rule_offset`. TR_BREAKDOWN and TR_INTERRUPTED leave none.
  */
-int tr_linear(const tr_problem *q, double tolerance, int factored, double *space, tr_result *r)
+int tr_linear(const tr_problem *q, const tr_options *options, int factored, double *space, tr_result *r)
 {
     r->iterations = 0;
     if (!tr_workspace(q) || q->rows || q->nodes) return TR_TOO_LARGE;
-    return BY_WIDTH(linear)(q, tolerance, factored, space, r);
+    tr_watch watch = released(options->host);
+    const int code = BY_WIDTH(linear)(q, options->tolerance, factored, space, r, &watch);
+    acquired(&watch);
+    return code;
 }
 
 #else
@@ -253,6 +320,7 @@ typedef struct {
 /* Everything that lives during one solve. Differences carry a d: dE is the change of `error` by a Newton step. */
 typedef struct {
     const tr_problem *q;
+    tr_watch *watch;
     int ld;                              /* length of a row of states, padded with zeros */
     int blocks;                          /* of all values of the rows */
     lanes *A, *At, *C, *G;              /* padded A, its transpose, C and G */
@@ -328,13 +396,14 @@ static size_t workspace(const tr_problem *q)
 }
 
 /* The workspace, all zero but what the problem says; with `keep_gains`, what stands in front is left alone. */
-static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains)
+static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gains, tr_watch *watch)
 {
     const size_t n = (size_t)q->states, ny = (size_t)q->outputs;
     const size_t ld = padded(n), rows = (size_t)((q->stages + 1) * q->rows);
     size_t kept;
     while ((uintptr_t)space % (WIDTH * sizeof(double))) space++;
     memset(w, 0, sizeof *w);
+    w->watch = watch;
     const size_t all = lay_out(w, q, space, &kept);
     if (!keep_gains) kept = 0;
     memset(space + kept, 0, (all - kept) * sizeof(double));
@@ -437,7 +506,8 @@ ALWAYS_INLINE double add_nodes(const int t, const int blocks, const tr_work *w, 
     return bRb;
 }
 
-/* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in. */
+/* Backward: gains of u and e from the weights `sigma` of the rows. With `curved` the copper's bilinear terms are in.
+ * Returns 0, or the code of what has ended it. */
 ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_work *w, const int curved)
 {
     const tr_problem *q = w->q;
@@ -454,12 +524,18 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     memset(bend_c, 0, sizeof bend_c);
     memset(Q, 0, sizeof Q);
     memset(R, 0, sizeof R);
+    for (int j = t ? 1 : 0; j < m; j++) {
+        const double weight = AT(w->sigma, N * m + j);
+        const lanes *c = w->G + j * blocks;
+        for (int i = w->from[j]; i < w->to[j] && weight != 0.0; i++) add(blocks, weight * AT(c, i), c, P + i * blocks);
+    }
     if (t) R[0] = AT(w->sigma, N * m), AT(bend_c, last) = 2.0 * s[2] * e2 * e2;
     if (of_current) {
         AT(bend_a, a) = 2.0 * (s[0] + s[1] * e1 + s[2] * e1 * e1);
         AT(bend_a, last) = AT(bend_c, a) = (s[1] + 2.0 * s[2] * e1) * e2;
     }
     for (int k = N - 1; k >= 0; k--) {
+        if (k % STRIDE == 0 && interrupted(w->watch)) return TR_INTERRUPTED;
         const double *heat = w->heat + 4 * k, *sigma = &AT(w->sigma, k * m);
         double r = q->movement_weight, hee = 0.0, heu = 0.0;
         lanes *gain = w->K + k * blocks;
@@ -513,7 +589,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
         if (t) {
             lanes *gain_e = w->Ke + k * blocks;
             double *gain_e_th = w->Keth + k * t;
-            if (!(hee > 0.0)) return 1;
+            if (!(hee > 0.0)) return TR_BREAKDOWN;
             const double inverse = 1.0 / hee, Ke_u = -heu * inverse;
             w->pivot_e[k] = inverse;
             w->Ke_u[k] = Ke_u;
@@ -535,7 +611,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
             }
             for (int j = 0; j < t; j++) add(blocks, hu_th[j], gain, HQ + j * blocks);
         } else {
-            if (!(r > 0.0)) return 1;
+            if (!(r > 0.0)) return TR_BREAKDOWN;
             const double inverse = 1.0 / r;
             w->pivot[k] = inverse;
             for (int j = 0; j < blocks; j++) gain[j] = -inverse * hu[j];
@@ -574,6 +650,10 @@ ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, con
     memset(by_x, 0, sizeof by_x);
     for (int i = 0; i < t; i++) th[i] = end[i];
     if (t && own) th[0] += AT(w->y, N * m);
+    for (int j = t ? 1 : 0; own && j < m; j++) {
+        const double y = AT(w->y, N * m + j);
+        if (y != 0.0) add(blocks, y, w->G + j * blocks, p);
+    }
     for (int k = N - 1; k >= 0; k--) {
         const double *y = &AT(w->y, k * m);
         double by_size = 0.0, th_before[MOST_NODES] = {0}, direct = 0.0;
@@ -677,6 +757,11 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
         for (int j = 0; j < blocks; j++) x[j] = next[j] + u * w->At[last * blocks + j];
     }
     if (full && t) AT(w->dV, N * m) = th[0];
+    for (int i = t ? 1 : 0; full && i < m; i++) {
+        double v = 0.0;
+        for (int j = w->from[i]; j < w->to[i]; j++) v += AT(w->G + i * blocks, j) * AT(x, j);
+        AT(w->dV, N * m + i) = v;
+    }
     for (int i = 0; i < t; i++) w->th_end[i] = th[i];
 }
 
@@ -991,10 +1076,10 @@ static void keep(const tr_work *w, const tr_state *now, tr_result *r)
     r->residual = now->residual;
 }
 
-static int solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r)
+static int solve(const tr_problem *q, const tr_options *options, double *space, tr_result *r, tr_watch *watch)
 {
     tr_work work, *w = &work;
-    prepare(w, q, space, 0);
+    prepare(w, q, space, 0, watch);
     const double count = begin(w);
     double best = INFINITY;
     for (int since = 0;; r->iterations++, since++) {
@@ -1011,7 +1096,10 @@ static int solve(const tr_problem *q, const tr_options *options, double *space, 
         if (!number) return TR_BREAKDOWN;
         if (r->iterations >= options->max_iterations) return near ? TR_ACCURACY : TR_ITERATION_LIMIT;
         aim(w, 0);
-        if (factor(w, 1) && factor(w, 0)) return near ? TR_ACCURACY : TR_BREAKDOWN;
+        if (interrupted(watch)) return TR_INTERRUPTED;
+        int failed = factor(w, 1);
+        if (failed == TR_BREAKDOWN) failed = factor(w, 0);
+        if (failed) return failed == TR_BREAKDOWN && near ? TR_ACCURACY : failed;
         if (q->repeated) close_course(w);
         newton(w);
         if (count > 0.0) {
@@ -1029,11 +1117,12 @@ static int solve(const tr_problem *q, const tr_options *options, double *space, 
     }
 }
 
-static int linear(const tr_problem *q, double tolerance, int factored, double *space, tr_result *r)
+static int linear(const tr_problem *q, double tolerance, int factored, double *space, tr_result *r, tr_watch *watch)
 {
     tr_work work, *w = &work;
-    prepare(w, q, space, factored);
-    if (!factored && factor(w, 0)) return TR_BREAKDOWN;
+    prepare(w, q, space, factored, watch);
+    const int failed = factored ? 0 : factor(w, 0);
+    if (failed) return failed;
     begin(w);
     for (double best = INFINITY;;) {
         newton(w);

@@ -1,0 +1,91 @@
+"""Methods whose native code is lost: they end in an answer that says so, and in nothing else."""
+
+import os
+
+import numpy as np
+import pytest
+
+from problems.stress.cases import Current, Horizon, StressCase, Surface
+from problems.stress.draw import drawn
+from transopt.base import apart
+from transopt.design.optimum import optimum
+from transopt.problem.answer import Status
+from transopt.problem.problem import TransientProblem
+from transopt.solvers import choose, feasibility, riccati
+from transopt.solvers.options import SolverOptions
+
+FALLBACKS = ("casadi-piqp", "casadi-ipopt")
+
+
+def dies(*_: object) -> None:
+    """As native code that writes outside its memory."""
+    os._exit(134)
+
+
+@pytest.fixture
+def saturated() -> TransientProblem:
+    return StressCase("saturated", current=Current(limit_A=0.5), horizon=Horizon(stages=60)).problem()
+
+
+@pytest.mark.parametrize("solver", FALLBACKS)
+def test_a_method_that_ends_its_process_is_a_breakdown(saturated: TransientProblem, solver: str) -> None:
+    answer = choose._apart(solver, dies)(saturated, SolverOptions(solver))
+    assert answer.status is Status.NUMERICAL_FAILURE
+    assert answer.solver == solver
+    assert "ended with code 134" in answer.message
+    assert not answer.command_A.any()
+
+
+@pytest.mark.parametrize("solver", FALLBACKS)
+def test_one_that_does_not_return_is_ended(
+    saturated: TransientProblem, solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    choose.solve(saturated, SolverOptions(solver))  # so that the time is that of the search alone
+    monkeypatch.setattr(choose, "most_time_s", lambda stages: 0.0)
+    monkeypatch.setattr(choose, "LATE_S", 1e-3)
+    answer = choose.solve(saturated, SolverOptions(solver))
+    assert answer.status is Status.NUMERICAL_FAILURE
+    assert "no answer within 0.001 s" in answer.message
+
+
+def test_the_next_method_is_asked(saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(choose.SOLVERS, "riccati", choose._apart("riccati", dies))
+    answer, proof = choose.solve_certified(saturated, SolverOptions("riccati"))
+    assert answer.solver == "casadi-piqp"
+    assert proof.is_stationary
+
+
+def test_a_linear_program_that_ends_its_process_decides_nothing(
+    saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feasibility, "_found", dies)
+    assert feasibility.least_widening(saturated, ["current"]) is None
+    assert choose.feasible(saturated)
+
+
+def test_a_problem_of_any_scale_has_the_same_least_widening() -> None:
+    """A wall that asks for a hundred thousand times the limit: the factor goes with the limit, digit by digit."""
+    factors = []
+    for limit_A in (3.0, 3e-2, 3e-5):
+        case = StressCase("wall", current=Current(limit_A=limit_A), horizon=Horizon(stages=40), surface=Surface(2e4))
+        found = feasibility.least_widening(case.problem(), ["current", "command"])
+        assert found is not None
+        factors.append(found[0] * limit_A)
+    assert factors[0] / 3e-5 > 1e4
+    np.testing.assert_allclose(factors, factors[0], rtol=1e-6)
+
+
+def test_what_a_factorisation_prints_reaches_no_terminal(capfd: pytest.CaptureFixture[str]) -> None:
+    """The sparse factorisation of a system that has broken down complains by itself."""
+    designed = optimum(drawn(3, 286).problem(), SolverOptions())
+    assert designed.solution.status is Status.INFEASIBLE
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not riccati.available, reason="the extension is not built")
+def test_the_own_method_needs_no_other_process(saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch) -> None:
+    def started(*_: object, **__: object) -> None:
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr(apart, "call", started)
+    assert optimum(saturated, SolverOptions()).is_proven
