@@ -91,7 +91,7 @@ def test_a_spoilt_recording_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyP
     flush = Telemetry.flush
 
     def spoilt(self: Telemetry) -> None:
-        self._lines = [line.replace(",armed,", ",idle,") for line in self._lines]
+        self._rows = [tuple("idle" if each == "armed" else each for each in row) for row in self._rows]
         flush(self)
 
     monkeypatch.setattr(Telemetry, "flush", spoilt)

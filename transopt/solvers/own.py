@@ -193,6 +193,9 @@ class CasadiLaw:
         u, k = ca.SX.sym("u", m), ca.SX.sym("k")
         self._slopes = ca.Function("slopes", [u, k], [ca.jacobian(self._value(u, k), u).T])
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return law, (self.text,)
+
     def value(self, outputs: FloatArray) -> FloatArray:
         """(N,) of outputs (m, N)."""
         N = outputs.shape[1]

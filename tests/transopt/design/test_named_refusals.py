@@ -40,11 +40,13 @@ def test_what_the_wall_asks_for_after_the_waveform_is_the_hand_overs(walled: tup
     """0.12 mA over 0.8 A at the end of the last period: the problem states no limit there."""
     found = statuses(walled, 0.25, 200.0)
     assert set(found) == {Status.OPTIMAL, Status.HAND_OVER}
-    (said,) = found[Status.HAND_OVER]
+    said, would_do = found[Status.HAND_OVER]
     assert said.startswith(
         "hand-over: within 20 ms after the last command the wall alone asks for a current of 0.800"
     )
     assert "over its limit of 0.8 A; lower feedback.stiffness_N_m (200 N/m)" in said
+    assert would_do.startswith("feedback.stiffness_N_m = ")
+    assert would_do.endswith(" would do")
 
 
 @pytest.mark.long

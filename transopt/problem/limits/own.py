@@ -103,6 +103,10 @@ class OwnLimit(Limit):
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         raise NotImplementedError("made by own_limits")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Its class is made for its name, so another process makes it anew.
+        return _made, (self.name, self.unit, self.lower, self.upper, self.row)
+
     @property
     def linear(self) -> bool:
         return self.row.linear
@@ -140,7 +144,6 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
         lower = -np.inf if table["lower"] is None else float(table["lower"])
         upper = np.inf if table["upper"] is None else float(table["upper"])
         part = {name: _nominal(name, setting) for name in table["outputs"]}
-        kind = _kind(table["name"], table["unit"])
         row: Row
         if table["coefficients"] is not None:
             offset = np.asarray(table["offsets"], dtype=float)
@@ -165,8 +168,12 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
                 law=law_of(table["function"]),
                 convex=(upper == np.inf or table["convex"][1]) and (lower == -np.inf or table["convex"][0]),
             )
-        found.append(kind(lower, upper, row))
+        found.append(_made(table["name"], table["unit"], lower, upper, row))
     return tuple(found)
+
+
+def _made(name: str, unit: str, lower: float, upper: float, row: Row) -> OwnLimit:
+    return _kind(name, unit)(lower, upper, row)
 
 
 def _nominal(name: str, setting: Setting) -> FloatArray | float:
