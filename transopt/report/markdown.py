@@ -15,7 +15,16 @@ from transopt.design.refine_grid import Refinement
 from transopt.problem.answer import Certificate
 from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
-from transopt.report.tables import LEGEND, aftermath, columns_of, entry_cells, percent, refinement_summary, summary
+from transopt.report.tables import (
+    LEGEND,
+    aftermath,
+    columns_of,
+    entry_cells,
+    percent,
+    refinement_summary,
+    refusal,
+    summary,
+)
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
@@ -192,10 +201,12 @@ def build_markdown(build: Build) -> str:
         ]
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
+    lines += ["", LEGEND, ""]
+    if build.refused:
+        lines += ["## Refused", ""]
+        lines += [f"- {each.speed_m_s:g} m/s, {each.grip_N:g} N: {refusal(each)}" for each in build.refused]
+        lines += [""]
     lines += [
-        "",
-        LEGEND,
-        "",
         "## Certificates",
         "",
         "| speed m/s | grip N | J | gap / max(J, 1e-3) | over bound | violation | to r_raw % | winding C | after g | "

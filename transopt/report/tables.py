@@ -34,10 +34,10 @@ LEGEND = (
 
 
 def entry_cells(entry: Entry) -> list[str]:
-    """The cells of an entry under `columns_of`; dashes and the reason for one that is refused."""
+    """The cells of an entry under `columns_of`; dashes and the kind of refusal for one that is refused."""
     b = entry.baselines
     if entry.status is not Status.OPTIMAL:
-        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, refusal(entry), entry.verdict]
+        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, entry.status.value, entry.verdict]
     return [
         f"{entry.speed_m_s:g}",
         f"{entry.grip_N:g}",
@@ -54,8 +54,8 @@ def entry_cells(entry: Entry) -> list[str]:
 
 
 def refusal(entry: Entry) -> str:
-    """Why an entry is refused, and the remedy, once each."""
-    return ": ".join(dict.fromkeys(["; ".join(entry.shortfalls), entry.status.value]))
+    """Why an entry is refused, and what would do."""
+    return ": ".join(filter(None, dict.fromkeys([entry.status.value, "; ".join(entry.shortfalls)])))
 
 
 def columns_of(build: Build) -> list[str]:

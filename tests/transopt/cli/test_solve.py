@@ -75,7 +75,7 @@ class TestSolve:
         outcome = run("solve", stiff, "--out", "here")
         assert outcome.code == 1
         reason = re.search(
-            r"refused: 0\.2 m/s, 3 N: (hand-over: K_p z / k_f = .* A at .* mm .*, limit 0.3 A)", outcome.out
+            r"refused: 0\.2 m/s, 3 N: .*(hand-over: K_p z / k_f = .* A at .* mm .*, limit 0.3 A)", outcome.out
         )
         assert reason is not None, outcome.out
         last = outcome.out.splitlines()[-1]
