@@ -1,4 +1,4 @@
-"""The first steps of a command: loading what it is made of takes some tenths of a second, in which a Ctrl-C may come."""
+"""The first steps of a command, whose loading takes some tenths of a second in which a Ctrl-C may come."""
 
 import signal
 from importlib import import_module
