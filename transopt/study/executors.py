@@ -26,6 +26,10 @@ T = TypeVar("T")
 THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+LAST_WORDS_S = 1.0  # between a closed line and the exit code of the worker at its other end
+_one_at_a_time = threading.Lock()  # of all executors here: a worker's start changes this process's environment
+
+
 @dataclass(frozen=True)
 class Pool:
     """An executor, and what a long run needs to know of it.
@@ -125,7 +129,6 @@ class Processes(Executor):
         self._calls: queue.SimpleQueue[tuple[Future[Any], Any] | None] = queue.SimpleQueue()
         self._threads: list[threading.Thread] = []
         self._live: set[_Worker] = set()
-        self._one_at_a_time = threading.Lock()
         self._ended = False
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
@@ -163,22 +166,25 @@ class Processes(Executor):
             try:
                 worker = self._start() if worker is None else worker
                 worker.line.send(call)
-                result, error = worker.line.recv()
-            except (EOFError, OSError):
+                result, raised = worker.line.recv()
+            except (EOFError, OSError) as error:
+                cause = "could not be started" if worker is None else "died"
                 if worker is not None:
                     self._live.discard(worker)
+                    worker.process.join(LAST_WORDS_S)
+                    cause += f" with exit code {worker.process.exitcode}"
                 worker = None
-                future.set_exception(BrokenExecutor("a worker process died"))
+                future.set_exception(BrokenExecutor(f"a worker process {cause} ({error or type(error).__name__})"))
             except Exception as unsent:  # a call or a result that cannot be sent
                 future.set_exception(unsent)
             else:
-                if error is None:
+                if raised is None:
                     future.set_result(result)
                 else:
-                    future.set_exception(error)
+                    future.set_exception(raised)
 
     def _start(self) -> _Worker:
-        with self._one_at_a_time:
+        with _one_at_a_time:
             # Started by itself: what a fork server is asked for it starts only when it has loaded everything, which
             # a Ctrl-C would have to wait for. And a fork of this process would copy its threads half-alive.
             spawn = multiprocessing.get_context("spawn")
