@@ -13,7 +13,7 @@ from transopt.base.terminal import run
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("transopt solve --grid-cap abc", "valid integer"),
+        ("transopt solve --grid-cap abc", "valid int"),
         ("transopt solve --speedd 3", "No such option: --speedd"),
         ("transopt nosuch", "No such command 'nosuch'"),
         ("transopt verify", "Missing argument"),

@@ -93,8 +93,9 @@ class TestWhatCancelsAtTheSwitchingInstants:
     )
 
     def test_is_held_to_its_rounding_and_no_more(self) -> None:
-        designed = optimum(self.CASE.problem(), SolverOptions())
-        problem, command = designed.problem, designed.solution.command_A
+        # Nothing that is commanded moves the mass: which command is the optimum is any method's own choice.
+        problem = self.CASE.problem()
+        command = np.where(np.arange(problem.grid.stages) < problem.free_stages, 0.5, 0.0)
         run, (predicted, current) = played(problem, command), problem.stage.rollout(command)
         added = np.abs(problem.stage.plant.D[0, 0] * current).max()
         assert np.abs(run.acceleration_m_s2).max() < 1e-14 * added

@@ -84,7 +84,7 @@ def test_no_resonance_is_narrower_than_what_was_measured_between(
     poles = np.linalg.eigvals(box.plants[0].A)
     resonant = poles[poles.imag > 0]
     f = estimate.frequencies_Hz
-    spacing_Hz = np.interp(np.abs(resonant) / (2 * np.pi), f, np.gradient(f))
+    spacing_Hz = np.exp(np.interp(np.log(np.abs(resonant) / (2 * np.pi)), np.log(f), np.log(np.gradient(f))))
     assert np.all(-2 * resonant.real >= 2 * np.pi * RESOLVED * spacing_Hz * (1 - 1e-6))
     fine = np.geomspace(2, 800, 4000)
     ratio = box.plants[0].response(fine) / plant.response(fine)
