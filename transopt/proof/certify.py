@@ -283,11 +283,14 @@ def certify(
         zero = float(np.abs(problem.transient_command(command_A)).max()) <= SILENT * problem.limits.current_A
         return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
-    by_heating = effect.by_heating(clipped)
-    g = _reduced_gradient(effect, clipped, by_heating)
-    c_max = problem.command_bound_A
-    gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
-    gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a method that broke down the multipliers may be 1e300
+        by_heating = effect.by_heating(clipped)
+        g = _reduced_gradient(effect, clipped, by_heating)
+        c_max = problem.command_bound_A
+        gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
+        gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
+    if not np.isfinite(gap):
+        return replace(found, dual_residual=float("inf"), duality_gap=float("inf"), lower_bound=lower_bound)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.upper(TEMPERATURE).any()
     convex = convex and not _bent(problem, clipped)
     return replace(

@@ -248,3 +248,13 @@ def test_bad_problem_data_is_refused(make_problem: ProblemMaker) -> None:
         replace(problem, tracking_weights=np.ones(3))
     with pytest.raises(InputError, match="hand_over_samples = 0"):
         replace(problem, hand_over_samples=0)
+
+
+def test_multipliers_beyond_all_numbers_prove_nothing(saturated: tuple[TransientProblem, Solution]) -> None:
+    """A method that broke down may leave 1e300: no warning, no NaN, and no proof."""
+    problem, solution = saturated
+    huge = replace(solution.multipliers, hand_over=np.full(problem.hand_over_samples, 1e308))
+    certificate = certify(problem, solution.command_A, huge)
+    assert not certificate.accepted
+    assert certificate.duality_gap == np.inf
+    assert certificate.lower_bound == -np.inf
