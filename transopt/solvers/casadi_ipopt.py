@@ -45,7 +45,7 @@ def solver_object(shape: Shape, options: SolverOptions) -> ca.Function:
                 "tol": options.tolerance,
                 "max_iter": options.max_iterations,
                 # Far from any feasible point a single iteration may search for minutes.
-                "max_wall_time": most_time_s(shape.stages),
+                "max_cpu_time": most_time_s(shape.stages),
                 # Otherwise the answer leaves the box by 6e-8 A.
                 "bound_relax_factor": 0.0,
                 # The statement is in physical scale.

@@ -7,7 +7,7 @@ from transopt.base.errors import InputError
 from transopt.solvers.native import extension
 
 FALLBACK = "casadi-piqp"
-LEAST_TIME_S, TIME_PER_STAGE_S = 10.0, 2e-3  # after which a solve that takes tens of milliseconds is given up
+LEAST_TIME_S, TIME_PER_STAGE_S = 4.0, 2e-3  # of a processor, for a solve that takes tenths of a second
 
 
 def most_time_s(stages: int) -> float:
