@@ -244,7 +244,8 @@ class Library:
 
     def plant(self, ig: int) -> StateSpace:
         """The device of one grip, with the outputs that limits of a user's own look at."""
-        stored = self.meta.get("outputs", {}) and self.meta["outputs"][ig]
+        by_grip = self.meta.get("outputs")  # not there where no limit looks at any
+        stored = by_grip[ig] if by_grip else {}
         outputs = {name: Output(**{**each, "row": np.array([each["row"]])}) for name, each in stored.items()}
         A, B, C, D, Ce = (getattr(self, f"plant_{name}")[ig] for name in PLANT)
         return StateSpace.from_matrices(A, B, C, D, Ce, outputs)

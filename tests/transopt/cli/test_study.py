@@ -139,7 +139,7 @@ class TestCommandLine:
             (["--vary", "limits.beta=2,3", "--jobs", "-2"], "--jobs -2: must be at least 1"),
             (["--vary", "limits.beta=2,3", "--figures", "here"], "--figures: only with --study"),
             (["--vary", "limits.beta=2,3", "--seed", "3"], "--seed 3: only with --sample"),
-            (["--vary", "limits.beta=2,3", "--sample", "three"], "'--sample': "),
+            (["--vary", "limits.beta=2,3", "--sample", "three"], "'--sample': ... valid int"),
             (["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--full"], "not together with --full"),
             (
                 ["--require", "nrmse<=0.1", "--solve-for", "limits.beta=1:2", "--seed", "2"],
@@ -148,7 +148,8 @@ class TestCommandLine:
         ],
     )
     def test_options_that_would_be_ignored_are_refused(self, run: Run, words: list[str], error: str) -> None:
-        assert_refused(run(*words, "--out", "out"), error)
+        # The words between are typer's, another version's are others.
+        assert_refused(run(*words, "--out", "out"), *error.split(" ... "))
         assert not Path("out").exists()
 
     def test_nowhere_to_write(self, run: Run) -> None:
