@@ -40,6 +40,7 @@ from transopt.base.writing import table
 from transopt.problem.heat import Budget
 from transopt.problem.limits import limits_of
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.solvers import riccati, unlimited
@@ -54,8 +55,8 @@ def in_a_row(problem: TransientProblem, stages: int) -> TransientProblem:
     times = -(-stages // problem.reference_m_s2.size)
     return replace(
         problem,
-        grid=replace(problem.grid, stages=stages),
-        reference_m_s2=np.tile(problem.reference_m_s2, times)[:stages],
+        grid=replace(problem.grid, stages=stages, after_stages=0),
+        target=Target(np.tile(problem.reference_m_s2, times)[:stages]),
         tracking_weights=np.ones(stages),
     )
 

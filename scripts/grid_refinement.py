@@ -50,7 +50,7 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
         reference = between(references, speed)
         best = optimum(entry_problem(scene, stage, reference), SolverOptions()).solution.command_A
         commands = np.stack([best, *(library.at(speed, grip).command_A for library in libraries)])
-        wanted = np.tile(reference.motor_m_s2, (len(commands), 1))
+        wanted = [reference.target] * len(commands)
         exact, *blended = replayed_errors(stage, grid, commands, wanted)
         found.append([each - exact for each in blended])
     return np.array(found)

@@ -48,7 +48,6 @@ from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure
-from transopt.base.signals import nrmse
 from transopt.design.optimum import optimum
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -183,7 +182,7 @@ def known_truth(library: Library, device: TrueDevice) -> Stage:
         if not found.is_proven:
             raise InputError(f"optimum of the true device: {found.solution.status.value}")
         acceleration, current = stage.rollout(found.solution.command_A)
-        errors.append(nrmse(acceleration, problem.reference_m_s2))
+        errors.append(problem.target.nrmse(acceleration))
         peak = max(peak, float(np.abs(current).max()))
     return Stage("known truth, optimum", errors, peak)
 

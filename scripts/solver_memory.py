@@ -49,14 +49,14 @@ def hardest(name: str) -> TransientProblem:
     problem = entry_problem(scene, scene_stage(scene, scene.grid.grips_N[-1]), references[-1])
     if problem.wall is None:
         return problem
-    return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+    return pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
 
 
 def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
     return replace(
         problem,
         grid=replace(problem.grid, stages=stages),
-        reference_m_s2=problem.reference_m_s2[:stages] + 1.0,
+        target=replace(problem.target, window_m_s2=problem.reference_m_s2[:stages] + 1.0),
         tracking_weights=np.ones(stages),
         hand_over_samples=min(problem.hand_over_samples, stages),
     )

@@ -35,6 +35,7 @@ from transopt.problem.heat import Budget
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
@@ -118,7 +119,7 @@ class ProblemMaker:
             grid = replace(grid, delay_s=delay_s)
             amplifier = None if amplifier is None else replace(amplifier, delay_s=delay_s)
         if stages is not None:
-            grid = replace(grid, stages=stages)
+            grid = replace(grid, stages=stages, after_stages=0)
         reference = next(r for r in self.references if r.speed_m_s == speed_m_s).motor_m_s2
         # A longer horizon goes on with nothing to do, a shorter one is cut.
         padded = np.concatenate([reference, np.zeros(max(0, grid.stages - reference.size))])[: grid.stages]
@@ -128,7 +129,7 @@ class ProblemMaker:
         return TransientProblem(
             stage=stage,
             grid=grid,
-            reference_m_s2=padded,
+            target=Target(padded),
             tracking_weights=np.ones(grid.stages),
             rho=scene.weights.rho,
             limits=numbers_of(posed(scene.limits.asked(), setting), grid.dt_s, **limits),

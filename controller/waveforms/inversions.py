@@ -12,6 +12,7 @@ from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
+from transopt.problem.stage_data import tracking_values
 
 
 def unlimited_optimum(problem: TransientProblem) -> FloatArray:
@@ -25,13 +26,13 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
         return np.zeros(N)
     stage = linear_stage(problem)
     A, b, C, E = stage.A, stage.A[:, -1], stage.C, stage.E
-    r = problem.reference_m_s2
-    wanted = (r if problem.error_filter is None else problem.error_filter.apply(r)) / np.linalg.norm(r)
-    weights = problem.tracking_weights / len(problem.devices)
-    movement = problem.movement.weight * stage.current_A**2
+    values = tracking_values(problem, stage)
+    wanted, weights, movement = values["r"], values["w"] / len(problem.devices), float(values["rho"][0])
     rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0
-    P, p = np.zeros_like(A), np.zeros(b.size)
+    # What the device still does when the waveform is over.
+    end, target = values["end_gain"], values["end_target"]
+    P, p = end.T @ end, -end.T @ target
     laws = []
     for k in range(N - 1, -1, -1):
         w = weights[k]
@@ -61,7 +62,7 @@ def inversion(library: Library, iv: int, ig: int, *, optimal: bool) -> FloatArra
 
     Total current is cut at the library's limit; with a wall its predicted feedback is taken off, as from the optimum.
     """
-    problem = library.problem(iv, ig)
+    problem = library.problem(iv, ig).without_intensity()
     limit = problem.limits.current_A
     if optimal:
         command = clipped_optimum(problem.stage, problem.grid, unlimited_optimum(problem), limit)

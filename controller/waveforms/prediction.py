@@ -62,7 +62,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     wave = library.at(speed_m_s, grip_N)
     v, F = wave.speed_m_s, wave.grip_N
     by_speed = speed_weights(library.speeds_m_s, v)
-    reference = by_speed @ library.reference_m_s2
+    target = library.target(by_speed)
     grid, scene = library.time_grid(), scene_of(library)
     at_node = v in library.speeds_m_s and F in library.grips_N and gain == 1.0 and not wave.silent
     if at_node:
@@ -75,7 +75,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
             softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
             walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command_A
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
-        [played] = replay(stage, grid, command[None], reference[None], None, walls=walls)
+        [played] = replay(stage, grid, command[None], [target], None, walls=walls)
         acceleration, current = played.acceleration_m_s2, played.current_A
     by_v, by_F = interpolation_weights(library.speeds_m_s, v), interpolation_weights(library.grips_N, F)
     repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
@@ -86,7 +86,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         silent=wave.silent,
         times_s=grid.switching_times_s,
         acceleration_m_s2=acceleration,
-        reference_m_s2=reference,
+        reference_m_s2=target.window_m_s2,
         own_m_s2=by_speed @ (library.reference_raw_m_s2 - library.reference_m_s2),
         current_A=current,
         floor=float(by_v @ library.floor @ by_F),

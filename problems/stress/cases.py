@@ -25,6 +25,7 @@ from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Setting
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 
@@ -375,7 +376,7 @@ class StressCase:
         plain = TransientProblem(
             stage=stage,
             grid=grid,
-            reference_m_s2=reference,
+            target=Target(reference),
             tracking_weights=self.demand.tracking(N),
             rho=numbers["weights.rho"],
             limits=posed({"current_A": asked["current_A"]}, replace(setting, coil=None)),

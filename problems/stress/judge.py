@@ -68,7 +68,7 @@ def played(problem: TransientProblem, command_A: np.ndarray) -> Replay:
         problem.stage,
         problem.grid,
         problem.transient_command(command_A)[None],
-        problem.reference_m_s2[None],
+        [problem.target],
         None if thermal is None else thermal.coil,
         limits=[problem.limits],
         walls=None if wall is None else [wall],

@@ -32,6 +32,7 @@ from transopt.problem.answer import Multipliers, Solution
 from transopt.problem.limits import limits_of
 from transopt.problem.limits.command import CommandLimit
 from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
 from transopt.proof.certify import certify
@@ -93,8 +94,8 @@ def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> Transie
     assert amplifier is not None
     return TransientProblem(
         stage=discretise(scene.plant(grip_N), scene.amplifier_model(), scene.time.dt_s),
-        grid=replace(scene.time_grid(), stages=stages),
-        reference_m_s2=np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages],
+        grid=replace(scene.time_grid(), stages=stages, after_stages=0),
+        target=Target(np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages]),
         tracking_weights=np.ones(stages),
         rho=scene.weights.rho,
         limits=limits_of(CurrentLimit(scene.limits.transient_current_A), CommandLimit(amplifier.command_limit_A)),

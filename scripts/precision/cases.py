@@ -135,8 +135,7 @@ def judge(problem: TransientProblem, command_A: FloatArray, reference_objective:
 
 def replayed_nrmse(problem: TransientProblem, commands_A: FloatArray) -> FloatArray:
     """(M,) NRMSE of commands (M, N) in continuous time."""
-    references = np.broadcast_to(problem.reference_m_s2, commands_A.shape)
-    return replayed_errors(problem.stage, problem.grid, commands_A, references)
+    return replayed_errors(problem.stage, problem.grid, commands_A, [problem.target] * len(commands_A))
 
 
 def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) -> Optimum:

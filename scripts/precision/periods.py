@@ -97,8 +97,7 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
     stage = discretise(case.problem.stage.plant, case.problem.stage.amplifier, grid.dt_s)
     budget = None if case.small.thermal is None else [case.small.thermal.budget] * len(fine)
     coil = None if case.small.thermal is None else case.small.thermal.coil
-    references = np.broadcast_to(reference.motor_m_s2, fine.shape)
-    found = replay(stage, grid, fine, references, coil, budgets=budget)
+    found = replay(stage, grid, fine, [reference.target] * len(fine), coil, budgets=budget)
     current_A, command_A = case.problem.limits.current_A, case.problem.command_bound_A
     thermal = case.small.thermal
     violation = {}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from transopt.base.shown import cut, html_figure, html_table, wrapped
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.base.writing import percent
 from transopt.design.explain import Remedy
 from transopt.design.optimum import Designed, optimum
@@ -188,7 +188,7 @@ def wanted_of(reference: Reference) -> Wanted:
     """What a reference asks of the device, and the nominal motion under it."""
     return Wanted(
         reference.speed_m_s,
-        reference.motor_m_s2,
+        reference.target,
         reference.nominal_velocity_m_s,
         reference.nominal_position_m,
         reference.nominal_position_at_ticks_m,
@@ -223,7 +223,7 @@ def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Repla
         problems[0].stage,
         problems[0].grid,
         transients,
-        np.stack([problem.reference_m_s2 for problem in problems]),
+        [problem.target for problem in problems],
         coil,
         limits=[problem.limits for problem in problems],
         walls=walls or None,
@@ -241,9 +241,8 @@ def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list
     seed = seed_inversion(first.stage, first.grid, references, limits_A, first.hand_over_samples)
     clipped = clipped_optimum(first.stage, first.grid, free, limits_A)
     played = np.stack([seed, clipped], axis=1)  # (limit, method, entry, N), limit after limit as in `Baselines`
-    alike = np.broadcast_to(references, played.shape)
-    N = first.grid.stages
-    errors = replayed_errors(first.stage, first.grid, played.reshape(-1, N), alike.reshape(-1, N))
+    targets = [d.problem.target for d in designed] * (played.shape[0] * played.shape[1])
+    errors = replayed_errors(first.stage, first.grid, played.reshape(-1, first.grid.stages), targets)
     return [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
 
 
@@ -251,8 +250,10 @@ def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: 
     """NRMSE over the devices of a robust entry, of its command and of the command designed for the node alone."""
     if not problem.spread:
         return None
-    r = problem.reference_m_s2
-    own, robust = (np.array([nrmse(a, r) for a in problem.accelerations(c)]) for c in (nominal_A, command_A))
+    N, target = problem.grid.stages, problem.target
+    own, robust = (
+        np.array([target.nrmse(a) for a in problem.accelerations(c)[:, :N]]) for c in (nominal_A, command_A)
+    )
 
     def rms(errors: FloatArray) -> float:
         return float(np.sqrt(np.mean(errors**2)))

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.design.explain import infeasibility, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
-from transopt.problem.leave_out import encoder_course, leave_out, pressing, silence
+from transopt.problem.leave_out import encoder_course, leave_out, pressing, pressing_under, silence
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify, gradient_rounding, inside
@@ -68,7 +68,7 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     first = None
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
         alone = encoder_course(*silence(problem))
-    for course in (reference_course(problem.grid, problem.reference_m_s2), alone):
+    for course in (reference_course(problem.grid, problem.target.continued_m_s2), alone):
         designed, settled = _settled(pressing(problem, course), options)
         if settled or designed.remarks:
             return designed
@@ -93,7 +93,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
         designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
         if not designed.is_proven:
             return designed, False
-        again = pressing(problem, encoder_course(problem, designed.solution.command_A))
+        again = pressing_under(problem, designed.solution.command_A)
         if _mask(again) == _mask(problem):
             return designed, True
         if _mask(again) in tried:
@@ -163,7 +163,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
             problem,
             stage=problem.stage.extended(),
             spread=tuple(device.extended() for device in problem.spread),
-            reference_m_s2=problem.reference_m_s2.astype(np.longdouble),
+            target=problem.target.extended(),
         )
         extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
     by_command = gradient_rounding(problem, answer.command_A, answer.multipliers)
@@ -201,7 +201,7 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
         ]
     left_out = {"limits": "zero reference: zero waveform"}
     rest = np.zeros(problem.grid.stages)
-    floor = nrmse(rest, problem.reference_m_s2)
+    floor = problem.target.nrmse(rest)
     return Designed(problem, answer, proof, rest, floor, 0.0, left_out, None, hopeless)
 
 
@@ -216,7 +216,7 @@ def _hand_over_excess(problem: TransientProblem) -> str:
     wall, limit = problem.wall, problem.limits.current_A
     if wall is None:
         return ""
-    z = wall.encoder(reference_course(problem.grid, problem.reference_m_s2))[problem.free_stages :]
+    z = wall.encoder(reference_course(problem.grid, problem.target.continued_m_s2))[problem.free_stages :]
     deepest = float(-z.min())
     current = wall.wall.stiffness_N_m * deepest / wall.wall.force_per_current_N_A
     if current <= limit:
@@ -233,7 +233,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = unlimited.solve(small)
     acceleration, current = problem.stage.rollout(free.command_A)
-    floor = nrmse(acceleration, problem.reference_m_s2)
+    floor = problem.target.nrmse(acceleration)
     peak = float(np.abs(current).max())
 
     def designed(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_up
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import leave_out
@@ -98,7 +98,7 @@ def _without(problem: TransientProblem, limit: Limit, unlimited_A: FloatArray, o
         clear = limit is problem.thermal or peak < CLEAR * wider.limits[limit.name].stated
         if status is Status.OPTIMAL and clear:
             acceleration, _ = problem.stage.rollout(command)
-            return _Without(limit.enough(peak), nrmse(acceleration, problem.reference_m_s2))
+            return _Without(limit.enough(peak), problem.target.nrmse(acceleration))
     return _Without(float("inf"), 0.0)
 
 
@@ -120,9 +120,9 @@ def prices(
         return []
     if multipliers.largest * problem.grid.stages <= WORTH_SAYING:
         return []
-    stage, r = problem.stage, problem.reference_m_s2
+    stage, target = problem.stage, problem.target
     motion, free = stage.motion(command_A), stage.motion(unlimited_A)
-    error, floor = nrmse(motion.acceleration_m_s2, r), nrmse(free.acceleration_m_s2, r)
+    error, floor = target.nrmse(motion.acceleration_m_s2), target.nrmse(free.acceleration_m_s2)
     gains: dict[str, float] = {}
     for box in boxes(problem, command_A, motion, multipliers):
         gain = float(box.by_upper.sum()) + float(box.by_lower.sum())

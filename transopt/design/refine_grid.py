@@ -14,7 +14,7 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.design.entry import entry_problem, scene_stage, spread_stages
 from transopt.design.optimum import optimum
 from transopt.plant.discretise import StageModel
@@ -211,7 +211,7 @@ class Errors:
                     f"{proof.relative_gap:.0e}, {solution.status.value}): leave it out to see what the grid's own "
                     "entries lack"
                 )
-            error = nrmse(problem.stage.rollout(solution.command_A)[0], problem.reference_m_s2)
+            error = problem.target.nrmse(problem.stage.rollout(solution.command_A)[0])
             self._optima[point] = _Optimum(solution.command_A, error, solution.status, proof)
         return self._optima[point]
 
@@ -244,7 +244,7 @@ class Errors:
             blended = np.stack([self.blend(nodes, point) for point in group])
             played, _ = self.stage(grip).rollout(blended)
             for point, acceleration in zip(group, played, strict=True):
-                error = nrmse(acceleration, self.reference(point[0]).motor_m_s2)
+                error = self.reference(point[0]).target.nrmse(acceleration)
                 self._excess[keys[point]] = error - self.optimum(point).nrmse
         return {point: self._excess[key] for point, key in keys.items()}
 
@@ -257,7 +257,7 @@ class Errors:
                 commands = [
                     c for p in part for c in (self.optimum(p).command_A, self.blend(before, p), self.blend(after, p))
                 ]
-                wanted = np.repeat([self.reference(speed).motor_m_s2 for speed, _ in part], 3, axis=0)
+                wanted = [self.reference(speed).target for speed, _ in part for _ in range(3)]
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.
                 played = replayed_errors(self.stage(grip), grid, np.stack(commands), wanted).tolist()
                 found += [OffNode(*point, *played[3 * j : 3 * j + 3]) for j, point in enumerate(part)]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.design.entry import left_out_by_scene, replayed
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit, unlimited_nrmse
@@ -57,8 +57,8 @@ def resolve(
         designed = []
         for iv in speeds:
             problem = library.problem(iv, ig, stage)
-            target = library.reference_m_s2[iv] + corrections_m_s2[iv, ig]
-            designed.append(optimum(replace(problem, reference_m_s2=target), options))
+            wanted = library.reference_m_s2[iv] + corrections_m_s2[iv, ig]
+            designed.append(optimum(problem.towards(wanted), options))
         for iv, answer, played in zip(speeds, designed, replayed(library.coil(), designed), strict=True):
             command = answer.solution.command_A
             predicted, current = answer.problem.stage.rollout(command)
@@ -68,7 +68,7 @@ def resolve(
             if status is not Status.OPTIMAL:
                 kept[iv, ig] = (answer.remarks or shortfalls)[0]
                 continue
-            reference, proof = library.reference_m_s2[iv], answer.certificate
+            target, proof = library.target(np.eye(nv)[iv]), answer.certificate
             _put(
                 arrays,
                 (iv, ig),
@@ -78,8 +78,8 @@ def resolve(
                     "transient_command_A": answer.problem.transient_command(command),
                     "current_A": current,
                     "acceleration_m_s2": predicted,
-                    "nrmse": nrmse(played.acceleration_m_s2, reference),
-                    "floor": unlimited_nrmse(answer.problem, reference),
+                    "nrmse": target.nrmse(played.acceleration_m_s2),
+                    "floor": unlimited_nrmse(answer.problem, target),
                     "peak_current_A": played.peak_current_A,
                     "peak_temperature_C": played.winding_C,
                     "objective": proof.objective,

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.design.explain import unstable_wall
 from transopt.library.library import Library
 from transopt.library.proven import contradictions
-from transopt.plant.continuous import AFTER_S
+from transopt.plant.continuous import after_s
 from transopt.problem.answer import Certificate, Status
 from transopt.problem.leave_out import encoder_course, pressing
 from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import Replay, replay
 from transopt.solvers import unlimited
@@ -108,8 +109,8 @@ def _after_hand_over(played: Replay, problem: TransientProblem, late: list[Limit
     }
     stated = [f"{key} ({value:g} {unit})" for key, (value, unit) in keys.items() if value > 0]
     return (
-        f"hand-over: within {AFTER_S * 1e3:g} ms after the last command the wall alone asks for {asked}; lower "
-        f"{', '.join(stated)} or the speed"
+        f"hand-over: within {after_s(problem.grid) * 1e3:g} ms after the last command the wall alone asks for "
+        f"{asked}; lower {', '.join(stated)} or the speed"
     )
 
 
@@ -126,10 +127,11 @@ class EntryCheck:
     __repr__ = brief
 
 
-def unlimited_nrmse(problem: TransientProblem, reference_m_s2: FloatArray) -> float:
-    """NRMSE against r (N,) of the optimum without limits, which in a refined library aims elsewhere."""
-    free = np.zeros(problem.grid.stages) if problem.reference_is_zero else unlimited.solve(problem).command_A
-    return nrmse(problem.stage.rollout(free)[0], reference_m_s2)
+def unlimited_nrmse(problem: TransientProblem, target: Target) -> float:
+    """NRMSE against a target of the optimum of J without limits, which in a refined library aims elsewhere."""
+    plain = problem.without_intensity()
+    free = np.zeros(problem.grid.stages) if problem.reference_is_zero else unlimited.solve(plain).command_A
+    return target.nrmse(problem.stage.rollout(free)[0])
 
 
 def _stored(
@@ -146,7 +148,7 @@ def _stored(
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
-    floor = unlimited_nrmse(problem, library.reference_m_s2[iv])
+    floor = unlimited_nrmse(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
     found += contradictions(library, iv, ig, problem, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
     if not current_off <= tolerated(problem.limits.current_A):
@@ -174,7 +176,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
             stage,
             library.time_grid(),
             library.transient_command_A[:, ig] if walls else library.command_A[:, ig],
-            library.reference_m_s2,
+            [library.target(own) for own in np.eye(nv)],
             library.coil(),
             limits=[problem.limits for problem in problems],
             walls=walls or None,

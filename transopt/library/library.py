@@ -21,10 +21,11 @@ from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.plant.state_space import Output, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers
-from transopt.problem.leave_out import pressing
+from transopt.problem.leave_out import pressing_under
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.limits.own import OwnLimit
+from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing, Wanted
 from transopt.problem.problem import TransientProblem
 
@@ -262,12 +263,12 @@ class Library:
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
         wanted = self.wanted(float(self.speeds_m_s[iv]), np.eye(self.speeds_m_s.size)[iv])
-        wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + self.correction_m_s2[iv, ig])
+        wanted = replace(wanted, target=wanted.target.moved(self.correction_m_s2[iv, ig]))
         stage = self.stage(ig) if stage is None else stage
         problem = self.posing().problem(wanted, stage, self.spread(ig))
         if problem.wall is None:
             return problem
-        return pressing(problem, problem.encoder_at_ticks(problem.stage.motion(self.command_A[iv, ig])))
+        return pressing_under(problem, self.command_A[iv, ig])
 
     def posing(self) -> Posing:
         """What the problems of all taps with these limits share."""
@@ -288,11 +289,15 @@ class Library:
         """Reference and nominal motion, from weights (nv,) of the nodes' own, see `speed_weights`."""
         return Wanted(
             speed_m_s,
-            by_speed @ self.reference_m_s2,
+            self.target(by_speed),
             by_speed @ self.nominal_velocity_m_s,
             by_speed @ self.nominal_position_m,
             by_speed @ self.nominal_position_at_ticks_m,
         )
+
+    def target(self, by_speed: FloatArray) -> Target:
+        """r of a blend of the nodes by weights (nv,), see `speed_weights`."""
+        return Target(by_speed @ self.reference_m_s2)
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""

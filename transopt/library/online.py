@@ -24,7 +24,7 @@ from transopt.plant.discretise import StageModel
 from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Multipliers
-from transopt.problem.leave_out import encoder_course, leave_out, pressing
+from transopt.problem.leave_out import leave_out, pressing, pressing_under
 from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.posing import Posing
@@ -156,11 +156,11 @@ class Online:
             own = interpolation_weights(library.speeds_m_s, speed_m_s)
             by_grip = interpolation_weights(library.grips_N, grip_N)
             correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
-            wanted = replace(wanted, reference_m_s2=wanted.reference_m_s2 + correction)
+            wanted = replace(wanted, target=wanted.target.moved(correction))
         problem = posing.problem(wanted, stage, tuple(spread), coil)
         if problem.wall is None:
             return problem
-        return pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        return pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
 
     def solve(
         self,
@@ -215,7 +215,7 @@ class Online:
                 return "no certified optimum"
             if problem.wall is None:
                 return problem, found
-            again = pressing(problem, encoder_course(problem, found.command_A))
+            again = pressing_under(problem, found.command_A)
             assert again.wall is not None
             first = max(problem.free_stages - 1, 0)  # the tick before the hand-over, which the prefilter remembers
             if np.array_equal(again.wall.pressing[first:], problem.wall.pressing[first:]):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.library.file import BROKEN, load_library
 from transopt.library.library import PLANT, Library
 from transopt.plant.discretise import StageModel
@@ -27,6 +27,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, S
 from transopt.problem.baselines import seed_inversion
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import stages, without_limits
@@ -104,7 +105,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
             yield where + _shortfall(proof)
         else:
             yield from (where + off for off in _predictions(library, iv, ig, effect))
-            floor = _floor(problem, library.reference_m_s2[iv])
+            floor = _floor(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
             yield from (where + off for off in contradictions(library, iv, ig, problem, proof, floor))
 
 
@@ -114,8 +115,9 @@ def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
     bounds = np.array([limits["current_A"], limits["steady_current_A"]])[:, None, None]
     references, taper = library.reference_m_s2, library.meta["hand_over_samples"]
     played, _ = stage.rollout(seed_inversion(stage, library.time_grid(), references, bounds, taper))
-    for iv, reference in enumerate(references):
-        value = [nrmse(each, reference) for each in played[:, iv]]
+    for iv, own in enumerate(np.eye(references.shape[0])):
+        target = library.target(own)
+        value = [target.nrmse(each) for each in played[:, iv]]
         if not np.allclose(library.nrmse_seed[iv, ig], value, rtol=RIVAL, atol=SAME):
             where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N"
             yield f"{where}: nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
@@ -167,11 +169,11 @@ def _boundable(problem: TransientProblem) -> bool:
     return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
 
 
-def _floor(problem: TransientProblem, reference_m_s2: FloatArray) -> float:
+def _floor(problem: TransientProblem, target: Target) -> float:
     """NRMSE of the optimum without limits, by the compiled pass; NaN where there is none, or it loses digits."""
     free = np.zeros(problem.grid.stages)
     if not problem.reference_is_zero:
-        given = without_limits(problem)
+        given = without_limits(problem.without_intensity())
         if not available or given.sizes["states"] > MOST_STATES:
             return np.nan
         run = LinearPass(given)
@@ -179,7 +181,7 @@ def _floor(problem: TransientProblem, reference_m_s2: FloatArray) -> float:
         if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
             return np.nan
         free = run.command_A()
-    return nrmse(problem.stage.rollout(free)[0], reference_m_s2)
+    return target.nrmse(problem.stage.rollout(free)[0])
 
 
 def contradictions(
@@ -227,6 +229,7 @@ def contradictions(
 def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[str]:
     """What the file predicts of an entry and its command does not do."""
     problem, motion, reference = effect.problem, effect.motion, library.reference_m_s2[iv]
+    target = library.target(np.eye(library.speeds_m_s.size)[iv])
     size = max(float(np.abs(reference).max()), float(np.abs(motion.acceleration_m_s2).max()))
     for name, value, tolerance in (
         ("current_A", motion.current_A, SAME * problem.limits.current_A),
@@ -235,7 +238,7 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
         off = float(np.abs(getattr(library, name)[iv, ig] - value).max())
         if not off <= tolerance:
             yield f"{name} is off by {off:.3g}"
-    stored, error = float(library.nrmse[iv, ig]), nrmse(motion.acceleration_m_s2, reference)
+    stored, error = float(library.nrmse[iv, ig]), target.nrmse(motion.acceleration_m_s2)
     if not np.isclose(stored, error, rtol=FIGURE, atol=SAME):
         yield f"nrmse says {stored:.6g}, recomputed {error:.6g}"
     stored, peak = float(library.peak_current_A[iv, ig]), float(np.abs(motion.current_A).max())

@@ -22,7 +22,7 @@ STEP_RADIUS = 0.5  # largest |eigenvalue| times step to begin with: a stiff mode
 STEP_ERROR = 1e-10  # wanted relative difference between a step and half of it
 MOST_HALVINGS = 6
 BLOCK = 16  # periods that one matrix product takes
-AFTER_S = 20e-3  # of free motion after the waveform
+AFTER_S = 20e-3  # of free motion after the waveform, at least
 AGREEMENT = 1e-6  # largest excusable difference between replay and prediction, relative to the peak
 # Where link and current forces cancel at the switching instants (a mass on a link that decays within one tick), what
 # is left of y'' is rounding of C x and D i. Differences up to this share of them say nothing.
@@ -217,7 +217,7 @@ class Flow:
 
 @dataclass(frozen=True)
 class Course:
-    """States of M taps at the start of every segment, from the first tick until `AFTER_S` after tau_N.
+    """States of M taps at the start of every segment, from the first tick until `after_s` after tau_N.
 
     Attributes
     ----------
@@ -226,6 +226,7 @@ class Course:
     felt_A : (M, periods) per segment, the command that is felt in it.
     command_A : (M, N) as issued.
     arriving : index of the segment in which a tick's own command is felt first.
+    instants : N and those after the window that the problem looks at.
     """
 
     segments: list[Segment]
@@ -233,15 +234,16 @@ class Course:
     felt_A: list[FloatArray]
     command_A: FloatArray
     arriving: int
+    instants: int
 
     @property
     def at_switching(self) -> slice:
-        """Periods whose arriving segments start at the switching instants."""
+        """Periods whose arriving segments start at the switching instants, those after the window among them."""
         behind = self.segments[self.arriving].behind
-        return slice(behind, behind + self.command_A.shape[1])
+        return slice(behind, behind + self.instants)
 
     def accelerations(self, flow: Flow) -> FloatArray:
-        """(M, N) y'' just after the switching instants."""
+        """(M, instants) y'' just after the switching instants."""
         at = self.at_switching
         states, felt = self.states[self.arriving][:, at], self.felt_A[self.arriving][:, at]
         return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
@@ -303,7 +305,7 @@ def _play(
     # With a whole delay the command arrives with the tick, else with the second segment.
     arriving = 0 if first.behind == second.behind else 1
     (M, N), n = commands_A.shape, flow.A.shape[0]
-    periods = N + first.behind + int(np.ceil(AFTER_S / grid.dt_s))
+    periods = N + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
     # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
     issued = np.zeros((M, first.behind + periods))
     issued[:, first.behind : first.behind + N] = commands_A
@@ -323,7 +325,13 @@ def _play(
             x = x @ P.T + issued[:, k : k + 1 + late] @ by_command.T
     felt = [issued[:, :periods], issued[:, late : late + periods]]
     middle = starts @ first.P[-1].T + felt[0][..., None] * first.Q[-1][:, 0]
-    return Course(segments, [starts, middle], felt, issued[:, first.behind : first.behind + N], arriving)
+    command = issued[:, first.behind : first.behind + N]
+    return Course(segments, [starts, middle], felt, command, arriving, N + grid.after_stages)
+
+
+def after_s(grid: TimeGrid) -> float:
+    """How long the replay looks at the free motion after the waveform: through all that the problem looks at."""
+    return max(AFTER_S, grid.after_stages * grid.dt_s)
 
 
 def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
@@ -351,7 +359,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
         felt_A=felt.reshape(M, -1),
         velocity_m_s=velocity,
         outputs=dict(zip(flow.names, further, strict=True)),
-        at_switching=starts[course.arriving :: 2][at],
+        at_switching=starts[course.arriving :: 2][at][: grid.stages],
         segment_starts=starts,
     )
 
@@ -364,7 +372,7 @@ class Accurate:
     ----------
     flow : what was integrated.
     course : states at the starts of the segments.
-    acceleration_m_s2 : (M, N) y'' just after the switching instants.
+    acceleration_m_s2 : (M, instants) y'' just after the switching instants, those after the window behind.
     rounding_m_s2 : (M,) size of what rounding may do to them.
     step_error : (M,) largest difference of y'' to the course of twice the step, relative to its peak.
     """

@@ -21,6 +21,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
+WHOLE = 1e-6  # of a servo period: what rounding makes of a delay that is a whole number of them
 AFTER = " after the period"  # behind the name of an output: its value at the next switching instant
 
 
@@ -28,12 +29,16 @@ AFTER = " after the period"  # behind the name of an output: its value at the ne
 class TimeGrid:
     """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, k = 0..N-1, contact at t = 0.
 
+    From tau_N on the command is zero, or what a wall asks for, and the device moves freely; what it does at M further
+    instants counts as well.
+
     Attributes
     ----------
     dt_s : servo period, > 0.
     stages : N, number of commands, >= 1.
     lead_s : how long before contact the first command is issued, >= 0.
     delay_s : of the amplifier, >= 0.
+    after_stages : M, instants after the window, >= 0.
 
     Raises
     ------
@@ -44,12 +49,15 @@ class TimeGrid:
     stages: int
     lead_s: float
     delay_s: float
+    after_stages: int = 0
 
     def __post_init__(self) -> None:
         if not 0 < self.dt_s < np.inf:
             raise InputError(f"time.dt_s = {self.dt_s:g}: must be > 0 and finite")
         if self.stages < 1:
             raise InputError(f"time.stages = {self.stages}: must be at least 1")
+        if self.after_stages < 0:
+            raise InputError(f"weights.after_s: {self.after_stages} samples after the window: must be at least 0")
         for name in ("lead_s", "delay_s"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"time.{name} = {getattr(self, name):g}: must be >= 0 and finite")
@@ -68,6 +76,26 @@ class TimeGrid:
     def end_s(self) -> float:
         """tau_N, where the last command ends [s]."""
         return -self.lead_s + self.dt_s * self.stages + self.delay_s
+
+    @property
+    def before_times_s(self) -> FloatArray:
+        """(L,) instants tau_0 - j dt >= 0, rising: the tap has begun, and no command can reach them.
+
+        L = floor((delay - lead) / dt), zero where the lead covers the delay; contact itself counts.
+        """
+        lost = max(int(np.floor((self.delay_s - self.lead_s) / self.dt_s + WHOLE)), 0)
+        return np.asarray(self.delay_s - self.lead_s - self.dt_s * np.arange(lost, 0, -1), dtype=float)
+
+    @property
+    def after_times_s(self) -> FloatArray:
+        """(M,) tau_N to tau_(N+M-1)."""
+        return np.asarray(self.end_s + self.dt_s * np.arange(self.after_stages), dtype=float)
+
+    @property
+    def all_issue_times_s(self) -> FloatArray:
+        """(N + M,) t_0 to t_(N+M-1): a wall goes on reading the encoder when the waveform is over."""
+        ticks = np.arange(self.stages + self.after_stages)
+        return np.asarray(-self.lead_s + self.dt_s * ticks, dtype=float)
 
 
 @dataclass(frozen=True)
@@ -97,6 +125,32 @@ class Motion:
         """No motion, (stages,) of each."""
         nothing = np.zeros(stages)
         return cls(nothing, nothing, nothing, nothing)
+
+    def padded(self, stages: int) -> "Motion":
+        """The same with so many zeros behind."""
+        if stages == 0:
+            return self
+
+        def longer(values: FloatArray) -> FloatArray:
+            return np.concatenate([values, np.zeros((*values.shape[:-1], stages), dtype=values.dtype)], axis=-1)
+
+        return Motion(
+            longer(self.acceleration_m_s2),
+            longer(self.current_A),
+            longer(self.velocity_m_s),
+            longer(self.encoder_m),
+            {name: longer(values) for name, values in self.outputs.items()},
+        )
+
+    def first(self, stages: int) -> "Motion":
+        """The first so many instants of it."""
+        return Motion(
+            self.acceleration_m_s2[..., :stages],
+            self.current_A[..., :stages],
+            self.velocity_m_s[..., :stages],
+            self.encoder_m[..., :stages],
+            {name: values[..., :stages] for name, values in self.outputs.items()},
+        )
 
 
 @dataclass(frozen=True)
@@ -358,19 +412,19 @@ def state_scale(A: FloatArray, B: FloatArray, current_limit_A: float, stages: in
     """
     period, n = 20, B.size
     halves = -(-min(stages, 20 * period) // period)
-    powers = _powers(A, period)
-    held = np.cumsum((powers[:-n] @ (B * current_limit_A)).reshape(period, n), axis=0)
+    of_A = powers(A, period)
+    held = np.cumsum((of_A[:-n] @ (B * current_limit_A)).reshape(period, n), axis=0)
     # Half period after half period, each seen with the sign of its own current: x+ = held_20 - A^20 x. All states of
     # one follow from where it starts.
     starts = np.zeros((halves, n))
-    starts[1:] = np.cumsum((_powers(-powers[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
-    courses = held.ravel() - starts @ powers[n:].T
+    starts[1:] = np.cumsum((powers(-of_A[-n:], halves - 2) @ held[-1]).reshape(-1, n), axis=0)
+    courses = held.ravel() - starts @ of_A[n:].T
     peak = np.abs(courses).max(axis=0).reshape(period, n).max(axis=0)
     # A state that the current cannot move has no size of its own.
     return np.where(peak > 0, peak, 1.0)
 
 
-def _powers(A: FloatArray, last: int) -> FloatArray:
+def powers(A: FloatArray, last: int) -> FloatArray:
     """((last + 1) n, n) A^0 to A^last one below the other, by doubling."""
     n = A.shape[0]
     found = np.concatenate([np.eye(n), A])

@@ -109,14 +109,15 @@ class Wall:
 
 @dataclass(frozen=True)
 class HandOver:
-    """The wall as one entry sees it: the last commands are what the feedback asks for, no more.
+    """The wall as one entry sees it: the last commands are what the feedback asks for, no more, and so it goes on.
 
     Attributes
     ----------
     wall : its law.
-    nominal_m : (N,) z_nom at the ticks t_k.
+    nominal_m : (N + M,) z_nom at the ticks t_k, through the window and after it. What is asked of the first K ticks
+        takes the first K of them.
     approach_m_s : incoming speed.
-    pressing : (N,) whether the law pushes at tick k; fixed for one solve, checked against the answer.
+    pressing : (N + M,) whether the law pushes at tick k; fixed for one solve, checked against the answer.
     """
 
     wall: Wall
@@ -127,21 +128,21 @@ class HandOver:
     __repr__ = brief
 
     def encoder(self, deviation_m: FloatArray) -> FloatArray:
-        """(..., N) z at the ticks for the deviations y there."""
-        return self.nominal_m + deviation_m
+        """(..., K) z at the ticks for the deviations y there."""
+        return self.nominal_m[: deviation_m.shape[-1]] + deviation_m
 
     def feedback(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
-        """(..., N) i_fb as the law gives it for the deviations y at the ticks."""
+        """(..., K) i_fb as the law gives it for the deviations y at the ticks."""
         return self.wall.current(*self.wall.measured(self.encoder(deviation_m), dt_s, self.approach_m_s))
 
     def masked_feedback(self, deviation_m: FloatArray, dt_s: float) -> FloatArray:
-        """(..., N) i_fb with the ticks at which it pushes held fixed: affine in the deviations."""
+        """(..., K) i_fb with the ticks at which it pushes held fixed: affine in the deviations."""
         wanted = self.wall.wanted(*self.wall.measured(self.encoder(deviation_m), dt_s, self.approach_m_s))
-        return np.asarray(np.where(self.pressing, wanted, 0.0))
+        return np.asarray(np.where(self.pressing[: wanted.shape[-1]], wanted, 0.0))
 
     def feedback_transpose(self, by_feedback: FloatArray, dt_s: float) -> FloatArray:
-        """(N,) gradient by the deviations for a gradient by `masked_feedback`."""
-        return self.wall.linear_transpose(np.where(self.pressing, by_feedback, 0.0), dt_s)
+        """(K,) gradient by the deviations for a gradient by `masked_feedback`."""
+        return self.wall.linear_transpose(np.where(self.pressing[: by_feedback.size], by_feedback, 0.0), dt_s)
 
 
 def feedback_command(feedback_A: FloatArray, amplifier: Amplifier | None, dt_s: float) -> FloatArray:
@@ -158,10 +159,11 @@ def feedback_command_transpose(by_command: FloatArray, amplifier: Amplifier | No
 
 
 def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
-    """(N,) deviation of the stylus from its nominal motion at the ticks, if it followed the reference (N,)."""
+    """(N + M,) deviation of the stylus from its nominal motion at the ticks, if it followed r (N + M,)."""
     velocity = scipy.integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
     course = scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
-    return np.asarray(np.interp(grid.issue_times_s, grid.switching_times_s, course))
+    ticks = grid.all_issue_times_s
+    return np.asarray(np.interp(ticks, ticks + grid.delay_s, course))
 
 
 class FeedbackLoop:

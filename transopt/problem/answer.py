@@ -138,15 +138,17 @@ class Certificate:
     Attributes
     ----------
     objective : J of the rolled-out command.
+    merit : L of it, which is what is minimised; J itself where intensity has no price.
     violations : unit -> largest excess over a limit in that unit, and in A at the hand-over; 0 if none.
     excess : the largest of the violations in units of its tolerance (`tolerated`); at most 1 is accepted.
     dual_residual : largest |reduced gradient of the Lagrangian| over the free commands [1/A].
-    duality_gap : bound on J - optimum; rigorous unless the temperature binds, then that of the linearised problem.
-    lower_bound : rigorous bound on the optimum from below.
+    duality_gap : bound on L - optimum; rigorous unless the temperature binds, then that of the linearised problem.
+    lower_bound : rigorous bound on the optimum of L from below.
     finite : every number that went in was finite.
     """
 
     objective: float
+    merit: float
     violations: Mapping[str, float]
     excess: float
     dual_residual: float
@@ -164,7 +166,8 @@ class Certificate:
     def nothing(cls) -> "Certificate":
         """Of numbers that are not finite."""
         inf = float("inf")
-        return cls(float("nan"), {"A": inf}, inf, inf, inf, -inf, finite=False)
+        nan = float("nan")
+        return cls(nan, nan, {"A": inf}, inf, inf, inf, -inf, finite=False)
 
     @property
     def stated_violations(self) -> dict[str, float]:
@@ -181,8 +184,8 @@ class Certificate:
 
     @property
     def relative_bound(self) -> float:
-        """How far J lies above the rigorous lower bound, relative."""
-        return (self.objective - self.lower_bound) / max(self.objective, OBJECTIVE_SCALE)
+        """How far L lies above the rigorous lower bound, relative."""
+        return (self.merit - self.lower_bound) / max(self.objective, OBJECTIVE_SCALE)
 
     @property
     def primal_violation(self) -> float:

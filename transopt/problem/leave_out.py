@@ -9,6 +9,8 @@ from transopt.plant.discretise import StageModel, discretise
 from transopt.plant.wall import FeedbackLoop
 from transopt.problem.problem import TransientProblem
 
+MOST_TRIES = 12  # until the wall after the window pushes where it was assumed to
+
 
 def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
     """The problem with its wall pressing where it does when no transient plays, and that command (N,); zero without.
@@ -16,22 +18,23 @@ def silence(problem: TransientProblem) -> tuple[TransientProblem, FloatArray]:
     Tick by tick, with the wall's law closed over the stage model.
     """
     stage, wall, N = problem.stage, problem.wall, problem.grid.stages
-    command = np.zeros(N)
+    ticks = N + problem.grid.after_stages
+    command = np.zeros(ticks)
     if wall is None:
-        return problem, command
+        return problem, command[:N]
     assert stage.Cp is not None
     assert stage.Dp is not None
     loop = FeedbackLoop(
         wall.wall, stage.amplifier, problem.grid.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s])
     )
-    course, late, x = np.zeros(N), stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
+    course, late, x = np.zeros(ticks), stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-        for k in range(N):
+        for k in range(ticks):
             command[k] = loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
-            if k + late < N:
+            if k + late < ticks:
                 course[k + late] = (stage.Cp @ x + stage.Dp * command[k])[0, 0]
             x = stage.A @ x + stage.B * command[k]
-    return pressing(problem, course), command
+    return pressing(problem, course), command[:N]
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ def leave_out(problem: TransientProblem) -> Reduced:
             reasons[limit.name] = reason
             problem = problem.without(limit.name)
     if problem.wall is not None and not problem.wall.pressing[max(problem.free_stages - 1, 0) :].any():
-        reasons["feedback"] = "the stylus is above the surface over the hand-over: the wall asks for nothing there"
+        reasons["feedback"] = "the stylus is above the surface from the hand-over on: the wall asks for nothing there"
         problem = replace(problem, wall=None, stage=without_position(problem.stage))
     return Reduced(problem, reasons)
 
@@ -62,13 +65,28 @@ def without_position(stage: StageModel) -> StageModel:
 
 
 def encoder_course(problem: TransientProblem, command_A: FloatArray) -> FloatArray:
-    """(N,) deviation of the encoder at the ticks under a command."""
-    return problem.encoder_at_ticks(problem.stage.motion(command_A))
+    """(N + M,) deviation of the encoder at the ticks under a command (N,) and what follows it."""
+    return problem.feedback.course(problem.stage.motion(problem.continued(command_A)))
 
 
 def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientProblem:
-    """The same problem with the ticks at which its wall pushes taken from an encoder course (N,) of deviations."""
+    """The same problem, its wall pushing where an encoder course (N + M,) of deviations makes it push."""
     wall = problem.wall
     assert wall is not None
     pushes = wall.feedback(deviation_m, problem.grid.dt_s) > 0
     return replace(problem, wall=replace(wall, pressing=pushes))
+
+
+def pressing_under(problem: TransientProblem, command_A: FloatArray) -> TransientProblem:
+    """The same problem with its wall pushing where a command (N,) and the wall after it make it push.
+
+    What the wall does after the window depends on where it pushes there, so the ticks are taken anew until they stay.
+    """
+    for _ in range(MOST_TRIES):
+        again = pressing(problem, encoder_course(problem, command_A))
+        assert again.wall is not None
+        assert problem.wall is not None
+        if np.array_equal(again.wall.pressing, problem.wall.pressing):
+            return problem
+        problem = again
+    return problem

@@ -18,24 +18,26 @@ from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.own import LawOf
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 from transopt.problem.problem import TransientProblem
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What one incoming speed asks for, all (N,) at the switching instants but the position at the ticks.
+    """What one incoming speed asks for.
 
     Attributes
     ----------
     speed_m_s : at contact.
-    reference_m_s2 : r.
-    nominal_velocity_m_s, nominal_position_m : the hand's own motion z_nom and its derivative.
-    nominal_position_at_ticks_m : z_nom at the servo ticks, where the encoder is read, for the wall.
+    target : r.
+    nominal_velocity_m_s, nominal_position_m : (N,) the hand's own motion z_nom and its derivative at the switching
+        instants.
+    nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks, where the encoder is read, for the wall.
     """
 
     speed_m_s: float
-    reference_m_s2: FloatArray
+    target: Target
     nominal_velocity_m_s: FloatArray
     nominal_position_m: FloatArray
     nominal_position_at_ticks_m: FloatArray
@@ -136,14 +138,14 @@ class Posing:
             coil=self.coil if coil is None else coil,
             budget=self.budget,
             wall=hand_over,
-            reference_m_s2=wanted.reference_m_s2,
+            reference_m_s2=wanted.target.window_m_s2,
             nominal_m=wanted.nominal_position_m,
             nominal_m_s=wanted.nominal_velocity_m_s,
         )
         return TransientProblem(
             stage=stage,
             grid=self.grid,
-            reference_m_s2=wanted.reference_m_s2,
+            target=wanted.target,
             tracking_weights=self.tracking_weights,
             rho=self.rho,
             limits=posed(self.asked, setting, self.law_of),

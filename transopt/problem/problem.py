@@ -10,13 +10,14 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
 from transopt.plant.wall import HandOver, feedback_command
+from transopt.problem.after import Feedback
 from transopt.problem.limits.limit import Limit, Limits, Row
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.movement import Movement
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking
 from transopt.problem.objective.weighting import ErrorFilter
 
-ZERO_REFERENCE_M_S2 = 1e-3  # a reference with a smaller rms is zero
 LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision can hold
 
 
@@ -24,28 +25,32 @@ LARGEST_M_S2 = 1e100  # whose square and all that is made of it double precision
 class TransientProblem:
     """Make the device accelerate like the reference, within the limits, from rest.
 
-    minimise  sum_k w_k (F e)_k^2 / sum_k r_k^2 + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2,  e_k = y''_k - r_k,
+    minimise  [lost + sum_(k<N) w_k (F e)_k^2 + sum_(j<M) (F e)_(N+j)^2] / E
+              + rho / (N I^2) sum_k (dc_k 1e-4 s / dt)^2,  e = y'' - r,
     over the commands c_0..c_(N-1), dc_k = c_k - c_(k-1), c_(-1) = 0, I = `limits.current_A`,
     subject to the stage model, the limits, and the hand-over: over the last `hand_over_samples` the command is
-    what the wall's feedback asks for, zero without a wall. Each term is a room: `objective.tracking`,
-    `objective.movement`; so is each limit, in `limits`.
+    what the wall's feedback asks for, zero without a wall; so it stays after the window. Each term is a room:
+    `objective.tracking`, `objective.movement`; so is each limit, in `limits`.
 
     Attributes
     ----------
     stage : exact stage model of this grip's device.
-    grid : time axis; `grid.stages` = N.
-    reference_m_s2 : (N,) r at the switching instants.
+    grid : time axis; `grid.stages` = N, `grid.after_stages` = M.
+    target : r, with what is lost before tau_0 and what comes after tau_N.
     tracking_weights : (N,) w_k >= 0.
     rho : weight of the command's movement, >= 0.
     limits : what bounds the command and all that follows from it.
     wall : the virtual wall over the hand-over; None without one.
     error_filter : F; None for 1.
     spread : further devices that the one command shall serve; the first term is then the mean over all.
+    intensity : lam, price of the energy that y'' lacks; what is minimised is then L = J - lam [sum (F y'')^2
+        - 10^(intensity_dB / 10) sum (F r)^2] / E, both sums over the window. 0 minimises J.
+    intensity_dB : energy of the tap that is asked for, over that of r [dB].
     """
 
     stage: StageModel
     grid: TimeGrid
-    reference_m_s2: FloatArray
+    target: Target
     tracking_weights: FloatArray
     rho: float
     limits: Limits
@@ -53,25 +58,33 @@ class TransientProblem:
     wall: HandOver | None = None
     error_filter: ErrorFilter | None = None
     spread: tuple[StageModel, ...] = ()
+    intensity: float = 0.0
+    intensity_dB: float = 0.0
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
-        N = self.grid.stages
-        for name in ("reference_m_s2", "tracking_weights"):
-            array = getattr(self, name)
-            if array.shape != (N,):
-                raise InputError(f"{name} has shape {array.shape}, expected ({N},)")
+        N, M = self.grid.stages, self.grid.after_stages
+        for name, array, size in (
+            ("reference_m_s2", self.target.window_m_s2, N),
+            ("reference_after_m_s2", self.target.after_m_s2, M),
+            ("reference_before_m_s2", self.target.before_m_s2, self.target.before_m_s2.size),
+            ("tracking_weights", self.tracking_weights, N),
+        ):
+            if array.shape != (size,):
+                raise InputError(f"{name} has shape {array.shape}, expected ({size},)")
             if not np.isfinite(array).all():
                 raise InputError(f"{name} holds a number that is not finite")
-        largest = max(float(self.reference_m_s2.max()), -float(self.reference_m_s2.min()))
-        if largest > LARGEST_M_S2:
-            raise InputError(
-                f"reference_m_s2 reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
-                "overflow; check its unit"
-            )
+            largest = float(np.abs(array).max(initial=0.0))
+            if name.startswith("reference") and largest > LARGEST_M_S2:
+                raise InputError(
+                    f"{name} reaches {largest:g} m/s^2: must stay below {LARGEST_M_S2:g}, where squares "
+                    "overflow; check its unit"
+                )
         if self.tracking_weights.min() < 0 or not 0 <= self.rho < np.inf:
             raise InputError("weights: tracking weights and rho must be >= 0 and finite")
+        if not (self.intensity == 0 or 0 < self.intensity < min(1.0, self.tracking_weights.min())):
+            raise InputError(f"intensity {self.intensity:g}: must be >= 0, below 1 and below every tracking weight")
         if not 1 <= self.hand_over_samples <= N:
             raise InputError(
                 f"hand_over_samples = {self.hand_over_samples}: must be between 1 and the {N} stages, "
@@ -98,6 +111,10 @@ class TransientProblem:
         """The same problem with this limit in the place of the one of its name."""
         return replace(self, limits=self.limits.replaced(limit))
 
+    def without_intensity(self) -> "TransientProblem":
+        """The same problem with no price on intensity: J is minimised."""
+        return self if self.intensity == 0 else replace(self, intensity=0.0)
+
     @property
     def nonlinear(self) -> tuple[str, ...]:
         """Names of the limits that a quadratic program cannot have."""
@@ -116,9 +133,18 @@ class TransientProblem:
         return self.limits.command_bound_A(ideal=self.stage.amplifier is None)
 
     @property
+    def reference_m_s2(self) -> FloatArray:
+        """(N,) r within the window."""
+        return self.target.window_m_s2
+
+    def towards(self, reference_m_s2: FloatArray) -> "TransientProblem":
+        """The same problem with another r (N,) within the window."""
+        return replace(self, target=replace(self.target, window_m_s2=reference_m_s2))
+
+    @property
     def reference_is_zero(self) -> bool:
-        r = self.reference_m_s2
-        return float(r @ r) < ZERO_REFERENCE_M_S2**2 * r.size
+        """Whether the window asks for nothing: the answer is the zero waveform."""
+        return self.target.asks_for_nothing
 
     @property
     def free_stages(self) -> int:
@@ -133,7 +159,8 @@ class TransientProblem:
     @property
     def tracking(self) -> Tracking:
         """The first term."""
-        return Tracking(self.reference_m_s2, self.tracking_weights, self.error_filter)
+        level = float(10 ** (self.intensity_dB / 10))
+        return Tracking(self.target, self.tracking_weights, self.error_filter, self.intensity, level)
 
     @property
     def movement(self) -> Movement:
@@ -146,33 +173,37 @@ class TransientProblem:
         return (self.stage, *self.spread)
 
     def accelerations(self, command_A: FloatArray) -> FloatArray:
-        """(S, N) y'' of every device, the entry's own first."""
-        return np.stack([device.rollout(command_A)[0] for device in self.devices])
+        """(S, N + M) y'' of every device, the entry's own first, through the window and after it."""
+        lasting = self.continued(command_A)
+        return np.stack([device.rollout(lasting)[0] for device in self.devices])
 
     def objective(self, command_A: FloatArray, accelerations_m_s2: FloatArray) -> float:
-        """J of a command (N,) and the accelerations (S, N) it was rolled out to; dimensionless."""
+        """J of a command (N,) and the accelerations (S, N + M) it was rolled out to; dimensionless."""
         return self.tracking.value(accelerations_m_s2) + self.movement.value(command_A)
 
-    def encoder_at_ticks(self, motion: Motion) -> FloatArray:
-        """(N,) y of the motor mass at the ticks t_k."""
-        late = self.stage.whole_delay + 1
-        return np.append(np.zeros(late), motion.encoder_m)[: self.grid.stages]
+    def merit(self, command_A: FloatArray, accelerations_m_s2: FloatArray) -> float:
+        """L of the same: what is minimised, and J without a price on intensity."""
+        return self.objective(command_A, accelerations_m_s2) - self.tracking.reward(accelerations_m_s2)
+
+    @cached_property
+    def feedback(self) -> Feedback:
+        """What the wall makes of a command; nothing without one."""
+        return Feedback(self.stage, self.wall, self.grid)
+
+    def continued(self, command_A: FloatArray) -> FloatArray:
+        """(N + M,) a command (N,) and what follows it after the window: zero, or the wall's feedback."""
+        return self.feedback.continued(command_A)
 
     def hand_over_command(self, motion: Motion) -> FloatArray:
         """(N,) command that the predicted feedback asks for; zero without a wall."""
-        if self.wall is None:
-            return np.zeros(self.grid.stages)
-        dt = self.grid.dt_s
-        return feedback_command(
-            self.wall.masked_feedback(self.encoder_at_ticks(motion), dt), self.stage.amplifier, dt
-        )
+        return self.feedback.command(motion)
 
     def transient_command(self, command_A: FloatArray) -> FloatArray:
         """(N,) what remains of a total command when the wall's predicted feedback is taken off (seed Eq. 9)."""
         if self.wall is None:
             return command_A.copy()
         dt = self.grid.dt_s
-        course = self.encoder_at_ticks(self.stage.motion(command_A))
+        course = self.feedback.course(self.stage.motion(command_A))
         transient = command_A - feedback_command(self.wall.feedback(course, dt), self.stage.amplifier, dt)
         # Zero to rounding by the hand-over's constraint; what is handed over is nothing at all.
         transient[self.free_stages :] = 0.0

@@ -126,7 +126,7 @@ class LinearStage:
     ----------
     A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
         `problem.current_scale_A`.
-    C : (S, n), E : (S,) tracked outputs y'' (filtered) / |r| from x_k and dc_k.
+    C : (S, n), E : (S,) tracked outputs y'' (filtered) / sqrt(E) from x_k and dc_k.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
     device : the entry's own, whose outputs have names. where : its states among x.
     """
@@ -235,7 +235,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
                 feedback[row, first : first + 2] = _demand(problem)
             else:
                 feedback[row, first + 1 + late] = 1.0
-    norm = float(np.linalg.norm(problem.reference_m_s2)) or 1.0
+    norm = float(np.sqrt(problem.target.energy_m2_s4)) or 1.0
     return LinearStage(
         A=A * units / units[:, None],
         units=units,

@@ -15,6 +15,7 @@ from transopt.problem.heat import mean_current
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, layout, linear_stage
 
@@ -31,11 +32,19 @@ def kelvin(problem: TransientProblem) -> float:
 
 
 def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, FloatArray]:
-    """Reference (N,) in units of |r|, weights (N,) and the movement's weight (1,) of the statement."""
+    """What the statement says of the objective, the outputs in units of sqrt(E).
+
+    Reference (N,) and weights (N,) within the window, the movement's weight (1,), what is led from x_N where to after
+    it (`objective.tail`), and the constant (1,) beside all this.
+    """
+    term, after = problem.tracking, tail(problem, stage)
     return {
-        "r": problem.tracking.unit_reference,
-        "w": problem.tracking.weights,
+        "r": term.solved_reference,
+        "w": term.solved_weights,
         "rho": np.array([problem.movement.weight * stage.current_A**2]),
+        "end_gain": after.gain,
+        "end_target": after.target,
+        "constant": np.array([term.constant + after.rest]),
     }
 
 
@@ -262,6 +271,8 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
         "reference": values["r"],
         "rule_gain": gains,
         "rule_offset": offsets,
+        "end_gain": values["end_gain"] * np.sqrt(2 / OBJECTIVE_SCALE),
+        "end_target": values["end_target"] * np.sqrt(2 / OBJECTIVE_SCALE),
         **{name: getattr(limits, name) for name in ("G", "d", "d_size", "lower", "upper")},
         **{name: heat[name] for name in ("M", "b", "gain", "square", "F", "f")},
     }
@@ -275,6 +286,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
             "free_stages": problem.free_stages,
             "states": where.states,
             "outputs": where.devices,
+            "ends": values["end_target"].size,
             "rows": limits.d.size,
             "nodes": m,
             "current": where.current if where.amplifier else -1,
@@ -283,6 +295,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
         numbers={
             "movement_weight": 2 * float(values["rho"][0]) / OBJECTIVE_SCALE,
             "command_bound": problem.command_bound_A / stage.current_A,
+            "constant": float(values["constant"][0]) / OBJECTIVE_SCALE,
             **{name: float(heat[name][0]) if m else 0.0 for name in ("decay", "ripple", "copper")},
         },
         arrays={name: np.ascontiguousarray(array, dtype=float) for name, array in arrays.items()},

@@ -78,7 +78,7 @@ class Effect:
 
     Parameters
     ----------
-    motion : of the problem's own device, where it is known already.
+    motion : (N,) of the problem's own device, where it is known already.
     """
 
     def __init__(self, problem: TransientProblem, command_A: FloatArray, motion: Motion | None = None) -> None:
@@ -86,15 +86,34 @@ class Effect:
         if motion is not None:
             self.motion = motion
 
+    def of(self, problem: TransientProblem) -> "Effect":
+        """The same command in a problem that differs in its limits alone."""
+        found = Effect(problem, self.command_A)
+        for name in ("continued_A", "lasting", "motion", "accelerations_m_s2"):
+            if name in vars(self):
+                setattr(found, name, getattr(self, name))
+        return found
+
+    @cached_property
+    def continued_A(self) -> FloatArray:
+        """(N + M,) the command and what follows it."""
+        return self.problem.continued(self.command_A)
+
+    @cached_property
+    def lasting(self) -> Motion:
+        """(N + M,) of the problem's own device, through the window and after it."""
+        return self.problem.stage.motion(self.continued_A)
+
     @cached_property
     def motion(self) -> Motion:
-        return self.problem.stage.motion(self.command_A)
+        """(N,) of the problem's own device within the window."""
+        return self.lasting.first(self.command_A.size)
 
     @cached_property
     def accelerations_m_s2(self) -> FloatArray:
-        """(S, N) of every device."""
-        others = [device.rollout(self.command_A)[0] for device in self.problem.spread]
-        return np.stack([self.motion.acceleration_m_s2, *others])
+        """(S, N + M) of every device."""
+        others = [device.rollout(self.continued_A)[0] for device in self.problem.spread]
+        return np.stack([self.lasting.acceleration_m_s2, *others])
 
     @cached_property
     def mean_square_A2(self) -> FloatArray:
@@ -146,17 +165,18 @@ def inside(
     return all(bool((box.excess <= 0).all()) for box in limits if only in (None, box.limit.name))
 
 
-def reduced_gradient(
-    problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers
+def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alone: bool = False) -> FloatArray:
+    """(N,) gradient by the commands of L + sum mu (constraint) + sum hand_over (c - feedback) [1/A].
+
+    L is what is minimised, J where intensity has no price; `of_limits_alone` leaves it out.
+    """
+    return _reduced_gradient(effect, multipliers, effect.by_heating(multipliers), of_limits_alone=of_limits_alone)
+
+
+def _reduced_gradient(
+    effect: Effect, multipliers: Multipliers, by_heating: FloatArray, *, of_limits_alone: bool = False
 ) -> FloatArray:
-    """(N,) gradient by the commands of J + sum mu (constraint) + sum hand_over (c - feedback) [1/A]."""
-    effect = Effect(problem, command_A, motion)
-    return _reduced_gradient(effect, multipliers, effect.by_heating(multipliers))
-
-
-def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) -> FloatArray:
-    problem, command_A, motion = effect.problem, effect.command_A, effect.motion
-    m, tracking, devices = multipliers, problem.tracking, len(problem.devices)
+    problem, command_A, motion, m = effect.problem, effect.command_A, effect.motion, multipliers
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
     through, by_command = transposed(by_row, motion, command_A)
     by_current = through.current_A
@@ -166,13 +186,18 @@ def _reduced_gradient(effect: Effect, multipliers: Multipliers, by_heating: Floa
         by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
     by_tail, by_encoder = hand_over.transposed(problem, m.hand_over)
     by_command = by_command + by_tail
-    by_error = tracking.gradient(motion.acceleration_m_s2, devices)
-    own = Motion(by_error, by_current, through.velocity_m_s, by_encoder, through.outputs)
-    gradient = problem.stage.adjoint(own) + problem.movement.gradient(command_A) + by_command
-    for device, acceleration in zip(problem.spread, effect.accelerations_m_s2[1:], strict=True):
-        by_error = tracking.gradient(acceleration, devices)
-        gradient = gradient + device.adjoint(replace(Motion.zero(acceleration.size), acceleration_m_s2=by_error))
-    return np.asarray(gradient)
+    by_motion = replace(through, current_A=by_current, encoder_m=by_encoder)
+    if of_limits_alone:
+        return np.asarray(problem.stage.adjoint(by_motion) + by_command)
+    # What happens after the window moves with the commands within it; no limit's row looks there.
+    tracking, devices = problem.tracking, len(problem.devices)
+    by_error = [tracking.gradient(acceleration, devices) for acceleration in effect.accelerations_m_s2]
+    by_motion = replace(by_motion.padded(problem.grid.after_stages), acceleration_m_s2=by_error[0])
+    by_lasting = problem.stage.adjoint(by_motion)
+    for device, its_own in zip(problem.spread, by_error[1:], strict=True):
+        by_lasting = by_lasting + device.adjoint(replace(Motion.zero(its_own.size), acceleration_m_s2=its_own))
+    by_tracking = problem.feedback.continued_transposed(by_lasting)
+    return np.asarray(by_tracking + problem.movement.gradient(command_A) + by_command)
 
 
 def gradient_rounding(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> FloatArray:
@@ -185,7 +210,7 @@ def gradient_rounding(problem: TransientProblem, command_A: FloatArray, multipli
     m = admissible(problem, multipliers)
 
     def gradient(command: FloatArray) -> FloatArray:
-        return reduced_gradient(problem, command, problem.stage.motion(command), m)
+        return reduced_gradient(Effect(problem, command), m)
 
     own, lot = gradient(command_A), np.random.default_rng(0)
     signs = lot.choice((-1.0, 1.0), (DRAWS, command_A.size))
@@ -229,8 +254,8 @@ def certify(
 ) -> Certificate:
     """Bound the distance of a command from the optimum.
 
-    J is convex in the commands, so for any mu >= 0 the optimum is at least
-    min over |c| <= c_max of the Lagrangian's tangent, which gives
+    What is minimised is J, or L where intensity has a price, and convex in the commands. So for any mu >= 0 the
+    optimum is at least min over |c| <= c_max of the Lagrangian's tangent, which gives
 
         gap = sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|)
 
@@ -254,11 +279,14 @@ def certify(
 
     effect, clipped = effect or Effect(problem, command_A), admissible(problem, multipliers)
     limits, silent = list(_boxes(effect, clipped)), problem.reference_is_zero
-    objective = 0.0 if silent else problem.objective(command_A, effect.accelerations_m_s2)
+    objective = merit = 0.0
+    if not problem.target.is_zero:
+        objective = problem.objective(command_A, effect.accelerations_m_s2)
+        merit = problem.merit(command_A, effect.accelerations_m_s2)
 
     if not all(np.isfinite(box.value).all() for box in limits):
         # Thermal runaway: there is no steady state to speak of.
-        return replace(Certificate.nothing(), objective=objective)
+        return replace(Certificate.nothing(), objective=objective, merit=merit)
 
     over = [float(box.excess.max()) for box in limits]
     tail = hand_over.residual(problem, command_A, effect.motion)
@@ -271,15 +299,16 @@ def certify(
     excess.append(off / tolerated(problem.limits.current_A))
     found = Certificate(
         objective=objective,
+        merit=merit,
         violations=violations,
         excess=max(*excess, 0.0),
         dual_residual=0.0,
         duality_gap=0.0,
-        lower_bound=0.0,
+        lower_bound=merit,
         finite=True,
     )
     if silent:
-        # The stated answer is the zero waveform, over a wall as without one; J is not defined.
+        # Where nothing is asked for in the window the stated answer is the zero waveform, over a wall as without one.
         zero = float(np.abs(problem.transient_command(command_A)).max()) <= SILENT * problem.limits.current_A
         return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
@@ -297,7 +326,7 @@ def certify(
         found,
         dual_residual=float(np.abs(g).max()),
         duality_gap=gap,
-        lower_bound=max(objective - gap, lower_bound) if convex else lower_bound,
+        lower_bound=max(merit - gap, lower_bound) if convex else lower_bound,
     )
 
 
@@ -329,7 +358,7 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     relaxed = problem.replaced(relaxed_limit)
     prices = relaxed_limit.model.prices(effect.by_heating(admissible(problem, multipliers)))
     priced = multipliers.with_pair(TEMPERATURE, np.zeros_like(prices), np.maximum(prices, 0.0))
-    return certify(relaxed, command_A, priced, effect=Effect(relaxed, command_A, effect.motion)).lower_bound
+    return certify(relaxed, command_A, priced, effect=effect.of(relaxed)).lower_bound
 
 
 def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:

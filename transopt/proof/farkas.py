@@ -8,7 +8,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import TEMPERATURE, admissible, boxes, kink_gap, reduced_gradient
+from transopt.proof.certify import TEMPERATURE, Effect, admissible, boxes, kink_gap, reduced_gradient
 
 MARGIN = 1e-9  # of the sum of all terms' sizes: a hundred thousand times what rounding leaves of it
 
@@ -41,8 +41,8 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     thermal = problem.thermal
     if thermal is not None and thermal.model.copper != 0 and ray.upper(TEMPERATURE).any():
         return False
-    limits_alone = replace(problem, tracking_weights=np.zeros(problem.grid.stages), rho=0.0)
-    motion = problem.stage.motion(command_A)
+    effect = Effect(problem, command_A)
+    motion = effect.motion
     total = size = 0.0
     for box in boxes(problem, command_A, motion, ray):
         for mu, value, bound in ((box.by_upper, box.value, box.upper), (box.by_lower, -box.value, -box.lower)):
@@ -51,7 +51,7 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
             size += float(mu[stated] @ (np.abs(value[stated]) + np.abs(bound[stated])))
     tail = hand_over.residual(problem, command_A, motion)
     total += float(ray.hand_over @ tail)
-    g = reduced_gradient(limits_alone, command_A, motion, ray)
+    g = reduced_gradient(effect, ray, of_limits_alone=True)
     loss = float(np.abs(g) @ (problem.command_bound_A + np.abs(command_A)))
     loss += kink_gap(problem, command_A, motion, ray)
     # Written so that a NaN proves nothing. The gradient's rounding counts in `loss` itself.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.shown import brief
-from transopt.base.signals import FloatArray, nrmse
+from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel, effective_square, following_square_mean
 from transopt.plant.continuous import AGREEMENT, Loop, Trajectory, accurate, fine, peak_scale
@@ -19,6 +19,7 @@ from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
 from transopt.problem.limits.limit import Limit, Limits, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 
 
@@ -29,9 +30,12 @@ class Replay:
     Attributes
     ----------
     acceleration_m_s2, current_A : (N,) y'' and i at the switching instants.
-    nrmse : of that acceleration against the reference.
+    nrmse : of that acceleration against the reference, what no command can reach counted too (`Target.nrmse`).
+    nrmse_after, error_peak_after_m_s2 : sqrt(sum e^2 / E) and max |e| over the instants after the window that the
+        problem looks at.
     peak_current_A, peak_command_A : over all t.
-    after_peak_m_s2 : largest |y''| in the 20 ms after the waveform, when no current flows any more.
+    after_m_s2 : (M,) y'' at the instants after the window.
+    after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`), when no current flows any more.
     reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in; 0
         where nothing of it can be seen between the ticks.
     reached_while_stated : the same up to the last switching instant, tau_(N-1): what comes later follows from the
@@ -46,6 +50,9 @@ class Replay:
     acceleration_m_s2: FloatArray
     current_A: FloatArray
     nrmse: float
+    nrmse_after: float
+    error_peak_after_m_s2: float
+    after_m_s2: FloatArray
     peak_current_A: float
     peak_command_A: float
     after_peak_m_s2: float
@@ -97,11 +104,11 @@ class Replay:
 
 
 def replayed_errors(
-    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, references_m_s2: FloatArray
+    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, targets: Sequence[Target]
 ) -> FloatArray:
-    """(M,) NRMSE of M commands (M, N) against their references (M, N), by the same simulation as `replay`."""
-    found = accurate(stage, grid, commands_A, None).acceleration_m_s2
-    return np.array([nrmse(a, r) for a, r in zip(found, references_m_s2, strict=True)])
+    """(M,) NRMSE of M commands (M, N) against what they shall do, by the same simulation as `replay`."""
+    found = accurate(stage, grid, commands_A, None).acceleration_m_s2[:, : grid.stages]
+    return np.array([target.nrmse(a) for a, target in zip(found, targets, strict=True)])
 
 
 def _reached(
@@ -173,7 +180,7 @@ def replay(
     stage: StageModel,
     grid: TimeGrid,
     commands_A: FloatArray,
-    references_m_s2: FloatArray,
+    targets: Sequence[Target],
     coil: CoilModel | None,
     *,
     limits: Sequence[Limits] | None = None,
@@ -181,13 +188,14 @@ def replay(
     budgets: Sequence[Budget] | None = None,
     count_m: float = 0.0,
 ) -> list[Replay]:
-    """Play M commands (M, N) through one device, from rest, and compare each with its reference (M, N).
+    """Play M commands (M, N) through one device, from rest, and compare each with what it shall do.
 
     The integrator's step resolves the fastest mode and is halved until the acceleration at the switching instants
     changes by less than 1e-10 of its scale; the difference reached is reported as `step_error`.
 
     Parameters
     ----------
+    targets : one per command.
     limits : one set per command, for the largest values that it reaches.
     walls : one per command: the commands are then the transients, and the feedback is added tick by tick from the
         replay's own encoder position, which `count_m` rounds to whole counts.
@@ -195,7 +203,8 @@ def replay(
     """
     loop = None if walls is None else Loop(walls, count_m)
     found = accurate(stage, grid, commands_A, loop)
-    run, acceleration, command = fine(found.course, found.flow, grid), found.acceleration_m_s2, found.course.command_A
+    run, command = fine(found.course, found.flow, grid), found.course.command_A
+    acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
     current = run.current_A[:, run.at_switching]
     M, after = commands_A.shape[0], run.times_s > grid.end_s
     unknown = np.full(M, np.nan)
@@ -204,12 +213,19 @@ def replay(
     )
     reached = [({}, {})] * M if limits is None else _reached(run, limits, stage, grid)
     with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-        errors = [nrmse(own, wanted) for own, wanted in zip(acceleration, references_m_s2, strict=True)]
+        errors = [target.nrmse(own) for own, target in zip(acceleration, targets, strict=True)]
+        # What is not asked about after the window is not compared.
+        compared = [own[: target.after_m_s2.size] for own, target in zip(later, targets, strict=True)]
+        errors_after = [target.nrmse_after(own) for own, target in zip(compared, targets, strict=True)]
+        peaks_after = [target.peak_after_m_s2(own) for own, target in zip(compared, targets, strict=True)]
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
             current_A=current[m],
             nrmse=errors[m],
+            nrmse_after=errors_after[m],
+            error_peak_after_m_s2=peaks_after[m],
+            after_m_s2=later[m],
             peak_current_A=float(np.abs(run.current_A[m]).max()),
             peak_command_A=float(np.abs(command[m]).max()),
             after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),

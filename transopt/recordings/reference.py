@@ -16,6 +16,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray, Signal, highpass, nrmse, sampled
 from transopt.plant.discretise import TimeGrid
+from transopt.problem.objective.target import Target
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import PreparedTap, prepare
@@ -60,6 +61,11 @@ class Reference:
     between_m_s: tuple[float, float] | None = None
 
     __repr__ = brief
+
+    @property
+    def target(self) -> Target:
+        """What the device has to do at this speed."""
+        return Target(self.motor_m_s2)
 
     @property
     def scalings(self) -> FloatArray:

@@ -1,6 +1,6 @@
 """Linear-quadratic tracking by a Riccati recursion over the stages, run in CasADi's virtual machine.
 
-    minimise    sum_k  w_k' (C z_k + D dc_k - r_k)^2 + s_k dc_k^2
+    minimise    sum_k  w_k' (C z_k + D dc_k - r_k)^2 + s_k dc_k^2  +  |Z z_N - e|^2
     subject to  z_(k+1) = A z_k + B dc_k,  z_0 = 0,
                 dc_k = f_k' z_k + g_k over the last h stages
 
@@ -33,6 +33,7 @@ class Tracking:
     A : (n, n). B : (n,). C : (ny, n). D : (ny,).
     reference, weights : (N, ny) r and w >= 0. movement_weights : (N,) s >= 0.
     rule_gains, rule_offsets : (h, n), (h,) f and g, 0 <= h <= N.
+    end_gain, end_target : (m, n), (m,) Z and e.
     """
 
     A: FloatArray
@@ -44,6 +45,8 @@ class Tracking:
     movement_weights: FloatArray
     rule_gains: FloatArray
     rule_offsets: FloatArray
+    end_gain: FloatArray
+    end_target: FloatArray
 
     @property
     def free_stages(self) -> int:
@@ -56,11 +59,14 @@ class Point:
 
     Attributes
     ----------
-    movement : (N,) dc. error : (N, ny) C z + D dc - r.
+    movement : (N,) dc.
+    error : (N, ny) C z + D dc - r.
+    end_error : (m,) Z z_N - e.
     """
 
     movement: FloatArray
     error: FloatArray
+    end_error: FloatArray
 
 
 @dataclass(frozen=True)
@@ -207,6 +213,7 @@ class Pass:
             self._rule_movement[j] = moved
             self._rule_outputs[j] = problem.C @ state + problem.D[:, None] * moved
             state = problem.A @ state + problem.B[:, None] * moved
+        self._end = problem.end_gain @ state
 
     def _in_blocks(self, values: FloatArray, filling: float = 0.0) -> FloatArray:
         """Values (N - h, ...) of the free stages, stage after stage, behind those before the start."""
@@ -224,6 +231,7 @@ class Pass:
             return Gains(self._no_feedback, np.zeros((0, BLOCK, BLOCK)))
         outputs, movement = self._rule_outputs[..., :n].reshape(-1, n), self._rule_movement[:, :n]
         P = (outputs.T * p.weights[free:].ravel()) @ outputs + (movement.T * p.movement_weights[free:]) @ movement
+        P += self._end[:, :n].T @ self._end[:, :n]
         weights = self._in_blocks(p.weights[:free])
         # A movement of infinite weight is none.
         movement_weights = self._in_blocks(p.movement_weights[:free] + damping, np.inf)
@@ -237,7 +245,7 @@ class Pass:
             return np.zeros(0)
         by_output, by_input = p.weights * point.error, p.movement_weights * point.movement
         costate = np.tensordot(by_output[free:], self._rule_outputs[..., :-1], 2)
-        costate += by_input[free:] @ self._rule_movement[:, :-1]
+        costate += by_input[free:] @ self._rule_movement[:, :-1] + point.end_error @ self._end[:, :-1]
         by_output, by_input = self._in_blocks(by_output[:free]), self._in_blocks(by_input[:free])
         _, gradient = _run(self._functions.adjoint, costate, self._A_T, self._C_T, feedback, by_output, by_input)
         return gradient
@@ -255,14 +263,16 @@ class Pass:
         free = self.problem.free_stages
         error = -self.problem.reference
         error[free:] += self._rule_outputs[..., -1]
-        return Point(np.concatenate([np.zeros(free), self._rule_movement[:, -1]]), error)
+        movement = np.concatenate([np.zeros(free), self._rule_movement[:, -1]])
+        return Point(movement, error, self._end[:, -1] - self.problem.end_target)
 
     def at(self, free_movement: FloatArray) -> Point:
         """The point of a movement (N - h,) of the free stages."""
         _, outputs, z = self._rollout(self._in_blocks(free_movement), self._no_feedback)
         start = np.append(z, 1.0)
         error = np.concatenate([outputs, self._rule_outputs @ start]) - self.problem.reference
-        return Point(np.concatenate([free_movement, self._rule_movement @ start]), error)
+        end_error = self._end @ start - self.problem.end_target
+        return Point(np.concatenate([free_movement, self._rule_movement @ start]), error, end_error)
 
     def improved(self, point: Point, gains: Gains) -> Point:
         """The optimum, but for rounding, from any point."""
@@ -273,6 +283,7 @@ class Pass:
         return Point(
             point.movement + np.concatenate([movement, self._rule_movement[:, :-1] @ z]),
             point.error + np.concatenate([outputs, self._rule_outputs[..., :-1] @ z]),
+            point.end_error + self._end[:, :-1] @ z,
         )
 
     def gradient(self, point: Point) -> FloatArray:
@@ -283,7 +294,7 @@ class Pass:
         """(h,) half the objective's gradient by dc under the rule, minus half the rule's multiplier."""
         p, free = self.problem, self.problem.free_stages
         by_output, by_input = p.weights * point.error, p.movement_weights * point.movement
-        gradient, costate = np.empty(p.rule_offsets.size), np.zeros(p.A.shape[0])
+        gradient, costate = np.empty(p.rule_offsets.size), point.end_error @ p.end_gain
         for j in range(gradient.size - 1, -1, -1):
             gradient[j] = p.B @ costate + p.D @ by_output[free + j] + by_input[free + j]
             costate = costate @ p.A + by_output[free + j] @ p.C + p.rule_gains[j] * gradient[j]

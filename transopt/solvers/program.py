@@ -17,6 +17,7 @@ from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.heat import mean_current, mean_square, next_rise
 from transopt.problem.limits.own import LawRow
+from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import Layout, LinearStage, layout, linear_stage
 from transopt.problem.stage_data import stated_rows
@@ -57,6 +58,7 @@ class Shape:
     rows : sums of several outputs that are bounded, each by its name, the states that it depends on, and its first
         stage; what bounds one variable alone is a box on it and no row.
     laws : functions of outputs that are bounded.
+    ends : rows of what is led to a target after the window.
     nodes : thermal states, 0 without.
     repeated : taps repeat for ever.
     """
@@ -66,6 +68,7 @@ class Shape:
     hand_over_samples: int
     rows: tuple["RowShape", ...]
     laws: tuple["LawShape", ...]
+    ends: int
     nodes: int
     repeated: bool
 
@@ -254,12 +257,24 @@ def state_program(shape: Shape) -> Program:
     stage = Stage.make(shape)
     reference, weights = ca.MX.sym("r", 1, N), ca.MX.sym("w", 1, N)
     movement_weight = ca.MX.sym("rho")
-    symbols = {**stage.symbols, "r": reference, "w": weights, "rho": movement_weight}
+    end_gain, end_target = ca.MX.sym("end_gain", shape.ends, n), ca.MX.sym("end_target", shape.ends)
+    constant = ca.MX.sym("constant")
+    symbols = {
+        **stage.symbols,
+        "r": reference,
+        "w": weights,
+        "rho": movement_weight,
+        "end_gain": end_gain,
+        "end_target": end_target,
+        "constant": constant,
+    }
 
     before = ca.horzcat(ca.MX(n, 1), after[:, :-1])
     error = stage.outputs(before, movement) - ca.repmat(reference, where.devices, 1)
     tracking = sum(ca.dot(weights, error[s, :] ** 2) for s in range(where.devices)) / where.devices
-    objective = tracking + movement_weight * ca.dot(movement, movement)
+    objective = tracking + movement_weight * ca.dot(movement, movement) + constant
+    if shape.ends:
+        objective += ca.sumsqr(end_gain @ after[:, -1] - end_target)
 
     rows = {"dynamics": ca.vec(after - stage.after(before, movement))}
     if stage.heat is not None:
@@ -323,6 +338,7 @@ def program_shape(problem: TransientProblem, stage: LinearStage | None = None) -
         laws=tuple(
             LawShape(row.name, row.law.text, len(row.outputs)) for _, row in problem.rows() if isinstance(row, LawRow)
         ),
+        ends=tail(problem, stage).target.size,
         nodes=0 if thermal is None else thermal.model.nodes,
         repeated=thermal is not None and thermal.model.closure is not None,
     )

@@ -110,7 +110,8 @@ def _parameters(
         "B": stage.A[:, -1],
         "C": nonzeros(stage.C, where.output_mask()),
         "E": stage.E,
-        **tracking_values(problem, stage),
+        # CasADi reads matrices column by column.
+        **{name: value.T for name, value in tracking_values(problem, stage).items()},
     }
     if problem.thermal is not None:
         # CasADi reads matrices column by column.

@@ -30,22 +30,25 @@ DAMPED_PASSES = 30
 def tracking(problem: TransientProblem) -> Tracking:
     """The problem's data without the limits; command in units of `current_scale_A`, states in SI.
 
-    J is in units of 1: outputs and reference by |r|.
+    J is in units of 1: outputs and reference by sqrt(E).
     """
     stage = linear_stage(problem, physical_scale=False)
     rows, constants = hand_over.rows(problem, stage)
     rows[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-    term, devices = problem.tracking, len(problem.devices)
+    values, devices = stage_data.tracking_values(problem, stage), len(problem.devices)
+    weights = values["w"]
     return Tracking(
         A=stage.A,
         B=stage.A[:, -1].copy(),
         C=stage.C,
         D=stage.E,
-        reference=np.tile(term.unit_reference[:, None], devices),
-        weights=np.tile(term.weights[:, None] / devices, devices),
-        movement_weights=np.full(term.weights.size, problem.movement.weight * stage.current_A**2),
+        reference=np.tile(values["r"][:, None], devices),
+        weights=np.tile(weights[:, None] / devices, devices),
+        movement_weights=np.full(weights.size, values["rho"][0]),
         rule_gains=rows,
         rule_offsets=constants,
+        end_gain=values["end_gain"],
+        end_target=values["end_target"],
     )
 
 
@@ -70,6 +73,7 @@ def _judged(problem: TransientProblem, run: Pass, point: Point, method: str) -> 
     by_command = 2 * np.diff(run.gradient(point), append=0.0) / unit
     gap = float(np.abs(by_command) @ (problem.command_bound_A + np.abs(command[:free])))
     objective = float(np.sum(data.weights * point.error**2) + data.movement_weights @ point.movement**2)
+    objective += float(point.end_error @ point.end_error)
     relative = gap / max(objective, OBJECTIVE_SCALE)
     return _Candidate(point, command, relative if np.isfinite(relative) else np.inf, method)
 
@@ -96,7 +100,9 @@ def _by_damped_passes(problem: TransientProblem, run: Pass, best: _Candidate) ->
     """
     data = run.problem
     impulse = run.at(np.eye(1, max(problem.free_stages, 1))[0, : problem.free_stages])
-    effect = float(np.sum(data.weights * (impulse.error - run.at_rest().error) ** 2) + data.movement_weights.sum())
+    rest = run.at_rest()
+    effect = float(np.sum(data.weights * (impulse.error - rest.error) ** 2) + data.movement_weights.sum())
+    effect += float(np.sum((impulse.end_error - rest.end_error) ** 2))
     for scale in (effect if 0 < effect < np.inf else 1.0, 1.0):
         for damping in DAMPINGS:
             best = min(best, _damped(problem, run, damping * scale), key=lambda candidate: candidate.gap)

@@ -41,7 +41,7 @@ class Played:
 
 def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
     commands = np.stack([errors.optimum((speed, F)).command_A for F in grips])
-    wanted = np.tile(errors.reference(speed).motor_m_s2, (len(grips), 1))
+    wanted = [errors.reference(speed).target] * len(grips)
     return [float(error) for error in replayed_errors(stage, scene.time_grid(), commands, wanted)]
 
 

@@ -29,6 +29,7 @@ from transopt.library.library import Library
 from transopt.plant.coil import effective_square
 from transopt.plant.discretise import discretise
 from transopt.plant.hand import LinearInGrip
+from transopt.problem.objective.target import Target
 from transopt.proof.replay import replay
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import strike
@@ -88,7 +89,7 @@ class TestAgainstReplay:
         command = np.repeat(random.uniform(-0.2, 0.2, 30), 4)  # inside every scene's command range
         grid = replace(scene.time_grid(), stages=command.size, delay_s=delay_s)
         stage = discretise(scene.plant(grip), amplifier, DT)
-        [played] = replay(stage, grid, command[None], np.ones((1, command.size)), None)
+        [played] = replay(stage, grid, command[None], [Target(np.ones(command.size))], None)
 
         device = replace(device_of(scene), amplifier=amplifier)
         simulator = Simulator(device, still(grip), DT, trace=True)

@@ -91,7 +91,7 @@ def test_baselines_are_those_whose_errors_stand_in_the_library(library: Library,
 def test_unlimited_optimum_agrees_with_the_designers(library: Library) -> None:
     problem = library.problem(3, 2)
     np.testing.assert_allclose(unlimited_optimum(problem), unlimited.solve(problem).command_A, atol=1e-7)
-    silent = replace(problem, reference_m_s2=np.zeros(problem.grid.stages))
+    silent = problem.towards(np.zeros(problem.grid.stages))
     assert not unlimited_optimum(silent).any()
 
 

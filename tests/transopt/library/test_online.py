@@ -73,7 +73,7 @@ class TestHeat:
         assert c.objective - c.duality_gap > c.lower_bound > 0.9 * c.objective
         commands = np.stack([tap.wave.command_A, library.at(0.4, 5.0).command_A])
         problem = solver._posed(library.posing(), 0.4, 5.0, warm)
-        wanted = np.stack([problem.reference_m_s2] * 2)
+        wanted = [problem.target] * 2
         cool, hot = replay(problem.stage, problem.grid, commands, wanted, warm, limits=[problem.limits] * 2)
         assert cool.winding_C == pytest.approx(coil.limit_C, abs=1e-3)
         assert hot.winding_C > coil.limit_C + 0.01

@@ -14,6 +14,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
 from transopt.plant.continuous import accurate, fine
 from transopt.plant.discretise import Motion, TimeGrid, discretise, state_scale
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import replay
 from transopt.recordings.recording import Recording
@@ -63,7 +64,7 @@ def test_design_and_replay_agree_with_an_independent_integrator(
     assert np.abs(predicted - expected).max() <= 1e-9 * peak
     assert np.abs(predicted_current - expected_current).max() <= 1e-9 * 4
 
-    (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
+    (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
     assert np.abs(played.acceleration_m_s2 - expected).max() <= 1e-9 * peak
     assert np.abs(played.current_A - expected_current).max() <= 1e-9 * 4
 
@@ -101,7 +102,7 @@ def test_adjoint_is_the_transpose_of_the_rollout(make_problem: ProblemMaker, ide
 def test_replay_converges_and_says_how_far(make_problem: ProblemMaker) -> None:
     problem = make_problem(stages=80)
     command = np.random.default_rng(1).uniform(-4, 4, 80)
-    (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
+    (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
     assert played.step_error <= 1e-10
     found = accurate(problem.stage, problem.grid, command[None], None)
     run = fine(found.course, found.flow, problem.grid)
@@ -116,7 +117,7 @@ def test_a_box_at_the_switching_instants_bounds_the_current_for_all_times(make_p
     command = np.random.default_rng(9).uniform(-6, 6, 120)
     command[-10:] = 0
     _, current = problem.stage.rollout(command)
-    (played,) = replay(problem.stage, problem.grid, command[None], problem.reference_m_s2[None], None)
+    (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
     assert played.peak_current_A == pytest.approx(np.abs(current).max(), rel=1e-9)
 
 
@@ -129,7 +130,7 @@ def test_states_that_nothing_depends_on_are_left_out(scene: Scene) -> None:
     command = np.random.default_rng(8).uniform(-4, 4, 100)
     grid = replace(scene.time_grid(), stages=100)
     predicted, _ = stage.rollout(command)
-    (played,) = replay(stage, grid, command[None], predicted[None], None)
+    (played,) = replay(stage, grid, command[None], [Target(predicted)], None)
     assert played.nrmse < 1e-11
 
 
@@ -152,7 +153,7 @@ def test_a_stiff_undamped_mode_does_not_die_out_in_the_replay() -> None:
     grid = TimeGrid(1e-3, 60, 0.0, 0.0)
     command = np.where(np.arange(60) < 30, 1.0, 0.0)
     predicted, _ = stage.rollout(command)
-    (played,) = replay(stage, grid, command[None], predicted[None], None)
+    (played,) = replay(stage, grid, command[None], [Target(predicted)], None)
     assert np.abs(played.acceleration_m_s2 - predicted).max() <= 1e-6 * np.abs(predicted).max()
 
 

@@ -16,6 +16,7 @@ from transopt.design.explain import infeasibility
 from transopt.design.optimum import Designed, optimum
 from transopt.plant.discretise import Motion
 from transopt.problem.answer import Status
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, certify, inside
 from transopt.recordings.reference import Reference
@@ -59,7 +60,7 @@ def cut(problem: TransientProblem, stages: int) -> TransientProblem:
     return replace(
         problem,
         grid=replace(problem.grid, stages=stages),
-        reference_m_s2=problem.reference_m_s2[:stages],
+        target=Target(problem.reference_m_s2[:stages]),
         tracking_weights=np.ones(stages),
         limits=limits,
         wall=wall,

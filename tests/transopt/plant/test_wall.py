@@ -18,7 +18,7 @@ from transopt.problem.leave_out import pressing
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import linear_stage
-from transopt.proof.certify import certify, reduced_gradient
+from transopt.proof.certify import Effect, certify, reduced_gradient
 from transopt.proof.replay import replay
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
@@ -122,8 +122,8 @@ class TestHandOver:
         N = problem.grid.stages
         command = np.random.default_rng(4).uniform(-1, 1, N)
         motion = problem.stage.motion(command)
-        z = problem.wall.encoder(problem.encoder_at_ticks(motion))
-        problem = pressing(problem, problem.encoder_at_ticks(motion))
+        z = problem.wall.encoder(problem.feedback.course(motion))
+        problem = pressing(problem, problem.feedback.course(motion))
         stage = linear_stage(problem)
         x, movement = np.zeros(stage.units.size), np.diff(command, prepend=0.0) / stage.current_A
         rows, constant = hand_over.rows(problem, stage)
@@ -152,7 +152,7 @@ class TestHandOver:
         N = problem.grid.stages
         random = np.random.default_rng(6)
         command, weights = random.uniform(-1, 1, N), random.standard_normal(problem.hand_over_samples)
-        problem = pressing(problem, problem.encoder_at_ticks(problem.stage.motion(command)))
+        problem = pressing(problem, problem.feedback.course(problem.stage.motion(command)))
         multipliers = replace(Multipliers.zero(problem), hand_over=weights)
 
         def lagrangian(c: np.ndarray) -> float:
@@ -160,7 +160,7 @@ class TestHandOver:
             tail = (c - problem.hand_over_command(motion))[problem.free_stages :]
             return problem.objective(c, motion.acceleration_m_s2[None]) + float(weights @ tail)
 
-        gradient = reduced_gradient(problem, command, problem.stage.motion(command), multipliers)
+        gradient = reduced_gradient(Effect(problem, command), multipliers)
         for k in (0, 300, 585, 589, 590, 597, 599):
             step = np.eye(N)[k]  # quadratic: exact for any step
             difference = (lagrangian(command + step) - lagrangian(command - step)) / 2
@@ -265,7 +265,7 @@ class TestClosedLoop:
         motion = problem.stage.motion(command)
         np.testing.assert_allclose(total, command, rtol=0, atol=1e-8)
         np.testing.assert_allclose(acceleration, motion.acceleration_m_s2, rtol=0, atol=1e-7)
-        np.testing.assert_allclose(encoder, problem.encoder_at_ticks(motion), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(encoder, problem.feedback.course(motion), rtol=0, atol=1e-12)
 
     def test_nominal_motion_at_the_ticks(self, references: list[Reference], scene: Scene) -> None:
         """Above the surface before contact, at it at t = 0, going in at the stated speed."""
@@ -300,7 +300,7 @@ class TestClosedLoop:
             problem.stage,
             problem.grid,
             problem.transient_command(command)[None],
-            problem.reference_m_s2[None],
+            [problem.target],
             None,
             walls=[problem.wall],
             count_m=COUNT_m,

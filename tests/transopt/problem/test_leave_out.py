@@ -119,7 +119,7 @@ class TestForcedIn:
         reduced = leave_out(whole)
         assert reduced.problem.wall is None
         assert reduced.problem.stage.Cp is None
-        assert "above the surface over the hand-over" in reduced.left_out["feedback"]
+        assert "above the surface from the hand-over on" in reduced.left_out["feedback"]
         check_same(whole, reduced.problem)
         larger, smaller = size(whole), size(reduced.problem)
         assert larger.states == smaller.states + 4  # position, velocity, a demand and its predecessor
@@ -214,7 +214,7 @@ class TestBounds:
             problem.stage,
             problem.grid,
             commands,
-            np.tile(problem.reference_m_s2, (len(commands), 1)),
+            [problem.target] * len(commands),
             problem.thermal.coil,
             budgets=[problem.thermal.budget] * len(commands),
         )
@@ -249,7 +249,7 @@ class TestBounds:
             problem.stage,
             problem.grid,
             commands,
-            np.tile(problem.reference_m_s2, (len(commands), 1)),
+            [problem.target] * len(commands),
             None,
             limits=[problem.limits] * len(commands),
         )

@@ -62,7 +62,7 @@ class TestMask:
         problem = walled(500, 0.4, 5.0, damping_N_s_m=0.0)
         # Close to the surface the wall asks for next to nothing, so the answer is nearly that without a wall.
         plain = optimum(replace(problem, wall=None), SolverOptions())
-        answer = plain.problem.encoder_at_ticks(plain.problem.stage.motion(plain.solution.command_A))
+        answer = plain.problem.feedback.course(plain.problem.stage.motion(plain.solution.command_A))
         t, r = problem.grid.switching_times_s, problem.reference_m_s2
         velocity = np.append(0.0, np.cumsum((r[1:] + r[:-1]) / 2) * DT_S)
         intended = np.interp(
@@ -77,7 +77,7 @@ class TestMask:
         assert designed.certificate.accepted
         final = designed.problem
         first_guess = pressing(final, intended).wall
-        course = final.encoder_at_ticks(final.stage.motion(designed.solution.command_A))
+        course = final.feedback.course(final.stage.motion(designed.solution.command_A))
         last = pressing(final, course).wall
         tail = slice(final.free_stages - 1, None)
         np.testing.assert_array_equal(final.wall.pressing[tail], last.pressing[tail])
@@ -102,7 +102,7 @@ class TestLibrary:
         assert wall is not None
         for iv, speed in enumerate(lib.speeds_m_s):
             problem = lib.problem(iv, 0)
-            deviation = problem.encoder_at_ticks(problem.stage.motion(lib.command_A[iv, 0]))
+            deviation = problem.feedback.course(problem.stage.motion(lib.command_A[iv, 0]))
             law = plain_feedback(wall, lib.nominal_position_at_ticks_m[iv] + deviation, speed)
             assert law.max() > 0.3
             expected = lib.command_A[iv, 0] - plain_prefilter(law)

@@ -13,7 +13,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Stat
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits, certify, reduced_gradient
+from transopt.proof.certify import Effect, binding_limits, certify, reduced_gradient
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
@@ -115,7 +115,7 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
         sensitivity = -np.linalg.solve(jacobian[:, states], jacobian[:, moves])
         by_movement = by_x[moves] + sensitivity.T @ by_x[states]
         by_command = (by_movement - np.append(by_movement[1:], 0.0)) * OBJECTIVE_SCALE / stage.current_A
-        plain = reduced_gradient(problem, solution.command_A, motion, Multipliers.zero(problem))
+        plain = reduced_gradient(Effect(problem, solution.command_A), Multipliers.zero(problem))
         np.testing.assert_allclose(plain, by_command, atol=1e-12)
 
 
@@ -203,7 +203,7 @@ class TestTampering:
 
 
 def test_zero_reference_is_the_zero_waveform(make_problem: ProblemMaker) -> None:
-    problem = replace(make_problem(), reference_m_s2=np.full(600, 1e-9))
+    problem = make_problem().towards(np.full(600, 1e-9))
     solution = solve(problem)
     assert solution.status is Status.OPTIMAL
     assert not solution.command_A.any()
@@ -243,7 +243,7 @@ def test_options_are_checked() -> None:
 def test_bad_problem_data_is_refused(make_problem: ProblemMaker) -> None:
     problem = make_problem()
     with pytest.raises(InputError, match="reference_m_s2 holds a number that is not finite"):
-        replace(problem, reference_m_s2=np.full(600, np.nan))
+        problem.towards(np.full(600, np.nan))
     with pytest.raises(InputError, match=r"tracking_weights has shape \(3,\)"):
         replace(problem, tracking_weights=np.ones(3))
     with pytest.raises(InputError, match="hand_over_samples = 0"):

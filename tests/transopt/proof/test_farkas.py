@@ -10,7 +10,7 @@ from tests.benches.limits import drawn_ray, with_limit
 from tests.conftest import ProblemMaker
 from transopt.problem.answer import Multipliers
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import certify, inside, reduced_gradient
+from transopt.proof.certify import Effect, certify, inside, reduced_gradient
 from transopt.proof.farkas import is_infeasible
 from transopt.solvers.choose import capable, solve
 from transopt.solvers.options import SolverOptions
@@ -82,11 +82,11 @@ def test_no_multiplier_counts_where_there_is_no_limit() -> None:
     motion = problem.stage.motion(command)
     slope = np.sign(problem.thermal.model.heating.mean_current(motion.current_A, command))
     forged = replace(Multipliers.zero(problem), slope=slope)
-    plain = reduced_gradient(problem, command, motion, forged)
+    plain = reduced_gradient(Effect(problem, command), forged)
     unit = forged.with_pair("temperature", np.zeros(2), np.array([1.0, 0.0]))
-    by_unit = reduced_gradient(problem, command, motion, unit) - plain
+    by_unit = reduced_gradient(Effect(problem, command), unit) - plain
     forged = forged.with_pair("temperature", np.zeros(2), np.array([-plain[0] / by_unit[0], 0.0]))
-    forged = replace(forged, hand_over=-reduced_gradient(problem, command, motion, forged)[1:])
+    forged = replace(forged, hand_over=-reduced_gradient(Effect(problem, command), forged)[1:])
     assert not certify(problem, command, forged).accepted
 
 

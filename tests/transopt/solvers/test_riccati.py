@@ -62,7 +62,7 @@ def hardest() -> Callable[[str], TransientProblem]:
         return (
             problem
             if problem.wall is None
-            else pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+            else pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
         )
 
     return make
@@ -155,7 +155,7 @@ class TestInfeasible:
     def test_a_ray_proves_it(self, walled: WalledMaker) -> None:
         """The hand-over asks for what the wall wants; a slew limit keeps the command far from it."""
         problem = walled(4000.0, 0.4, 5.0)
-        problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        problem = pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
         answer = solve(with_numbers(problem, current_A=0.05).without("temperature"), OWN)
         assert answer.status is Status.INFEASIBLE
         assert "ray" in answer.message

@@ -22,6 +22,7 @@ from transopt.plant.coil import CoilModel
 from transopt.problem.answer import Solution, Status
 from transopt.problem.heat import STEADY_MARGIN
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import Effect, certify, inside, relaxed_bound
 from transopt.recordings.recording import Recording
@@ -56,7 +57,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
         short = replace(
             problem,
             grid=grid,
-            reference_m_s2=problem.reference_m_s2[:stages],
+            target=Target(problem.reference_m_s2[:stages]),
             tracking_weights=np.ones(stages),
         )
         return with_limit(short, temperature_limit(coil, problem.stage.amplifier, grid, varied.budget()))

@@ -14,6 +14,7 @@ from transopt.plant.discretise import Motion, discretise
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
 from transopt.problem.leave_out import pressing
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage_data import without_limits
@@ -39,11 +40,13 @@ def random_tracking(stages: int, ny: int, rule_stages: int) -> Tracking:
         movement_weights=random.uniform(0.1, 2, stages),
         rule_gains=0.5 * random.standard_normal((rule_stages, n)),
         rule_offsets=random.standard_normal(rule_stages),
+        end_gain=random.standard_normal((3, n)),
+        end_target=random.standard_normal(3),
     )
 
 
-def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Movement (N,) and error (N, ny), stage by stage as the statement reads."""
+def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Movement (N,), error (N, ny) and error at the end (m,), stage by stage as the statement reads."""
     z = np.zeros(data.B.size)
     movement, error = np.empty(data.movement_weights.size), np.empty_like(data.reference)
     for k in range(movement.size):
@@ -51,13 +54,14 @@ def rolled_out(data: Tracking, free: FloatArray) -> tuple[FloatArray, FloatArray
         movement[k] = free[k] if j < 0 else data.rule_gains[j] @ z + data.rule_offsets[j]
         error[k] = data.C @ z + data.D * movement[k] - data.reference[k]
         z = data.A @ z + data.B * movement[k]
-    return movement, error
+    return movement, error, data.end_gain @ z - data.end_target
 
 
 def residuals(data: Tracking, free: FloatArray) -> FloatArray:
     """The objective is the sum of their squares; affine in the free movement."""
-    movement, error = rolled_out(data, free)
-    return np.concatenate([(np.sqrt(data.weights) * error).ravel(), np.sqrt(data.movement_weights) * movement])
+    movement, error, end_error = rolled_out(data, free)
+    weighted = (np.sqrt(data.weights) * error).ravel()
+    return np.concatenate([weighted, np.sqrt(data.movement_weights) * movement, end_error])
 
 
 SIZES = [(stages, ny, rule) for ny in (1, 2, 3) for stages, rule in ((2, 1), (5, 0), (9, 3), (24, 4), (25, 25))]
@@ -74,9 +78,10 @@ def test_pass_is_the_dense_least_squares_solution(stages: int, ny: int, rule_sta
 
     run = Pass(data)
     found = run.improved(run.at_rest(), run.factored())
-    movement, error = rolled_out(data, best)
+    movement, error, end_error = rolled_out(data, best)
     np.testing.assert_allclose(found.movement, movement, atol=1e-11)
     np.testing.assert_allclose(found.error, error, atol=1e-11)
+    np.testing.assert_allclose(found.end_error, end_error, atol=1e-11)
     assert np.abs(run.gradient(found)).max(initial=0.0) < 1e-11
 
 
@@ -130,7 +135,7 @@ def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
     return replace(
         problem,
         grid=replace(problem.grid, stages=stages),
-        reference_m_s2=problem.reference_m_s2[5 : 5 + stages],
+        target=Target(problem.reference_m_s2[5 : 5 + stages]),
         tracking_weights=np.ones(stages),
         hand_over_samples=min(10, stages - 1),
     )
@@ -251,7 +256,7 @@ class TestCompiledPass:
 
     def test_over_a_wall_whose_hand_over_moves(self, walled: WalledMaker) -> None:
         problem = walled(300, 0.3)
-        problem = pressing(problem, reference_course(problem.grid, problem.reference_m_s2))
+        problem = pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
         assert problem.hand_over_command(Motion.zero(problem.grid.stages)).any()
         assert self.difference(problem) < 1e-9
 

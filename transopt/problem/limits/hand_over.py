@@ -8,11 +8,11 @@ from it: nothing is left of the transient when the waveform is over, and the loo
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import prefilter_coefficients
 from transopt.plant.discretise import Motion
-from transopt.plant.wall import earlier_by, feedback_command_transpose
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
 
@@ -25,33 +25,37 @@ def residual(problem: TransientProblem, command_A: FloatArray, motion: Motion) -
 def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Gradients by the commands (N,) and by the encoder's course (N,) for a gradient (h,) by the residual."""
     tail = np.append(np.zeros(problem.free_stages), by_residual)
-    if problem.wall is None:
-        return tail, np.zeros(problem.grid.stages)
-    dt, late = problem.grid.dt_s, problem.stage.whole_delay + 1
-    by_feedback = feedback_command_transpose(-tail, problem.stage.amplifier, dt)
-    return tail, earlier_by(late, problem.wall.feedback_transpose(by_feedback, dt))
+    return tail, problem.feedback.transposed(-tail)
 
 
 def rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
     """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
-    h, n = problem.hand_over_samples, stage.units.size
+    return _rows(problem, stage, np.arange(problem.free_stages, problem.grid.stages))
+
+
+def rows_after(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
+    """The same of the commands after the window, where it goes on: (M, n) and (M,)."""
+    N, M = problem.grid.stages, problem.grid.after_stages
+    return _rows(problem, stage, np.arange(N, N + M))
+
+
+def _rows(problem: TransientProblem, stage: LinearStage, at: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
     if problem.wall is None:
-        return np.zeros((h, n)), np.zeros(h)
-    tail = np.arange(problem.free_stages, problem.grid.stages)
+        return np.zeros((at.size, stage.units.size)), np.zeros(at.size)
     amplifier, dt = problem.stage.amplifier, problem.grid.dt_s
     now, before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, dt)
     pressing = problem.wall.pressing.astype(float)
-    earlier = np.where(tail > 0, pressing[tail - 1], 0.0)
-    by_state = now * pressing[tail, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
-    without = problem.hand_over_command(Motion.zero(problem.grid.stages))
-    return by_state / stage.current_A, without[tail] / stage.current_A
+    earlier = np.where(at > 0, pressing[at - 1], 0.0)
+    by_state = now * pressing[at, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
+    without = problem.feedback.command(Motion.zero(pressing.size))
+    return by_state / stage.current_A, without[at] / stage.current_A
 
 
 def growth(problem: TransientProblem) -> float:
     """Largest factor per tick by which a motion under the pressing wall alone grows; below 1 it dies out."""
     assert problem.wall is not None
     stage = linear_stage(problem, physical_scale=True)
-    everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones(problem.grid.stages, dtype=bool)))
+    everywhere = replace(problem, wall=replace(problem.wall, pressing=np.ones_like(problem.wall.pressing)))
     by_state, _ = rows(everywhere, stage)
     # c_k = rows x_k, so the movement is that less the command held before.
     held = by_state[-1].copy()

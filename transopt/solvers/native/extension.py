@@ -20,18 +20,19 @@ from transopt.solvers.bounds import check_bounds
 
 EXTENSION = "_riccati"
 MOST_STATES = 48  # of riccati.c
-INTERFACE = 3  # as `tr_interface` of riccati.c: both change with what arguments and results mean
+INTERFACE = 4  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
 
 
 # `tr_problem` of riccati.c.
 PROBLEM_FIELDS: list[tuple[str, Any]] = [
-    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "rows", "nodes")],
+    *[(name, ct.c_int) for name in ("stages", "free_stages", "states", "outputs", "ends", "rows", "nodes")],
     *[(name, ct.c_int) for name in ("current", "repeated")],
     *[(name, DOUBLES) for name in ("A", "C", "E", "weight", "reference", "rule_gain", "rule_offset")],
+    *[(name, DOUBLES) for name in ("end_gain", "end_target")],
     *[(name, DOUBLES) for name in ("G", "d", "d_size", "lower", "upper")],
     *[(name, DOUBLES) for name in ("M", "b", "gain", "square", "F", "f")],
-    *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound")],
+    *[(name, ct.c_double) for name in ("movement_weight", "decay", "ripple", "copper", "command_bound", "constant")],
 ]
 
 

@@ -1,6 +1,6 @@
 /* A primal-dual interior-point method over the stages of one transient.
  *
- *     minimise    1/2 sum_k w_k |C x_k + E u_k - r_k|^2 + 1/2 s u_k^2
+ *     minimise    1/2 sum_k w_k |C x_k + E u_k - r_k|^2 + 1/2 s u_k^2 + 1/2 |Z x_N - z|^2 + constant
  *     subject to  x_(k+1) = A x_k + A[:, n-1] u_k,  x_0 = 0,
  *                 th_(k+1) = M th_k + b (gain_k + copper th_w,k) h_k,  th_0 = 0 or th_0 = F th_N + f,
  *                 h_k = quadratic in (current, command) + 2 ripple e_k + ripple^2,
@@ -29,18 +29,20 @@
 enum { MOST_STATES = 48, MOST_NODES = 2, MOST_ROWS = 16 };
 
 typedef struct {
-    int stages, free_stages, states, outputs, rows, nodes;
+    int stages, free_stages, states, outputs, ends, rows, nodes;
     int current;  /* state that is the current; -1: it is the command */
     int repeated; /* th_0 = F th_N + f */
     const double *A, *C, *E;                 /* (n, n), (outputs, n), (outputs) */
     const double *weight, *reference;        /* (N), (N) */
     const double *rule_gain, *rule_offset;   /* (N - free, n), (N - free) */
+    const double *end_gain, *end_target;     /* Z (ends, n), z (ends): what the state at N still does */
     const double *G, *d, *d_size;            /* (rows, n), (rows), (rows) */
     const double *lower, *upper;             /* (N + 1, rows), infinite where there is no limit */
     const double *M, *b, *gain, *square;     /* (nodes, nodes), (nodes), (N), (3): i_k^2, i_k i_(k+1), i_(k+1)^2 */
     const double *F, *f;                     /* (nodes, nodes), (nodes) */
     double movement_weight, decay, ripple, copper;
     double command_bound;                    /* on |x_(n-1) + u|, for the gap */
+    double constant;                         /* of the objective, which tolerances are relative to */
 } tr_problem;
 
 /* An interpreter whose lock the caller holds: the lock is let go while the method works, and taken back to ask whether
@@ -226,12 +228,12 @@ static void eliminate(int count, const double *matrix, double *right)
 #endif
 
 /* What arguments and results mean, as a number that changes with it: a caller who knows another one has to stay away. */
-int tr_interface(void) { return 3; }
+int tr_interface(void) { return 4; }
 
 /* Doubles of workspace that a problem needs; 0 if it is too large for this method, or none. */
 size_t tr_workspace(const tr_problem *q)
 {
-    if (q->states < 1 || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
+    if (q->states < 1 || q->ends < 0 || q->ends > q->states || q->nodes < 0 || q->nodes > MOST_NODES || q->states + q->nodes > MOST_STATES) return 0;
     if (q->rows < (q->nodes > 0) || q->rows > MOST_ROWS || q->stages < 1 || q->outputs < 1) return 0;
     if (q->free_stages < 0 || q->free_stages > q->stages) return 0;
     return BY_WIDTH(workspace)(q);
@@ -265,7 +267,7 @@ int tr_solve(const tr_problem *q, const tr_options *options, double *space, tr_r
 /* The problem without rows and nodes: one Newton step from rest, and as many more as refine it.
  *
  * The gains stay in the workspace: with `factored` they are those of the last call, of a problem that differs in
- * nothing but `reference` and `rule_offset`. TR_BREAKDOWN and TR_INTERRUPTED leave none.
+ * nothing but `reference`, `rule_offset`, `end_target` and `constant`. TR_BREAKDOWN and TR_INTERRUPTED leave none.
  */
 int tr_linear(const tr_problem *q, const tr_options *options, int factored, double *space, tr_result *r)
 {
@@ -323,13 +325,13 @@ typedef struct {
     tr_watch *watch;
     int ld;                              /* length of a row of states, padded with zeros */
     int blocks;                          /* of all values of the rows */
-    lanes *A, *At, *C, *G;              /* padded A, its transpose, C and G */
+    lanes *A, *At, *C, *G, *Z;          /* padded A, its transpose, C, G and Z */
     lanes *K, *Ke;
     double *Kth, *pivot;             /* gains of u by states and by nodes, inverse pivots */
     double *Keth, *Ke_u, *pivot_e;  /* the same of e, its gain by u */
     double *offset, *offset_e;           /* Newton step without feedback */
     double *u, *e, *du, *de;
-    double *error, *d_error;
+    double *error, *d_error, *end_error, *d_end_error;
     double *current, *command, *d_current, *d_command; /* i_k, c_k, where they heat */
     double *heat;                        /* (N, 4): dh/di, dh/dc, times resistance; resistance; copper h */
     double *theta;                       /* (N + 1, nodes) */
@@ -365,10 +367,12 @@ static size_t lay_out(tr_work *w, const tr_problem *q, double *space, size_t *ke
     w->blocks = (int)((m + WIDTH - 1) / WIDTH);
     w->A = take(space, &taken, ld * ld), w->At = take(space, &taken, ld * ld);
     w->C = take(space, &taken, ny * ld), w->G = take(space, &taken, (size_t)q->rows * ld);
+    w->Z = take(space, &taken, (size_t)q->ends * ld), w->d_end_error = take(space, &taken, (size_t)q->ends);
     w->K = take(space, &taken, N * ld), w->pivot = take(space, &taken, N);
     w->du = take(space, &taken, N), w->d_error = take(space, &taken, N * ny);
     *kept = taken;
     w->offset = take(space, &taken, N), w->u = take(space, &taken, N), w->error = take(space, &taken, N * ny);
+    w->end_error = take(space, &taken, (size_t)q->ends);
     const size_t warm = t ? N : 0; /* what only temperatures need */
     w->Kth = take(space, &taken, N * t), w->Keth = take(space, &taken, N * t);
     w->Ke = take(space, &taken, warm * ld), w->Ke_u = take(space, &taken, warm), w->pivot_e = take(space, &taken, warm);
@@ -428,6 +432,7 @@ static void prepare(tr_work *w, const tr_problem *q, double *space, int keep_gai
         for (size_t j = 0; j < n; j++) AT(w->A, i * ld + j) = AT(w->At, j * ld + i) = q->A[i * n + j];
     for (size_t s = 0; s < ny; s++) memcpy(&AT(w->C, s * ld), q->C + s * n, n * sizeof(double));
     for (size_t j = 0; j < (size_t)q->rows; j++) memcpy(&AT(w->G, j * ld), q->G + j * n, n * sizeof(double));
+    for (size_t j = 0; j < (size_t)q->ends; j++) memcpy(&AT(w->Z, j * ld), q->end_gain + j * n, n * sizeof(double));
 }
 
 /* out = M' v, four rows of M at a time: short chains of additions. */
@@ -524,6 +529,7 @@ ALWAYS_INLINE int factor_sized(const int n, const int t, const int blocks, tr_wo
     memset(bend_c, 0, sizeof bend_c);
     memset(Q, 0, sizeof Q);
     memset(R, 0, sizeof R);
+    for (int j = 0; j < q->ends; j++) add_product(blocks, w->Z + j * blocks, w->Z + j * blocks, P);
     for (int j = t ? 1 : 0; j < m; j++) {
         const double weight = AT(w->sigma, N * m + j);
         const lanes *c = w->G + j * blocks;
@@ -650,6 +656,7 @@ ALWAYS_INLINE void backward_sized(const int n, const int blocks, tr_work *w, con
     memset(by_x, 0, sizeof by_x);
     for (int i = 0; i < t; i++) th[i] = end[i];
     if (t && own) th[0] += AT(w->y, N * m);
+    for (int j = 0; own && j < q->ends; j++) add(blocks, w->end_error[j], w->Z + j * blocks, p);
     for (int j = t ? 1 : 0; own && j < m; j++) {
         const double y = AT(w->y, N * m + j);
         if (y != 0.0) add(blocks, y, w->G + j * blocks, p);
@@ -756,6 +763,7 @@ ALWAYS_INLINE void forward_sized(const int n, const int blocks, tr_work *w, cons
         combine(blocks, w->At, (const double *)x, next);
         for (int j = 0; j < blocks; j++) x[j] = next[j] + u * w->At[last * blocks + j];
     }
+    for (int j = 0; full && j < q->ends; j++) w->d_end_error[j] = dot(blocks, w->Z + j * blocks, x);
     if (full && t) AT(w->dV, N * m) = th[0];
     for (int i = t ? 1 : 0; full && i < m; i++) {
         double v = 0.0;
@@ -908,7 +916,8 @@ static double cost(const tr_work *w)
             twice += q->weight[k] * e * e;
         }
     }
-    return 0.5 * twice;
+    for (int j = 0; j < q->ends; j++) twice += w->end_error[j] * w->end_error[j];
+    return 0.5 * twice + q->constant;
 }
 
 static void move(int count, double step, const double *restrict by, double *restrict what)
@@ -927,6 +936,7 @@ static void advance(tr_work *w, double step)
         move(N, step, w->d_current, w->current), move(N, step, w->d_command, w->command);
     }
     move(N * q->outputs, step, w->d_error, w->error);
+    move(q->ends, step, w->d_end_error, w->end_error);
     for (int i = 0; i < w->blocks; i++) w->V[i] += step * w->dV[i];
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < w->blocks; i++) z->s[i] += step * z->ds[i], z->l[i] += step * z->dl[i];
@@ -955,6 +965,7 @@ static double begin(tr_work *w)
     }
     for (int k = 0; k < N; k++)
         for (int o = 0; o < q->outputs; o++) w->error[k * q->outputs + o] -= q->reference[k];
+    for (int j = 0; j < q->ends; j++) w->end_error[j] -= q->end_target[j];
     double count = 0.0;
     for (tr_side *z = w->side; z < w->side + 2; z++)
         for (int i = 0; i < rows; i++) count += AT(z->there, i);

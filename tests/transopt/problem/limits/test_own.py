@@ -12,7 +12,7 @@ from transopt.design.build import Build, build_library
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status
-from transopt.proof.certify import certify
+from transopt.proof.certify import Effect, certify
 from transopt.recordings.recording import Recording
 from transopt.solvers.own import own_limit
 
@@ -91,7 +91,7 @@ def test_the_gradient_of_a_law_is_that_of_differences(tmp_path: Path, taps: list
     bare = problem.replaced(problem.limits["power"])
     only = m.with_pair("current", m.upper("current") * 0, m.upper("current") * 0)
     only = only.with_pair("command", only.upper("current"), only.upper("current"))
-    g = reduced_gradient(bare, command, problem.stage.motion(command), only)
+    g = reduced_gradient(Effect(bare, command), only)
     for k in (5, 12, 20):
         step = 1e-5 * np.eye(command.size)[k]
         slope = (lagrangian(command + step) - lagrangian(command - step)) / 2e-5

@@ -174,7 +174,7 @@ class TestTransposed:
             )
             return problem.objective(c, effect.accelerations_m_s2) + constraints
 
-        gradient = reduced_gradient(problem, command, problem.stage.motion(command), multipliers)
+        gradient = reduced_gradient(Effect(problem, command), multipliers)
         for k in (0, 1, 17, N - 1):
             step = np.eye(N)[k]
             difference = (lagrangian(command + step) - lagrangian(command - step)) / 2
@@ -250,7 +250,7 @@ class TestLimitsThatAreNotThere:
                 problem.stage,
                 problem.grid,
                 answer.command_A[None],
-                problem.reference_m_s2[None],
+                [problem.target],
                 None,
                 limits=None if limits is None else [limits],
             )

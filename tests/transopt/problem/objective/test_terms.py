@@ -8,6 +8,7 @@ import pytest
 
 from transopt.base.signals import FloatArray
 from transopt.problem.objective.movement import Movement
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.tracking import Tracking
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 
@@ -21,16 +22,16 @@ def drawn(seed: int, *shape: int) -> FloatArray:
 @pytest.mark.parametrize("weighting", [None, error_filter("pacinian", DT_S)])
 def test_tracking_is_its_formula_and_its_gradient_the_difference(weighting: ErrorFilter | None) -> None:
     weights = np.linspace(0.0, 2.0, N)
-    term = Tracking(drawn(1, N), weights, weighting)
+    term = Tracking(Target(drawn(1, N)), weights, weighting)
     accelerations = drawn(2, 3, N)
     impulse = np.zeros(N)
     impulse[0] = 1.0
     response = impulse if weighting is None else weighting.apply(impulse)
     expected = 0.0
     for acceleration in accelerations:
-        error = np.convolve(response, acceleration - term.reference_m_s2)[:N]
+        error = np.convolve(response, acceleration - term.target.window_m_s2)[:N]
         expected += sum(w * e**2 for w, e in zip(weights, error, strict=True)) / 3
-    expected /= float(np.sum(term.reference_m_s2**2))
+    expected /= float(np.sum(term.target.window_m_s2**2))
     assert term.value(accelerations) == pytest.approx(expected, rel=1e-12)
 
     direction, step = drawn(3, N), 1e-3
@@ -41,10 +42,10 @@ def test_tracking_is_its_formula_and_its_gradient_the_difference(weighting: Erro
 
 
 def test_a_perfect_copy_has_no_error_and_silence_all_of_it() -> None:
-    term = Tracking(drawn(4, N), np.ones(N), error_filter("pacinian", DT_S))
-    assert term.nrmse(term.reference_m_s2) < 1e-12
+    term = Tracking(Target(drawn(4, N)), np.ones(N), error_filter("pacinian", DT_S))
+    assert term.nrmse(term.target.window_m_s2) < 1e-12
     assert term.nrmse(np.zeros(N)) == pytest.approx(1.0, rel=1e-12)
-    assert not replace(term, reference_m_s2=np.zeros(N)).unit_reference.any()
+    assert not replace(term, target=Target(np.zeros(N))).unit_reference.any()
 
 
 def test_movement_is_its_formula_its_gradient_and_its_relief_the_differences() -> None:

@@ -1,0 +1,102 @@
+"""What the stylus shall do: r within the window, before any command can act, and after the last one."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from transopt.base.shown import brief
+from transopt.base.signals import FloatArray
+
+ZERO_M_S2 = 1e-3  # a tap with a smaller rms is zero
+
+
+def _none() -> FloatArray:
+    return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Target:
+    """The tap that a command is measured against, E = lost + sum_(k<N) r_k^2 being its energy.
+
+    Nothing of a tap is dropped. What happens before tau_0 no command can reach: the device does not move, and all of
+    it is error. What happens after tau_N follows from the state there.
+
+    Attributes
+    ----------
+    window_m_s2 : (N,) r at the switching instants tau_0 to tau_(N-1).
+    after_m_s2 : (M,) r at tau_N to tau_(N+M-1).
+    before_m_s2 : (L,) r at the instants from contact on that come before tau_0.
+    """
+
+    window_m_s2: FloatArray
+    after_m_s2: FloatArray = field(default_factory=_none)
+    before_m_s2: FloatArray = field(default_factory=_none)
+
+    __repr__ = brief
+
+    @property
+    def lost_m2_s4(self) -> float:
+        """sum r^2 over what no command can reach; it belongs to J and to every error."""
+        return float(self.before_m_s2 @ self.before_m_s2)
+
+    @cached_property
+    def energy_m2_s4(self) -> float:
+        """E."""
+        return self.lost_m2_s4 + float(self.window_m_s2 @ self.window_m_s2)
+
+    @property
+    def lost_share(self) -> float:
+        """Of the energy; 0 of a tap that is zero."""
+        return 0.0 if self.is_zero else self.lost_m2_s4 / self.energy_m2_s4
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether there is no tap at all."""
+        return self.energy_m2_s4 < ZERO_M_S2**2 * (self.window_m_s2.size + self.before_m_s2.size)
+
+    @property
+    def asks_for_nothing(self) -> bool:
+        """Whether there is nothing left of the tap in the window: the answer is the zero waveform."""
+        r = self.window_m_s2
+        return self.is_zero or float(r @ r) < ZERO_M_S2**2 * r.size
+
+    def moved(self, by_m_s2: FloatArray) -> "Target":
+        """The same with (N,) added to the window: what a device has to be asked for so that it makes r."""
+        return replace(self, window_m_s2=self.window_m_s2 + by_m_s2)
+
+    def extended(self) -> "Target":
+        """The same in extended precision, where the machine has one."""
+
+        def wide(values: FloatArray) -> FloatArray:
+            return values.astype(np.longdouble)
+
+        return Target(wide(self.window_m_s2), wide(self.after_m_s2), wide(self.before_m_s2))
+
+    @property
+    def continued_m_s2(self) -> FloatArray:
+        """(N + M,) window and what comes after it."""
+        return np.append(self.window_m_s2, self.after_m_s2)
+
+    def nrmse(self, acceleration_m_s2: FloatArray) -> float:
+        """sqrt((lost + sum_(k<N) (y''_k - r_k)^2) / E) of (N,) accelerations.
+
+        Of a tap that is zero: 0 where nothing moves, else infinite.
+        """
+        error = acceleration_m_s2 - self.window_m_s2
+        squares = self.lost_m2_s4 + float(error @ error)
+        if self.energy_m2_s4 == 0:
+            return 0.0 if squares == 0 else float("inf")
+        return float(np.sqrt(squares / self.energy_m2_s4))
+
+    def nrmse_after(self, acceleration_m_s2: FloatArray) -> float:
+        """sqrt(sum_(j<M) e^2 / E) of (M,) accelerations after the window; 0 where none are looked at."""
+        error = acceleration_m_s2 - self.after_m_s2
+        squares = float(error @ error)
+        if self.energy_m2_s4 == 0:
+            return 0.0 if squares == 0 else float("inf")
+        return float(np.sqrt(squares / self.energy_m2_s4))
+
+    def peak_after_m_s2(self, acceleration_m_s2: FloatArray) -> float:
+        """Largest error after the window, of (M,) accelerations there; 0 where none are looked at."""
+        return float(np.abs(acceleration_m_s2 - self.after_m_s2).max(initial=0.0))
