@@ -5,9 +5,9 @@
 Every way is a library of the scene: as if the window were all (`window`), with 30 samples of hand-over in place of 10
 (`long`), with the error after the window in the problem (`tail`), and with both. Every entry is played by the servo
 on each device, whose masses, springs, dampers, force, pole and delay are off by up to the share `--wrong`, with the
-hand going straight on. Printed are the error within the window against the recorded tap, the error after it as a share
-of the same energy, the largest error after it, and the kick: the largest change of the command from one tick to the
-next in the last 5 ms. Without a scene all built-in ones that have masses and no wall.
+hand going straight on. Printed are the error within the window against the recorded tap, the error after it as a
+share of the same energy, the largest error after it, and the kick: the largest change of the command from one tick to
+the next in the last 5 ms. Without a scene all built-in ones that have masses and no wall.
 """
 
 from dataclasses import asdict, dataclass
