@@ -25,6 +25,7 @@ from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
 MARKERS = "os^Dv<>P"
 BINDING = "0.86"
+END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}  # of the waveform
 
 MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
 
@@ -173,7 +174,7 @@ def transients_figure(drawn: Transients) -> Figure:
     """Every waveform in the layout of the seed's Fig. 10.
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
-    current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a dotted
+    current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a dashed
     line marks; where the references have died away the time axis is
     compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
     """
@@ -201,7 +202,7 @@ def transients_figure(drawn: Transients) -> Figure:
             if axis.factor > 1:
                 axes.axvline(axis.knee_ms, color="0.6", linewidth=0.8)
             if grid.after_stages:
-                axes.axvline(ends_ms, color="0.6", linewidth=0.8, linestyle=":")
+                axes.axvline(ends_ms, **END)
             for span in spans:
                 axes.axvspan(*span, color=BINDING, linewidth=0)
         for line, iv in enumerate(shown_speeds):
@@ -229,8 +230,7 @@ def transients_figure(drawn: Transients) -> Figure:
     squeezed = f"compressed {axis.factor:.1f} times after {axis.knee_ms:g} ms, " if axis.factor > 1 else ""
     whole = len(shown_speeds) == speeds.size and len(shown_grips) == grips.size
     some = "" if whole else f"; {len(shown_speeds)} of {speeds.size} speeds, {len(shown_grips)} of {grips.size} grips"
-    ended = f", waveform ends at {ends_ms:.1f} ms" if grid.after_stages else ""
-    label = f"time after contact [ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{ended}{some}"
+    label = f"time after contact [ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
     handles = [
@@ -238,6 +238,7 @@ def transients_figure(drawn: Transients) -> Figure:
         Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
         Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} A"),
         *([Patch(color=BINDING, label="limit binds")] if binds else []),
+        *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
     legend_above(figure, handles, entry_in=1.15)
     return figure

@@ -239,8 +239,10 @@ def build_markdown(build: Build) -> str:
 
 
 def _raw_over_motor(reference: Reference) -> float:
-    motor = float(np.linalg.norm(reference.motor_m_s2))
-    return float(np.linalg.norm(reference.raw_m_s2)) / motor if motor > 0 else float("inf")
+    """|r_raw| / |r| from contact on; what is lost at the start is taken to be the object's alone."""
+    lost, motor = reference.target.lost_m2_s4, float(np.sqrt(reference.target.energy_m2_s4))
+    raw = float(np.sqrt(lost + reference.raw_m_s2 @ reference.raw_m_s2))
+    return raw / motor if motor > 0 else float("inf")
 
 
 def _certificate_row(certificate: Certificate) -> dict[str, Any]:
