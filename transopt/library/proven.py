@@ -328,11 +328,11 @@ def _nominal(library: Library) -> Iterator[str]:
             step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
             if not np.abs(stated - integrated).max() <= MOTION * size + step:
                 yield f"{name} at {speed:g} m/s is not the motion that its recording tells"
-        later = library.nominal_position_at_ticks_after_m[iv]
+        later = library.nominal_after_at_ticks_m[iv]
         onward = _onward(grid, velocity[-1], position[-1], np.append(user[iv, -1], after[iv]))
         size = max(float(np.abs(position).max()), float(np.abs(onward).max(initial=0.0)))
         if not np.abs(later - onward).max(initial=0.0) <= MOTION * size + speed * grid.dt_s:
-            yield f"nominal_position_at_ticks_after_m at {speed:g} m/s is not the motion that its recording tells"
+            yield f"nominal_after_at_ticks_m at {speed:g} m/s is not the motion that its recording tells"
 
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
