@@ -239,6 +239,8 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Itera
     if status is Status.PRECISION:
         yield [_way(entry, [(CURRENT, False)]), _steadier(entry)]
         yield [_shortened(entry)]
+        if entry.value(STIFFNESS) is not None:
+            yield [_steadier(entry, [FEEDBACK])]
         return
     hopeless = [limit for limit in problem.limits if limit.unavoidable(problem)]
     blamed = list(hopeless or problem.limits)
@@ -326,10 +328,10 @@ def _shortened(entry: Adjustable) -> _Way:
     return _Way(lambda strength: {STAGES: float(max(math.floor(stages / strength), 2))}, SHORTER, guided=False)
 
 
-def _steadier(entry: Adjustable) -> _Way:
-    """A larger weight of the command's movement."""
-    stated = entry.value(RHO) or 0.0
-    return _Way(lambda rho: {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
+def _steadier(entry: Adjustable, gone: Sequence[str] = ()) -> _Way:
+    """A larger weight of the command's movement, with these keys left out."""
+    stated, without = entry.value(RHO) or 0.0, dict.fromkeys(gone)
+    return _Way(lambda rho: without | {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
 
 
 def _rounded(value: float, up: bool) -> float:

@@ -67,7 +67,8 @@ def test_walls_under_small_currents_are_solved_or_refused_by_the_hand_over(
         (31337, 1830, "INFEASIBLE"),  # a pause that heats without bound
         (5, 249, "UNRESOLVED"),  # ripple of a current that changes its sign
         (20261122, 188, "UNRESOLVED"),
-        (20261122, 1869, "PRECISION"),  # with a temperature limit that does not bind
+        (20261122, 1869, "certified"),  # rounding makes its gradient, with a temperature limit that does not bind
+        (1, 585, "PRECISION"),  # under a wall that grows by itself: only without it a larger weight helps
         (8675309, 46, "UNSTABLE_WALL"),  # and not too deep a wall, which it is as well
         (31337, 4772, "certified"),  # one thermal node: its bound was above its value
         (555, 68, "certified"),
