@@ -15,6 +15,7 @@ from transopt.problem.leave_out import encoder_course, pressing
 from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect
 from transopt.proof.replay import Replay, replay
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove
@@ -147,7 +148,8 @@ def _stored(
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
     floor = unlimited_nrmse(problem, library.reference_m_s2[iv])
-    found += contradictions(library, iv, ig, problem, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
+    effect = Effect(problem, library.command_A[iv, ig])
+    found += contradictions(library, iv, ig, effect, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
     if not current_off <= tolerated(problem.limits.current_A):
         found.append(f"current_A differs from the replay by {current_off:.1e} A")

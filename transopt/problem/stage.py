@@ -6,7 +6,7 @@ the input.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -125,7 +125,7 @@ class LinearStage:
     Attributes
     ----------
     A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
-        `problem.current_scale_A`.
+        `problem.current_scale_A`. norm : |r| [m/s^2].
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / |r| from x_k and dc_k.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
     device : the entry's own, whose outputs have names. where : its states among x.
@@ -134,6 +134,7 @@ class LinearStage:
     A: FloatArray
     units: FloatArray
     current_A: float
+    norm: float
     C: FloatArray
     E: FloatArray
     feedback: FloatArray
@@ -144,6 +145,13 @@ class LinearStage:
     def outputs(self) -> Mapping[str, tuple[FloatArray, float]]:
         """Named output -> (n,), scalar: its value in SI by x_k and by dc_k."""
         return _named(self.device, self.where, self.units)
+
+    def rescaled(self, problem: TransientProblem) -> "LinearStage":
+        """The same for another problem of the same device, in which at most reference and limits are other ones."""
+        if problem.current_scale_A != self.current_A:
+            return linear_stage(problem)
+        by = self.norm / _norm(problem)
+        return replace(self, C=self.C * by, E=self.E * by, norm=_norm(problem))
 
     def row(self, row: Row) -> tuple[FloatArray, float]:
         """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
@@ -235,17 +243,23 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
                 feedback[row, first : first + 2] = _demand(problem)
             else:
                 feedback[row, first + 1 + late] = 1.0
-    norm = float(np.linalg.norm(problem.reference_m_s2)) or 1.0
+    norm = _norm(problem)
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
         current_A=current,
+        norm=norm,
         C=C * units / norm,
         E=E * current / norm,
         feedback=feedback * units,
         device=problem.stage,
         where=where,
     )
+
+
+def _norm(problem: TransientProblem) -> float:
+    """|r|, in which the tracked outputs are; 1 for a reference of zero."""
+    return float(np.linalg.norm(problem.reference_m_s2)) or 1.0
 
 
 def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:

@@ -360,15 +360,21 @@ def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
     return ", ".join(spans)
 
 
-def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> str:
+def binding_limits(
+    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
+) -> str:
     """Which limits bind, with which sign and from when to when, in the user's words; "none" if none does.
 
     A limit binds at a stage where its multiplier is positive beyond rounding and its slack is gone.
+
+    Parameters
+    ----------
+    effect : of this command in this problem, where it is known already.
     """
     if multipliers.largest <= BINDING_MULTIPLIER:
         return "none"
     rows: dict[str, NDArray[np.bool_]] = {}
-    for box in boxes(problem, command_A, problem.stage.motion(command_A), multipliers):
+    for box in _boxes(effect or Effect(problem, command_A), multipliers):
         near = BINDING_SLACK * abs(box.limit.stated)
         two_sided = bool(np.isfinite(box.lower).any())
         sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]
