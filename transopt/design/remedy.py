@@ -256,7 +256,9 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Itera
     rising = [move for move in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]
     yield [_way(entry, moves) for moves in (rising, both) if len(moves) > 1]
-    if status not in (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL):
+    if status is Status.HAND_OVER:
+        yield [_shortened(entry)]
+    elif status not in (Status.INFEASIBLE, Status.UNSTABLE_WALL):
         yield [_finer(entry)]
     needless = [key for limit in problem.limits if (key := limit.dispensed_by())]
     needless += [TAP_RATE] if entry.value(TAP_RATE) is not None else []

@@ -140,7 +140,7 @@ def _solution(problem: TransientProblem, run: Pass, found: _Candidate, start_s: 
 
 
 def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | None:
-    """The pass of the extension, if it is there and its gap, or what the movement's curvature makes of it, is small."""
+    """The pass of the extension, if it is there and its gap is small by either bound."""
     if not extension.available or layout(problem).states > extension.MOST_STATES:
         return None
     run = extension.LinearPass(stage_data.without_limits(problem))

@@ -44,7 +44,7 @@ def test_what_the_wall_asks_for_after_the_waveform_is_the_hand_overs(walled: tup
     assert said.startswith(
         "hand-over: within 20 ms after the last command the wall alone asks for a current of 0.800"
     )
-    assert "over its limit of 0.8 A; lower feedback.stiffness_N_m (200 N/m)" in said
+    assert "over its limit of 0.8 A, with feedback.stiffness_N_m = 200 N/m" in said
     assert would_do.startswith("feedback.stiffness_N_m = ")
     assert would_do.endswith(" would do")
 
