@@ -168,6 +168,10 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
         extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
     by_command = gradient_rounding(problem, answer.command_A, answer.multipliers)
     rounding = float(by_command @ (problem.command_bound_A + np.abs(answer.command_A)))
+    weight = problem.movement.weight
+    if weight > 0:
+        # As in `movement_bound`, of errors that do not depend on each other: error j is in j + 1 of the sums.
+        rounding = min(rounding, float(np.arange(1, by_command.size + 1) @ by_command**2) / (4 * weight))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""
     taken = float(np.abs(answer.command_A).max())
