@@ -220,7 +220,7 @@ def fine(_: StressCase) -> Outcome:
 )
 def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: str, kind: str) -> None:
     cases = [StressCase(name) for name in ("one", family, "two", "three")]
-    limit_s = 15.0 if family == "hang" else 100.0
+    limit_s = 10.0 if family == "hang" else 100.0
     outcomes = dict(run_cases(cases, 1, limit_s, judged))  # type: ignore[arg-type]
     assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
     _, lines = summary(cases, outcomes, "python -m problems.stress")
