@@ -198,7 +198,7 @@ class TestCommandLine:
     @pytest.mark.parametrize(
         ("sent", "how"),
         [
-            (signal.SIGINT, ["--jobs", "1"]),
+            pytest.param(signal.SIGINT, ["--jobs", "1"], marks=pytest.mark.long),
             (signal.SIGINT, ["--executor", "serial"]),
             (signal.SIGTERM, ["--jobs", "2"]),
             (signal.SIGKILL, ["--jobs", "1"]),
