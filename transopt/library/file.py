@@ -34,9 +34,8 @@ from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
 from transopt.library.meta import META_KEYS, WEIGHTS_OF_2
-from transopt.plant.discretise import samples_after
+from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.posing import Posing
 
 ADVICE = "give a library.npz written by `transopt solve`"
 TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed
@@ -193,7 +192,7 @@ def _beside_the_window(path: Path, meta: dict[str, Any]) -> dict[str, int]:
         )
     if not (0 <= lead_s <= LONGEST_DELAY_S and 0 <= delay_s <= LONGEST_DELAY_S):
         raise InputError(f"{path}: meta.lead_s and amplifier.delay_s must be 0 to {LONGEST_DELAY_S:g} s")
-    grid = Posing.of(meta, 1).grid
+    grid = TimeGrid(dt_s, 1, lead_s, delay_s, samples_after(weights["after_s"], dt_s))
     return {"M": grid.after_stages, "L": grid.before_times_s.size}
 
 

@@ -7,6 +7,7 @@ from functools import cache
 import pytest
 
 from tests.benches.limits import with_limit, with_numbers, with_rail
+from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import Designed, optimum
@@ -59,7 +60,8 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     data = scene.model_dump()
     data["thermal"].update(start_winding_C=HOT_C, start_housing_C=HOT_C)
     hot = Scene.model_validate(data)
-    problem = entry_problem(hot, scene_stage(hot, 5.0), references[-1])
+    # Without a tail J is the squared NRMSE but for the movement.
+    problem = without_tail(entry_problem(hot, scene_stage(hot, 5.0), references[-1]))
     circuit = scene.circuit()
     assert circuit is not None
     rail = SupplyLimit(9.0, circuit, problem.stage.amplifier.rate_rad_s, references[-1].nominal_velocity_m_s)
