@@ -39,7 +39,7 @@ class TestRefusal:
         assert designed.solution.status is Status.HAND_OVER
         (reason,) = designed.remarks
         assert reason.endswith(" below the surface, where the reference goes, limit 0.3 A")
-        # The deepest point of the recorded motion from the hand-over on: the wall pushes on when the waveform is over.
+        # The deepest point of the recorded motion from the hand-over on: the wall pushes on after the waveform.
         fast = references[-1]
         recorded = np.append(fast.raw_m_s2, fast.raw_after_m_s2)
         velocity = -fast.speed_m_s + integrate.cumulative_trapezoid(recorded, dx=DT_S, initial=0)
