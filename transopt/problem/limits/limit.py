@@ -49,6 +49,7 @@ class Row:
     outputs : output -> its coefficient in the value.
     lower, upper : (N,) or one number for all instants; infinite where nothing is asked.
     offset : (N,) or one number: the part of the value that no command changes.
+    condition : under which the value is this one, as it is said where the row binds; empty for none.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Row:
     lower: FloatArray | float
     upper: FloatArray | float
     offset: FloatArray | float = 0.0
+    condition: str = ""
 
     def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
         """(..., N) what a command (..., N) with this motion makes of it."""
@@ -240,6 +242,11 @@ class Limit(ABC):
         return f"{sign}{self.stated:.8g}"
 
     @classmethod
+    def stored_with(cls, row: str) -> str:
+        """What a library states among its limits where it has the multipliers of a row; empty: it always has them."""
+        return "" if cls.in_every_file else cls.key
+
+    @classmethod
     def base_unit(cls) -> str:
         """Unit of its violations and of its multipliers' inverse, which a step per tick has without the tick."""
         return cls.step_unit.removesuffix("/tick")
@@ -291,6 +298,13 @@ class Limit(ABC):
     def cannot_bind(self, problem: Posed) -> str:
         """Why no admissible command can reach it, with the bound; empty where one might."""
         return ""
+
+    def needed(self, problem: Posed) -> tuple[Self, Mapping[str, str]]:
+        """The same limit without those of its rows that no admissible command can reach: part -> why it is left out.
+
+        Asked only of a limit that might bind.
+        """
+        return self, {}
 
     def unavoidable(self, problem: Posed) -> str:
         """Why it is missed whatever is commanded; empty where it need not be."""
