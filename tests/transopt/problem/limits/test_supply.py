@@ -1,4 +1,4 @@
-"""The rail with the copper cold and hot, against the voltage that an integrator of its own finds at any temperature."""
+"""The rail with the copper cold and hot, against the voltage that another integrator finds at any temperature."""
 
 from collections.abc import Sequence
 from dataclasses import replace
