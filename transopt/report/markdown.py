@@ -136,17 +136,27 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
         "",
         "## What binds, and what more would buy",
         "",
-        "| speed m/s | grip N | limit and its price |",
-        "|---|---|---|",
+        "| speed m/s | grip N | limit | NRMSE % | raised by | NRMSE % then | would not bind from | NRMSE % there |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    lines += [f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.sentence} |" for entry, price in priced]
+    lines += [
+        f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.stated} | {100 * price.nrmse:.2f} | {price.more} | "
+        f"{_solved_percent(price.then, price.then)} | {price.free_from} | "
+        f"{_solved_percent(price.there, price.enough)} |"
+        for entry, price in priced
+    ]
     return [
         *lines,
         "",
-        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, to the floor at "
-        "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the "
-        "way, the others kept.",
+        "Each figure is of an optimum that was solved and certified, with that limit alone wider and the others as "
+        "they are; none is extrapolated. would not bind from: the least limit, to the digits printed, at which it "
+        "does not bind any more.",
     ]
+
+
+def _solved_percent(error: float, of: float) -> str:
+    """An NRMSE that was solved for; where there is none, whether its answer was not certified or there is no such."""
+    return "not certified" if np.isnan(of) else "-" if np.isnan(error) else f"{100 * error:.2f}"
 
 
 def _weighted_lines(entries: Sequence[Entry]) -> list[str]:

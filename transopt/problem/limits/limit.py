@@ -186,6 +186,8 @@ class Limit(ABC):
     in_every_file : whether a library has its multipliers even where the limit is not in force.
     after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
     scales_movement : whether it is the unit I of the movement's weight in J.
+    indispensable : whether it bounds the command of every problem that has it, so that none can be without it.
+    price_step : by how much it is raised where its price is asked for; infinite for a share of it.
     of_one_device : whether it depends on the motion of the entry's own device, which a spread of devices does
         not share.
     asks_for : what a scene has to state beside its number; empty for nothing.
@@ -204,6 +206,8 @@ class Limit(ABC):
     in_every_file: ClassVar[bool] = False
     after_the_waveform: ClassVar[bool] = False
     scales_movement: ClassVar[bool] = False
+    indispensable: ClassVar[bool] = False
+    price_step: ClassVar[float] = np.inf
     of_one_device: ClassVar[bool] = False
     asks_for: ClassVar[str] = ""
     said_without: ClassVar[str] = ""
@@ -226,6 +230,10 @@ class Limit(ABC):
     @abstractmethod
     def wider(self, factor: float) -> Self:
         """The same limit, `factor` times as wide."""
+
+    def raised(self, by: float) -> Self:
+        """The same limit, wider on every side by so much of its own unit."""
+        return self.wider(1 + by / self.stated)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         """What it bounds; nothing for a limit that has a state of its own."""
@@ -272,10 +280,6 @@ class Limit(ABC):
         The command that is felt stands there for c_k. The command held before has no meaning between the ticks.
         """
         return tuple(row for row in self.rows(problem) if HELD not in row.outputs)
-
-    def enough(self, peak: float) -> float:
-        """The least limit that does not bind where what it bounds reaches this peak at the switching instants."""
-        return peak
 
     @property
     def tolerance(self) -> float:

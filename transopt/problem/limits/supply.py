@@ -79,6 +79,7 @@ class SupplyLimit(Limit):
         f"{end}_{side}" for end in (COLD, HOT) for side in ("before", "after")
     )
     of_one_device: ClassVar[bool] = True
+    price_step: ClassVar[float] = 1.0
     asks_for: ClassVar[str] = "the motor's circuit and an amplifier with a pole"
     said_without: ClassVar[str] = "the scene states no supply limit"
 

@@ -50,6 +50,7 @@ class TemperatureLimit(Limit):
     implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("temperature",)
     sides: ClassVar[tuple[str, ...]] = ("upper",)
+    price_step: ClassVar[float] = 10.0
     asks_for: ClassVar[str] = "the motor whose winding it is"
     said_without: ClassVar[str] = "the scene has no motor data"
 
@@ -86,8 +87,10 @@ class TemperatureLimit(Limit):
 
     def wider(self, factor: float) -> Self:
         """With kelvins in proportion to what is left of them."""
-        rise = (factor - 1) * max(float(self.model.headroom_K.max()), 1.0)
-        return replace(self, model=replace(self.model, headroom_K=self.model.headroom_K + rise))
+        return self.raised((factor - 1) * max(float(self.model.headroom_K.max()), 1.0))
+
+    def raised(self, by: float) -> Self:
+        return replace(self, model=replace(self.model, headroom_K=self.model.headroom_K + by))
 
     @property
     def linear(self) -> bool:
