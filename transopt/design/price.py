@@ -26,8 +26,8 @@ AMPLE = (1.5, 6.0, 30.0)  # times what the optimum without limits takes: out of 
 NEAR = 1e-5  # of a limit: what comes no nearer is not held back by it
 CLEARANCE = 2 * NEAR  # by which it lies above what it shall not hold back
 ASIDE = 1.02  # times what is about enough: near it, and does not bind
-NUDGE = 1e-3  # relative, upwards, where what was taken for enough binds
-MOST_TRIALS = 6  # of a limit that does not bind
+NUDGE = 1e-4  # relative, upwards, where what was taken for enough binds
+MOST_TRIALS = 8  # of a limit that does not bind
 STEP_SHARE = 0.25  # of a limit, where the step of its kind is more than there is of it
 
 

@@ -136,7 +136,7 @@ def test_a_step_more_is_solved_for(cases: dict[str, Case], name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_buys_no_more_than_the_multipliers_promise(cases: dict[str, Case], name: str) -> None:
-    """J is convex in a limit, so its slope at the limit is the most that a step can have; measured 5 to 65 % more.
+    """J is convex in a limit, so its slope at the limit is the most that a step can have; measured 7 to 82 % more.
 
     The winding's limit bends that by little. The limit on the current stands in the movement's weight as well.
     """
@@ -183,7 +183,8 @@ def test_where_several_bind_the_others_stay_in_force(scene: Scene, references: l
 def drawn(scene: Scene, references: list[Reference], seed: int) -> tuple[TransientProblem, dense.Rail | None]:
     """An entry of the default scene cut to 10 ms, its limits by lot, and its rail in plain numbers."""
     lot, N = np.random.default_rng(seed), 100
-    grip, volts = float(lot.uniform(1.0, 5.0)), float(lot.uniform(5.0, 11.0))
+    grip, current_A = float(lot.uniform(1.0, 5.0)), float(lot.uniform(1.2, 4.0))
+    volts = 2.8 * current_A * float(lot.uniform(0.8, 1.2))  # hot copper has 2.8 ohm
     reference = references[int(lot.integers(2, 4))]
     problem = railed(scene, reference, grip, volts).without("temperature")
     nominal = reference.nominal_velocity_m_s[:N]
@@ -191,7 +192,7 @@ def drawn(scene: Scene, references: list[Reference], seed: int) -> tuple[Transie
     limits = numbers_of(
         limits,
         problem.grid.dt_s,
-        current_A=float(lot.uniform(1.2, 4.0)),
+        current_A=current_A,
         command_A=float(lot.uniform(2.0, 8.0)),
         slew_A_per_s=float(lot.uniform(3e3, 2e4)) if lot.random() < 0.5 else None,
     )
@@ -225,7 +226,7 @@ def by_dense(problem: TransientProblem, rail: dense.Rail | None, name: str, boun
 
 @pytest.mark.parametrize("seed", range(30))
 def test_against_an_independent_dense_program(scene: Scene, references: list[Reference], seed: int) -> None:
-    """Every figure of every price of an entry drawn by lot; measured 1e-5 points at the most."""
+    """Every figure of every price of an entry drawn by lot; measured 3e-5 points at the most."""
     problem, rail = drawn(scene, references, seed)
     _, error, found = solved(problem)
     assert found
