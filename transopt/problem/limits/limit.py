@@ -282,6 +282,11 @@ class Limit(ABC):
         return tuple(row for row in self.rows(problem) if HELD not in row.outputs)
 
     @property
+    def kept_back(self) -> float:
+        """How much of it the problem keeps for itself, for what it does not state."""
+        return 0.0
+
+    @property
     def tolerance(self) -> float:
         """By how much an answer may leave it and still be accepted."""
         return tolerated(self.stated)

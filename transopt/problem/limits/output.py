@@ -73,6 +73,10 @@ class OutputLimit(Limit):
     def watched(self, problem: Posed) -> tuple[Row, ...]:
         return (Row(self.name, {self.output: 1.0}, -self.limit, self.limit, self.nominal),)
 
+    @property
+    def kept_back(self) -> float:
+        return self.margin
+
     def bound(self, problem: Posed) -> float:
         """What no admissible command can exceed: the sum of the response's sizes, every command at its largest."""
         largest = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)

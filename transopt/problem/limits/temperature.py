@@ -23,7 +23,7 @@ from transopt.plant.coil import (
 )
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.wall import HandOver, reference_course
-from transopt.problem.heat import STEADY_MARGIN, Budget, HeatModel, heat_model, winding_limit_C
+from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
 
 ROUNDING = 1e-6  # relative, of the steady state of a period that is short beside the time constants
@@ -103,6 +103,11 @@ class TemperatureLimit(Limit):
         return float(headroom[np.isfinite(headroom)].max())
 
     @property
+    def kept_back(self) -> float:
+        """Of taps for ever: the steady state adds up what a current that changes its sign within a period heats."""
+        return 0.0 if self.period_s is None else steady_margin_K(self.coil, self.budget)
+
+    @property
     def tolerance(self) -> float:
         return VIOLATION_TOLERANCE
 
@@ -146,7 +151,7 @@ class TemperatureLimit(Limit):
             return replace(self, model=replace(model, gain=np.minimum(model.gain, after), copper=0.0))
         # The margin makes up for what the recursion leaves out, so that commands keep the relaxed limit as well whose
         # true temperature just keeps the stated one.
-        headroom = (model.headroom_K + STEADY_MARGIN * (self.limit_C - coil.rest_C)) * (1 + ROUNDING)
+        headroom = (model.headroom_K + self.kept_back) * (1 + ROUNDING)
         lapse = self.period_s / coil.tau_w_s
         total = coil.R_wh_K_W + (coil.R_ha_K_W if coil.nodes == 2 else 0.0)
         kept = max(float(np.exp(-lapse)), 1 - lapse * coil.R_wh_K_W / total)
