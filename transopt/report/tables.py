@@ -79,7 +79,9 @@ def columns_of(build: Build) -> list[str]:
 def build_table(build: Build, width: int) -> Table:
     """The table that `transopt solve` prints into `width` columns."""
     shown = range(11) if width >= WIDE_TERMINAL else ESSENTIAL
-    table = Table(title=f"{build.scene.name}: {build.scene.description}", show_lines=False)
+    scene = build.scene
+    title = f"{scene.name}: {scene.description}" if scene.description else scene.name
+    table = Table(title=title, show_lines=False)
     for j in shown:
         # Only what binds may be long; a verdict stays in one piece.
         table.add_column(columns_of(build)[j], justify="right" if j < 9 else "left", no_wrap=j == 10)

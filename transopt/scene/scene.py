@@ -41,7 +41,7 @@ class Scene(Section):
     """One scene file; `name` defaults to the file's stem."""
 
     name: Name
-    description: Words
+    description: Words = ""
     grid: Grid
     time: Time = Time()
     recordings: Recordings
@@ -59,8 +59,9 @@ class Scene(Section):
 
     def __repr__(self) -> str:
         grid, time = self.grid, self.time
+        named = ": ".join(cut(words) for words in (self.name, self.description) if words)
         return wrapped(
-            f"Scene({cut(self.name)}: {cut(self.description)}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"Scene({named}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
             f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
             f"{self.limits.transient_current_A:g} A)"
         )
