@@ -25,6 +25,11 @@ WHOLE = 1e-6  # of a servo period: what rounding makes of a delay that is a whol
 AFTER = " after the period"  # behind the name of an output: its value at the next switching instant
 
 
+def samples_after(after_s: float, dt_s: float) -> int:
+    """M, the whole number of servo periods nearest to how long the motion after the window counts."""
+    return round(after_s / dt_s)
+
+
 @dataclass(frozen=True)
 class TimeGrid:
     """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, k = 0..N-1, contact at t = 0.

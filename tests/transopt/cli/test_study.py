@@ -49,7 +49,9 @@ class TestCommandLine:
         text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
         short = short_scene(scene)
         path = tmp_path / "short.toml"
-        path.write_text(text.replace("stages = 600", f"stages = {short.time.stages}"), encoding="utf-8")
+        path.write_text(
+            text.replace("stages = 600", f"stages = {short.time.stages}") + "after_s = 0.0\n", encoding="utf-8"
+        )
         return path
 
     @pytest.mark.parametrize(
@@ -78,7 +80,18 @@ class TestCommandLine:
         assert "certified" in ran.out
 
     def test_an_answer(self, run: Run) -> None:
-        words = ["--set", "time.stages=80", "--speed", 0.4, "--grip", 5, "--executor", "serial"]
+        words = [
+            "--set",
+            "time.stages=80",
+            "--set",
+            "weights.after_s=0",
+            "--speed",
+            0.4,
+            "--grip",
+            5,
+            "--executor",
+            "serial",
+        ]
         ran = run("--require", "nrmse<=0.3", "--solve-for", "limits.current_A=2:6:0.2", *words, "--out", "least")
         assert ran.code == 0
         assert "The least limits.current_A from 2 to 6 A with nrmse <= 0.3 at every entry: " in ran.out

@@ -75,14 +75,11 @@ def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
 
 
 def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
-    """Floors, and 0.4 m/s at 4 A, as an independent calculation without noise found them.
-
-    The recordings here are noisy and scaled to the grid's speeds, hence the margins.
-    """
+    """Floors, and 0.4 m/s at 4 A, as a dense program of another make (Clarabel) finds them on these recordings."""
     for entry in build.all_entries():
-        assert entry.floor == pytest.approx({1.0: 0.0041, 3.0: 0.0049, 5.0: 0.0053}[entry.grip_N], abs=5e-4)
+        assert entry.floor == pytest.approx({1.0: 0.0068, 3.0: 0.0068, 5.0: 0.0066}[entry.grip_N], abs=5e-4)
     fast = [entry.nrmse for entry in build.entries[3]]
-    np.testing.assert_allclose(fast, [0.0115, 0.102, 0.191], rtol=0.03)
+    np.testing.assert_allclose(fast, [0.0133, 0.1045, 0.1932], rtol=0.03)
     clipped = [entry.baselines.clipped for entry in build.entries[3]]
     np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
     assert all(0.12 < entry.baselines.seed < 0.16 for row in build.entries[:3] for entry in row)
@@ -130,7 +127,7 @@ def warm(scene: Scene, **start_C: float) -> Scene:
     return scene.model_copy(update={"thermal": scene.thermal.model_copy(update=start_C)})
 
 
-@pytest.mark.parametrize(("start_C", "binding"), [(99.9, 0), (99.995, 3)])
+@pytest.mark.parametrize(("start_C", "binding"), [(99.9, 0), (99.995, 4)])
 def test_temperature_that_could_bind_is_kept_and_proven(
     scene: Scene, taps: list[Recording], build: Build, tmp_path: Path, start_C: float, binding: int
 ) -> None:

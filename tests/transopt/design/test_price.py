@@ -9,6 +9,7 @@ import pytest
 
 from tests.benches import dense
 from tests.benches.limits import numbers_of, supply_of, with_limit, with_numbers, with_rail
+from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
 from transopt.base.writing import rounded_up
 from transopt.design.entry import entry_problem, scene_stage
@@ -71,7 +72,7 @@ def railed(scene: Scene, reference: Reference, grip_N: float, limit_V: float) ->
     data = scene.model_dump()
     data["limits"]["supply_V"] = limit_V
     on_rail = Scene.model_validate(data)
-    return entry_problem(on_rail, scene_stage(on_rail, grip_N), reference)
+    return without_tail(entry_problem(on_rail, scene_stage(on_rail, grip_N), reference))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +81,8 @@ def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     data = scene.model_dump()
     data["thermal"].update(start_winding_C=HOT_C, start_housing_C=HOT_C)
     hot = Scene.model_validate(data)
-    problem = entry_problem(hot, scene_stage(hot, 5.0), references[-1])
+    # Without a tail J is the squared NRMSE but for the movement.
+    problem = without_tail(entry_problem(hot, scene_stage(hot, 5.0), references[-1]))
     wide = with_numbers(problem, current_A=8.0, command_A=16.0)
     rail = with_numbers(railed(scene, references[-1], 5.0, 9.0).without("temperature"), current_A=8.0, command_A=16.0)
     return {

@@ -24,6 +24,10 @@ def limit(library: Library, **changed: Any) -> Library:
     return meta(library, limits={**library.meta["limits"], **changed})
 
 
+def weights(library: Library, **changed: Any) -> Library:
+    return meta(library, weights={**library.meta["weights"], **changed})
+
+
 def scaled(library: Library, **factors: float) -> Library:
     return replace(library, **{name: factor * getattr(library, name) for name, factor in factors.items()})
 
@@ -70,7 +74,17 @@ def test_what_was_designed_is_proven(library: Library, tmp_path: Path) -> None:
         (lambda of: scaled(of, nominal_velocity_m_s=-1), "nominal_velocity_m_s at 0.1 m/s"),
         (lambda of: scaled(of, plant_B=2), "plant_B at 1 N is not the device of its scene"),
         (lambda of: scaled(of, speeds_m_s=1.05), "speeds_m_s: 0.105 is no node of its scene"),
-        (lambda of: meta(of, dt_s=2e-4), "grid.dt_s is 0.0002, its scene says 0.0001"),
+        (lambda of: meta(of, lead_s=4e-4), "grid.lead_s is 0.0004, its scene says 0.0003"),
+        (lambda of: scaled(of, reference_after_m_s2=0.9), "not certified: may lie"),
+        (lambda of: scaled(of, reference_raw_after_m_s2=-20), "nominal_after_at_ticks_m at"),
+        (
+            lambda of: scaled(of, nominal_after_at_ticks_m=0.9),
+            "nominal_after_at_ticks_m at 0.1 m/s is not the motion",
+        ),
+        (lambda of: scaled(of, nrmse_after=0.5), "nrmse_after says"),
+        (lambda of: scaled(of, peak_after_m_s2=1.1), "peak_after_m_s2 says"),
+        (lambda of: weights(of, error_filter_b=[0.5]), "weights.error_filter_b is not what its scene says"),
+        (lambda of: weights(of, intensity_dB=1.0), "intensity_dB is 1, its scene says 0"),
         (lambda of: meta(of, grip_min_N=0.0), "grip_min_N is 0, its scene says 0.5"),
         (lambda of: replace(of, binding=np.full_like(of.binding, "none")), "binding says 'none'"),
         (lambda of: replace(of, status=np.full_like(of.status, "solved")), "its status is: "),

@@ -111,11 +111,12 @@ class TestForcedIn:
         """A hand that has lifted the stylus off before the transient ends."""
         walled = entry(scene, references[-1], 5.0, feedback={"stiffness_N_m": 500.0})
         nominal = walled.wall.nominal_m.copy()
-        nominal[-60:] = 5e-3
+        N = walled.grid.stages
+        nominal[N - 60 :] = 5e-3
         walled = replace(walled.without("temperature"), wall=replace(walled.wall, nominal_m=nominal))
         whole = pressing(walled, np.zeros(nominal.size))
         assert whole.wall.pressing[100:500].all()
-        assert not whole.wall.pressing[-11:].any()
+        assert not whole.wall.pressing[N - 11 :].any()
         reduced = leave_out(whole)
         assert reduced.problem.wall is None
         assert reduced.problem.stage.Cp is None
@@ -126,7 +127,7 @@ class TestForcedIn:
         assert larger.variables > smaller.variables
         assert larger.nonzeros > smaller.nonzeros
         # Half the hand-over pressed: it stays.
-        kept = replace(whole.wall, pressing=np.arange(nominal.size) > nominal.size - 5)
+        kept = replace(whole.wall, pressing=np.arange(nominal.size) > N - 5)
         assert "feedback" not in leave_out(replace(whole, wall=kept)).left_out
 
     def test_position_of_a_free_stylus(self, make_problem: ProblemMaker) -> None:
@@ -161,7 +162,7 @@ class TestForcedIn:
         whole = entry(scene, references[-1], 5.0, **tables)
         wall = whole.wall
         assert isinstance(wall, HandOver)
-        above = replace(wall, nominal_m=np.full(wall.nominal_m.size, 5e-3), pressing=np.zeros(600, dtype=bool))
+        above = replace(wall, nominal_m=np.full(wall.nominal_m.size, 5e-3), pressing=np.zeros_like(wall.pressing))
         reduced = leave_out(replace(whole, wall=above))
         assert set(reduced.left_out) == {"slew", "supply", "temperature", "feedback"}
         check_same(replace(whole, wall=above), reduced.problem, "casadi-ipopt")

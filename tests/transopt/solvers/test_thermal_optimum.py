@@ -52,7 +52,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
         problem = entry_problem(varied, scene_stage(varied, grip_N), reference)
         if stages is None:
             return problem
-        grid, coil = replace(problem.grid, stages=stages), varied.coil()
+        grid, coil = replace(problem.grid, stages=stages, after_stages=0), varied.coil()
         assert coil is not None
         short = replace(
             problem,
@@ -275,8 +275,8 @@ class TestRepetitionOnAWall:
             thermal = entry.problem.thermal
             if idle is None:
                 at_the_end = entry.solution.command_A[-1]
-                # Known before the solve, from the reference's course: not to the last digit.
-                assert thermal.budget.pause_A == pytest.approx(at_the_end, rel=0.3)
+                # Known before the solve, from the reference's course, and no less than what is left at the end.
+                assert at_the_end <= thermal.budget.pause_A <= 1.5 * at_the_end
                 # 64 % of the time: R i^2 over both resistances.
                 coil, share = thermal.coil, 1 - 6.0 * 0.06
                 extra = (
