@@ -183,15 +183,15 @@ class _Pricing:
 
     def price(self, limit: Limit) -> Price:
         step = price_step(limit)
-        free, widest = self._out_of_the_way(limit)
-        by = np.nan if free is None else _excess(self.problem, limit, free.command_A)
-        # Any limit that is wide enough has the same optimum, unless it is the unit of a term of J besides.
-        raised = free if by < step and not limit.scales_movement else self._raised(limit, step)
+        raised = free = self._raised(limit, step)
+        widest = limit.stated + step
+        if free is None or limit.name in free.binding:
+            free, widest = self._out_of_the_way(limit)
         enough, there = (np.nan, np.nan)
         if free is not None and limit.name in free.binding:
             enough = np.inf
         elif free is not None:
-            enough, there = self._enough(limit, by, widest)
+            enough, there = self._enough(limit, free, widest)
         return Price(
             limit=limit.label,
             unit=limit.unit,
@@ -219,7 +219,7 @@ class _Pricing:
                 break
         return answer, ample * needed
 
-    def _enough(self, limit: Limit, by: float, widest: float) -> tuple[float, float]:
+    def _enough(self, limit: Limit, without: _Answer, widest: float) -> tuple[float, float]:
         """The least bound at which a limit does not bind, and the NRMSE there: solved for, and found not to bind.
 
         What the optimum without the limit takes of it is enough, since any wider one has that same optimum. Only the
@@ -228,15 +228,17 @@ class _Pricing:
 
         Parameters
         ----------
-        by : by how much the limit has to be raised for the optimum at `widest`.
+        without : the optimum with the limit at `widest`, where it does not bind.
         """
-        free, tried, found, least = [(widest, limit.stated + max(by, 0.0))], [widest], (np.nan, np.nan), limit.stated
+        by = max(_excess(self.problem, limit, without.command_A), 0.0)
+        free, tried, found, least = [(widest, limit.stated + by)], [widest], (np.nan, np.nan), limit.stated
         for _ in range(MOST_TRIALS):
-            if not limit.scales_movement:
-                peak = free[0][1]
-            else:
-                peak = free[0][1] * ASIDE if len(free) < 2 else _crossing(*free[-2:])
+            peak = free[0][1] if len(free) < 2 else _crossing(*free[-2:])
+            if limit.scales_movement and len(free) < 2 and peak * ASIDE < widest:
+                peak *= ASIDE
             bound = float(f"{rounded_up(max(peak + CLEARANCE * limit.room, least)):.8g}")
+            if bound == widest:
+                return widest, without.nrmse
             if bound in tried:
                 break
             tried.append(bound)
