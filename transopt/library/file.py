@@ -35,6 +35,7 @@ from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
 from transopt.library.meta import META_KEYS, WEIGHTS_OF_2
 from transopt.plant.discretise import TimeGrid, samples_after
+from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 
 ADVICE = "give a library.npz written by `transopt solve`"
@@ -242,7 +243,10 @@ def _check_problem(path: Path, library: Library) -> None:
         for key, value in limits.items():
             if isinstance(value, int | float) and key != TemperatureLimit.key and not 0 < value < np.inf:
                 raise InputError(f"limits.{key} = {value}: must be > 0 and finite")
-        thermal = library.problem(0, 0).thermal
+        problem = library.problem(0, 0)
+        thermal, rail = problem.thermal, problem.limits.get(SupplyLimit.name)
+        if (ends := limits.get(COPPER)) is not None and not (isinstance(rail, SupplyLimit) and rail.copper_C == ends):
+            raise InputError(f"limits.{COPPER} = {cut(repr(ends))}: the coil and its budget say otherwise")
         stated = limits["temperature_C"]
         if stated is not None and (thermal is None or stated != thermal.limit_C):
             raise InputError(f"limits.temperature_C = {stated}: the coil and its budget say otherwise")

@@ -1,6 +1,7 @@
 """No entry ends without a name: walls after the waveform, what warms within a period, what has no digits left."""
 
 import itertools
+import re
 
 import pytest
 
@@ -86,6 +87,8 @@ def test_hard_cases(seed: int, case: int, ends: str) -> None:
     found = judge(drawn(seed, case))
     assert not found.bad, found.detail
     assert ends in found.kind
+    # What would do is said by what was tried, and by nothing else.
+    assert not re.search("; lower |loosen|tighten|choose|rescale|report", found.detail)
 
 
 def test_a_wall_that_grows_by_itself_is_not_called_too_deep_which_it_is_as_well() -> None:

@@ -37,6 +37,12 @@ def test_every_built_in_scene_loads_and_its_plants_are_passive(name: str) -> Non
     scene.coil()
 
 
+def test_a_scene_need_not_be_described(scene: Scene) -> None:
+    plain = Scene.model_validate({key: value for key, value in scene.model_dump().items() if key != "description"})
+    assert plain.description == ""
+    assert repr(plain).startswith("Scene(wood_on_foam; 4 speeds")
+
+
 def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
     scene = problems.load("wood_on_foam")
     assert limits_of(scene).current_A == pytest.approx(4.0, rel=1e-15)
