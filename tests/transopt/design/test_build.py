@@ -16,11 +16,13 @@ from tests.conftest import ProblemMaker
 from transopt.design.build import Build, build_library
 from transopt.design.verify import admit, verify_library
 from transopt.library.library import Library
+from transopt.library.proven import doubts
 from transopt.problem.answer import Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve, solve_certified
 from transopt.solvers.options import SolverOptions
@@ -332,3 +334,19 @@ def test_verdicts() -> None:
     assert verdict(0.1, 0.005, np.nan) == "below 20 % threshold"
     assert verdict(0.3, 0.005, 0.05) == "above 20 % threshold"
     assert verdict(0.97, 0.97, 0.05) == "above 20 % threshold"
+
+
+def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, taps: list[Recording]) -> None:
+    changes = {"weights.objective": "intensity", "weights.error_filter": "pacinian"}
+    asked = with_values(scene, {**changes, "grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]})
+    build = build_library(asked, [tap for tap in taps if "_0.4_m_s_" in tap.name])
+    assert build.library is not None
+    library, filtered = build.library, asked.error_filter()
+    assert filtered is not None
+    assert {"intensity", "energy_dB"} <= set(library.arrays())
+    np.testing.assert_array_equal(library.meta["weights"]["error_filter_b"], filtered.b)
+    made, wanted = (filtered.apply(x) for x in (library.acceleration_m_s2[0, 0], library.reference_m_s2[0]))
+    assert library.energy_dB[0, 0] == pytest.approx(10 * np.log10((made @ made) / (wanted @ wanted)), abs=1e-9)
+    assert list(doubts(library)) == []
+    louder = replace(library, energy_dB=library.energy_dB + 0.1)
+    assert any("energy_dB says" in doubt for doubt in doubts(louder))
