@@ -1,4 +1,4 @@
-"""README's Python runs as it stands there."""
+"""The Python of README and of the manual runs as it stands there."""
 
 import re
 from pathlib import Path
@@ -6,21 +6,25 @@ from pathlib import Path
 import pytest
 
 import transopt as to
-from tests.benches.places import ROOT
+from tests.docs.pages import blocks, text
 from transopt.library.library import Library
 from transopt.solvers.native import extension
 
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+[README] = blocks("README.md", "python")
+[ONLINE] = blocks("docs/howto/online.md", "python")
+[API] = blocks("docs/reference/python.md", "python")
+[NUMPY] = blocks("docs/howto/verify_with_numpy.md", "python")
 
 
-ONLINE, API, NUMPY = BLOCKS
-
-
-def test_readme_has_the_three_examples() -> None:
-    assert "Online" in ONLINE
-    assert "to.solve" in API
+def test_numpy_alone_needs_nothing_of_this_project() -> None:
     assert "transopt" not in re.sub("#.*", "", NUMPY)
+
+
+def test_readme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(README, {})
+    assert "peak command" in capsys.readouterr().out
+    assert all((tmp_path / name).exists() for name in ("library.npz", "transients.png"))
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
@@ -41,10 +45,17 @@ def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert all((tmp_path / name).exists() for name in ("library.npz", "transients.png", "out/report.md"))
 
 
-def test_the_readme_names_the_whole_interface() -> None:
-    section = README[README.index("## Python") : README.index("## The library file")]
-    table = section[section.index("| for |") : section.index("These names")]
+def test_the_page_on_python_names_the_whole_interface() -> None:
+    page = text("docs/reference/python.md")
+    table = page[page.index("| for |") : page.index("These names")]
     assert set(re.findall(r"`(\w+)", table)) == set(to.__all__)
+
+
+def test_limits_of_your_own() -> None:
+    names: dict[str, object] = {}
+    for block in blocks("docs/limits/own.md", "python"):
+        exec(block, names)
+    assert names["LIMITS"]
 
 
 class TestNumpyAlone:

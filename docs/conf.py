@@ -1,0 +1,20 @@
+"""The manual: Sphinx with MyST-NB. Built by `sphinx-build -W --keep-going -n docs build/docs`."""
+
+from importlib import metadata
+
+project = "transopt"
+author = "The transopt developers"
+release = version = metadata.version("transopt")
+
+extensions = ["myst_nb"]
+exclude_patterns = ["reference/generated"]
+html_theme = "furo"
+html_title = f"transopt {release}"
+language = "en"
+
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 60
+# Fences of a shell session, of a scene and of output carry comments and prompts that no lexer has to accept.
+suppress_warnings = ["misc.highlighting_failure"]
