@@ -6,6 +6,7 @@ import numpy as np
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
+from transopt.design.attained import Attained
 from transopt.design.explain import infeasibility, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
@@ -35,6 +36,7 @@ class Designed:
     left_out : part -> why the problem that was solved does not have it.
     size : of the program that was solved; None where one linear solve was enough.
     remarks : why an entry has no answer.
+    attained : what was found of the energy that was asked for; None where none is.
     """
 
     problem: TransientProblem
@@ -46,6 +48,7 @@ class Designed:
     left_out: dict[str, str]
     size: program.Size | None
     remarks: list[str]
+    attained: Attained | None = None
 
     __repr__ = brief
 

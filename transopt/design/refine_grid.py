@@ -16,7 +16,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.design.entry import entry_problem, scene_stage, spread_stages
-from transopt.design.optimum import optimum
+from transopt.design.intensity import best
 from transopt.plant.discretise import StageModel
 from transopt.problem.answer import Certificate, Status
 from transopt.proof.replay import replayed_errors
@@ -203,7 +203,7 @@ class Errors:
         if point not in self._optima:
             speed, grip = point
             problem = entry_problem(self._scene, self.stage(grip), self.reference(speed), self.spread(grip))
-            designed = optimum(problem, self._options)
+            designed = best(problem, self._options, objective=self._scene.weights.objective)
             solution, proof = designed.solution, designed.certificate
             if solution.status is not Status.OPTIMAL or not proof.accepted:
                 raise InputError(

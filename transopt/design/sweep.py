@@ -17,7 +17,8 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.design.entry import Baselines, entry_problem, replayed, rivals_errors, scene_stage
-from transopt.design.optimum import Designed, optimum
+from transopt.design.intensity import best
+from transopt.design.optimum import Designed
 from transopt.design.price import prices
 from transopt.design.verify import admit
 from transopt.plant.discretise import StageModel
@@ -182,7 +183,7 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
     spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
     reference = _reference(task, scene, item.speed_m_s)
     problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
-    designed = optimum(problem, task.options)
+    designed = best(problem, task.options, objective=scene.weights.objective)
     return _Solved(item, scene, designed, time.perf_counter() - start)
 
 

@@ -53,6 +53,8 @@ class Posing:
     ----------
     asked : key of the scene's `limits` -> number, or None where it is not asked for.
     circuit, coil, wall, error_filter : None where the scene has none.
+    objective : "waveform", J is minimised, or "intensity", the tap has to have the energy asked for as well.
+    intensity_dB : that energy, over the recorded tap's [dB].
     law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
@@ -67,6 +69,8 @@ class Posing:
     coil: CoilModel | None
     wall: Wall | None
     budget: Budget
+    objective: str = "waveform"
+    intensity_dB: float = 0.0
     law_of: LawOf | None = None
 
     __repr__ = brief
@@ -153,4 +157,5 @@ class Posing:
             wall=hand_over,
             error_filter=self.error_filter,
             spread=spread,
+            intensity_dB=self.intensity_dB,
         )

@@ -11,6 +11,7 @@ from rich.table import Table
 from transopt.base import writing
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
+from transopt.problem.objective.bands import levels
 from transopt.report.tables import percent
 
 LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
@@ -103,7 +104,12 @@ def _entries(library: Library) -> dict[Node, Figures]:
                 floor=floor,
                 peak_current_A=float(library.peak_current_A[iv, ig]),
                 peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
-                verdict=verdict(nrmse, floor, float("nan") if spread is None else spread),
+                verdict=verdict(
+                    nrmse,
+                    floor,
+                    float("nan") if spread is None else spread,
+                    levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
+                ),
                 command_A=library.command_A[iv, ig],
             )
     return found

@@ -262,6 +262,8 @@ class Scene(Section):
             coil=self.coil(),
             wall=self.wall(),
             budget=self.budget(),
+            objective=self.weights.objective,
+            intensity_dB=self.weights.intensity_dB,
         )
 
     def budget(self) -> Budget:

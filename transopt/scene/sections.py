@@ -157,6 +157,8 @@ class Weights(Section):
 
     rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
     error_filter: Literal["none", "pacinian"] = "none"
+    objective: Literal["waveform", "intensity"] = "waveform"
+    intensity_dB: Annotated[float, Field(ge=-40, le=20)] = 0.0
 
 
 class Robust(Section):

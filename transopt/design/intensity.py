@@ -1,0 +1,198 @@
+"""The root search over the price of intensity: the least lam at which an entry has the energy it is asked for.
+
+Where limits bind, the nearest waveform is too weak. L = J - lam (energy - what is asked) is a sum of squares for
+every lam below the smallest weight, and its minimiser c(lam) is the global optimum of "J, with at least the energy
+that c(lam) has": no admissible command with as much energy has a smaller J, up to the certified gap of L. Its energy
+grows with lam. So all that is searched for is one number.
+
+Without limits c(lam) makes y'' = r / (1 - lam): with phi = 1 / sqrt(energy), lam is linear in phi. Under limits it is
+bent, but two solved problems tell more than two points of it. By the envelope theorem dJ = lam d(energy) along the
+path, so that the J of both give the integral of lam over the energy between them. The parabola in phi that has both
+points and this integral is what is followed, inside a bracket that is halved where the parabola does not shrink it
+(as in the projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.design.attained import Attained, TOLERANCE_dB
+from transopt.design.optimum import Designed, optimum
+from transopt.problem.problem import TransientProblem
+from transopt.solvers.options import SolverOptions
+
+MOST = 0.99  # of the smallest tracking weight, and of 1
+MOST_PROBLEMS = 14
+FIRST_dB = 4.0  # of the first step: lam = 1 - exp(-missing / this), about what taps that a current limit cuts take
+SLOW = (
+    0.5  # of the energy that the older of two problems misses: what the next one may miss, or the bracket is halved
+)
+INSET = 1e-3  # of a bracket, which a candidate stays away from its ends
+NARROW = 1e-9  # of lam, below which a bracket holds a jump
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """One lam that was solved for; energy over that of r, and J."""
+
+    lam: float
+    energy: float
+    objective: float
+    designed: Designed
+
+    @property
+    def phi(self) -> float:
+        return float(1 / np.sqrt(self.energy))
+
+    @property
+    def energy_dB(self) -> float:
+        return float(10 * np.log10(self.energy))
+
+
+def most_price(problem: TransientProblem) -> float:
+    """The largest lam that is tried; 0 where a tracking weight is zero."""
+    return MOST * min(1.0, float(problem.tracking_weights.min()))
+
+
+def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """The optimum with at least the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
+
+    Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam that was found;
+    what the search leaves of the energy is stated in dB (`Designed.attained`), never in the gap.
+    """
+    first = optimum(problem.without_intensity(), options)
+    if not first.is_proven or problem.reference_is_zero:
+        return first
+    found, problems, spent_s = _search(problem, first, options)
+    wave = _tried(0.0, first)
+    attained = Attained(
+        asked_dB=problem.intensity_dB,
+        energy_dB=found.energy_dB,
+        waveform_dB=wave.energy_dB,
+        waveform_nrmse=problem.target.nrmse(first.problem.stage.rollout(first.solution.command_A)[0]),
+        price=found.lam,
+        most=most_price(problem),
+        problems=problems,
+    )
+    return replace(
+        found.designed,
+        solution=replace(found.designed.solution, solve_time_s=spent_s),
+        unlimited_command_A=first.unlimited_command_A,
+        floor=first.floor,
+        free_peak_A=first.free_peak_A,
+        attained=attained,
+    )
+
+
+def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -> Designed:
+    """The optimum of a scene's objective: "waveform" minimises J, "intensity" asks for the energy of the tap too."""
+    return intense(problem, options) if objective == "intensity" else optimum(problem, options)
+
+
+def _tried(lam: float, designed: Designed) -> _Tried:
+    problem = designed.problem
+    accelerations = problem.accelerations(designed.solution.command_A)
+    energy = 10 ** (problem.tracking.energy_dB(accelerations) / 10)
+    return _Tried(lam, energy, designed.certificate.objective, designed)
+
+
+@dataclass
+class _Bracket:
+    """Between what lams the one that is searched for lies.
+
+    Attributes
+    ----------
+    is_open : nothing was found above, so that the upper end is a candidate itself.
+    """
+
+    low: float
+    high: float
+    is_open: bool = True
+
+    @property
+    def is_empty(self) -> bool:
+        return self.high - self.low <= NARROW
+
+    @property
+    def halfway(self) -> float:
+        """What tells most where the points known do not: whether there is anything at all, or the middle."""
+        return self.high if self.is_open else 0.5 * (self.low + self.high)
+
+    def inside(self, lam: float) -> float:
+        """The nearest lam that is a little away from what has been tried."""
+        inset = INSET * (self.high - self.low)
+        return min(max(lam, self.low + inset), self.high if self.is_open else self.high - inset)
+
+    def cut(self, lam: float, *, too_weak: bool) -> None:
+        """Take what was found at a lam for the new end."""
+        if too_weak:
+            self.low = lam
+        else:
+            self.high, self.is_open = lam, False
+
+
+def _search(problem: TransientProblem, first: Designed, options: SolverOptions) -> tuple[_Tried, int, float]:
+    """The lam that was found with its answer, how many problems were solved, and the time of their solvers."""
+    asked_dB = problem.intensity_dB
+
+    def missed_dB(each: _Tried) -> float:
+        return abs(each.energy_dB - asked_dB)
+
+    tried, problems, spent_s = [_tried(0.0, first)], 1, first.solution.solve_time_s
+    if tried[0].energy_dB >= asked_dB - TOLERANCE_dB:
+        return tried[0], problems, spent_s
+    bracket, slow = _Bracket(0.0, most_price(problem)), False
+    while not bracket.is_empty and problems < MOST_PROBLEMS:
+        nearest = sorted(tried, key=missed_dB)[:2]
+        lam = bracket.inside(bracket.halfway if slow else _next(nearest, asked_dB))
+        designed = optimum(replace(problem, intensity=lam), options)
+        problems += 1
+        spent_s += designed.solution.solve_time_s
+        if not designed.is_proven:
+            # Nothing is known of the energy there; half way back to what is proven comes next.
+            bracket.cut(lam, too_weak=False)
+            slow = True
+            continue
+        here = _tried(lam, designed)
+        tried.append(here)
+        if missed_dB(here) <= TOLERANCE_dB:
+            break
+        slow = not slow and missed_dB(here) > SLOW * missed_dB(nearest[-1])
+        bracket.cut(lam, too_weak=here.energy_dB < asked_dB)
+    return min(tried, key=missed_dB), problems, spent_s
+
+
+def _next(nearest: list[_Tried], asked_dB: float) -> float:
+    """The lam that the nearest problems solved point to."""
+    phi = float(10 ** (-asked_dB / 20))
+    if len(nearest) == 1:
+        return float(1 - np.exp(-(asked_dB - nearest[0].energy_dB) / FIRST_dB))
+    return _parabola(*nearest)(phi)
+
+
+def _parabola(one: _Tried, other: _Tried) -> Callable[[float], float]:
+    """lam over phi: a + b phi + c phi^2 through two points, with the integral of lam d(energy) that their J state.
+
+    The energy being phi^-2, the integral of a + b phi + c phi^2 over it is -2 times that of (a phi^-3 + b phi^-2
+    + c phi^-1) over phi. A parabola that does not fall over the bracket is replaced by the chord.
+    """
+
+    def antiderivative(p: float) -> tuple[float, float, float]:
+        return p**-2, 2 / p, -2 * float(np.log(p))
+
+    p, q = one.phi, other.phi
+    at_p, at_q = antiderivative(p), antiderivative(q)
+    rows = [[1, p, p**2], [1, q, q**2], [y - x for x, y in zip(at_p, at_q, strict=True)]]
+    # J and the energies are of different scale: E holds what is lost too, r alone is the energy's.
+    tracking = one.designed.problem.tracking
+    share = float(np.sum(tracking.unit_reference[: tracking.weights.size] ** 2))
+    right = [one.lam, other.lam, (other.objective - one.objective) / share]
+    try:
+        a, b, c = np.linalg.solve(rows, right)
+    except np.linalg.LinAlgError:
+        a, b, c = 0.0, np.nan, 0.0
+    if not (b + 2 * c * p < 0 and b + 2 * c * q < 0):
+        b = (one.lam - other.lam) / (p - q)
+        a, c = one.lam - b * p, 0.0
+    return lambda phi: float(a + b * phi + c * phi**2)
