@@ -112,14 +112,14 @@ class ProblemMaker:
         **limits: float | None,
     ) -> TransientProblem:
         scene = self.scene
-        grid, amplifier = scene.time_grid(), scene.amplifier_model()
+        grid, amplifier = replace(scene.time_grid(), after_stages=0), scene.amplifier_model()
         if ideal:
             amplifier = None
         if delay_s is not None:
             grid = replace(grid, delay_s=delay_s)
             amplifier = None if amplifier is None else replace(amplifier, delay_s=delay_s)
         if stages is not None:
-            grid = replace(grid, stages=stages, after_stages=0)
+            grid = replace(grid, stages=stages)
         reference = next(r for r in self.references if r.speed_m_s == speed_m_s).motor_m_s2
         # A longer horizon goes on with nothing to do, a shorter one is cut.
         padded = np.concatenate([reference, np.zeros(max(0, grid.stages - reference.size))])[: grid.stages]

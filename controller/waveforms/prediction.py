@@ -71,7 +71,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     else:
         wall, walls, command = library.wall(), None, gain * wave.command_A
         if wall is not None:
-            nominal = by_speed @ library.nominal_position_at_ticks_m
+            nominal = library.wanted(v, by_speed).nominal_position_at_ticks_m
             softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
             walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command_A
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)

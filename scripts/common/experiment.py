@@ -88,7 +88,14 @@ def _contact_s(trace: Trace, expected_s: float, lead_s: float) -> float:
     return float(trace.times_s[k] - trace.motor_m[k] / trace.motor_m_s[k])
 
 
-def play_tap(library: Library, servo: Servo, tap: SimulatedTap, *, device: TrueDevice | None = None) -> Played:
+def play_tap(
+    library: Library,
+    servo: Servo,
+    tap: SimulatedTap,
+    *,
+    device: TrueDevice | None = None,
+    after_s: float = AFTER_S,
+) -> Played:
     """Arm the servo, let a simulated user tap once, and compare with the library's prediction.
 
     The true device is that of the library's scene, or another `device`: a library that was solved with an identified
@@ -104,7 +111,7 @@ def play_tap(library: Library, servo: Servo, tap: SimulatedTap, *, device: TrueD
     simulator, expected = tap_simulator(library, tap, truth, trace=True)
     outputs: list[Output] = []
     servo.arm()
-    ticks = approach_ticks(tap.speed_m_s, grid.dt_s) + int(np.ceil((grid.end_s + AFTER_S) / grid.dt_s)) + 1
+    ticks = approach_ticks(tap.speed_m_s, grid.dt_s) + int(np.ceil((grid.end_s + after_s) / grid.dt_s)) + 1
     run(simulator, servo, ticks, grid.dt_s, observe=lambda _, output: outputs.append(output))
     trace = simulator.trace()
     times = trace.times_s - _contact_s(trace, expected, grid.lead_s)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
 from transopt.base.signals import FloatArray
+from transopt.plant.discretise import StageModel
 from transopt.problem.problem import TransientProblem
 
 
@@ -31,32 +32,33 @@ class Responses:
     velocity: FloatArray
 
 
-def _impulse(problem: TransientProblem) -> FloatArray:
-    """(N + 1, n + 1) states of plant and amplifier after one ampere of command over the first period."""
-    plant, amplifier, N = problem.stage.plant, problem.stage.amplifier, problem.grid.stages
+def _impulse(device: StageModel, dt_s: float, instants: int) -> FloatArray:
+    """(instants, n + 1) states of plant and amplifier after one ampere of command over the first period."""
+    plant, amplifier = device.plant, device.amplifier
     assert amplifier is not None
     n, w = plant.order, 2 * np.pi * amplifier.pole_Hz
     flow = np.zeros((n + 2, n + 2))
     flow[:n, :n], flow[:n, n : n + 1] = plant.A, plant.B
     flow[n, n], flow[n, n + 1] = -w, w
-    step = linalg.expm(flow * problem.grid.dt_s)
+    step = linalg.expm(flow * dt_s)
     A, b = step[: n + 1, : n + 1], step[: n + 1, n + 1]
-    states = np.zeros((N + 1, n + 1))
-    for k in range(1, N + 1):
+    states = np.zeros((instants, n + 1))
+    for k in range(1, instants):
         states[k] = A @ states[k - 1] + (b if k == 1 else 0.0)
     return states
 
 
 def states(problem: TransientProblem) -> FloatArray:
     """(N + 1, N, n + 1) states of the plant and the current at tau_0 to tau_N by the commands."""
-    found = _impulse(problem)
-    return np.stack([linalg.toeplitz(each, np.zeros(problem.grid.stages)) for each in found.T], axis=-1)
+    N = problem.grid.stages
+    found = _impulse(problem.stage, problem.grid.dt_s, N + 1)
+    return np.stack([linalg.toeplitz(each, np.zeros(N)) for each in found.T], axis=-1)
 
 
 def responses(problem: TransientProblem) -> Responses:
     """By one matrix exponential of plant and amplifier pole, and Toeplitz matrices of the impulse responses."""
-    plant, N, states = problem.stage.plant, problem.grid.stages, _impulse(problem)
-    n = plant.order
+    plant, N = problem.stage.plant, problem.grid.stages
+    n, states = plant.order, _impulse(problem.stage, problem.grid.dt_s, N + 1)
 
     def of(row: FloatArray) -> FloatArray:
         return linalg.toeplitz(states @ row, np.zeros(N))
@@ -69,19 +71,80 @@ def responses(problem: TransientProblem) -> Responses:
     )
 
 
+@dataclass(frozen=True)
+class Program:
+    """L as a quadratic function of the commands, rolled out for every device through the window and after it.
+
+    Attributes
+    ----------
+    filtered : (S, N + M, N) F y'' of every device by the commands; r : (N + M,) F r.
+    """
+
+    filtered: FloatArray
+    r: FloatArray
+    weights: FloatArray
+    E: float
+    lost: float
+    intensity: float
+    level: float
+    by_movement: float
+
+    @classmethod
+    def of(cls, problem: TransientProblem) -> "Program":
+        N, M, target = problem.grid.stages, problem.grid.after_stages, problem.target
+        b, a = (
+            (np.ones(1), np.ones(1))
+            if problem.error_filter is None
+            else (problem.error_filter.b, problem.error_filter.a)
+        )
+        by_command = []
+        for device in problem.devices:
+            states = _impulse(device, problem.grid.dt_s, N + M)
+            response = signal.lfilter(b, a, states @ np.append(device.plant.C[0], device.plant.D[0]))
+            by_command.append(linalg.toeplitz(response, np.zeros(N)))
+        r = np.append(target.window_m_s2, target.after_m_s2)
+        lost = float(np.sum(target.before_m_s2**2))
+        limit = problem.limits["current"].stated
+        return cls(
+            filtered=np.stack(by_command),
+            r=signal.lfilter(b, a, r),
+            weights=np.append(problem.tracking_weights, np.ones(M)),
+            E=lost + float(np.sum(target.window_m_s2**2)),
+            lost=lost,
+            intensity=problem.intensity,
+            level=10 ** (problem.intensity_dB / 10),
+            by_movement=problem.rho * (1e-4 / problem.grid.dt_s) ** 2 / (N * limit**2),
+        )
+
+    def merits(self, command_A: FloatArray) -> tuple[float, float]:
+        """J and L of a command (N,)."""
+        N, made = command_A.size, self.filtered @ command_A
+        squares = self.lost + float(np.mean((made - self.r) ** 2 @ self.weights))
+        J = squares / self.E + self.by_movement * float(np.sum(np.diff(command_A, prepend=0.0) ** 2))
+        energy = float(np.mean(np.sum(made[:, :N] ** 2, axis=1)))
+        return J, J - self.intensity * (energy - self.level * float(np.sum(self.r[:N] ** 2))) / self.E
+
+    def quadratic(self) -> tuple[FloatArray, FloatArray]:
+        """(N, N) Hessian of L and (N,) its gradient at rest."""
+        N, devices = self.filtered.shape[2], self.filtered.shape[0]
+        moves = np.eye(N) - np.eye(N, k=-1)
+        H, g = 2 * self.by_movement * moves.T @ moves, np.zeros(N)
+        for a in self.filtered:
+            H = H + 2 / (self.E * devices) * (a.T * self.weights) @ a
+            H = H - 2 * self.intensity / (self.E * devices) * a[:N].T @ a[:N]
+            g = g - 2 / (self.E * devices) * a.T @ (self.weights * self.r)
+        return H, g
+
+
 def optimum(
     problem: TransientProblem, rows: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, float]:
     """Command (N,) and J of the problem within its current and command limits and lower <= rows c <= upper."""
-    found, r, N = responses(problem), problem.reference_m_s2, problem.grid.stages
-    free, E = problem.free_stages, float(r @ r)
+    N, free, program = problem.grid.stages, problem.free_stages, Program.of(problem)
     limit, most = problem.limits["current"].stated, problem.limits["command"].stated
-    moves = np.eye(N) - np.eye(N, k=-1)
-    by_movement = problem.rho * (1e-4 / problem.grid.dt_s) ** 2 / (N * limit**2)
-    a = found.acceleration[:N]
-    H = 2 * (a.T @ a / E + by_movement * moves.T @ moves)[:free, :free]
-    g = -2 * (a.T @ r / E)[:free]
-    constraints = np.concatenate([found.current[:N, :free], rows[:, :free]])
+    H, g = program.quadratic()
+    H, g = H[:free, :free], g[:free]
+    constraints = np.concatenate([responses(problem).current[:N, :free], rows[:, :free]])
     low = np.concatenate([np.full(N, -limit), lower])
     high = np.concatenate([np.full(N, limit), upper])
     solver = ca.conic(
@@ -92,5 +155,4 @@ def optimum(
     )
     answer = solver(h=H, g=g, a=constraints, lba=low, uba=high, lbx=-most, ubx=most)
     command = np.append(np.asarray(answer["x"]).ravel(), np.zeros(N - free))
-    error, movement = a @ command - r, moves @ command
-    return command, float(error @ error / E + by_movement * movement @ movement)
+    return command, program.merits(command)[0]

@@ -8,6 +8,11 @@ SHORTEST_DT_S, LONGEST_DT_S = 1e-6, 0.1
 MOST_STAGES = 20_000
 LONGEST_HORIZON_S = 10.0
 LONGEST_DELAY_S = 1.0  # of an amplifier
+LONGEST_LEAD_S = 0.02  # of a waveform's start before contact: an approach is no straight line for longer
+
+# What is looked at after the waveform. A wall's answers there to each other are a square matrix of so many rows.
+LONGEST_AFTER_S = 0.5
+MOST_AFTER = 3_000
 
 # Grid of a library, and all commands in it.
 MOST_NODES = 500  # of speeds, and of grips

@@ -22,7 +22,7 @@ UNITS = {
     "K_W": "K/W",
     "1_m": "1/m",
     "s_m": "s/m",
-    **{name: name for name in ("Hz", "ohm", "kg", "A", "V", "C", "K", "N", "s", "m", "g", "H", "ticks", "samples")},
+    **{name: name for name in ("Hz", "dB", "ohm", "kg", "A", "V", "C", "K", "N", "s", "m", "g", "H", "ticks", "samples")},
 }
 
 # Three to six orders of magnitude above what laboratories and factories have.
@@ -42,6 +42,7 @@ LARGEST = {
     "1/m": 1e7,
     "s/m": 1e6,
     "Hz": 1e8,
+    "dB": 1e3,
     "ohm": 1e6,
     "kg": 1e5,
     "V": 1e6,

@@ -155,6 +155,7 @@ def _assemble(
         others = [[getattr(plant, name) for plant in devices] for devices in spreads]
         return np.array(others).reshape(len(plants), len(spreads[0]), *own.shape[1:])
 
+    at_ticks = np.stack([r.nominal_position_at_ticks_m for r in references])
     return Library(
         speeds_m_s=np.asarray(scene.grid.speeds_m_s),
         grips_N=np.asarray(scene.grid.grips_N),
@@ -164,10 +165,18 @@ def _assemble(
         acceleration_m_s2=over_grid(lambda e: e.predicted_m_s2),
         reference_m_s2=np.stack([r.motor_m_s2 for r in references]),
         reference_raw_m_s2=np.stack([r.raw_m_s2 for r in references]),
+        reference_before_m_s2=np.stack([r.before_m_s2 for r in references]),
+        reference_after_m_s2=np.stack([r.after_m_s2 for r in references]),
+        reference_raw_after_m_s2=np.stack([r.raw_after_m_s2 for r in references]),
         nominal_position_m=np.stack([r.nominal_position_m for r in references]),
         nominal_velocity_m_s=np.stack([r.nominal_velocity_m_s for r in references]),
-        nominal_position_at_ticks_m=np.stack([r.nominal_position_at_ticks_m for r in references]),
+        nominal_position_at_ticks_m=at_ticks[:, : scene.time.stages],
+        nominal_position_at_ticks_after_m=at_ticks[:, scene.time.stages :],
         nrmse=over_grid(lambda e: e.nrmse),
+        nrmse_after=over_grid(lambda e: e.played.nrmse_after),
+        peak_after_m_s2=over_grid(lambda e: e.played.error_peak_after_m_s2),
+        intensity=over_grid(lambda e: e.problem.intensity),
+        energy_dB=over_grid(lambda e: e.energy_dB),
         floor=over_grid(lambda e: e.floor),
         nrmse_seed=over_grid(lambda e: (e.baselines.seed, e.baselines.seed_steady)),
         nrmse_clipped=over_grid(lambda e: (e.baselines.clipped, e.baselines.clipped_steady)),
@@ -198,6 +207,7 @@ def _meta(
 ) -> dict[str, Any]:
     amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
     problem = entries[0][0].problem
+    heard = problem.error_filter
     # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
     warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
     watched = needed_outputs(scene.limits.asked())
@@ -206,7 +216,7 @@ def _meta(
         **({"outputs": outputs} if any(outputs) else {}),
         "schema": SCHEMA,
         "dt_s": scene.time.dt_s,
-        "lead_s": scene.time.lead_s,
+        "lead_s": scene.lead_s,
         "grip_min_N": scene.grid.grip_min_N,
         "amplifier": None if amplifier is None else asdict(amplifier),
         "limits": {
@@ -219,7 +229,13 @@ def _meta(
         "weights": {
             "rho": problem.rho,
             "tracking": problem.tracking_weights.tolist(),
+            "after_s": scene.weights.after_s,
+            "objective": scene.weights.objective,
+            "intensity_dB": scene.weights.intensity_dB,
             "error_filter": scene.weights.error_filter,
+            # F = 1 is b = a = 1.
+            "error_filter_b": [1.0] if heard is None else heard.b.tolist(),
+            "error_filter_a": [1.0] if heard is None else heard.a.tolist(),
             "spread": None if scene.robust is None else scene.robust.model_dump(),
         },
         "hand_over_samples": scene.hand_over_samples,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from transopt.base.shown import cut, html_figure, html_table, wrapped
-from transopt.base.signals import FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
 from transopt.design.attained import Attained
 from transopt.design.explain import Remedy
@@ -117,6 +117,7 @@ class Entry:
             ["grip", f"{self.grip_N:g} N"],
             ["NRMSE", f"{percent(self.nrmse)} %"],
             ["floor, the same without limits", f"{percent(self.floor)} %"],
+            *self._after_rows(),
             ["seed inversion", f"{percent(self.baselines.seed)} %"],
             ["clipped optimum", f"{percent(self.baselines.clipped)} %"],
             ["peak current", f"{self.played.peak_current_A:.3f} A"],
@@ -125,6 +126,16 @@ class Entry:
             ["verdict", "; ".join([self.verdict, *self.shortfalls])],
         ]
         return html_table(repr(self), ["", ""], rows) + html_figure(self.plot())
+
+    def _after_rows(self) -> list[list[str]]:
+        """What is left when the waveform is over, where the scene looks at it."""
+        if self.problem.grid.after_stages == 0:
+            return []
+        peak_g = self.played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2
+        return [
+            ["error after the waveform", f"{percent(self.played.nrmse_after)} %"],
+            ["largest error there", f"{peak_g:.3f} g"],
+        ]
 
     def plot(self) -> "Figure":
         """The waveform over time: acceleration beside its reference, current beside its limit.
@@ -138,6 +149,11 @@ class Entry:
     @property
     def nrmse(self) -> float:
         return self.played.nrmse
+
+    @property
+    def energy_dB(self) -> float:
+        """Energy of the tap within the window over the recorded one's."""
+        return energy_dB(self.problem, self.solution.command_A)
 
     @property
     def weighted_nrmse(self) -> float:
@@ -156,6 +172,13 @@ class Entry:
         if self.problem.reference_is_zero:
             return "zero reference"
         return verdict(self.nrmse, self.floor, self.repeatability, self.levels)
+
+
+def energy_dB(problem: TransientProblem, command_A: FloatArray) -> float:
+    """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
+    if problem.reference_is_zero:
+        return 0.0
+    return problem.tracking.energy_dB(problem.accelerations(command_A))
 
 
 def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:

@@ -8,14 +8,13 @@ import numpy as np
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.design.entry import left_out_by_scene, replayed
+from transopt.design.entry import energy_dB, left_out_by_scene, replayed
 from transopt.design.optimum import Designed, optimum
 from transopt.design.verify import admit, unlimited_nrmse
 from transopt.library.library import MULTIPLIERS, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import entry_left_out, shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
 from transopt.proof.certify import binding_limits
-from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
 
@@ -46,7 +45,7 @@ def resolve(
     if library.meta["feedback"] is not None:
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options
-    scene = Scene.model_validate(library.meta["scene"])
+    scene = library.scene()
     own = own_arrays(library.meta["limits"])
     arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *own)}
     nv, ng, _ = library.command_A.shape
@@ -79,6 +78,9 @@ def resolve(
                     "current_A": current,
                     "acceleration_m_s2": predicted,
                     "nrmse": target.nrmse(played.acceleration_m_s2),
+                    "nrmse_after": target.nrmse_after(played.after_m_s2),
+                    "peak_after_m_s2": target.peak_after_m_s2(played.after_m_s2),
+                    "energy_dB": energy_dB(answer.problem, command),
                     "floor": unlimited_nrmse(answer.problem, target),
                     "peak_current_A": played.peak_current_A,
                     "peak_temperature_C": played.winding_C,
@@ -112,6 +114,9 @@ _CHANGED = (
     "current_A",
     "acceleration_m_s2",
     "nrmse",
+    "nrmse_after",
+    "peak_after_m_s2",
+    "energy_dB",
     "floor",
     "peak_current_A",
     "peak_temperature_C",

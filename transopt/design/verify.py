@@ -140,6 +140,8 @@ def _stored(
     """Figures in the file that do not follow from the waveform in the file."""
     claims = {
         "nrmse": played.nrmse,
+        "nrmse_after": played.nrmse_after,
+        "peak_after_m_s2": played.error_peak_after_m_s2,
         "peak_current_A": played.peak_current_A,
         "peak_temperature_C": played.winding_C,
     }

@@ -20,14 +20,16 @@ class Array:
 
     Attributes
     ----------
-    shape : one letter for each dimension: v speeds, g grips, N stages, h samples of the hand-over, n states of the
-        plant, s further devices of a robust entry; a digit is that size.
+    shape : one letter for each dimension: v speeds, g grips, N stages, M samples after them, L instants before them
+        that no command can reach, h samples of the hand-over, n states of the plant, s further devices of a robust
+        entry; a digit is that size.
     unit : SI, with C for degrees Celsius; empty for what has none.
     meaning : what it holds.
     is_text : words and not double-precision numbers.
     may_be_nan : NaN stands for what is not known; every other number is finite.
-    needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread` or
-        `refinement`; empty for an array that is always there. Without it the array is zero, or of no device.
+    needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`,
+        `refinement`, `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an
+        array that is always there. Without it the array is zero, or of no device or instant.
     """
 
     shape: str
@@ -55,7 +57,14 @@ def declared(owner: type) -> dict[str, Array]:
 
 def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:
     """Names of the arrays that a file with this meta does not have."""
-    stated = {**meta["limits"], "spread": meta["weights"]["spread"], "refinement": meta.get("refinement")}
+    weights = meta["weights"]
+    stated = {
+        **meta["limits"],
+        "spread": weights["spread"],
+        "refinement": meta.get("refinement"),
+        "after_s": weights.get("after_s"),
+        "intensity": True if weights.get("objective") == "intensity" else None,
+    }
     return [name for name, array in arrays.items() if array.needs and stated.get(array.needs) is None]
 
 

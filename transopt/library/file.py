@@ -17,9 +17,11 @@ from transopt.base.files import check_depth, read_file
 from transopt.base.npz import Archive
 from transopt.base.shown import cut
 from transopt.base.sizes import (
+    LONGEST_AFTER_S,
     LONGEST_DELAY_S,
     LONGEST_DT_S,
     LONGEST_HORIZON_S,
+    MOST_AFTER,
     MOST_COMMANDS,
     MOST_DEVICES,
     MOST_FILE_BYTES,
@@ -30,8 +32,10 @@ from transopt.base.sizes import (
 )
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
-from transopt.library.library import ARRAYS, SCHEMA, Library, own_arrays
-from transopt.library.meta import META_KEYS
+from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
+from transopt.library.meta import META_KEYS, WEIGHTS_OF_2
+from transopt.plant.discretise import samples_after
+from transopt.problem.posing import Posing
 from transopt.problem.limits.temperature import TemperatureLimit
 
 ADVICE = "give a library.npz written by `transopt solve`"
@@ -57,11 +61,14 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
         check_depth(meta)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: meta is not JSON ({error}); solve the scene again") from None
-    if not isinstance(meta, dict) or meta.get("schema") != SCHEMA:
-        found = meta.get("schema") if isinstance(meta, dict) else None
-        raise InputError(f"{path}: schema {found}, this version reads {SCHEMA}; solve the scene again")
+    schema = meta.get("schema") if isinstance(meta, dict) else None
+    if not isinstance(meta, dict) or isinstance(schema, bool) or schema not in SCHEMAS:
+        known = " and ".join(map(str, SCHEMAS))
+        raise InputError(f"{path}: schema {cut(repr(schema))}, this version reads {known}; solve the scene again")
     missing = [key for key in META_KEYS if key not in meta]
     for key, inner in META_KEYS.items():
+        if key == "weights" and schema == 2:
+            inner = (*inner, *WEIGHTS_OF_2)
         # null: the scene has no such part; anything else holds the keys that are read from it.
         table = meta.get(key)
         if inner and table is not None:
@@ -162,7 +169,7 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     stored = str(arrays.pop(HASH_FIELD))
     if stored != content_hash(arrays):
         raise InputError(f"{path}: content does not match its hash: changed or damaged; solve the scene again")
-    sizes = {"1": 1, "2": 2, **({} if meta["weights"]["spread"] else {"s": 0})}
+    sizes = {"1": 1, "2": 2, **({} if meta["weights"]["spread"] else {"s": 0}), **_beside_the_window(path, meta)}
     _check_arrays(path, arrays, sizes)
     for name in optional:
         arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
@@ -170,6 +177,25 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     _check_problem(path, library)
     _check_words(path, library)
     return library
+
+
+def _beside_the_window(path: Path, meta: dict[str, Any]) -> dict[str, int]:
+    """M and L as the time axis has them, before anything of that size is made; none in a file of schema 1."""
+    if meta["schema"] == 1:
+        return {"M": 0, "L": 0}
+    weights, dt_s, lead_s = meta["weights"], meta["dt_s"], meta["lead_s"]
+    delay_s = 0.0 if meta["amplifier"] is None else meta["amplifier"]["delay_s"]
+    if not SHORTEST_DT_S <= dt_s <= LONGEST_DT_S:
+        raise InputError(f"{path}: meta.dt_s = {dt_s:g} s: must be {SHORTEST_DT_S:g} to {LONGEST_DT_S:g} s")
+    if not 0 <= weights["after_s"] <= LONGEST_AFTER_S or samples_after(weights["after_s"], dt_s) > MOST_AFTER:
+        raise InputError(
+            f"{path}: meta.weights.after_s = {weights['after_s']:g} s: must be 0 to {LONGEST_AFTER_S:g} s and at most "
+            f"{MOST_AFTER} samples; solve the scene again"
+        )
+    if not (0 <= lead_s <= LONGEST_DELAY_S and 0 <= delay_s <= LONGEST_DELAY_S):
+        raise InputError(f"{path}: meta.lead_s and amplifier.delay_s must be 0 to {LONGEST_DELAY_S:g} s")
+    grid = Posing.of(meta, 1).grid
+    return {"M": grid.after_stages, "L": grid.before_times_s.size}
 
 
 def _check_words(path: Path, library: Library) -> None:

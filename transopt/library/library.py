@@ -34,7 +34,8 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
 
     from transopt.scene.scene import Scene
 
-SCHEMA = 1
+SCHEMA = 2  # what is written
+SCHEMAS = (1, 2)  # what is read; 1 knows of nothing before the first command nor after the last one
 PLANT = ("A", "B", "C", "D", "Ce")
 
 
@@ -110,6 +111,9 @@ class Library:
     `multipliers_of` has the array of every side of every limit's row by its name in the file, mu_<row>_<side>: which
     these are follows from the list of limits (`MULTIPLIERS`).
 
+    E = lost + sum r^2 is the energy of a tap, lost = sum r^2 over `reference_before_m_s2`. A file of schema 1 has
+    neither that nor what comes after the window: both are of no instant then, and lost is 0.
+
     In a library that was refined on its device (`meta["refinement"]`) an entry is solved for r + `correction_m_s2`,
     so that the device, which is not quite the model, makes r. All of its certificate is of that problem; `nrmse` and
     `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
@@ -127,6 +131,15 @@ class Library:
     reference_raw_m_s2: Annotated[
         FloatArray, Array("vN", "m/s^2", "r_raw, the recorded tap scaled to the grid speed")
     ]
+    reference_before_m_s2: Annotated[
+        FloatArray, Array("vL", "m/s^2", "r from contact to the first command that acts", needs="after_s")
+    ]
+    reference_after_m_s2: Annotated[
+        FloatArray, Array("vM", "m/s^2", "r after the last command, from tau_N on", needs="after_s")
+    ]
+    reference_raw_after_m_s2: Annotated[
+        FloatArray, Array("vM", "m/s^2", "r_raw there, 0 where the recording has ended", needs="after_s")
+    ]
     nominal_position_m: Annotated[
         FloatArray, Array("vN", "m", "the hand's own motion z_nom at the switching instants")
     ]
@@ -134,7 +147,16 @@ class Library:
     nominal_position_at_ticks_m: Annotated[
         FloatArray, Array("vN", "m", "z_nom at the ticks, where encoders are read")
     ]
-    nrmse: Annotated[FloatArray, Array("vg", "", "|y'' - r| / |r| after replay")]
+    nominal_position_at_ticks_after_m: Annotated[
+        FloatArray, Array("vM", "m", "z_nom at the M ticks that follow", needs="after_s")
+    ]
+    nrmse: Annotated[FloatArray, Array("vg", "", "sqrt((lost + sum (y'' - r)^2) / E) after replay")]
+    nrmse_after: Annotated[FloatArray, Array("vg", "", "sqrt(sum (y'' - r)^2 / E) after the window", needs="after_s")]
+    peak_after_m_s2: Annotated[FloatArray, Array("vg", "m/s^2", "largest |y'' - r| there", needs="after_s")]
+    intensity: Annotated[FloatArray, Array("vg", "", "lam, price of the energy that y'' lacks", needs="intensity")]
+    energy_dB: Annotated[
+        FloatArray, Array("vg", "dB", "energy of y'' in the window over that of r", needs="intensity")
+    ]
     floor: Annotated[FloatArray, Array("vg", "", "the same of the optimum without limits")]
     nrmse_seed: Annotated[
         FloatArray, Array("vg2", "", "of the seed's clipped inversion, at transient and steady limit")
@@ -230,9 +252,8 @@ class Library:
         return scene_in(self.meta)
 
     def time_grid(self) -> TimeGrid:
-        amplifier = self.meta["amplifier"]
-        delay = 0.0 if amplifier is None else amplifier["delay_s"]
-        return TimeGrid(self.meta["dt_s"], self.command_A.shape[2], self.meta["lead_s"], delay)
+        """Ticks and switching instants, and how many samples after them count."""
+        return Posing.of(self.meta, self.command_A.shape[2]).grid
 
     def coil(self) -> CoilModel | None:
         return None if self.meta["thermal"] is None else CoilModel(**self.meta["thermal"]["coil"])
@@ -266,6 +287,7 @@ class Library:
         wanted = replace(wanted, target=wanted.target.moved(self.correction_m_s2[iv, ig]))
         stage = self.stage(ig) if stage is None else stage
         problem = self.posing().problem(wanted, stage, self.spread(ig))
+        problem = replace(problem, intensity=float(self.intensity[iv, ig]))
         if problem.wall is None:
             return problem
         return pressing_under(problem, self.command_A[iv, ig])
@@ -292,12 +314,16 @@ class Library:
             self.target(by_speed),
             by_speed @ self.nominal_velocity_m_s,
             by_speed @ self.nominal_position_m,
-            by_speed @ self.nominal_position_at_ticks_m,
+            by_speed @ np.append(self.nominal_position_at_ticks_m, self.nominal_position_at_ticks_after_m, axis=1),
         )
 
     def target(self, by_speed: FloatArray) -> Target:
-        """r of a blend of the nodes by weights (nv,), see `speed_weights`."""
-        return Target(by_speed @ self.reference_m_s2)
+        """r of a blend of the nodes by weights (nv,), see `speed_weights`, with what comes before and after it."""
+        return Target(
+            by_speed @ self.reference_m_s2,
+            by_speed @ self.reference_after_m_s2,
+            by_speed @ self.reference_before_m_s2,
+        )
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""

@@ -28,6 +28,9 @@ META_KEYS = {
     "versions": (),
 }
 
+# Of its weights, from schema 2 on.
+WEIGHTS_OF_2 = ("after_s", "objective", "intensity_dB", "error_filter_b", "error_filter_a")
+
 
 def temperature_is_in(left_out: dict[str, str]) -> bool:
     """Whether the temperature is a constraint of the problem of an entry with these parts left out."""

@@ -9,14 +9,17 @@ from transopt.scene.scene import Scene
 
 
 def scene_in(meta: dict[str, Any]) -> Scene:
-    """The scene of a library's `meta`.
+    """The scene of a library's `meta`; of one of schema 1 the scene that looks at nothing after the waveform.
 
     Raises
     ------
     InputError : a scene of another version, or changed by hand.
     """
+    content = meta["scene"]
+    if meta["schema"] == 1:
+        content = {**content, "weights": {**content.get("weights", {}), "after_s": 0.0}}
     try:
-        return Scene.model_validate(meta["scene"])
+        return Scene.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import integrate
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.library.file import BROKEN, load_library
 from transopt.library.library import PLANT, Library
-from transopt.plant.discretise import StageModel
+from transopt.plant.discretise import StageModel, TimeGrid
 from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers, Status
 from transopt.problem.baselines import seed_inversion
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, tolerated
@@ -45,6 +46,7 @@ from transopt.solvers.native.extension import (
 SAME = 1e-6  # relative, between what a file states of its scene and what the scene it carries comes to
 FIGURE = 1e-4  # relative, between a stated figure of an entry and the recomputed one
 ROUNDING = 1e-9  # absolute, for figures that are zero
+LEVEL_dB = 1e-4  # absolute, of the energy
 RIVAL = 1e-3  # relative, between an error at the switching instants and the replay's
 STEADY = 3e-3  # relative, between two steady states
 MOTION = 1e-2  # relative, between a motion that was integrated in fine steps and in those of the file
@@ -241,6 +243,7 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
     stored, error = float(library.nrmse[iv, ig]), target.nrmse(motion.acceleration_m_s2)
     if not np.isclose(stored, error, rtol=FIGURE, atol=SAME):
         yield f"nrmse says {stored:.6g}, recomputed {error:.6g}"
+    yield from _afterwards(library, iv, ig, effect, target)
     stored, peak = float(library.peak_current_A[iv, ig]), float(np.abs(motion.current_A).max())
     # A wall pushes on after the waveform; its limit there is the replay's to check.
     most = problem.limits.current_A * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
@@ -259,6 +262,27 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
         yield f"peak_temperature_C says {stored:.5g} C, recomputed {hottest:.5g} C"
 
 
+def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Target) -> Iterator[str]:
+    """What the file says of the motion after the window, and of its energy, and its command does not do."""
+    problem, N = effect.problem, effect.command_A.size
+    later = effect.lasting.acceleration_m_s2[N:]
+    size = float(np.abs(library.reference_m_s2[iv]).max())
+    claims = {
+        "nrmse_after": (target.nrmse_after(later), FIGURE, SAME),
+        "peak_after_m_s2": (target.peak_after_m_s2(later), FIGURE, SAME * size),
+    }
+    if problem.target.energy_m2_s4 > 0 and library.meta["weights"].get("objective") == "intensity":
+        silent = problem.reference_is_zero
+        made_dB = 0.0 if silent else problem.tracking.energy_dB(effect.accelerations_m_s2)
+        claims["energy_dB"] = (made_dB, 0.0, LEVEL_dB)
+    if library.meta["schema"] == 1:
+        return
+    for name, (value, relative, absolute) in claims.items():
+        stored = float(getattr(library, name)[iv, ig])
+        if not np.isclose(stored, value, rtol=relative, atol=absolute):
+            yield f"{name} says {stored:.6g}, recomputed {value:.6g}"
+
+
 def _against_scene(library: Library) -> Iterator[str]:
     """Where the file states another problem than the scene that it carries: limits, weights, time axis, plants."""
     scene = library.scene()
@@ -268,6 +292,10 @@ def _against_scene(library: Library) -> Iterator[str]:
             continue
         name = {"asked": "limits", "wall": "feedback"}.get(field.name, field.name)
         yield from _different(name, getattr(stated, field.name), getattr(own, field.name))
+    if library.meta["schema"] > 1:
+        heard, weights = own.error_filter, library.meta["weights"]
+        for name, taps in (("b", [1.0] if heard is None else heard.b), ("a", [1.0] if heard is None else heard.a)):
+            yield from _different(f"weights.error_filter_{name}", weights[f"error_filter_{name}"], np.asarray(taps))
     yield from _different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
     for name, nodes in (("speeds_m_s", scene.grid.speeds_m_s), ("grips_N", scene.grid.grips_N)):
         # A library may be a part of what its scene asked for.
@@ -287,6 +315,7 @@ def _against_scene(library: Library) -> Iterator[str]:
 def _nominal(library: Library) -> Iterator[str]:
     """Nominal motions that are not the integrals of the user's share r_raw - r, from -speed and the surface on."""
     grid, user = library.time_grid(), library.reference_raw_m_s2 - library.reference_m_s2
+    after = library.reference_raw_after_m_s2 - library.reference_after_m_s2
     times = grid.switching_times_s
     for iv, speed in enumerate(library.speeds_m_s):
         velocity, position = library.nominal_velocity_m_s[iv], library.nominal_position_m[iv]
@@ -299,6 +328,18 @@ def _nominal(library: Library) -> Iterator[str]:
             step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
             if not np.abs(stated - integrated).max() <= MOTION * size + step:
                 yield f"{name} at {speed:g} m/s is not the motion that its recording tells"
+        later = library.nominal_position_at_ticks_after_m[iv]
+        onward = _onward(grid, velocity[-1], position[-1], np.append(user[iv, -1], after[iv]))
+        size = max(float(np.abs(position).max()), float(np.abs(onward).max(initial=0.0)))
+        if not np.abs(later - onward).max(initial=0.0) <= MOTION * size + speed * grid.dt_s:
+            yield f"nominal_position_at_ticks_after_m at {speed:g} m/s is not the motion that its recording tells"
+
+
+def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
+    """(M,) position at the ticks after the window, from that at tau_(N-1) on and its second derivative (M + 1,)."""
+    velocity = velocity_m_s + integrate.cumulative_trapezoid(rate_m_s2, dx=grid.dt_s, initial=0)
+    course = position_m + integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
+    return np.asarray((course - grid.delay_s * velocity)[1:])
 
 
 def _from_contact(times_s: FloatArray, rate: FloatArray) -> FloatArray:

@@ -25,6 +25,11 @@ WHOLE = 1e-6  # of a servo period: what rounding makes of a delay that is a whol
 AFTER = " after the period"  # behind the name of an output: its value at the next switching instant
 
 
+def samples_after(after_s: float, dt_s: float) -> int:
+    """M, the whole number of servo periods nearest to how long the motion after the window counts."""
+    return round(after_s / dt_s)
+
+
 @dataclass(frozen=True)
 class TimeGrid:
     """Servo ticks t_k = -lead + k dt and switching instants tau_k = t_k + delay, k = 0..N-1, contact at t = 0.
@@ -261,6 +266,22 @@ class StageModel:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
         motion = self.motion(command_A)
         return motion.acceleration_m_s2, motion.current_A
+
+    def free_response(self, instants: int) -> tuple[FloatArray, FloatArray]:
+        """Q (M, m), R (m, n) with Q R x = y'' at so many instants of the free motion from the state x; m = min(M, n).
+
+        All taps of one grip share it: it is kept.
+        """
+        if instants not in self._free_responses:
+            n = self.A.shape[0]
+            by_state = (self.C @ powers(self.A, instants - 1).reshape(instants, n, n))[:, 0]
+            Q, R = np.linalg.qr(by_state)
+            self._free_responses[instants] = Q, R
+        return self._free_responses[instants]
+
+    @cached_property
+    def _free_responses(self) -> dict[int, tuple[FloatArray, FloatArray]]:
+        return {}
 
     def extended(self) -> "StageModel":
         """The same matrices in extended precision (64 bits of mantissa where the machine has them, else the same)."""

@@ -11,7 +11,7 @@ from transopt.base.signals import FloatArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import StageModel, TimeGrid, discretise
+from transopt.plant.discretise import StageModel, TimeGrid, discretise, samples_after
 from transopt.plant.state_space import StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
@@ -80,8 +80,12 @@ class Posing:
         """Of a library's `meta` and its number of stages."""
         amplifier = None if meta["amplifier"] is None else Amplifier(**meta["amplifier"])
         thermal, feedback, circuit = meta["thermal"], meta["feedback"], meta["circuit"]
+        delay_s = 0.0 if amplifier is None else amplifier.delay_s
+        # Files of schema 1 know of nothing after the window, and of no objective but the waveform.
+        weights = {"after_s": 0.0, "objective": "waveform", "intensity_dB": 0.0, **meta["weights"]}
+        after = samples_after(weights["after_s"], meta["dt_s"])
         return cls(
-            grid=TimeGrid(meta["dt_s"], stages, meta["lead_s"], 0.0 if amplifier is None else amplifier.delay_s),
+            grid=TimeGrid(meta["dt_s"], stages, meta["lead_s"], delay_s, after),
             amplifier=amplifier,
             tracking_weights=np.asarray(meta["weights"]["tracking"], dtype=float),
             rho=meta["weights"]["rho"],
@@ -92,6 +96,8 @@ class Posing:
             coil=None if thermal is None else CoilModel(**thermal["coil"]),
             wall=None if feedback is None else Wall(**feedback),
             budget=Budget() if thermal is None else Budget(**thermal["budget"]),
+            objective=weights["objective"],
+            intensity_dB=weights["intensity_dB"],
         )
 
     def stage(self, plant: StateSpace, *, watched: bool = True) -> StageModel:

@@ -127,6 +127,7 @@ class LinearStage:
     A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
         `problem.current_scale_A`.
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / sqrt(E) from x_k and dc_k.
+    unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
     device : the entry's own, whose outputs have names. where : its states among x.
     """
@@ -136,6 +137,7 @@ class LinearStage:
     current_A: float
     C: FloatArray
     E: FloatArray
+    unit_m_s2: float
     feedback: FloatArray
     device: StageModel
     where: Layout
@@ -242,6 +244,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
         current_A=current,
         C=C * units / norm,
         E=E * current / norm,
+        unit_m_s2=norm,
         feedback=feedback * units,
         device=problem.stage,
         where=where,

@@ -34,9 +34,12 @@ class Reference:
     speed_m_s : incoming speed.
     raw_m_s2 : (N,) r_raw, the recorded acceleration.
     motor_m_s2 : (N,) r = H r_raw.
+    before_m_s2 : (L,) r from contact on at the instants before tau_0, which no command can reach.
+    after_m_s2, raw_after_m_s2 : (M,) r and r_raw at the instants after the window. Where the recording has ended,
+        r_raw is zero and r the free response of H, which goes on.
     nominal_position_m : (N,) z_nom.
     nominal_velocity_m_s : (N,) its derivative.
-    nominal_position_at_ticks_m : (N,) z_nom at the servo ticks t_k, where the encoder is read.
+    nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks t_k, where the encoder is read.
     repeatability : mean NRMSE of the aligned repeats against their mean; NaN for one tap.
     repeatability_unaligned : the same before they were aligned.
     taps : the n recordings used.
@@ -49,6 +52,9 @@ class Reference:
     speed_m_s: float
     raw_m_s2: FloatArray
     motor_m_s2: FloatArray
+    before_m_s2: FloatArray
+    after_m_s2: FloatArray
+    raw_after_m_s2: FloatArray
     nominal_position_m: FloatArray
     nominal_velocity_m_s: FloatArray
     nominal_position_at_ticks_m: FloatArray
@@ -65,7 +71,7 @@ class Reference:
     @property
     def target(self) -> Target:
         """What the device has to do at this speed."""
-        return Target(self.motor_m_s2)
+        return Target(self.motor_m_s2, self.after_m_s2, self.before_m_s2)
 
     @property
     def scalings(self) -> FloatArray:
@@ -78,12 +84,24 @@ class Reference:
         return nrmse(self.motor_m_s2, self.raw_m_s2)
 
 
-def _fine_times(grid: TimeGrid) -> FloatArray:
-    """Ten points per servo period around contact, with t = 0 among them."""
+def _fine_times(grid: TimeGrid, end_s: float) -> FloatArray:
+    """Ten points per servo period around contact and to a time, with t = 0 among them."""
     step = min(grid.dt_s / 10, 1e-5)
     before = int(np.ceil((SETTLING_S + grid.lead_s) / step))
-    after = int(np.ceil(max(grid.end_s, 0.0) / step)) + 1
+    after = int(np.ceil(max(end_s, 0.0) / step)) + 1
     return np.asarray(np.arange(-before, after + 1) * step)
+
+
+def _pieces(times_s: FloatArray, courses: FloatArray, ended: int, at_s: FloatArray) -> FloatArray:
+    """(m, c) of courses (K, c) at instants (m,), by a spline up to sample `ended` and another one from there on.
+
+    Where a recording ends r_raw jumps to zero, and one spline through it all would ring around the jump.
+    """
+    if times_s.size - ended < 4:  # all instants lie before
+        return sampled(scipy.interpolate.CubicSpline(times_s, courses), at_s).copy()
+    early, late = slice(0, ended), slice(ended, None)
+    parts = [scipy.interpolate.CubicSpline(times_s[part], courses[part])(at_s) for part in (early, late)]
+    return np.asarray(np.where((at_s < times_s[ended])[:, None], *parts))
 
 
 def _lags(repeats: FloatArray, mean: FloatArray, step_s: float) -> FloatArray:
@@ -124,8 +142,8 @@ def build_reference(
 ) -> Reference:
     """Scale, align and average the taps of one grid speed, and split off the user's share.
 
-    r_raw is the mean; r = H r_raw with H a causal second-order high-pass; z_nom integrates r_raw - r twice from
-    z = 0, dz/dt = -speed at contact.
+    r_raw is the mean, which ends where the shortest tap does; r = H r_raw with H a causal second-order high-pass,
+    which goes on when r_raw has ended; z_nom integrates r_raw - r twice from z = 0, dz/dt = -speed at contact.
 
     Parameters
     ----------
@@ -146,19 +164,27 @@ def build_reference(
                 f"{tap.recording.name}: ends {tap.acceleration.end_s * 1e3:.1f} ms after contact, the window needs "
                 f"{np.ceil(needed * 1e4) / 10:.1f} ms: record longer or lower time.stages"
             )
-    times = _fine_times(grid)
+    times = _fine_times(grid, grid.end_s + grid.after_stages * grid.dt_s)
+    # How alike the taps are, and how late, is a matter of the window, whatever comes after it.
+    window = slice(_fine_times(grid, grid.end_s).size)
     splines = [tap.acceleration.spline for tap in taps]
 
     def scaled(shifts_s: FloatArray) -> FloatArray:
         return np.stack([f * sampled(x, times + by) for f, x, by in zip(factors, splines, shifts_s, strict=True)])
 
-    repeats = scaled(np.zeros(len(taps)))
-    unaligned = _spread(repeats)
+    shifts = np.zeros(len(taps))
+    repeats = scaled(shifts)
+    unaligned = _spread(repeats[:, window])
     if len(taps) > 1:
-        lags = _lags(repeats, repeats.mean(axis=0), times[1] - times[0])
+        lags = _lags(repeats[:, window], repeats[:, window].mean(axis=0), times[1] - times[0])
         # The mean onset stays where it is: alignment must not move the contact.
-        repeats = scaled(lags - lags.mean())
-    raw = Signal(float(times[0]), float(times[1] - times[0]), repeats.mean(axis=0))
+        shifts = lags - lags.mean()
+        repeats = scaled(shifts)
+    end_s = min(tap.acceleration.end_s - by for tap, by in zip(taps, shifts, strict=True))
+    ended = int(np.searchsorted(times, end_s, side="right"))
+    mean = repeats.mean(axis=0)
+    mean[ended:] = 0.0
+    raw = Signal(float(times[0]), float(times[1] - times[0]), mean)
     motor = highpass(raw, settings.highpass_Hz)
     user = raw.values - motor.values
     contact = int(np.argmin(np.abs(times)))
@@ -166,19 +192,24 @@ def build_reference(
     velocity += -speed_m_s - velocity[contact]
     position = _integral(velocity, raw.dt_s)
     position -= position[contact]
-    # The instants all lie within the fine times, so that `sampled` sets none of them to zero.
-    courses = scipy.interpolate.CubicSpline(
-        raw.times_s, np.stack([raw.values, motor.values, position, velocity], axis=1)
-    )
-    raw_m_s2, motor_m_s2, nominal_m, nominal_m_s = sampled(courses, grid.switching_times_s).T.copy()
+    courses = np.stack([raw.values, motor.values, position, velocity], axis=1)
+
+    def at(instants_s: FloatArray) -> FloatArray:
+        return _pieces(raw.times_s, courses, ended, instants_s).T
+
+    raw_m_s2, motor_m_s2, nominal_m, nominal_m_s = at(grid.switching_times_s)
+    raw_after_m_s2, after_m_s2, *_ = at(grid.after_times_s)
     return Reference(
         speed_m_s=speed_m_s,
         raw_m_s2=raw_m_s2,
         motor_m_s2=motor_m_s2,
+        before_m_s2=at(grid.before_times_s)[1],
+        after_m_s2=after_m_s2,
+        raw_after_m_s2=raw_after_m_s2,
         nominal_position_m=nominal_m,
         nominal_velocity_m_s=nominal_m_s,
-        nominal_position_at_ticks_m=sampled(courses, grid.issue_times_s)[:, 2].copy(),
-        repeatability=_spread(repeats),
+        nominal_position_at_ticks_m=at(grid.all_issue_times_s)[2],
+        repeatability=_spread(repeats[:, window]),
         repeatability_unaligned=unaligned,
         taps=tuple(taps),
         factors=np.asarray(factors),
@@ -247,8 +278,8 @@ def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
 
         r = v ((1 - w) r_1 / v1 + w r_2 / v2)
 
-    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). r_raw and
-    z_nom with its velocity follow the same rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
+    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). What comes
+    before and after the window, r_raw, and z_nom with its velocity follow the same rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
     The taps of both neighbours are listed, scaled to v; the repeatability is the larger of the two, NaN if one is.
 
     Parameters
@@ -279,6 +310,9 @@ def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
         speed_m_s=speed_m_s,
         raw_m_s2=shape(slow.raw_m_s2, fast.raw_m_s2),
         motor_m_s2=shape(slow.motor_m_s2, fast.motor_m_s2),
+        before_m_s2=shape(slow.before_m_s2, fast.before_m_s2),
+        after_m_s2=shape(slow.after_m_s2, fast.after_m_s2),
+        raw_after_m_s2=shape(slow.raw_after_m_s2, fast.raw_after_m_s2),
         nominal_position_m=shape(slow.nominal_position_m, fast.nominal_position_m),
         nominal_velocity_m_s=shape(slow.nominal_velocity_m_s, fast.nominal_velocity_m_s),
         nominal_position_at_ticks_m=shape(slow.nominal_position_at_ticks_m, fast.nominal_position_at_ticks_m),

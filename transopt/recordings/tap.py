@@ -15,7 +15,7 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
 from transopt.base.shown import brief
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, lowpass
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, highpass, lowpass
 from transopt.base.sizes import MOST_FILES
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
@@ -25,6 +25,9 @@ BASELINE_SAMPLES = 8  # fewer are no baseline
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
+TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of NRMSE: contact is then put where the pulse begins
+TOE_LEVEL = 5e-3  # of the peak, from which on it has begun; below it lies no energy to speak of
+TOE_TO_NOISE = 3.0  # nor is it told from noise below this
 
 
 def _paths(settings: Recordings) -> list[Path]:
@@ -131,6 +134,31 @@ def find_onset(x: Signal) -> float:
     low = _crossing(x.times_s, x.values, risen, 0.1 * height)
     high = _crossing(x.times_s, x.values, risen, 0.3 * height)
     return max(low - 0.5 * (high - low), x.start_s)
+
+
+def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> tuple[float, float]:
+    """Where a pulse begins, at most at its onset [s], and the share of its energy between the two.
+
+    A pulse between soft bodies rises from nothing, and the line by which the onset is found meets zero long after it
+    has begun. What lies before contact is played only as far as the waveform's lead reaches, so that the rest would be
+    neither played nor counted. The energy is that of r = H x, which is what the motor has to make: a hand that slows
+    down before contact is no part of the pulse. It is followed back from the onset to where it cannot be told from
+    nothing, in the low-passed signal; the energy is that of the recorded one less the noise's, for a low-pass without
+    phase brings some of a hard pulse before its onset.
+    """
+    cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (settings.highpass_Hz, settings.lowpass_Hz)]
+    if cutoffs_Hz[0] >= 0.45 * x.rate_Hz:
+        return onset_s, 0.0
+    recorded = highpass(x, cutoffs_Hz[0]).values
+    smooth = highpass(lowpass(x, cutoffs_Hz[1]), cutoffs_Hz[0]).values
+    left = noise_m_s2 * np.sqrt(min(2 * cutoffs_Hz[1] / x.rate_Hz, 1.0))
+    level = max(TOE_LEVEL * float(x.values.max()), TOE_TO_NOISE * left)
+    before = x.times_s < onset_s
+    nothing = np.flatnonzero(smooth[before] < level)
+    first = int(nothing[-1]) + 1 if nothing.size else 0
+    energy = recorded[first:] ** 2 - noise_m_s2**2
+    toe, whole = float(energy[before[first:]].sum()), float(energy.sum())
+    return min(float(x.times_s[first]), onset_s), max(toe, 0.0) / whole if whole > 0 else 0.0
 
 
 def _offset(x: Signal, settings: Recordings) -> tuple[float, list[str]]:
@@ -244,6 +272,15 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             f"{recording.name}: highest sample {upright.values.max():.3g} m/s^2, noise {noise:.3g} m/s^2 rms: no tap "
             f"stands out (limit {LEAST_PEAK_TO_NOISE:g} times): record it again or state recordings.onset_s"
         )
+    begins, share = _toe(upright, onset, noise, settings)
+    if share > TOE_SHARE:
+        early_ms = 1e3 * (onset - begins)
+        found = f"a soft pulse: {100 * share:.2g} % of its energy in the {early_ms:.2g} ms before"
+        if settings.onset_s == "auto":
+            more.append(f"{found} the onset that its rise points to; contact is put where it begins")
+            onset = begins
+        else:
+            more.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
     speed, source = _speed(recording, onset)
     clipped = _clipped(raw.values, offset)
     if clipped:

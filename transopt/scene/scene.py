@@ -13,12 +13,12 @@ from pydantic import Field, model_validator
 from transopt.base.errors import InputError
 from transopt.base.section import Name, Section, Words
 from transopt.base.shown import cut, span, wrapped
-from transopt.base.sizes import MOST_COMMANDS
+from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS
 from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
-from transopt.plant.discretise import TimeGrid
+from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.plant.kind import PlantKind
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Motor, Tip, Transmission, at_the_tip
@@ -31,7 +31,17 @@ from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
-from transopt.scene.sections import AmplifierSection, Feedback, Grid, LimitsSection, Robust, Thermal, Time, Weights
+from transopt.scene.sections import (
+    AmplifierSection,
+    Feedback,
+    Grid,
+    LimitsSection,
+    Robust,
+    Thermal,
+    Time,
+    Weights,
+    covering_lead_s,
+)
 
 BELOW = 1 - 1e-6  # of a bound that has to be stayed below
 FORCE_TOLERANCE = 0.01  # between the motor's force per ampere and that of a model file
@@ -41,7 +51,7 @@ class Scene(Section):
     """One scene file; `name` defaults to the file's stem."""
 
     name: Name
-    description: Words
+    description: Words = ""
     grid: Grid
     time: Time = Time()
     recordings: Recordings
@@ -60,7 +70,7 @@ class Scene(Section):
     def __repr__(self) -> str:
         grid, time = self.grid, self.time
         return wrapped(
-            f"Scene({cut(self.name)}: {cut(self.description)}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"Scene({': '.join(filter(None, (cut(self.name), cut(self.description))))}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
             f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
             f"{self.limits.transient_current_A:g} A)"
         )
@@ -87,6 +97,7 @@ class Scene(Section):
                 f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
             )
         self._check_amplifier()
+        self._check_time()
         self._check_what_needs_what()
         if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
             raise ValueError(
@@ -200,6 +211,21 @@ class Scene(Section):
                     "take it out of the scene"
                 )
 
+    def _check_time(self) -> None:
+        """A lead that is not stated must be possible, and the samples after the window must not be too many."""
+        lead_s, after = self.lead_s, samples_after(self.weights.after_s, self.time.dt_s)
+        if self.time.lead_s is None and lead_s > LONGEST_LEAD_S:
+            raise ValueError(
+                f"time.lead_s: the amplifier's delay of {self.delay_s * 1e3:g} ms and 0.2 ms, in whole periods of "
+                f"{self.time.dt_s * 1e3:g} ms, take a lead of {lead_s * 1e3:g} ms, at most {LONGEST_LEAD_S * 1e3:g} "
+                "ms: state a shorter time.lead_s; what no command can reach then counts as error"
+            )
+        if after > MOST_AFTER:
+            raise ValueError(
+                f"weights.after_s = {self.weights.after_s:g} s: {after} samples of {self.time.dt_s:g} s, at most "
+                f"{MOST_AFTER}: lower weights.after_s"
+            )
+
     def drive_at_tip(self) -> Tip:
         """What the stylus feels of the drive: as identified, as motor and transmission make it, or as stated."""
         identified = self.model.tip() if isinstance(self.model, IdentifiedModel) else None
@@ -241,11 +267,21 @@ class Scene(Section):
         assert stated.delay_s is not None
         return Amplifier(stated.pole_Hz, stated.delay_s, self.amplifier.command_limit_A)
 
-    def time_grid(self) -> TimeGrid:
-        """Servo ticks and switching instants of every entry."""
+    @property
+    def delay_s(self) -> float:
+        """Of the amplifier; none of an ideal one."""
         amplifier = self.amplifier_model()
-        delay = 0.0 if amplifier is None else amplifier.delay_s
-        return TimeGrid(self.time.dt_s, self.time.stages, self.time.lead_s, delay)
+        return 0.0 if amplifier is None else amplifier.delay_s
+
+    @property
+    def lead_s(self) -> float:
+        """How long before contact the waveform starts: as stated, or the least that covers the amplifier's delay."""
+        return covering_lead_s(self.time.dt_s, self.delay_s) if self.time.lead_s is None else self.time.lead_s
+
+    def time_grid(self) -> TimeGrid:
+        """Servo ticks and switching instants of every entry, and how many samples after them count."""
+        after = samples_after(self.weights.after_s, self.time.dt_s)
+        return TimeGrid(self.time.dt_s, self.time.stages, self.lead_s, self.delay_s, after)
 
     def posing(self) -> Posing:
         """What the problems of all its taps share."""

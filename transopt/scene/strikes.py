@@ -16,6 +16,8 @@ from transopt.scene.scene import Scene
 STEP_S = 1e-5
 LONGEST_S = 1.0  # of a simulated tap
 APPROACH_S = 30e-3  # recorded before contact
+BEYOND_S = 10e-3  # recorded after all that a scene looks at
+USUAL_LEAD_S = 3e-4  # a scene's lead moves its window, but not the noise that is drawn
 ENCODER_COUNT_M = 24.5e-6
 
 
@@ -130,8 +132,9 @@ def strike(
 def recordings(scene: Scene) -> list[Recording]:
     """Recordings of every grid speed with repeats at varied speed, as a hand and an ADXL321 would give them.
 
-    Static 1 g, white noise, end stops, encoder counts; a fixed seed makes them the same every time. The
-    recordings outlast the scene's horizon by 10 ms.
+    Static 1 g, white noise, end stops, encoder counts; a fixed seed makes them the same every time. The recordings
+    outlast by 10 ms what the scene looks at. Looking further after the waveform makes them longer and changes no
+    sample: that noise is drawn apart from the rest.
 
     Raises
     ------
@@ -143,9 +146,11 @@ def recordings(scene: Scene) -> list[Recording]:
     random = np.random.default_rng(target.seed)
     nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
     speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))
-    duration = scene.time_grid().end_s + 10e-3
+    grid = scene.time_grid()
+    within = grid.end_s + grid.lead_s - USUAL_LEAD_S + BEYOND_S
+    duration = within + grid.after_stages * grid.dt_s
     if duration > LONGEST_S:
-        raise InputError(f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages")
+        raise InputError(f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages or weights.after_s")
     samples = int(speeds.size * duration * max(target.rate_Hz, 1 / STEP_S))
     if samples > MOST_SAMPLES:
         raise InputError(
@@ -164,12 +169,14 @@ def recordings(scene: Scene) -> list[Recording]:
     before = int(np.ceil(APPROACH_S / dt))
     # Sampling is not synchronous with the contact.
     phases = random.uniform(0, dt, speeds.size)
+    last, later = int(within / dt) - 1, random.spawn(speeds.size)
     made = []
     for j, speed in enumerate(speeds):
-        times = np.arange(-before, int(duration / dt) - 1) * dt + phases[j]
+        times = np.arange(-before, last + round(grid.after_stages * grid.dt_s / dt)) * dt + phases[j]
         clean = np.interp(times, t, acceleration[j], left=0.0)
         clean[times < 0] = 0.0
-        noise = target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * random.standard_normal(times.size)
+        drawn = [random.standard_normal(before + last), later[j].standard_normal(times.size - before - last)]
+        noise = target.noise_g_rtHz * np.sqrt(target.rate_Hz / 2) * np.concatenate(drawn)
         measured_g = np.clip(clean / STANDARD_GRAVITY_M_S2 + 1.0 + noise, -target.range_g, target.range_g)
         z = np.where(times < 0, -speed * times, np.interp(times, t, encoder[j]))
         counts = np.round(z / ENCODER_COUNT_M) * ENCODER_COUNT_M

@@ -38,13 +38,20 @@ def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
     M, n, devices = problem.grid.after_stages, stage.units.size, stage.E.size
     if M == 0:
         return Tail(np.zeros((0, n)), np.zeros(0), 0.0)
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
-        by_state, offset = _fixed(stage, M) if problem.wall is None else _walled(problem, stage)
-        wanted = np.repeat(problem.tracking.unit_reference[problem.grid.stages :], devices) - offset
-        Q, R = np.linalg.qr(by_state)
-        target = wanted @ Q
-        rest = max(float(wanted @ wanted - target @ target), 0.0)
-    return Tail(R / np.sqrt(devices), target / np.sqrt(devices), rest / devices)
+    after = problem.tracking.unit_reference[problem.grid.stages :]
+    if problem.wall is None and problem.error_filter is None and devices == 1:
+        # The free motion of one device from its own states, which stand in front: known for its grip.
+        Q, R = problem.stage.free_response(M)
+        gain, wanted, own = np.zeros((R.shape[0], n)), after, slice(R.shape[1])
+        gain[:, own] = R * (stage.units[own] / stage.unit_m_s2)
+    else:
+        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself
+            by_state, offset = _fixed(stage, M) if problem.wall is None else _walled(problem, stage)
+            Q, gain = np.linalg.qr(by_state)
+            wanted = np.repeat(after, devices) - offset
+    target = wanted @ Q
+    rest = max(float(wanted @ wanted - target @ target), 0.0)
+    return Tail(gain / np.sqrt(devices), target / np.sqrt(devices), rest / devices)
 
 
 def _fixed(stage: LinearStage, M: int) -> tuple[FloatArray, FloatArray]:
@@ -63,11 +70,14 @@ def _walled(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, 
     M, n = problem.grid.after_stages, stage.units.size
     gains, offsets = hand_over.rows_after(problem, stage)
     gains[:, -1] -= 1.0  # c_k = rows x_k + constant, so dc_k = that less c_(k-1)
-    state, found = np.eye(n, n + 1), np.empty((M, stage.E.size, n + 1))
-    for j in range(M):
-        movement = gains[j] @ state
-        movement[n] += offsets[j]
-        found[j] = stage.C @ state + np.outer(stage.E, movement)
-        state = stage.A @ state + np.outer(stage.A[:, -1], movement)
-    rows = found.reshape(-1, n + 1)
+    by_movement = stage.A[:, -1]
+    loops = stage.A + by_movement[:, None] * gains[:, None, :]
+    states = np.empty((M, n, n + 1))  # by x_N and beside it
+    states[0] = np.eye(n, n + 1)
+    for j in range(M - 1):
+        np.matmul(loops[j], states[j], out=states[j + 1])
+        states[j + 1, :, n] += by_movement * offsets[j]
+    movement = np.matmul(gains[:, None, :], states)
+    movement[:, 0, n] += offsets
+    rows = (np.matmul(stage.C, states) + stage.E[:, None] * movement).reshape(-1, n + 1)
     return rows[:, :n], rows[:, n]

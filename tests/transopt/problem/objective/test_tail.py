@@ -1,0 +1,216 @@
+"""What is lost before the window, what comes after it, the price on intensity: against other ways to find them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.benches import dense
+from tests.conftest import ProblemMaker, WalledMaker
+from transopt.base.signals import FloatArray
+from transopt.plant.chain import Link, chain
+from transopt.plant.discretise import StageModel, discretise
+from transopt.plant.wall import FeedbackLoop
+from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Status
+from transopt.problem.leave_out import pressing_under
+from transopt.problem.objective.tail import tail
+from transopt.problem.objective.target import Target
+from transopt.problem.objective.weighting import error_filter
+from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import linear_stage
+from transopt.proof.certify import Effect, certify, reduced_gradient
+from transopt.solvers import unlimited
+from transopt.solvers.choose import solve
+from transopt.solvers.options import SolverOptions
+
+AFTER = 80
+
+
+def another(stage: StageModel) -> StageModel:
+    """A further device, heavier, softer and less damped."""
+    plant = chain(
+        (0.016, 0.03, 0.012),
+        [Link(5e4, 6.0), Link(7000.0, 9.0), Link(400.0, 12.0)],
+        force_per_current_N_A=1.25,
+        stylus=1,
+    )
+    return discretise(plant, stage.amplifier, stage.dt_s)
+
+
+def lasting(problem: TransientProblem, after: int = AFTER, lost: int = 3) -> TransientProblem:
+    """The problem of a tap that began before the window and rings on after it."""
+    last = float(problem.reference_m_s2[-1]) or 5.0
+    ringing = last * np.exp(-np.arange(after) / 40) * np.cos(np.arange(after) / 9)
+    target = Target(problem.reference_m_s2, ringing, 30.0 * np.arange(lost))
+    wall = problem.wall
+    if wall is not None:
+        step = wall.nominal_m[-1] - wall.nominal_m[-2]
+        nominal = np.append(wall.nominal_m, wall.nominal_m[-1] + step * np.arange(1, after + 1))
+        wall = replace(wall, nominal_m=nominal, pressing=nominal < 0)
+    return replace(problem, grid=replace(problem.grid, after_stages=after), target=target, wall=wall)
+
+
+@pytest.fixture(scope="module")
+def plain(make_problem: ProblemMaker) -> TransientProblem:
+    """A saturated entry, cut while the device still moves."""
+    return lasting(make_problem(0.4, 5.0, stages=150, current_A=2.5))
+
+
+VARIED = {
+    "plain": {},
+    "filtered": {"error_filter": error_filter("pacinian", 1e-4)},
+    "weighted": {"tracking_weights": np.linspace(0.5, 2.0, 150)},
+    "priced": {"intensity": 0.4, "intensity_dB": -0.5},
+}
+
+
+def varied(problem: TransientProblem, kind: str) -> TransientProblem:
+    if kind == "spread":
+        return replace(problem, spread=(another(problem.stage),))
+    if kind == "all":
+        both = replace(problem, spread=(another(problem.stage),), **VARIED["filtered"])
+        return replace(both, **VARIED["weighted"], **VARIED["priced"])
+    return replace(problem, **VARIED[kind])
+
+
+KINDS = [*VARIED, "spread", "all"]
+SOLVERS = ["riccati", "casadi-piqp", "casadi-ipopt"]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_optimum_is_that_of_a_dense_program(plain: TransientProblem, kind: str, solver: str) -> None:
+    problem = varied(plain, kind)
+    answer = solve(problem, SolverOptions(solver))
+    proof = certify(problem, answer.command_A, answer.multipliers)
+    command, J = dense.optimum(problem, np.zeros((0, 150)), np.zeros(0), np.zeros(0))
+    program = dense.Program.of(problem)
+    assert proof.accepted
+    assert proof.objective == pytest.approx(program.merits(answer.command_A)[0], rel=1e-9)
+    assert proof.merit == pytest.approx(program.merits(answer.command_A)[1], rel=1e-9)
+    scale = max(J, OBJECTIVE_SCALE)
+    assert proof.merit <= program.merits(command)[1] + 1e-6 * scale
+    assert proof.lower_bound <= program.merits(command)[1] + 1e-9 * scale
+    np.testing.assert_allclose(answer.command_A, command, atol=2e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_unlimited_optimum_is_that_of_a_dense_program(plain: TransientProblem, kind: str) -> None:
+    problem = varied(plain, kind)
+    H, g = dense.Program.of(problem).quadratic()
+    free = problem.free_stages
+    command = np.append(np.linalg.solve(H[:free, :free], -g[:free]), np.zeros(problem.hand_over_samples))
+    for found in (unlimited.solve(problem), unlimited.solve_in_casadi(problem)):
+        np.testing.assert_allclose(found.command_A, command, atol=1e-6)
+
+
+def by_rollout(problem: TransientProblem, command_A: FloatArray) -> float:
+    """The tail's part of J as the certificate sees it."""
+    error = problem.tracking.error(problem.accelerations(command_A))[:, problem.grid.stages :]
+    return float(np.mean(np.sum(error**2, axis=1))) / problem.target.energy_m2_s4
+
+
+def ended(problem: TransientProblem, seed: int) -> FloatArray:
+    """(N,) a command that ends as the hand-over asks, tick by tick."""
+    command = np.random.default_rng(seed).normal(size=problem.grid.stages)
+    for k in range(problem.free_stages, problem.grid.stages):
+        command[k] = problem.hand_over_command(problem.stage.motion(command))[k]
+    return command
+
+
+class TestTail:
+    @pytest.mark.parametrize("kind", KINDS)
+    @pytest.mark.parametrize("ideal", [False, True])
+    def test_it_is_a_function_of_the_last_state(
+        self, plain: TransientProblem, make_problem: ProblemMaker, kind: str, ideal: bool
+    ) -> None:
+        problem = varied(lasting(make_problem(0.4, 5.0, stages=150, ideal=True)) if ideal else plain, kind)
+        stage = linear_stage(problem)
+        command = np.append(np.random.default_rng(0).normal(size=140), np.zeros(10))
+        found, x = tail(problem, stage), np.zeros(stage.units.size)
+        for movement in np.diff(command, prepend=0.0) / stage.current_A:
+            x = stage.A @ x + stage.A[:, -1] * movement
+        squares = float(np.sum((found.gain @ x - found.target) ** 2)) + found.rest
+        assert squares == pytest.approx(by_rollout(problem, command), rel=1e-9)
+
+    def test_none_without_instants_after_the_window(self, plain: TransientProblem) -> None:
+        bare = replace(plain, grid=replace(plain.grid, after_stages=0), target=Target(plain.reference_m_s2))
+        assert tail(bare, linear_stage(bare)).target.size == 0
+
+    def test_fewer_instants_than_states(self, make_problem: ProblemMaker) -> None:
+        problem = lasting(make_problem(0.4, 5.0, stages=150, current_A=2.5), after=2)
+        answer = solve(problem, SolverOptions())
+        _, J = dense.optimum(problem, np.zeros((0, 150)), np.zeros(0), np.zeros(0))
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert problem.objective(answer.command_A, problem.accelerations(answer.command_A)) <= J * (1 + 1e-6)
+
+
+@pytest.fixture(scope="module")
+def problem(walled: WalledMaker) -> TransientProblem:
+    """Of an entry over a wall."""
+    return lasting(walled(500.0, 0.2).without("temperature"))
+
+
+class TestOverAWall:
+    """The wall goes on pushing when the waveform is over."""
+
+    def test_the_command_goes_on_as_the_law_asks_tick_by_tick(self, problem: TransientProblem) -> None:
+        assert problem.wall is not None
+        command = ended(problem, 1)
+        problem = pressing_under(problem, command)
+        wall, stage, N = problem.wall, problem.stage, problem.grid.stages
+        assert wall is not None
+        ticks = N + problem.grid.after_stages
+        loop = FeedbackLoop(wall.wall, stage.amplifier, stage.dt_s, wall.nominal_m[:1], np.array([wall.approach_m_s]))
+        course, late, x = np.zeros(ticks + 10), stage.whole_delay + 1, np.zeros((stage.A.shape[0], 1))
+        told = np.zeros(ticks)
+        assert stage.Cp is not None
+        assert stage.Dp is not None
+        for k in range(ticks):
+            asked = loop.step(wall.nominal_m[k : k + 1] + course[k])[0]
+            told[k] = command[k] if k < N else asked
+            course[k + late] = (stage.Cp @ x + stage.Dp * told[k])[0, 0]
+            x = stage.A @ x + stage.B * told[k]
+        assert wall.pressing[N:].any()
+        np.testing.assert_allclose(problem.continued(command), told, atol=1e-9)
+
+    def test_its_transpose_is_the_difference(self, problem: TransientProblem) -> None:
+        random = np.random.default_rng(2)
+        N, M = problem.grid.stages, problem.grid.after_stages
+        command, direction, by_lasting = random.normal(size=N), random.normal(size=N), random.normal(size=N + M)
+        change = problem.continued(command + direction) - problem.continued(command)
+        through = problem.feedback.continued_transposed(by_lasting)
+        assert through @ direction == pytest.approx(by_lasting @ change, rel=1e-8)
+
+    def test_the_gradient_is_the_difference(self, problem: TransientProblem) -> None:
+        command, direction = ended(problem, 3), np.random.default_rng(4).normal(size=problem.grid.stages)
+        multipliers = Multipliers.zero(problem)
+        gradient = reduced_gradient(Effect(problem, command), multipliers)
+
+        def merit(step: float) -> float:
+            moved = command + step * direction
+            return problem.merit(moved, problem.accelerations(moved))
+
+        assert gradient @ direction == pytest.approx((merit(1e-3) - merit(-1e-3)) / 2e-3, rel=1e-6)
+
+    def test_the_tail_is_a_function_of_the_last_state(self, problem: TransientProblem) -> None:
+        command, stage = ended(problem, 5), linear_stage(problem)
+        found, x = tail(problem, stage), np.zeros(stage.units.size)
+        for movement in np.diff(command, prepend=0.0) / stage.current_A:
+            x = stage.A @ x + stage.A[:, -1] * movement
+        squares = float(np.sum((found.gain @ x - found.target) ** 2)) + found.rest
+        assert squares == pytest.approx(by_rollout(problem, command), rel=1e-7)
+
+    @pytest.mark.parametrize("solver", SOLVERS)
+    def test_it_is_solved_and_proven(self, problem: TransientProblem, solver: str) -> None:
+        answer = solve(problem, SolverOptions(solver))
+        assert answer.status is Status.OPTIMAL
+        assert certify(problem, answer.command_A, answer.multipliers).accepted
+
+
+def test_a_tap_that_is_all_lost_has_an_error_of_one() -> None:
+    target = Target(np.zeros(50), np.zeros(10), np.full(4, 20.0))
+    assert target.asks_for_nothing
+    assert not target.is_zero
+    assert target.nrmse(np.zeros(50)) == pytest.approx(1.0)
+    assert Target(np.zeros(50)).nrmse(np.zeros(50)) == 0.0
