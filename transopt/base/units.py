@@ -22,7 +22,10 @@ UNITS = {
     "K_W": "K/W",
     "1_m": "1/m",
     "s_m": "s/m",
-    **{name: name for name in ("Hz", "dB", "ohm", "kg", "A", "V", "C", "K", "N", "s", "m", "g", "H", "ticks", "samples")},
+    **{
+        name: name
+        for name in ("Hz", "dB", "ohm", "kg", "A", "V", "C", "K", "N", "s", "m", "g", "H", "ticks", "samples")
+    },
 }
 
 # Three to six orders of magnitude above what laboratories and factories have.

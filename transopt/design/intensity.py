@@ -5,14 +5,13 @@ every lam below the smallest weight, and its minimiser c(lam) is the global opti
 that c(lam) has": no admissible command with as much energy has a smaller J, up to the certified gap of L. Its energy
 grows with lam. So all that is searched for is one number.
 
-Without limits c(lam) makes y'' = r / (1 - lam): with phi = 1 / sqrt(energy), lam is linear in phi. Under limits it is
-bent, but two solved problems tell more than two points of it. By the envelope theorem dJ = lam d(energy) along the
-path, so that the J of both give the integral of lam over the energy between them. The parabola in phi that has both
-points and this integral is what is followed, inside a bracket that is halved where the parabola does not shrink it
-(as in the projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
+Without limits c(lam) makes y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Under limits it
+is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along the
+path, and the J of both give the integral of lam over the energy between them. The parabola t(dB) that has both points
+and this integral is what is followed, inside a bracket that is halved where the parabola comes no nearer (as in the
+projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,11 +23,14 @@ from transopt.solvers.options import SolverOptions
 
 MOST = 0.99  # of the smallest tracking weight, and of 1
 MOST_PROBLEMS = 14
-FIRST_dB = 4.0  # of the first step: lam = 1 - exp(-missing / this), about what taps that a current limit cuts take
+FIRST_dB = 4.0  # per unit of t, of the first step: 8.7 without limits, about this where a limit cuts the tap
 SLOW = (
     0.5  # of the energy that the older of two problems misses: what the next one may miss, or the bracket is halved
 )
 INSET = 1e-3  # of a bracket, which a candidate stays away from its ends
+STEEPEST = 0.9  # of the chord's slope: what the parabola's may differ from it at the ends of its interval
+NEWTON = 8
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 NARROW = 1e-9  # of lam, below which a bracket holds a jump
 
 
@@ -42,8 +44,8 @@ class _Tried:
     designed: Designed
 
     @property
-    def phi(self) -> float:
-        return float(1 / np.sqrt(self.energy))
+    def t(self) -> float:
+        return float(-np.log1p(-self.lam))
 
     @property
     def energy_dB(self) -> float:
@@ -145,7 +147,12 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
     bracket, slow = _Bracket(0.0, most_price(problem)), False
     while not bracket.is_empty and problems < MOST_PROBLEMS:
         nearest = sorted(tried, key=missed_dB)[:2]
-        lam = bracket.inside(bracket.halfway if slow else _next(nearest, asked_dB))
+        lam = bracket.halfway if slow else _next(nearest, asked_dB)
+        if not bracket.low < lam < bracket.high:
+            # The two that come nearest lie on one side and point away: the ends of the bracket are what is left.
+            ends = [each for each in tried if each.lam in (bracket.low, bracket.high)]
+            lam = bracket.halfway if len(ends) < 2 else _next(ends, asked_dB)
+        lam = bracket.inside(lam)
         designed = optimum(replace(problem, intensity=lam), options)
         problems += 1
         spent_s += designed.solution.solve_time_s
@@ -164,35 +171,37 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
 
 
 def _next(nearest: list[_Tried], asked_dB: float) -> float:
-    """The lam that the nearest problems solved point to."""
-    phi = float(10 ** (-asked_dB / 20))
+    """The lam that one problem solved, or two, point to."""
+    first = nearest[0]
     if len(nearest) == 1:
-        return float(1 - np.exp(-(asked_dB - nearest[0].energy_dB) / FIRST_dB))
-    return _parabola(*nearest)(phi)
+        t = first.t + (asked_dB - first.energy_dB) / FIRST_dB
+    else:
+        t = _parabola(*nearest, asked_dB)
+    return float(-np.expm1(-t))
 
 
-def _parabola(one: _Tried, other: _Tried) -> Callable[[float], float]:
-    """lam over phi: a + b phi + c phi^2 through two points, with the integral of lam d(energy) that their J state.
+def _parabola(one: _Tried, other: _Tried, at_dB: float) -> float:
+    """t at an energy, by the parabola t(dB) through two points whose integral of lam d(energy) is what their J state.
 
-    The energy being phi^-2, the integral of a + b phi + c phi^2 over it is -2 times that of (a phi^-3 + b phi^-2
-    + c phi^-1) over phi. A parabola that does not fall over the bracket is replaced by the chord.
+    With the chord t_c, t = t_c + c (dB - dB_1) (dB - dB_2); c is found by Newton's method and kept so small that t
+    grows over all of the interval.
     """
-
-    def antiderivative(p: float) -> tuple[float, float, float]:
-        return p**-2, 2 / p, -2 * float(np.log(p))
-
-    p, q = one.phi, other.phi
-    at_p, at_q = antiderivative(p), antiderivative(q)
-    rows = [[1, p, p**2], [1, q, q**2], [y - x for x, y in zip(at_p, at_q, strict=True)]]
-    # J and the energies are of different scale: E holds what is lost too, r alone is the energy's.
-    tracking = one.designed.problem.tracking
+    low, high = sorted((one, other), key=lambda each: each.energy_dB)
+    width = high.energy_dB - low.energy_dB
+    if width <= 0 or high.t <= low.t:
+        return 0.5 * (low.t + high.t)
+    slope = (high.t - low.t) / width
+    dB = low.energy_dB + 0.5 * width * (1 + NODES)
+    energy = 10 ** (dB / 10)
+    weights = 0.5 * width * WEIGHTS * energy * np.log(10) / 10  # of d(energy)
+    chord, bow = low.t + slope * (dB - low.energy_dB), (dB - low.energy_dB) * (dB - high.energy_dB)
+    # E holds what is lost too, the energy that is asked for is that of the window.
+    tracking = low.designed.problem.tracking
     share = float(np.sum(tracking.unit_reference[: tracking.weights.size] ** 2))
-    right = [one.lam, other.lam, (other.objective - one.objective) / share]
-    try:
-        a, b, c = np.linalg.solve(rows, right)
-    except np.linalg.LinAlgError:
-        a, b, c = 0.0, np.nan, 0.0
-    if not (b + 2 * c * p < 0 and b + 2 * c * q < 0):
-        b = (one.lam - other.lam) / (p - q)
-        a, c = one.lam - b * p, 0.0
-    return lambda phi: float(a + b * phi + c * phi**2)
+    wanted = (high.objective - low.objective) / share
+    c, most = 0.0, STEEPEST * slope / width
+    for _ in range(NEWTON):
+        remaining = np.exp(-chord - c * bow)  # 1 - lam
+        missed, by_c = float(weights @ (1 - remaining)) - wanted, float(weights @ (remaining * bow))
+        c = float(np.clip(c - missed / by_c, -most, most))
+    return low.t + slope * (at_dB - low.energy_dB) + c * (at_dB - low.energy_dB) * (at_dB - high.energy_dB)

@@ -35,8 +35,8 @@ from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
 from transopt.library.meta import META_KEYS, WEIGHTS_OF_2
 from transopt.plant.discretise import samples_after
-from transopt.problem.posing import Posing
 from transopt.problem.limits.temperature import TemperatureLimit
+from transopt.problem.posing import Posing
 
 ADVICE = "give a library.npz written by `transopt solve`"
 TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed

@@ -150,7 +150,9 @@ def recordings(scene: Scene) -> list[Recording]:
     within = grid.end_s + grid.lead_s - USUAL_LEAD_S + BEYOND_S
     duration = within + grid.after_stages * grid.dt_s
     if duration > LONGEST_S:
-        raise InputError(f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages or weights.after_s")
+        raise InputError(
+            f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages or weights.after_s"
+        )
     samples = int(speeds.size * duration * max(target.rate_Hz, 1 / STEP_S))
     if samples > MOST_SAMPLES:
         raise InputError(
