@@ -5,8 +5,8 @@ every lam below the smallest weight, and its minimiser c(lam) is the global opti
 that c(lam) has": no admissible command with as much energy has a smaller J, up to the certified gap of L. Its energy
 grows with lam. So all that is searched for is one number.
 
-Without limits c(lam) makes y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Under limits it
-is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along the
+Without limits c(lam) makes y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Under limits
+it is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along the
 path, and the J of both give the integral of lam over the energy between them. The parabola t(dB) that has both points
 and this integral is what is followed, inside a bracket that is halved where the parabola comes no nearer (as in the
 projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
@@ -173,10 +173,9 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
 def _next(nearest: list[_Tried], asked_dB: float) -> float:
     """The lam that one problem solved, or two, point to."""
     first = nearest[0]
-    if len(nearest) == 1:
-        t = first.t + (asked_dB - first.energy_dB) / FIRST_dB
-    else:
-        t = _parabola(*nearest, asked_dB)
+    t = first.t + (asked_dB - first.energy_dB) / FIRST_dB
+    if len(nearest) > 1:
+        t = _parabola(first, nearest[1], asked_dB)
     return float(-np.expm1(-t))
 
 
