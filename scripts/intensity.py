@@ -99,7 +99,7 @@ def start(statement: Statement, command_A: FloatArray) -> FloatArray:
 
 
 def random_command(problem: TransientProblem, own_A: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(N,) within the current limit: noise of some bandwidth and strength, alone or beside the answer or its mirror."""
+    """(N,) within the current limit: noise of some bandwidth and strength, beside the answer, its mirror or alone."""
     N, most = problem.grid.stages, problem.limits.current_A
     noise = rng.standard_normal(N)
     width = int(rng.integers(1, 40))

@@ -26,7 +26,10 @@ def tap_figure(tap: PlayedTap, title: str) -> Figure:
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1.8, 1.3, 0.8])
     position, acceleration, current, temperature = panels
     contact, prediction = tap.contact, tap.prediction
-    predicted_ms = prediction.times_s * 1e3
+    # What the library looks at: the waveform, and how the stylus comes to rest after it.
+    predicted_ms = np.append(prediction.times_s, prediction.after_times_s) * 1e3
+    predicted = np.append(prediction.acceleration_m_s2, prediction.after_m_s2)
+    recorded = np.append(prediction.reference_m_s2, prediction.reference_after_m_s2)
     shown = (-BEFORE_MS, float(predicted_ms[-1]))
     inside = (tap.times_s * 1e3 >= shown[0]) & (tap.times_s * 1e3 <= shown[1])
     times_s = tap.times_s[inside]
@@ -41,9 +44,8 @@ def tap_figure(tap: PlayedTap, title: str) -> Figure:
         position.set_ylim(float(visible_mm.min()) - margin, float(visible_mm.max()) + margin)
 
     g = STANDARD_GRAVITY_M_S2
-    recorded = tap.gain * prediction.reference_m_s2 / g
-    acceleration.plot(predicted_ms, recorded, color=REFERENCE, linewidth=3.0, label="recorded tap")
-    acceleration.plot(predicted_ms, prediction.acceleration_m_s2 / g, color=SEED, linewidth=1.2, label="predicted")
+    acceleration.plot(predicted_ms, tap.gain * recorded / g, color=REFERENCE, linewidth=3.0, label="recorded tap")
+    acceleration.plot(predicted_ms, predicted / g, color=SEED, linewidth=1.2, label="predicted")
     played = tap.acceleration_m_s2[inside] / g
     acceleration.plot(ms, played, color=OPTIMUM, linestyle="--", linewidth=1.0, label="played, as measured")
     _axis(acceleration, "acceleration g")

@@ -24,6 +24,7 @@ class Prediction:
     silent : too little grip or no speed: nothing is played.
     times_s : (N,) tau_k, from contact. acceleration_m_s2 : (N,) y'' there, without the user's own share.
     reference_m_s2, own_m_s2 : (N,) r and r_u = r_raw - r. current_A : (N,).
+    after_times_s, after_m_s2, reference_after_m_s2 : (M,) instants after the waveform, y'' and r there.
     floor, repeatability : blended like the waveforms; NaN where the recordings have no repeats.
     """
 
@@ -35,6 +36,9 @@ class Prediction:
     reference_m_s2: FloatArray
     own_m_s2: FloatArray
     current_A: FloatArray
+    after_times_s: FloatArray
+    after_m_s2: FloatArray
+    reference_after_m_s2: FloatArray
     floor: float
     repeatability: float
 
@@ -68,6 +72,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     if at_node:
         iv, ig = (int(np.searchsorted(nodes, x)) for nodes, x in ((library.speeds_m_s, v), (library.grips_N, F)))
         acceleration, current = library.acceleration_m_s2[iv, ig], library.current_A[iv, ig]
+        after = library.lasting(iv, ig)[0][grid.stages :]
     else:
         wall, walls, command = library.wall(), None, gain * wave.command_A
         if wall is not None:
@@ -76,7 +81,7 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
             walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command_A
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
         [played] = replay(stage, grid, command[None], [target], None, walls=walls)
-        acceleration, current = played.acceleration_m_s2, played.current_A
+        acceleration, current, after = played.acceleration_m_s2, played.current_A, played.after_m_s2
     by_v, by_F = interpolation_weights(library.speeds_m_s, v), interpolation_weights(library.grips_N, F)
     repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
     used = by_v > 0
@@ -89,6 +94,9 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
         reference_m_s2=target.window_m_s2,
         own_m_s2=by_speed @ (library.reference_raw_m_s2 - library.reference_m_s2),
         current_A=current,
+        after_times_s=grid.after_times_s,
+        after_m_s2=after,
+        reference_after_m_s2=target.after_m_s2,
         floor=float(by_v @ library.floor @ by_F),
         repeatability=float(repeats[used] @ by_v[used]),
     )

@@ -149,7 +149,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 def _print(console: "Console", build: "Build", written: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
     from transopt.report.identified import model_warning
-    from transopt.report.tables import LEGEND, aftermath, build_table, refinement_summary, refusal, summary
+    from transopt.report.tables import LEGEND, build_table, refinement_summary, refusal, summary, warnings
 
     def line(text: str, style: str | None = None) -> None:
         console.print(text, style=style, highlight=False, soft_wrap=True)
@@ -159,9 +159,8 @@ def _print(console: "Console", build: "Build", written: str) -> None:
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
-    for warning in (aftermath(build), model_warning(build)):
-        if warning:
-            line(warning, "yellow")
+    for warning in (*warnings(build), *filter(None, [model_warning(build)])):
+        line(warning, "yellow")
     for entry in build.refused:
         line(f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}", "red")
     if build.refinement is not None:

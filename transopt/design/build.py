@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from transopt.base.shown import cut, html_figure, html_table, span, wrapped
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
@@ -57,13 +58,26 @@ class Build:
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "seed %", "clipped %", "what binds", "verdict"]
+        columns = [
+            "speed m/s",
+            "grip N",
+            "NRMSE %",
+            "floor %",
+            "after %",
+            "after g",
+            "seed %",
+            "clipped %",
+            "what binds",
+            "verdict",
+        ]
         rows = [
             [
                 f"{entry.speed_m_s:g}",
                 f"{entry.grip_N:g}",
                 percent(entry.nrmse),
                 percent(entry.floor),
+                percent(entry.played.nrmse_after),
+                f"{entry.played.error_peak_after_m_s2 / STANDARD_GRAVITY_M_S2:.3f}",
                 percent(entry.baselines.seed),
                 percent(entry.baselines.clipped),
                 entry.binding,

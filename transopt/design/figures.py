@@ -16,21 +16,24 @@ def entries_figure(entries: Sequence[Sequence[Entry]]) -> Figure:
     first = entries[0][0].problem
 
     def drawn(entry: Entry) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(N,) acceleration, current and the current limit's multiplier."""
+        """(N + M,) acceleration and current, and (N,) the current limit's multiplier."""
+        N, M = first.grid.stages, first.grid.after_stages
         if entry.status is not Status.OPTIMAL:
-            nothing = np.full(first.grid.stages, np.nan)
-            return nothing, nothing, np.zeros(first.grid.stages)
+            nothing = np.full(N + M, np.nan)
+            return nothing, nothing, np.zeros(N)
         multipliers = entry.solution.multipliers
         pushed = np.maximum(multipliers.lower("current"), multipliers.upper("current"))
-        return entry.predicted_m_s2, entry.current_A, pushed
+        acceleration, current = entry.problem.stage.rollout(entry.problem.continued(entry.solution.command_A))
+        return acceleration, current, pushed
 
-    acceleration, current, multiplier = np.moveaxis(np.array([[drawn(e) for e in row] for row in entries]), 2, 0)
+    cells = [[drawn(entry) for entry in row] for row in entries]
+    acceleration, current, multiplier = (np.array([[cell[j] for cell in row] for row in cells]) for j in range(3))
     return transients_figure(
         Transients(
             grid=first.grid,
             speeds_m_s=np.array([row[0].speed_m_s for row in entries]),
             grips_N=np.array([entry.grip_N for entry in entries[0]]),
-            reference_m_s2=np.stack([row[0].problem.reference_m_s2 for row in entries]),
+            reference_m_s2=np.stack([row[0].problem.target.continued_m_s2 for row in entries]),
             acceleration_m_s2=acceleration,
             current_A=current,
             limit_A=first.limits.current_A,

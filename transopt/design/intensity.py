@@ -6,10 +6,10 @@ that c(lam) has": no admissible command with as much energy has a smaller J, up 
 grows with lam. So all that is searched for is one number.
 
 Without limits c(lam) makes y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Under limits
-it is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along the
-path, and the J of both give the integral of lam over the energy between them. The parabola t(dB) that has both points
-and this integral is what is followed, inside a bracket that is halved where the parabola comes no nearer (as in the
-projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
+it is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along
+the path, and the J of both give the integral of lam over the energy between them. The parabola t(dB) that has both
+points and this integral is what is followed, inside a bracket that is halved where the parabola comes no nearer (as
+in the projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
 """
 
 from dataclasses import dataclass, replace

@@ -1,5 +1,6 @@
 """The optimum of one entry: the smallest problem that has it, solved."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,9 +70,7 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
     if problem.wall is None:
         return _explained(_solved(problem, options), options)
     first = None
-    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
-        alone = encoder_course(*silence(problem))
-    for course in (reference_course(problem.grid, problem.target.continued_m_s2), alone):
+    for course in _courses(problem):
         designed, settled = _settled(pressing(problem, course), options)
         if settled or designed.remarks:
             return designed
@@ -81,6 +80,13 @@ def optimum(problem: TransientProblem, options: SolverOptions) -> Designed:
             break
     assert first is not None
     return _explained(first, options)
+
+
+def _courses(problem: TransientProblem) -> Iterator[FloatArray]:
+    """Where the encoder may go: after the reference, or as the wall alone lets it."""
+    yield reference_course(problem.grid, problem.target.continued_m_s2)
+    with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself presses nowhere then
+        yield encoder_course(*silence(problem))
 
 
 def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designed, bool]:

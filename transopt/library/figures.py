@@ -5,6 +5,7 @@ Colours run through viridis, cut before it is too light for white paper; markers
 information into grey print.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,7 @@ from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
 MARKERS = "os^Dv<>P"
 BINDING = "0.86"
+END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}  # of the waveform
 
 MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
 
@@ -111,7 +113,8 @@ class Transients:
     Attributes
     ----------
     speeds_m_s, grips_N : (nv,), (ng,) the grid.
-    reference_m_s2 : (nv, N) r. acceleration_m_s2, current_A : (nv, ng, N), all at the switching instants.
+    reference_m_s2 : (nv, N + M) r at the switching instants, through the window and after it.
+    acceleration_m_s2, current_A : (nv, ng, N + M) there.
     limit_A : the limit of the current. current_multiplier : (nv, ng, N) the larger one of its two sides [1/A].
     """
 
@@ -128,7 +131,8 @@ class Transients:
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
         """(nv, ng, N) where the current limit binds, as in `certify.binding_limits`."""
-        at_limit = np.abs(np.abs(self.current_A) - self.limit_A) < BINDING_SLACK * self.limit_A
+        within = self.current_A[..., : self.grid.stages]
+        at_limit = np.abs(np.abs(within) - self.limit_A) < BINDING_SLACK * self.limit_A
         return np.asarray(at_limit & (self.current_multiplier > BINDING_MULTIPLIER))
 
     def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
@@ -144,14 +148,21 @@ class Transients:
 
 def library_figure(library: Library) -> Figure:
     """Every waveform of a library, see `transients_figure`."""
+    grid, (nv, ng, _) = library.time_grid(), library.command_A.shape
+    acceleration = np.full((nv, ng, grid.stages + grid.after_stages), np.nan)
+    current = acceleration.copy()
+    acceleration[..., : grid.stages], current[..., : grid.stages] = library.acceleration_m_s2, library.current_A
+    if grid.after_stages:  # what comes after the window is not in the file, and only made for what is drawn
+        for iv, ig in itertools.product(_some(nv, MOST_SPEEDS), _some(ng, MOST_GRIPS)):
+            acceleration[iv, ig], current[iv, ig] = library.lasting(iv, ig)
     return transients_figure(
         Transients(
-            grid=library.time_grid(),
+            grid=grid,
             speeds_m_s=library.speeds_m_s,
             grips_N=library.grips_N,
-            reference_m_s2=library.reference_m_s2,
-            acceleration_m_s2=library.acceleration_m_s2,
-            current_A=library.current_A,
+            reference_m_s2=np.append(library.reference_m_s2, library.reference_after_m_s2, axis=1),
+            acceleration_m_s2=acceleration,
+            current_A=current,
             limit_A=library.meta["limits"]["current_A"],
             current_multiplier=np.maximum(library.array("mu_current_lower"), library.array("mu_current_upper")),
             hand_over_samples=library.meta["hand_over_samples"],
@@ -163,11 +174,14 @@ def transients_figure(drawn: Transients) -> Figure:
     """Every waveform in the layout of the seed's Fig. 10.
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
-    current [A] with its limit. The whole horizon is shown; where the references have died away the time axis is
+    current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a dashed
+    line marks; where the references have died away the time axis is
     compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
     """
     grid = drawn.grid
-    times_ms, end_ms = grid.switching_times_s * 1e3, grid.end_s * 1e3
+    times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3
+    ends_ms = grid.end_s * 1e3
+    end_ms = ends_ms + grid.after_stages * grid.dt_s * 1e3
     axis = _time_axis(times_ms, end_ms, drawn.reference_m_s2)
     speeds, grips = drawn.speeds_m_s, drawn.grips_N
     shown_speeds, shown_grips = _some(speeds.size, MOST_SPEEDS), _some(grips.size, MOST_GRIPS)
@@ -187,6 +201,8 @@ def transients_figure(drawn: Transients) -> Figure:
             axes.axhline(0.0, color="0.6", linewidth=0.6)
             if axis.factor > 1:
                 axes.axvline(axis.knee_ms, color="0.6", linewidth=0.8)
+            if grid.after_stages:
+                axes.axvline(ends_ms, **END)
             for span in spans:
                 axes.axvspan(*span, color=BINDING, linewidth=0)
         for line, iv in enumerate(shown_speeds):
@@ -222,6 +238,7 @@ def transients_figure(drawn: Transients) -> Figure:
         Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
         Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} A"),
         *([Patch(color=BINDING, label="limit binds")] if binds else []),
+        *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]
     legend_above(figure, handles, entry_in=1.15)
     return figure

@@ -66,9 +66,8 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
         known = " and ".join(map(str, SCHEMAS))
         raise InputError(f"{path}: schema {cut(repr(schema))}, this version reads {known}; solve the scene again")
     missing = [key for key in META_KEYS if key not in meta]
-    for key, inner in META_KEYS.items():
-        if key == "weights" and schema == 2:
-            inner = (*inner, *WEIGHTS_OF_2)
+    read = {**META_KEYS, "weights": (*META_KEYS["weights"], *(() if schema == 1 else WEIGHTS_OF_2))}
+    for key, inner in read.items():
         # null: the scene has no such part; anything else holds the keys that are read from it.
         table = meta.get(key)
         if inner and table is not None:
@@ -189,8 +188,8 @@ def _beside_the_window(path: Path, meta: dict[str, Any]) -> dict[str, int]:
         raise InputError(f"{path}: meta.dt_s = {dt_s:g} s: must be {SHORTEST_DT_S:g} to {LONGEST_DT_S:g} s")
     if not 0 <= weights["after_s"] <= LONGEST_AFTER_S or samples_after(weights["after_s"], dt_s) > MOST_AFTER:
         raise InputError(
-            f"{path}: meta.weights.after_s = {weights['after_s']:g} s: must be 0 to {LONGEST_AFTER_S:g} s and at most "
-            f"{MOST_AFTER} samples; solve the scene again"
+            f"{path}: meta.weights.after_s = {weights['after_s']:g} s: must be 0 to {LONGEST_AFTER_S:g} s and at "
+            f"most {MOST_AFTER} samples; solve the scene again"
         )
     if not (0 <= lead_s <= LONGEST_DELAY_S and 0 <= delay_s <= LONGEST_DELAY_S):
         raise InputError(f"{path}: meta.lead_s and amplifier.delay_s must be 0 to {LONGEST_DELAY_S:g} s")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.shown import brief, cut, html_figure, html_table, span, wrapped
-from transopt.base.signals import FloatArray
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
 from transopt.plant.amplifier import Amplifier
@@ -216,13 +216,15 @@ class Library:
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "peak A", "what binds"]
+        columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "after %", "after g", "peak A", "what binds"]
         rows = [
             [
                 f"{speed:g}",
                 f"{grip:g}",
                 percent(self.nrmse[iv, ig]),
                 percent(self.floor[iv, ig]),
+                percent(self.nrmse_after[iv, ig]),
+                f"{self.peak_after_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2:.3f}",
                 f"{self.peak_current_A[iv, ig]:.3f}",
                 str(self.binding[iv, ig]),
             ]
@@ -291,6 +293,11 @@ class Library:
         if problem.wall is None:
             return problem
         return pressing_under(problem, self.command_A[iv, ig])
+
+    def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
+        """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""
+        problem = self.problem(iv, ig)
+        return problem.stage.rollout(problem.continued(self.command_A[iv, ig]))
 
     def posing(self) -> Posing:
         """What the problems of all taps with these limits share."""

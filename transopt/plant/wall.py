@@ -159,7 +159,7 @@ def feedback_command_transpose(by_command: FloatArray, amplifier: Amplifier | No
 
 
 def reference_course(grid: TimeGrid, reference_m_s2: FloatArray) -> FloatArray:
-    """(K,) deviation of the stylus from its nominal motion at the ticks, if it followed r (K,), K <= N + M."""
+    """(K,) deviation of the stylus from its nominal motion at the first K <= N + M ticks, if it followed r (K,)."""
     velocity = scipy.integrate.cumulative_trapezoid(reference_m_s2, dx=grid.dt_s, initial=0)
     course = scipy.integrate.cumulative_trapezoid(velocity, dx=grid.dt_s, initial=0)
     ticks = grid.all_issue_times_s[: reference_m_s2.size]

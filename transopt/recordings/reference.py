@@ -278,8 +278,9 @@ def between(references: Sequence[Reference], speed_m_s: float) -> Reference:
 
         r = v ((1 - w) r_1 / v1 + w r_2 / v2)
 
-    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). What comes
-    before and after the window, r_raw, and z_nom with its velocity follow the same rule, which keeps dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
+    Beside a recorded speed this is the scaling by v / v1 that a tap near a grid speed undergoes (`assign`). What
+    comes before and after the window, r_raw, and z_nom with its velocity follow the same rule, which keeps
+    dz_nom/dt = -v at contact and d2z_nom/dt2 = r_raw - r.
     The taps of both neighbours are listed, scaled to v; the repeatability is the larger of the two, NaN if one is.
 
     Parameters

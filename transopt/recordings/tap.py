@@ -140,11 +140,13 @@ def _toe(x: Signal, onset_s: float, noise_m_s2: float, settings: Recordings) -> 
     """Where a pulse begins, at most at its onset [s], and the share of its energy between the two.
 
     A pulse between soft bodies rises from nothing, and the line by which the onset is found meets zero long after it
-    has begun. What lies before contact is played only as far as the waveform's lead reaches, so that the rest would be
+    has begun. What lies before contact is played only as far as the waveform's lead reaches; the rest would be
     neither played nor counted. The energy is that of r = H x, which is what the motor has to make: a hand that slows
-    down before contact is no part of the pulse. It is followed back from the onset to where it cannot be told from
-    nothing, in the low-passed signal; the energy is that of the recorded one less the noise's, for a low-pass without
-    phase brings some of a hard pulse before its onset.
+    down before contact is no part of the pulse.
+
+    The pulse is followed back from the onset to where it cannot be told from nothing, in the low-passed signal. Its
+    energy is that of the recorded signal less the noise's, because a low-pass of no phase brings some of a hard pulse
+    before its onset.
     """
     cutoffs_Hz = [settings.time_scale * cutoff for cutoff in (settings.highpass_Hz, settings.lowpass_Hz)]
     if cutoffs_Hz[0] >= 0.45 * x.rate_Hz:

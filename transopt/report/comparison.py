@@ -9,13 +9,24 @@ import numpy as np
 from rich.table import Table
 
 from transopt.base import writing
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
 from transopt.problem.objective.bands import levels
 from transopt.report.tables import percent
 
 LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
-ENTRY_COLUMNS = ("speed m/s", "grip N", "NRMSE %", "floor %", "peak A", "winding C", "command apart A", "verdict")
+ENTRY_COLUMNS = (
+    "speed m/s",
+    "grip N",
+    "NRMSE %",
+    "floor %",
+    "after g",
+    "peak A",
+    "winding C",
+    "command apart A",
+    "verdict",
+)
 CHANGE_COLUMNS = ("stated", "A", "B")
 LEGEND = "One figure where both libraries print the same, A -> B where they differ."
 ABSENT = "not stated"
@@ -30,6 +41,7 @@ class Figures:
     Attributes
     ----------
     nrmse, floor : relative errors, with and without the limits.
+    peak_after_m_s2 : largest error after the waveform; NaN where the library does not look at it.
     peak_current_A : of the replay.
     peak_temperature_C : of the winding; NaN where it is unknown.
     verdict : in words.
@@ -38,6 +50,7 @@ class Figures:
 
     nrmse: float
     floor: float
+    peak_after_m_s2: float
     peak_current_A: float
     peak_temperature_C: float
     verdict: str
@@ -46,7 +59,9 @@ class Figures:
     def cells(self) -> list[str]:
         """As they are printed, without the waveform and the verdict."""
         winding = "-" if np.isnan(self.peak_temperature_C) else f"{self.peak_temperature_C:.2f}"
-        return [percent(self.nrmse), percent(self.floor), f"{self.peak_current_A:.3f}", winding]
+        after_g = self.peak_after_m_s2 / STANDARD_GRAVITY_M_S2
+        after = "-" if np.isnan(after_g) else f"{after_g:.3f}"
+        return [percent(self.nrmse), percent(self.floor), after, f"{self.peak_current_A:.3f}", winding]
 
 
 @dataclass(frozen=True)
@@ -94,7 +109,7 @@ def _instants(library: Library) -> tuple[float, float, int]:
 
 
 def _entries(library: Library) -> dict[Node, Figures]:
-    found = {}
+    found, looked = {}, library.reference_after_m_s2.shape[1] > 0
     for iv, speed in enumerate(library.speeds_m_s):
         spread = library.meta["repeatability"][iv]
         for ig, grip in enumerate(library.grips_N):
@@ -102,6 +117,7 @@ def _entries(library: Library) -> dict[Node, Figures]:
             found[f"{speed:.9g}", f"{grip:.9g}"] = Figures(
                 nrmse=nrmse,
                 floor=floor,
+                peak_after_m_s2=float(library.peak_after_m_s2[iv, ig]) if looked else float("nan"),
                 peak_current_A=float(library.peak_current_A[iv, ig]),
                 peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
                 verdict=verdict(
@@ -165,7 +181,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
         yield [*node, *figures, command, _from_to(ours.verdict, theirs.verdict)], ours.verdict != theirs.verdict
     for name, nodes in (("A", found.only_first), ("B", found.only_second)):
         for node in nodes:
-            yield [*node, *["-"] * 5, f"only in {name}"], True
+            yield [*node, *["-"] * 6, f"only in {name}"], True
 
 
 def entry_table(found: Comparison, title: str) -> Table:

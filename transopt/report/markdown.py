@@ -17,21 +17,20 @@ from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import (
     LEGEND,
-    aftermath,
     columns_of,
     entry_cells,
     percent,
     refinement_summary,
     refusal,
     summary,
+    warnings,
 )
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
     "gap: to the optimum by the multipliers, rigorous unless the coil binds; over bound: J above the convex lower "
     "bound, rigorous always (with a wall, for the ticks at which it pushes). violation: the largest, in A, V or K. "
-    "winding: the hottest of the replay{}. after: peak "
-    "acceleration in the 20 ms after the waveform, which no term of the problem holds down. states, rows, nonzeros: "
+    "winding: the hottest of the replay{}. states, rows, nonzeros: "
     "per stage, and of the constraints, of the program that was solved; dashes where one linear solve was enough."
 )
 
@@ -192,8 +191,11 @@ def build_markdown(build: Build) -> str:
     """The text of report.md."""
     entries = list(build.all_entries())
     columns = columns_of(build)
-    lines = [f"# {build.scene.name}", "", build.scene.description, "", _origin(build), "", summary(build), ""]
-    lines += [aftermath(build), ""] if aftermath(build) else []
+    lines = [f"# {build.scene.name}", ""]
+    for paragraph in filter(None, (build.scene.description, _origin(build), summary(build))):
+        lines += [paragraph, ""]
+    for warning in warnings(build):
+        lines += [f"**{warning[0].upper()}{warning[1:]}.**", ""]
     if default_solver() == FALLBACK:
         lines += [
             f"The project's own solver is not built here, or out of date (no C compiler?): {FALLBACK} takes over.",
@@ -209,9 +211,9 @@ def build_markdown(build: Build) -> str:
     lines += [
         "## Certificates",
         "",
-        "| speed m/s | grip N | J | gap / max(J, 1e-3) | over bound | violation | to r_raw % | winding C | after g | "
+        "| speed m/s | grip N | J | gap / max(J, 1e-3) | over bound | violation | to r_raw % | winding C | "
         "states | rows | nonzeros | solver |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
     for e in entries:
@@ -219,7 +221,7 @@ def build_markdown(build: Build) -> str:
         lines.append(
             f"| {e.speed_m_s:g} | {e.grip_N:g} | {c.objective:.6e} | {c.relative_gap:.1e} | {c.relative_bound:.1e} | "
             f"{c.primal_violation:.1e} | {percent(e.nrmse * shares[e.speed_m_s])} | {e.played.winding_C:.3f} | "
-            f"{e.played.after_peak_m_s2 / STANDARD_GRAVITY_M_S2:.2f} | {_size_cells(e)} | {e.solution.solver} |"
+            f"{_size_cells(e)} | {e.solution.solver} |"
         )
     lines += [
         "",
@@ -237,8 +239,10 @@ def build_markdown(build: Build) -> str:
 
 
 def _raw_over_motor(reference: Reference) -> float:
-    motor = float(np.linalg.norm(reference.motor_m_s2))
-    return float(np.linalg.norm(reference.raw_m_s2)) / motor if motor > 0 else float("inf")
+    """|r_raw| / |r| from contact on; what is lost at the start is taken to be the object's alone."""
+    lost, motor = reference.target.lost_m2_s4, float(np.sqrt(reference.target.energy_m2_s4))
+    raw = float(np.sqrt(lost + reference.raw_m_s2 @ reference.raw_m_s2))
+    return raw / motor if motor > 0 else float("inf")
 
 
 def _certificate_row(certificate: Certificate) -> dict[str, Any]:
@@ -267,6 +271,8 @@ def build_json(build: Build) -> str:
             "repeatability": e.repeatability,
             "peak_current_A": e.played.peak_current_A,
             "free_peak_current_A": e.free_peak_A,
+            "nrmse_after": e.played.nrmse_after,
+            "peak_after_m_s2": e.played.error_peak_after_m_s2,
             "after_peak_m_s2": e.played.after_peak_m_s2,
             "winding_C": e.played.winding_C,
             "housing_C": e.played.housing_C,
@@ -291,6 +297,9 @@ def build_json(build: Build) -> str:
         "identified": identified_rows(build),
         "solver": build.solver,
         "elapsed_s": build.elapsed_s,
+        "warnings": warnings(build),
+        "after_s": build.scene.weights.after_s,
+        "lead_s": build.scene.lead_s,
         "entries": rows,
         "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
         "references": [
@@ -302,6 +311,7 @@ def build_json(build: Build) -> str:
                 "repeatability": r.repeatability,
                 "repeatability_unaligned": r.repeatability_unaligned,
                 "user_share": r.user_share,
+                "lost_share": r.target.lost_share,
             }
             for r in build.references
         ],

@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.sizes import LONGEST_LEAD_S
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
@@ -14,6 +15,7 @@ from transopt.design.verify import EntryCheck
 from transopt.library.library import Library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
 from transopt.problem.objective.bands import JUST_NOTICED_dB, levels
+from transopt.scene.sections import covering_lead_s
 
 
 def percent(value: float) -> str:
@@ -23,27 +25,39 @@ def percent(value: float) -> str:
     return f"{100 * value:.2f}" if value < 0.09995 else f"{100 * value:.1f}"
 
 
-FELT_g = 1.0  # peak acceleration after the waveform, from which on a user is warned of it
+FELT_g = 1.0  # peak error after the waveform, from which on a user is warned of it
+LOST = 1e-3  # share of a tap's energy before the first command can act, from which on a user is warned of it
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
-ESSENTIAL = (0, 1, 2, 3, 7, 9, 10)  # columns of the entry table that a narrow terminal keeps
+ESSENTIAL = (0, 1, 2, 3, 5, 9, 11, 12)  # columns of the entry table that a narrow terminal keeps
+RIGHT = 11  # so many columns hold numbers
 LEGEND = (
-    "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap. floor: the same problem without its "
-    "limits. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its current clipped (both "
-    "keep current and command limits only). repeats: NRMSE of the recordings to their mean. verdict: weak, "
-    f"strong: energy as vibration is felt, around 275 Hz, beside that of r; {JUST_NOTICED_dB:g} dB are just noticed."
+    "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap from contact on. floor: the same "
+    "problem without its limits. after %: |a - r| when the waveform is over, relative to the same |r|; after g: the "
+    "largest |a - r| there. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its current "
+    "clipped (both keep current and command limits only). repeats: NRMSE of the recordings to their mean. "
+    "verdict: weak, strong: energy as vibration is felt, around 275 Hz, beside that of r; "
+    f"{JUST_NOTICED_dB:g} dB are just noticed."
 )
+
+
+def after_cells(nrmse_after: float, peak_after_m_s2: float, samples: int) -> list[str]:
+    """Error and largest error [g] after the waveform; dashes where a scene does not look at what comes after it."""
+    if samples == 0:
+        return ["-", "-"]
+    return [percent(nrmse_after), f"{peak_after_m_s2 / STANDARD_GRAVITY_M_S2:.3f}"]
 
 
 def entry_cells(entry: Entry) -> list[str]:
     """The cells of an entry under `columns_of`; dashes and the kind of refusal for one that is refused."""
     b = entry.baselines
     if entry.status is not Status.OPTIMAL:
-        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 7, entry.status.value, entry.verdict]
+        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 9, entry.status.value, entry.verdict]
     return [
         f"{entry.speed_m_s:g}",
         f"{entry.grip_N:g}",
         percent(entry.nrmse),
         percent(entry.floor),
+        *after_cells(entry.played.nrmse_after, entry.played.error_peak_after_m_s2, entry.problem.grid.after_stages),
         f"{percent(b.seed)} / {percent(b.seed_steady)}",
         f"{percent(b.clipped)} / {percent(b.clipped_steady)}",
         percent(entry.repeatability),
@@ -67,6 +81,8 @@ def columns_of(build: Build) -> list[str]:
         "grip N",
         "NRMSE %",
         "floor %",
+        "after %",
+        "after g",
         f"seed % at {limit:g} / {steady:g} A",
         f"clipped % at {limit:g} / {steady:g} A",
         "repeats %",
@@ -79,11 +95,12 @@ def columns_of(build: Build) -> list[str]:
 
 def build_table(build: Build, width: int) -> Table:
     """The table that `transopt solve` prints into `width` columns."""
-    shown = range(11) if width >= WIDE_TERMINAL else ESSENTIAL
-    table = Table(title=f"{build.scene.name}: {build.scene.description}", show_lines=False)
+    columns = columns_of(build)
+    shown = range(len(columns)) if width >= WIDE_TERMINAL else ESSENTIAL
+    table = Table(title=": ".join(filter(None, (build.scene.name, build.scene.description))), show_lines=False)
     for j in shown:
         # Only what binds may be long; a verdict stays in one piece.
-        table.add_column(columns_of(build)[j], justify="right" if j < 9 else "left", no_wrap=j == 10)
+        table.add_column(columns[j], justify="right" if j < RIGHT else "left", no_wrap=j == len(columns) - 1)
     for row in build.entries:
         for entry in row:
             cells = entry_cells(entry)
@@ -120,15 +137,54 @@ def summary(build: Build) -> str:
 
 
 def aftermath(build: Build) -> str:
-    """One line where the stylus rings on after a waveform so much that it is felt; empty if nowhere."""
-    loudest = max(build.all_entries(), key=lambda entry: entry.played.after_peak_m_s2)
-    after_g = loudest.played.after_peak_m_s2 / STANDARD_GRAVITY_M_S2
-    if loudest.status is not Status.OPTIMAL or after_g < FELT_g:
+    """One line where the error after a waveform is so large that it is felt; empty if nowhere.
+
+    Where the scene does not look at what comes after the waveform, it is what the stylus rings on with.
+    """
+    looked = build.scene.time_grid().after_stages > 0
+
+    def after_m_s2(entry: Entry) -> float:
+        return entry.played.error_peak_after_m_s2 if looked else entry.played.after_peak_m_s2
+
+    admitted = [entry for entry in build.all_entries() if entry.status is Status.OPTIMAL]
+    loudest = max(admitted, key=after_m_s2, default=None)
+    if loudest is None or after_m_s2(loudest) < FELT_g * STANDARD_GRAVITY_M_S2:
         return ""
+    after_g = after_m_s2(loudest) / STANDARD_GRAVITY_M_S2
+    where = f"({loudest.speed_m_s:g} m/s, {loudest.grip_N:g} N)"
+    if looked:
+        return (
+            f"after the waveform the error still reaches {after_g:.1f} g {where}: more time.stages or "
+            "hand_over_samples calm it"
+        )
     return (
-        f"after the waveform the stylus rings on with up to {after_g:.1f} g ({loudest.speed_m_s:g} m/s, "
-        f"{loudest.grip_N:g} N), which no term of the problem holds down: more hand_over_samples calm it"
+        f"after the waveform the stylus rings on with up to {after_g:.1f} g {where}, which no term of the problem "
+        "holds down: weights.after_s = 0.03 calms it"
     )
+
+
+def lost_start(build: Build) -> str:
+    """One line where too much of a tap is over before the first command acts, with the lead that would do."""
+    worst = max(build.references, key=lambda reference: reference.target.lost_share)
+    share, scene = worst.target.lost_share, build.scene
+    if share <= LOST:
+        return ""
+    lead_s = covering_lead_s(scene.time.dt_s, scene.delay_s)
+    remedy = (
+        f"time.lead_s = {lead_s:g} would do"
+        if lead_s <= LONGEST_LEAD_S
+        else f"no lead up to {LONGEST_LEAD_S * 1e3:g} ms covers that delay: take a faster amplifier"
+    )
+    return (
+        f"{100 * share:.2g} % of the tap's energy at {worst.speed_m_s:g} m/s is over before the first command can "
+        f"act, and counts as error: the waveform starts {scene.lead_s * 1e3:g} ms before contact, the amplifier "
+        f"delays it by {scene.delay_s * 1e3:g} ms; {remedy}"
+    )
+
+
+def warnings(build: Build) -> list[str]:
+    """What deserves a second look in a build, one line each."""
+    return [said for said in (lost_start(build), aftermath(build)) if said]
 
 
 def refinement_summary(refinement: Refinement) -> str:
@@ -151,7 +207,9 @@ def library_table(library: Library, name: str) -> Table:
     """The table that `transopt show` prints, from the file alone."""
     limits = library.meta["limits"]
     at = f"at {limits['current_A']:g} / {limits['steady_current_A']:g} A"
-    columns = ["speed m/s", "grip N", "NRMSE %", "floor %", f"seed % {at}", f"clipped % {at}", "peak A", "winding C"]
+    columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "after %", "after g", f"seed % {at}", f"clipped % {at}"]
+    columns += ["peak A", "winding C"]
+    samples = library.reference_after_m_s2.shape[1]
     table = Table(title=name)
     for column in (*columns, "gap", "ms"):
         table.add_column(column, justify="right", overflow="fold")
@@ -167,6 +225,7 @@ def library_table(library: Library, name: str) -> Table:
                 f"{grip:g}",
                 percent(nrmse),
                 percent(floor),
+                *after_cells(library.nrmse_after[iv, ig], library.peak_after_m_s2[iv, ig], samples),
                 " / ".join(percent(error) for error in library.nrmse_seed[iv, ig]),
                 " / ".join(percent(error) for error in library.nrmse_clipped[iv, ig]),
                 f"{library.peak_current_A[iv, ig]:.3f}",

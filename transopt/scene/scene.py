@@ -69,8 +69,9 @@ class Scene(Section):
 
     def __repr__(self) -> str:
         grid, time = self.grid, self.time
+        named = ": ".join(filter(None, (cut(self.name), cut(self.description))))
         return wrapped(
-            f"Scene({': '.join(filter(None, (cut(self.name), cut(self.description))))}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
+            f"Scene({named}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
             f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
             f"{self.limits.transient_current_A:g} A)"
         )

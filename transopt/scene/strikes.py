@@ -151,7 +151,8 @@ def recordings(scene: Scene) -> list[Recording]:
     duration = within + grid.after_stages * grid.dt_s
     if duration > LONGEST_S:
         raise InputError(
-            f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages or weights.after_s"
+            f"recordings.simulated: {duration:g} s a tap, at most {LONGEST_S:g} s: lower time.stages or "
+            "weights.after_s"
         )
     samples = int(speeds.size * duration * max(target.rate_Hz, 1 / STEP_S))
     if samples > MOST_SAMPLES:
