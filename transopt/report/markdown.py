@@ -25,6 +25,7 @@ from transopt.report.tables import (
     summary,
     warnings,
 )
+from transopt.report.trade_off import attained_lines, levels_row, trade_off_lines, trade_off_row
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
@@ -227,6 +228,8 @@ def build_markdown(build: Build) -> str:
         "",
         CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
         *_price_lines(entries),
+        *trade_off_lines(build),
+        *attained_lines(entries),
         *_weighted_lines(entries),
         *_spread_lines(entries),
     ]
@@ -281,6 +284,9 @@ def build_json(build: Build) -> str:
             "prices": [asdict(price) for price in e.prices],
             "size": None if e.size is None else asdict(e.size),
             "weighted_nrmse": e.weighted_nrmse,
+            "levels": levels_row(e.levels),
+            "attained": None if e.attained is None else asdict(e.attained),
+            "trade_off": trade_off_row(build, e.speed_m_s, e.grip_N),
             "spread": None if e.spread is None else asdict(e.spread),
             "certificate": _certificate_row(e.certificate),
             "replay_step_error": e.played.step_error,
