@@ -42,8 +42,9 @@ def _between_lines(refinement: Refinement) -> list[str]:
     if refinement.entries == 1:
         return lines
     lines += [
-        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % |",
-        "|---|---|---|---|---|---|---|---|",
+        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % | "
+        "weakest dB |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, grid, excess, blended in (
         ("of the scene", refinement.recorded, "excess_before", "before"),
@@ -55,14 +56,16 @@ def _between_lines(refinement: Refinement) -> list[str]:
         lines.append(
             f"| {name} | {speeds} | {grips} | {speeds * grips} | {100 * getattr(worst, excess):.2f} | "
             f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g} | {percent(getattr(worst, blended))} / "
-            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} |"
+            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} | "
+            f"{min(getattr(p, f'{blended}_dB') for p in points):+.2f} |"
         )
     return [
         *lines,
         "",
-        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
-        f"there; at {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where "
-        "it errs most. `grid_error.png` shows it, where figures are drawn.",
+        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved "
+        "exactly there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; weakest: its "
+        f"energy over that optimum's, where it is least. At {len(refinement.points)} points: nodes and midpoints of "
+        "the refined grid, quarter points where it errs most. `grid_error.png` shows it, where figures are drawn.",
     ]
 
 

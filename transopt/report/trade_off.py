@@ -51,8 +51,8 @@ def trade_off_lines(build: "Build") -> list[str]:
         *lines,
         "",
         "Entries that a limit cuts, as predicted. waveform: the least squares of the error. intensity: the nearest "
-        f"waveform among all commands with an energy of {asked_dB:+g} dB over the recorded one, at the price lam. dB: "
-        "energy within the window over that of r; felt: through the band-pass at 275 Hz, of which "
+        f"waveform among all commands with an energy of {asked_dB:+g} dB over the recorded one, at the price lam. "
+        "dB: energy within the window over that of r; felt: through the band-pass at 275 Hz, of which "
         f"{JUST_NOTICED_dB:g} dB are just noticed; then third octaves (IEC 61260) that hold a part of the tap. "
         "`trade_off.png` shows what lies between, where figures are drawn.",
         *([said] if missing else []),
