@@ -62,10 +62,11 @@ def _between_lines(refinement: Refinement) -> list[str]:
     return [
         *lines,
         "",
-        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved "
-        "exactly there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; weakest: its "
-        f"energy over that optimum's, where it is least. At {len(refinement.points)} points: nodes and midpoints of "
-        "the refined grid, quarter points where it errs most. `grid_error.png` shows it, where figures are drawn.",
+        "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
+        "there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; "
+        "weakest: its energy over that optimum's, where it is least. "
+        f"At {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where it errs "
+        "most. `grid_error.png` shows it, where figures are drawn.",
     ]
 
 
