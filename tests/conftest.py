@@ -40,6 +40,7 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, build_references
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 
@@ -192,7 +193,8 @@ def make(tmp_path: Path) -> Make:
 
 @pytest.fixture(scope="session")
 def short_scene(scene: Scene) -> Scene:
-    return scene.model_copy(update={"time": scene.time.model_copy(update={"stages": STAGES})})
+    """The pulse of a tap, and nothing of what would come after it."""
+    return with_values(scene, {"time.stages": STAGES, "weights.after_s": 0.0})
 
 
 @pytest.fixture(scope="session")

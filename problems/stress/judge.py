@@ -12,6 +12,7 @@ from problems.stress.cases import StressCase
 from problems.stress.oracle import admits_a_command
 from transopt.base.errors import InputError
 from transopt.design.explain import what_would_do
+from transopt.design.intensity import intense
 from transopt.design.optimum import Designed, optimum
 from transopt.design.remedy import remedies
 from transopt.design.verify import admit
@@ -28,8 +29,8 @@ REMARKS = {
     r"proven that no command",
     Status.HAND_OVER: r"hand-over: .*\d.* A.* limit ",
     Status.PRECISION: r"precision: the gap of .*",
-    Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick; lower ",
-    Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*; lower time.dt_s",
+    Status.UNSTABLE_WALL: r"feedback: .*grows \d.* per tick, with feedback",
+    Status.UNRESOLVED: r"(coil|supply) \d.* (K|V) over its .*: time.dt_s = \d",
     Status.NOT_GLOBAL: r"J lies .*% above the convex lower bound",
 }
 # A field, its value, and what it must be.
@@ -102,6 +103,11 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
             return Outcome("bad: NaN", "a largest value of a certified answer", nothing, nothing, 0.0)
         if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
             return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
+        attained = designed.attained
+        # With the temperature or a wall in it the path may jump over what is asked for.
+        smooth = problem.thermal is None and problem.wall is None
+        if attained is not None and smooth and attained.is_stray:
+            return Outcome("bad: intensity", attained.sentence, nothing, nothing, 0.0)
         difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / run.scale_m_s2
         return Outcome(CERTIFIED, solution.solver, proof.relative_gap, difference, 0.0)
     if status not in REMARKS or not re.search(REMARKS[status], said):
@@ -142,7 +148,8 @@ def judge(case: StressCase) -> Outcome:
         warnings.simplefilter("error")
         try:
             problem = case.problem()
-            designed = optimum(problem, SolverOptions())
+            asked = case.demand.asked_dB is not None
+            designed = intense(problem, SolverOptions()) if asked else optimum(problem, SolverOptions())
             command = np.nan_to_num(designed.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0)
             run = played(designed.problem, command)
             found = with_remedy(case, designed, run, judge_design(designed, run))

@@ -20,8 +20,8 @@ STARTUP_S = 60.0
 
 
 def short_scene(scene: Scene) -> Scene:
-    """8 ms: the pulse of a tap without its ringing."""
-    return with_values(scene, {"time.stages": 80})
+    """8 ms: the pulse of a tap without its ringing, and nothing of what would come after it."""
+    return with_values(scene, {"time.stages": 80, "weights.after_s": 0.0})
 
 
 def two_keys(scene: Scene) -> Plan:

@@ -51,16 +51,17 @@ def test_random_cases_are_certified_or_refused_by_name() -> None:
     assert sum(outcome.kind == CERTIFIED for outcome in outcomes) > len(cases) / 2
 
 
-def test_what_the_compiled_pass_cannot_prove_is_tried_again() -> None:
-    """Masses of 1.5 mg over ticks of 0.8 ms: rounding rules, and the refusal says so.
+@pytest.mark.parametrize("times", [1.0, 5.0])
+def test_a_proof_does_not_hang_on_the_last_bits(times: float) -> None:
+    """Masses of 1.5 mg over ticks of 0.8 ms, where rounding makes all of the gradient that is left.
 
-    The last bits alone make a gap of a few times the limit, so that it depends on the processor whether there is a
-    proof. With a current limit five times as far off, which counts in every gap, there is none on any.
+    Times the size of the commands the gradient's last bits alone are more than a gap may be, on some processors and
+    not on others. Their square by the curvature of the movement is hundreds of times less.
     """
     case = drawn(1, 204)
-    assert judge(case).kind in (CERTIFIED, "refused: PRECISION")
-    far = replace(case, current=replace(case.current, limit_A=5 * case.current.limit_A))
-    assert judge(far).kind == "refused: PRECISION"
+    found = judge(replace(case, current=replace(case.current, limit_A=times * case.current.limit_A)))
+    assert found.kind == CERTIFIED
+    assert found.gap < 0.05 * Certificate.GAP_TOLERANCE
 
 
 def test_a_case_follows_from_seed_and_index_alone() -> None:
@@ -219,7 +220,7 @@ def fine(_: StressCase) -> Outcome:
 )
 def test_the_runner_goes_on_after_a_worker_that_fails(judged: object, family: str, kind: str) -> None:
     cases = [StressCase(name) for name in ("one", family, "two", "three")]
-    limit_s = 15.0 if family == "hang" else 100.0
+    limit_s = 10.0 if family == "hang" else 100.0
     outcomes = dict(run_cases(cases, 1, limit_s, judged))  # type: ignore[arg-type]
     assert [outcomes[index].kind for index in range(4)] == [CERTIFIED, kind, CERTIFIED, CERTIFIED]
     _, lines = summary(cases, outcomes, "python -m problems.stress")

@@ -34,7 +34,7 @@ def campaign(folder: Path, *counts: int) -> str:
 
 
 def test_in_short(tmp_path: Path) -> None:
-    said = campaign(tmp_path, 12, 40, 25, 25)
+    said = campaign(tmp_path, 6, 20, 12, 12)
     for kind in KINDS:
         assert re.search(rf"^{kind}: \d+ cases, \d+ accepted, 0 wrong, at most ", said, re.MULTILINE), said
 

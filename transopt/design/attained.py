@@ -34,6 +34,12 @@ class Attained:
         return missing if missing > TOLERANCE_dB else 0.0
 
     @property
+    def is_stray(self) -> bool:
+        """Whether the energy is off what was asked for, though lam was neither at its least nor at its most."""
+        off = abs(self.energy_dB - self.asked_dB) > TOLERANCE_dB
+        return off and 0 < self.price < self.most
+
+    @property
     def sentence(self) -> str:
         """What the entry is worth as an answer to what was asked."""
         found = f"intensity {self.energy_dB:+.2f} dB of {self.asked_dB:+.2f} dB asked for"

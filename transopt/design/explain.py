@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from transopt.base.signals import FloatArray
+from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit
@@ -83,16 +84,21 @@ def unstable_wall(problem: TransientProblem) -> str:
     """Whether the pressing wall grows by itself on this device; empty if it does not."""
     if problem.wall is None:
         return ""
-    wall, growth = problem.wall.wall, hand_over.growth(problem)
+    growth = hand_over.growth(problem)
     if growth <= 1 + GROWS:
         return ""
-    keys = (
-        ("feedback.stiffness_N_m", wall.stiffness_N_m, " N/m"),
-        ("feedback.damping_N_s_m", wall.damping_N_s_m, " N s/m"),
-        ("feedback.latency_ticks", wall.latency_ticks, ""),
-    )
-    lower = " or ".join(f"{key} ({value:g}{unit})" for key, value, unit in keys if value > 0)
-    return f"feedback: on this device the pressing wall grows {growth:.4g} times per tick; lower {lower}"
+    stated = stated_wall(problem.wall.wall)
+    return f"feedback: on this device the pressing wall grows {growth:.4g} times per tick, with {stated}"
+
+
+def stated_wall(wall: Wall) -> str:
+    """What a scene says of its wall, as far as that is not zero."""
+    numbers = {
+        "feedback.stiffness_N_m": (wall.stiffness_N_m, " N/m"),
+        "feedback.damping_N_s_m": (wall.damping_N_s_m, " N s/m"),
+        "feedback.latency_ticks": (wall.latency_ticks, ""),
+    }
+    return ", ".join(f"{key} = {value:g}{unit}" for key, (value, unit) in numbers.items() if value > 0)
 
 
 def unavoidable(problem: TransientProblem) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.design.attained import Attained
-from transopt.design.explain import infeasibility, unavoidable, unstable_wall
+from transopt.design.explain import infeasibility, stated_wall, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
 from transopt.problem.leave_out import encoder_course, leave_out, pressing, pressing_under, silence
@@ -177,15 +177,18 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
         extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
     by_command = gradient_rounding(problem, answer.command_A, answer.multipliers)
     rounding = float(by_command @ (problem.command_bound_A + np.abs(answer.command_A)))
+    weight = problem.movement.weight
+    if weight > 0:
+        # As in `movement_bound`, of errors that do not depend on each other: error j is in j + 1 of the sums.
+        rounding = min(rounding, float(np.arange(1, by_command.size + 1) @ by_command**2) / (4 * weight))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""
     taken = float(np.abs(answer.command_A).max())
     in_extended = "" if extended is double else f", in extended precision {extended.relative_gap:.1e}"
     return (
         f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision{in_extended}, limit "
-        f"{double.GAP_TOLERANCE:.0e}; lower limits.current_A "
-        f"({problem.limits.current_A:.4g} A, the "
-        f"answer takes {taken:.4g} A) or time.stages ({problem.grid.stages})"
+        f"{double.GAP_TOLERANCE:.0e}; the answer takes {taken:.4g} A of {problem.limits.current_A:.4g} A in "
+        f"{problem.grid.stages} stages"
     )
 
 
@@ -201,12 +204,10 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
     elif unstable and not proof.excess <= 1:
         answer, hopeless = replace(answer, status=Status.UNSTABLE_WALL), [unstable]
     elif problem.wall is not None and not proof.excess <= 1:
-        wall, limit = problem.wall.wall, problem.limits.current_A
         answer = replace(answer, status=Status.HAND_OVER)
         hopeless = [
             f"hand-over: without any transient the wall alone asks for {np.abs(command).max():.3g} A, limit "
-            f"{limit:g} A; lower feedback.stiffness_N_m ({wall.stiffness_N_m:g} N/m), feedback.damping_N_s_m "
-            f"({wall.damping_N_s_m:g} N s/m) or the speed"
+            f"{problem.limits.current_A:g} A, with {stated_wall(problem.wall.wall)}"
         ]
     left_out = {"limits": "zero reference: zero waveform"}
     rest = np.zeros(problem.grid.stages)

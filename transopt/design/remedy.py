@@ -239,6 +239,8 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Itera
     if status is Status.PRECISION:
         yield [_way(entry, [(CURRENT, False)]), _steadier(entry)]
         yield [_shortened(entry)]
+        if entry.value(STIFFNESS) is not None:
+            yield [_steadier(entry, [FEEDBACK])]
         return
     hopeless = [limit for limit in problem.limits if limit.unavoidable(problem)]
     blamed = list(hopeless or problem.limits)
@@ -254,7 +256,9 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Itera
     rising = [move for move in wider if move[1]]
     both = [move for move in softer if move[0] != LATENCY]
     yield [_way(entry, moves) for moves in (rising, both) if len(moves) > 1]
-    if status not in (Status.INFEASIBLE, Status.HAND_OVER, Status.UNSTABLE_WALL):
+    if status is Status.HAND_OVER:
+        yield [_shortened(entry)]
+    elif status not in (Status.INFEASIBLE, Status.UNSTABLE_WALL):
         yield [_finer(entry)]
     needless = [key for limit in problem.limits if (key := limit.dispensed_by())]
     needless += [TAP_RATE] if entry.value(TAP_RATE) is not None else []
@@ -326,10 +330,10 @@ def _shortened(entry: Adjustable) -> _Way:
     return _Way(lambda strength: {STAGES: float(max(math.floor(stages / strength), 2))}, SHORTER, guided=False)
 
 
-def _steadier(entry: Adjustable) -> _Way:
-    """A larger weight of the command's movement."""
-    stated = entry.value(RHO) or 0.0
-    return _Way(lambda rho: {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
+def _steadier(entry: Adjustable, gone: Sequence[str] = ()) -> _Way:
+    """A larger weight of the command's movement, with these keys left out."""
+    stated, without = entry.value(RHO) or 0.0, dict.fromkeys(gone)
+    return _Way(lambda rho: without | {RHO: rho}, tuple(rho for rho in STEADIER if rho > stated), guided=False)
 
 
 def _rounded(value: float, up: bool) -> float:

@@ -46,6 +46,7 @@ def resolve(
         raise InputError("refine: a library with a wall is not refined: its feedback answers the hand's own motion")
     options = SolverOptions() if options is None else options
     scene = library.scene()
+    has_energy = scene.weights.objective == "intensity"
     own = own_arrays(library.meta["limits"])
     arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *own)}
     nv, ng, _ = library.command_A.shape
@@ -80,7 +81,7 @@ def resolve(
                     "nrmse": target.nrmse(played.acceleration_m_s2),
                     "nrmse_after": target.nrmse_after(played.after_m_s2),
                     "peak_after_m_s2": target.peak_after_m_s2(played.after_m_s2),
-                    "energy_dB": energy_dB(answer.problem, command),
+                    "energy_dB": energy_dB(answer.problem, command) if has_energy else 0.0,
                     "floor": unlimited_nrmse(answer.problem, target),
                     "peak_current_A": played.peak_current_A,
                     "peak_temperature_C": played.winding_C,

@@ -6,7 +6,7 @@ import numpy as np
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
-from transopt.design.explain import unstable_wall
+from transopt.design.explain import stated_wall, unstable_wall
 from transopt.library.library import Library
 from transopt.library.proven import contradictions
 from transopt.plant.continuous import after_s
@@ -16,6 +16,7 @@ from transopt.problem.limits.limit import Limit, tolerated
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.problem import TransientProblem
+from transopt.proof.certify import Effect
 from transopt.proof.replay import Replay, replay
 from transopt.solvers import unlimited
 from transopt.solvers.choose import prove
@@ -89,28 +90,21 @@ def _pushes_elsewhere(played: Replay, problem: TransientProblem, command_A: Floa
     off = float(np.abs(played.command_A - command_A).max())
     return (
         f"hand-over: the stylus grazes the surface, and the wall pushes at {ticks} of its ticks other than the "
-        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.current_A):.0e} A; "
-        f"lower time.stages ({problem.grid.stages}) so that it ends at another depth"
+        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.current_A):.0e} A"
     )
 
 
 def _after_hand_over(played: Replay, problem: TransientProblem, late: list[Limit]) -> str:
     """What the wall does with the limits when the waveform has ended, which no transient can help any more."""
     assert problem.wall is not None
-    wall = problem.wall.wall
     asked = " and ".join(
         f"a {limit.label} of {played.peak(limit):.6g} {limit.unit}, {played.peak(limit) - limit.stated:.2g} "
         f"{limit.unit} over its limit of {limit.stated:g} {limit.unit}"
         for limit in late
     )
-    keys = {
-        "feedback.stiffness_N_m": (wall.stiffness_N_m, "N/m"),
-        "feedback.damping_N_s_m": (wall.damping_N_s_m, "N s/m"),
-    }
-    stated = [f"{key} ({value:g} {unit})" for key, (value, unit) in keys.items() if value > 0]
     return (
         f"hand-over: within {after_s(problem.grid) * 1e3:g} ms after the last command the wall alone asks for "
-        f"{asked}; lower {', '.join(stated)} or the speed"
+        f"{asked}, with {stated_wall(problem.wall.wall)}"
     )
 
 
@@ -151,7 +145,8 @@ def _stored(
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
             found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
     floor = unlimited_nrmse(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
-    found += contradictions(library, iv, ig, problem, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
+    effect = Effect(problem, library.command_A[iv, ig])
+    found += contradictions(library, iv, ig, effect, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
     if not current_off <= tolerated(problem.limits.current_A):
         found.append(f"current_A differs from the replay by {current_off:.1e} A")

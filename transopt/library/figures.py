@@ -154,7 +154,8 @@ def library_figure(library: Library) -> Figure:
     acceleration[..., : grid.stages], current[..., : grid.stages] = library.acceleration_m_s2, library.current_A
     if grid.after_stages:  # what comes after the window is not in the file, and only made for what is drawn
         for iv, ig in itertools.product(_some(nv, MOST_SPEEDS), _some(ng, MOST_GRIPS)):
-            acceleration[iv, ig], current[iv, ig] = library.lasting(iv, ig)
+            lasting = library.lasting(iv, ig)
+            acceleration[iv, ig, grid.stages :], current[iv, ig, grid.stages :] = (x[grid.stages :] for x in lasting)
     return transients_figure(
         Transients(
             grid=grid,

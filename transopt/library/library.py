@@ -147,7 +147,7 @@ class Library:
     nominal_position_at_ticks_m: Annotated[
         FloatArray, Array("vN", "m", "z_nom at the ticks, where encoders are read")
     ]
-    nominal_position_at_ticks_after_m: Annotated[
+    nominal_after_at_ticks_m: Annotated[
         FloatArray, Array("vM", "m", "z_nom at the M ticks that follow", needs="after_s")
     ]
     nrmse: Annotated[FloatArray, Array("vg", "", "sqrt((lost + sum (y'' - r)^2) / E) after replay")]
@@ -321,7 +321,7 @@ class Library:
             self.target(by_speed),
             by_speed @ self.nominal_velocity_m_s,
             by_speed @ self.nominal_position_m,
-            by_speed @ np.append(self.nominal_position_at_ticks_m, self.nominal_position_at_ticks_after_m, axis=1),
+            by_speed @ np.append(self.nominal_position_at_ticks_m, self.nominal_after_at_ticks_m, axis=1),
         )
 
     def target(self, by_speed: FloatArray) -> Target:

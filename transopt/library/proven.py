@@ -11,6 +11,7 @@ stands in a library is therefore not believed before it plays, is shown or leave
 `transopt verify` does the same and replays every entry with another integrator.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
 from transopt.problem.posing import Posing
 from transopt.problem.problem import TransientProblem
+from transopt.problem.stage import LinearStage, linear_stage
 from transopt.problem.stage_data import stages, without_limits
 from transopt.proof.certify import BINDING_MULTIPLIER, Effect, binding_limits, certify, relaxed_bound
 from transopt.solvers.native.extension import (
@@ -95,6 +97,7 @@ def misstatements(library: Library) -> Iterator[str]:
 def _of_grip(library: Library, ig: int) -> Iterator[str]:
     stage = library.stage(ig)
     yield from _rivals(library, ig, stage)
+    floors = Floors()
     for iv in range(library.speeds_m_s.size):
         where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N: "
         problem, command = library.problem(iv, ig, stage), library.command_A[iv, ig]
@@ -107,8 +110,8 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
             yield where + _shortfall(proof)
         else:
             yield from (where + off for off in _predictions(library, iv, ig, effect))
-            floor = _floor(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
-            yield from (where + off for off in contradictions(library, iv, ig, problem, proof, floor))
+            floor = floors.of(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
+            yield from (where + off for off in contradictions(library, iv, ig, effect, proof, floor))
 
 
 def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
@@ -116,7 +119,7 @@ def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
     limits = library.meta["limits"]
     bounds = np.array([limits["current_A"], limits["steady_current_A"]])[:, None, None]
     references, taper = library.reference_m_s2, library.meta["hand_over_samples"]
-    played, _ = stage.rollout(seed_inversion(stage, library.time_grid(), references, bounds, taper))
+    played = _accelerations(stage, seed_inversion(stage, library.time_grid(), references, bounds, taper))
     for iv, own in enumerate(np.eye(references.shape[0])):
         target = library.target(own)
         value = [target.nrmse(each) for each in played[:, iv]]
@@ -171,26 +174,44 @@ def _boundable(problem: TransientProblem) -> bool:
     return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
 
 
-def _floor(problem: TransientProblem, target: Target) -> float:
-    """NRMSE of the optimum without limits, by the compiled pass; NaN where there is none, or it loses digits."""
-    free = np.zeros(problem.grid.stages)
-    if not problem.reference_is_zero:
-        given = without_limits(problem.without_intensity())
-        if not available or given.sizes["states"] > MOST_STATES:
-            return np.nan
-        run = LinearPass(given)
-        answer = run.solve(PASS_GAP)
-        if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
-            return np.nan
-        free = run.command_A()
-    return target.nrmse(problem.stage.rollout(free)[0])
+def _accelerations(stage: StageModel, commands_A: FloatArray) -> FloatArray:
+    """y'' of commands (..., N), by convolution with the response to the first one; many at once are fast so."""
+    N = commands_A.shape[-1]
+    response, _ = stage.rollout(np.eye(1, N)[0])
+    length = 2 * N
+    return np.fft.irfft(np.fft.rfft(commands_A, length) * np.fft.rfft(response, length), length)[..., :N]
+
+
+class Floors:
+    """Floors of the problems of one grip, by the compiled pass: they share the linear stage and the memory."""
+
+    def __init__(self) -> None:
+        self._stage: LinearStage | None = None
+        self._buffers: Buffers | None = None
+
+    def of(self, problem: TransientProblem, target: Target) -> float:
+        """NRMSE against a target of the optimum of J without limits; NaN where there is none, or it loses digits."""
+        free = np.zeros(problem.grid.stages)
+        if not problem.reference_is_zero:
+            plain = problem.without_intensity()
+            self._stage = linear_stage(plain) if self._stage is None else self._stage.rescaled(plain)
+            given = without_limits(plain, self._stage)
+            if not available or given.sizes["states"] > MOST_STATES:
+                return np.nan
+            self._buffers = Buffers(given.sizes) if self._buffers is None else self._buffers
+            run = LinearPass(given, self._buffers)
+            answer = run.solve(PASS_GAP)
+            if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
+                return np.nan
+            free = run.command_A()
+        return target.nrmse(problem.stage.rollout(free)[0])
 
 
 def contradictions(
     library: Library,
     iv: int,
     ig: int,
-    problem: TransientProblem,
+    effect: Effect,
     proof: Certificate,
     floor: float,
     of_bound: float = Certificate.BOUND_TOLERANCE,
@@ -199,9 +220,11 @@ def contradictions(
 
     Parameters
     ----------
+    effect : of the entry's command in its problem.
     floor : NRMSE of the optimum without limits, as found now; NaN where it was not.
     of_bound : relative, by which the stated lower bound may lie above the one found; other methods find others.
     """
+    problem = effect.problem
     ampere, scale = problem.limits.current_A, max(proof.objective, OBJECTIVE_SCALE)
     # The largest over A, V and K is stored; only where A is all there is the limit tells how exact it has to be.
     in_ampere_only = all(limit.unit.startswith("A") for limit in problem.limits)
@@ -220,10 +243,10 @@ def contradictions(
     claimed, least = float(library.lower_bound[iv, ig]), proof.lower_bound
     if not claimed <= least + of_bound * scale and np.isfinite(least):
         yield f"lower_bound says {claimed:.8g}, no more than {least:.8g} can be proven"
-    binds = binding_limits(problem, library.command_A[iv, ig], library.multipliers(iv, ig))
+    binds = binding_limits(problem, effect.command_A, library.multipliers(iv, ig), effect=effect)
     if str(library.binding[iv, ig]) != binds:
         yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {binds!r}"
-    transient = problem.transient_command(library.command_A[iv, ig])
+    transient = problem.transient_command(effect.command_A)
     if not np.abs(library.transient_command_A[iv, ig] - transient).max() <= tolerated(ampere):
         yield "transient_command_A is not command_A less the predicted feedback of the wall"
 
@@ -241,7 +264,7 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
         if not off <= tolerance:
             yield f"{name} is off by {off:.3g}"
     stored, error = float(library.nrmse[iv, ig]), target.nrmse(motion.acceleration_m_s2)
-    if not np.isclose(stored, error, rtol=FIGURE, atol=SAME):
+    if not math.isclose(stored, error, rel_tol=FIGURE, abs_tol=SAME):
         yield f"nrmse says {stored:.6g}, recomputed {error:.6g}"
     yield from _afterwards(library, iv, ig, effect, target)
     stored, peak = float(library.peak_current_A[iv, ig]), float(np.abs(motion.current_A).max())
@@ -328,11 +351,11 @@ def _nominal(library: Library) -> Iterator[str]:
             step = speed * grid.dt_s if name != "nominal_velocity_m_s" else 0.0
             if not np.abs(stated - integrated).max() <= MOTION * size + step:
                 yield f"{name} at {speed:g} m/s is not the motion that its recording tells"
-        later = library.nominal_position_at_ticks_after_m[iv]
+        later = library.nominal_after_at_ticks_m[iv]
         onward = _onward(grid, velocity[-1], position[-1], np.append(user[iv, -1], after[iv]))
         size = max(float(np.abs(position).max()), float(np.abs(onward).max(initial=0.0)))
         if not np.abs(later - onward).max(initial=0.0) <= MOTION * size + speed * grid.dt_s:
-            yield f"nominal_position_at_ticks_after_m at {speed:g} m/s is not the motion that its recording tells"
+            yield f"nominal_after_at_ticks_m at {speed:g} m/s is not the motion that its recording tells"
 
 
 def _onward(grid: TimeGrid, velocity_m_s: float, position_m: float, rate_m_s2: FloatArray) -> FloatArray:
@@ -368,7 +391,7 @@ def _different(name: str, stated: Any, own: Any) -> Iterator[str]:
         for one, other in zip(stated, own, strict=True):
             yield from _different(name, one, other)
     elif isinstance(own, float) and isinstance(stated, int | float):
-        if not np.isclose(stated, own, rtol=SAME, atol=0):
+        if not math.isclose(stated, own, rel_tol=SAME):
             yield f"{name} is {stated:g}, its scene says {own:g}"
     elif stated != own:
         yield f"{name} is {stated!r}, its scene says {own!r}"

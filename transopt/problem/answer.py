@@ -21,14 +21,12 @@ class Status(Enum):
     """How an entry ended; the value is the message. What would do is found by trial (`transopt.design.remedy`)."""
 
     OPTIMAL = "optimal"
-    ITERATION_LIMIT = "the solver stopped at its iteration limit: loosen the tolerance or choose another --solver"
+    ITERATION_LIMIT = "the solver stopped at its iteration limit"
     INFEASIBLE = "no command meets all limits"
-    NUMERICAL_FAILURE = "the solver broke down numerically: choose another --solver or rescale the scene"
+    NUMERICAL_FAILURE = "the solver broke down numerically"
     NOT_GLOBAL = "a certified stationary point, but the convex bound leaves room for a better one"
-    NOT_CERTIFIED = "the answer is not proven optimal: tighten --solver-tolerance or choose another --solver"
-    REPLAY_VIOLATION = (
-        "the continuous-time replay leaves a limit or misses the prediction: report this scene as a defect"
-    )
+    NOT_CERTIFIED = "the answer is not proven optimal"
+    REPLAY_VIOLATION = "the continuous-time replay leaves a limit or misses the prediction"
     HAND_OVER = "the wall's feedback alone exceeds a limit when the transient has to end"
     PRECISION = "double precision has no digits left to prove the answer"
     UNSTABLE_WALL = "the wall's feedback grows by itself on this device"

@@ -6,7 +6,7 @@ the input.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -147,6 +147,14 @@ class LinearStage:
         """Named output -> (n,), scalar: its value in SI by x_k and by dc_k."""
         return _named(self.device, self.where, self.units)
 
+    def rescaled(self, problem: TransientProblem) -> "LinearStage":
+        """The same for another problem of the same device, in which at most reference and limits are other ones."""
+        if problem.current_scale_A != self.current_A:
+            return linear_stage(problem)
+        unit = _unit_m_s2(problem)
+        by = self.unit_m_s2 / unit
+        return replace(self, C=self.C * by, E=self.E * by, unit_m_s2=unit)
+
     def row(self, row: Row) -> tuple[FloatArray, float]:
         """(n,) and scalar: the value of a limit's row by x_k and by dc_k, in SI."""
         G, d = np.zeros(self.units.size), 0.0
@@ -237,18 +245,23 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
                 feedback[row, first : first + 2] = _demand(problem)
             else:
                 feedback[row, first + 1 + late] = 1.0
-    norm = float(np.sqrt(problem.target.energy_m2_s4)) or 1.0
+    unit = _unit_m_s2(problem)
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
         current_A=current,
-        C=C * units / norm,
-        E=E * current / norm,
-        unit_m_s2=norm,
+        C=C * units / unit,
+        E=E * current / unit,
+        unit_m_s2=unit,
         feedback=feedback * units,
         device=problem.stage,
         where=where,
     )
+
+
+def _unit_m_s2(problem: TransientProblem) -> float:
+    """sqrt(E), in which the tracked outputs are; 1 for a tap of zero."""
+    return float(np.sqrt(problem.target.energy_m2_s4)) or 1.0
 
 
 def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tuple[FloatArray, float]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from transopt.base.signals import FloatArray
 from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.plant.discretise import Motion
-from transopt.problem.answer import Certificate, Multipliers
+from transopt.problem.answer import OBJECTIVE_SCALE, Certificate, Multipliers
 from transopt.problem.limits import hand_over
 from transopt.problem.limits.limit import Limit, tolerated, transposed
 from transopt.problem.limits.own import LawRow
@@ -260,10 +260,12 @@ def certify(
         gap = sum_j mu_j s_j + sum_k |g_k| (c_max + |c_k|)
 
     with s the slacks and g the reduced gradient of the Lagrangian over the commands. Negative slacks
-    count by their size. The hand-over multipliers are checked too: they must cancel g over the hand-over,
-    or what is left of it counts with c_max (so that a lost or flipped one is noticed, although the
-    hand-over commands cannot move). Where the temperature binds, the Lagrangian is not convex: the gap is then
-    that of a stationary point, and `lower_bound` has to come from the convex problem of `solvers.global_bound`.
+    count by their size. Where that is more than an optimum may have, the second sum gives way to `movement_bound`, if
+    that is smaller: there, what rounding leaves of g counts by its square. The hand-over multipliers are checked too:
+    they must cancel g over the hand-over, or what is left of it counts with c_max (so that a lost or flipped one is
+    noticed, although the hand-over commands cannot move). Where the temperature binds, the Lagrangian is not convex:
+    the gap is then that of a stationary point, and `lower_bound` has to come from the convex problem of
+    `solvers.global_bound`.
 
     Parameters
     ----------
@@ -316,8 +318,11 @@ def certify(
         by_heating = effect.by_heating(clipped)
         g = _reduced_gradient(effect, clipped, by_heating)
         c_max = problem.command_bound_A
-        gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + sum(box.complementarity for box in limits)
-        gap += float(np.abs(clipped.hand_over) @ np.abs(tail)) + _kink_gap(effect, clipped, by_heating)
+        rest = sum(box.complementarity for box in limits) + float(np.abs(clipped.hand_over) @ np.abs(tail))
+        rest += _kink_gap(effect, clipped, by_heating)
+        gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + rest
+        if gap > Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE):
+            gap = float(np.fmin(gap, movement_bound(problem, g) + rest))
     if not np.isfinite(gap):
         return replace(found, dual_residual=float("inf"), duality_gap=float("inf"), lower_bound=lower_bound)
     convex = problem.thermal is None or problem.thermal.model.copper == 0 or not clipped.upper(TEMPERATURE).any()
@@ -328,6 +333,18 @@ def certify(
         duality_gap=gap,
         lower_bound=max(merit - gap, lower_bound) if convex else lower_bound,
     )
+
+
+def movement_bound(problem: TransientProblem, gradient: FloatArray) -> float:
+    """Bound on what a reduced gradient (N,) of the Lagrangian leaves, from the movement's own curvature.
+
+    All but the movement's term is convex and lies above its tangent, and that term is w sum m_k^2 with m_k the
+    movement of the command. Moving on by m therefore changes the Lagrangian by at least sum_k (G_k m_k + w m_k^2),
+    G_k = sum_(j >= k) g_j, whose minimum over all m is -sum G_k^2 / (4 w). Infinite where the movement costs nothing.
+    """
+    to_come = np.cumsum(gradient[::-1])
+    weight = problem.movement.weight
+    return float(to_come @ to_come) / (4 * weight) if weight > 0 else np.inf
 
 
 def _bent(problem: TransientProblem, multipliers: Multipliers) -> bool:
@@ -372,15 +389,21 @@ def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
     return ", ".join(spans)
 
 
-def binding_limits(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> str:
+def binding_limits(
+    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
+) -> str:
     """Which limits bind, with which sign and from when to when, in the user's words; "none" if none does.
 
     A limit binds at a stage where its multiplier is positive beyond rounding and its slack is gone.
+
+    Parameters
+    ----------
+    effect : of this command in this problem, where it is known already.
     """
     if multipliers.largest <= BINDING_MULTIPLIER:
         return "none"
     rows: dict[str, NDArray[np.bool_]] = {}
-    for box in boxes(problem, command_A, problem.stage.motion(command_A), multipliers):
+    for box in _boxes(effect or Effect(problem, command_A), multipliers):
         near = BINDING_SLACK * abs(box.limit.stated)
         two_sided = bool(np.isfinite(box.lower).any())
         sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]

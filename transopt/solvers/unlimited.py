@@ -16,6 +16,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Stat
 from transopt.problem.limits import hand_over
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import layout, linear_stage
+from transopt.proof.certify import Effect, movement_bound, reduced_gradient
 from transopt.solvers import sparse_kkt
 from transopt.solvers.lq_pass import Pass, Point, Tracking, prepare
 from transopt.solvers.native import extension
@@ -145,17 +146,23 @@ def _solution(problem: TransientProblem, run: Pass, found: _Candidate, start_s: 
 
 
 def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | None:
-    """The pass of the extension, if it is there and its gap small enough."""
+    """The pass of the extension, if it is there and its gap is small by either bound."""
     if not extension.available or layout(problem).states > extension.MOST_STATES:
         return None
     run = extension.LinearPass(stage_data.without_limits(problem))
     answer = run.solve(GAP)
-    if answer.code not in (extension.SOLVED, extension.ACCURACY) or not answer.relative_gap <= GAP:
+    if answer.code not in (extension.SOLVED, extension.ACCURACY):
         return None
+    command = run.command_A()
+    multipliers = replace(Multipliers.zero(problem), hand_over=run.hand_over())
+    if not answer.relative_gap <= GAP:
+        left = movement_bound(problem, reduced_gradient(Effect(problem, command), multipliers))
+        if not left <= GAP * OBJECTIVE_SCALE:
+            return None
     return Solution(
         status=Status.OPTIMAL,
-        command_A=run.command_A(),
-        multipliers=replace(Multipliers.zero(problem), hand_over=run.hand_over()),
+        command_A=command,
+        multipliers=multipliers,
         solver="unlimited",
         message="Riccati pass",
         iterations=answer.iterations,
@@ -167,8 +174,8 @@ def solve(problem: TransientProblem) -> Solution:
     """Minimise J subject to dynamics and hand-over only; see `Solution`.
 
     `command_A` is not clipped: it is what the limits would have to allow. The compiled pass comes first. Where there
-    is none, or rounding leaves it a gap above `GAP`, the pass runs in CasADi's virtual machine; where that leaves
-    one too, the sparse KKT system is solved as well, and the better answer is returned.
+    is none, or it leaves a gap above `GAP` by both bounds of the certificate, the pass runs in CasADi's virtual
+    machine; where that leaves one too, the sparse KKT system is solved as well, and the better answer is returned.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = _by_compiled_pass(problem, time.perf_counter())

@@ -66,7 +66,7 @@ class TestAgainstReplay:
         speed, grip = float(library.speeds_m_s[iv]), float(library.grips_N[ig])
         user = TapUser(speed, grip, CONTACT_TICKS * DT)
         simulator = Simulator(device_of(scene), user, DT, trace=True)
-        start = CONTACT_TICKS - round(scene.time.lead_s / DT)
+        start = CONTACT_TICKS - round(scene.lead_s / DT)
         trace = play(simulator, library.command_A[iv, ig], before=start, after=10)
         k = at(trace, library.time_grid().switching_times_s + CONTACT_TICKS * DT)
         predicted = library.acceleration_m_s2[iv, ig]

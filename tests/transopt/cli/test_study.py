@@ -78,7 +78,18 @@ class TestCommandLine:
         assert "certified" in ran.out
 
     def test_an_answer(self, run: Run) -> None:
-        words = ["--set", "time.stages=80", "--speed", 0.4, "--grip", 5, "--executor", "serial"]
+        words = [
+            "--set",
+            "time.stages=80",
+            "--set",
+            "weights.after_s=0",
+            "--speed",
+            0.4,
+            "--grip",
+            5,
+            "--executor",
+            "serial",
+        ]
         ran = run("--require", "nrmse<=0.3", "--solve-for", "limits.current_A=2:6:0.2", *words, "--out", "least")
         assert ran.code == 0
         assert "The least limits.current_A from 2 to 6 A with nrmse <= 0.3 at every entry: " in ran.out
@@ -187,7 +198,7 @@ class TestCommandLine:
     @pytest.mark.parametrize(
         ("sent", "how"),
         [
-            (signal.SIGINT, ["--jobs", "1"]),
+            pytest.param(signal.SIGINT, ["--jobs", "1"], marks=pytest.mark.long),
             (signal.SIGINT, ["--executor", "serial"]),
             (signal.SIGTERM, ["--jobs", "2"]),
             (signal.SIGKILL, ["--jobs", "1"]),

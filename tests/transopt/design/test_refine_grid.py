@@ -64,7 +64,7 @@ class TestBetween:
         np.testing.assert_allclose(np.diff(v), mean * np.diff(tau), atol=2e-2 * np.abs(np.diff(v)).max())
         assert np.interp(0.0, tau, v) == pytest.approx(-0.33, rel=1e-9, abs=1e-3)
         assert np.interp(0.0, tau, reference.nominal_position_m) == pytest.approx(0.0, abs=1e-6)
-        ticks = np.interp(tau[:-1], grid.issue_times_s, reference.nominal_position_at_ticks_m)
+        ticks = np.interp(tau[:-1], grid.all_issue_times_s, reference.nominal_position_at_ticks_m)
         np.testing.assert_allclose(ticks, reference.nominal_position_m[:-1], atol=1e-6)
         step = reference.times_s[1] - reference.times_s[0]
         slow, fast = (r.repeats_m_s2.mean(axis=0) / r.speed_m_s for r in references[2:])

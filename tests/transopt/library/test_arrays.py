@@ -34,9 +34,9 @@ def test_a_unit_in_the_name_is_the_unit_declared() -> None:
 
 def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
     for name, stated in ARRAYS.items():
-        assert set(stated.shape) <= set("vgNhns12"), name
+        assert set(stated.shape) <= set("vgNMLhns12"), name
         assert stated.meaning, name
-        assert stated.needs in ("", "spread", "refinement", *(kind.key for kind in KINDS))
+        assert stated.needs in ("", "spread", "refinement", "after_s", "intensity", *(kind.key for kind in KINDS))
 
 
 def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, tmp_path: Path) -> None:

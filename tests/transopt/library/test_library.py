@@ -50,15 +50,15 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         absent = {
             name
             for name in ARRAYS
-            if name.startswith(("mu_", "current_sign", "spread", "correction"))
+            if name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB"))
             and not name.startswith(("mu_current", "mu_command", "mu_end"))
         }
-        assert len(absent) == 18
+        assert len(absent) == 20
         assert names >= (set(ARRAYS) - absent) | {"meta"}
         assert not absent & names, "no limit beside those of current and command is in force and there is one device"
         meta = json.loads(str(file["meta"]))
         assert file["command_A"].shape == (4, 3, 600)
-    assert meta["schema"] == 1
+    assert meta["schema"] == 2
     assert meta["limits"] == {
         "current_A": 4.0,
         "steady_current_A": 1.25,
@@ -153,7 +153,9 @@ class TestRefusals:
     @pytest.mark.parametrize(
         "change",
         [
-            {"schema": 2},
+            {"schema": 3},
+            {"schema": True},
+            {"schema": "2"},
             {"dt_s": "x"},
             {"dt_s": 0},
             {"dt_s": -1e-4},
@@ -173,7 +175,7 @@ class TestRefusals:
     def test_meta_that_describes_no_problem(self, saved: Path, library: Library, change: dict) -> None:
         rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
         rehash(saved)
-        with pytest.raises(InputError, match="schema 2, this version reads 1" if "schema" in change else "meta"):
+        with pytest.raises(InputError, match="this version reads 1 and 2" if "schema" in change else "meta"):
             load_library(saved)
 
     def test_truncated_at_every_tenth(self, saved: Path, tmp_path: Path) -> None:

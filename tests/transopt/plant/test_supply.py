@@ -59,7 +59,7 @@ def cut(problem: TransientProblem, stages: int) -> TransientProblem:
         wall = replace(wall, nominal_m=wall.nominal_m[:stages], pressing=wall.pressing[:stages])
     return replace(
         problem,
-        grid=replace(problem.grid, stages=stages),
+        grid=replace(problem.grid, stages=stages, after_stages=0),
         target=Target(problem.reference_m_s2[:stages]),
         tracking_weights=np.ones(stages),
         limits=limits,

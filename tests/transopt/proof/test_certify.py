@@ -13,7 +13,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers, Solution, Stat
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import SIDES
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import Effect, binding_limits, certify, reduced_gradient
+from transopt.proof.certify import Effect, binding_limits, certify, movement_bound, reduced_gradient
 from transopt.solvers import unlimited
 from transopt.solvers.choose import solve
 from transopt.solvers.options import SolverOptions
@@ -64,6 +64,40 @@ def test_certified_lower_bound_is_below_every_feasible_command(saturated: tuple[
         other *= min(1.0, 4 / np.abs(current).max(), 6 / np.abs(other).max())
         acceleration, _ = problem.stage.rollout(other)
         assert problem.objective(other, acceleration) >= certificate.objective - certificate.duality_gap
+
+
+@pytest.mark.parametrize("rho", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("size_A", [1e-7, 1e-5, 1e-3])
+def test_the_bound_by_the_movement_holds_and_falls_with_the_square(
+    make_problem: ProblemMaker, rho: float, size_A: float
+) -> None:
+    """The optimum itself is a command that the bound of every other one has to spare."""
+    problem = replace(make_problem(0.2, 3.0), rho=rho)
+    free = unlimited.solve(problem)
+    least = certify(problem, free.command_A, free.multipliers).objective
+    wave = np.sin(np.linspace(0, 20 * np.pi, problem.grid.stages))
+    wave[problem.free_stages :] = 0
+    by_first, by_movement = [], []
+    for off_A in (size_A, size_A / 10):
+        command = free.command_A + off_A * wave
+        acceleration, _ = problem.stage.rollout(command)
+        g = reduced_gradient(Effect(problem, command), free.multipliers)
+        by_first.append(float(np.abs(g) @ (problem.command_bound_A + np.abs(command))))
+        by_movement.append(movement_bound(problem, g))
+        proof = certify(problem, command, free.multipliers)
+        assert problem.objective(command, acceleration) - by_movement[-1] <= least + 1e-14
+        assert proof.lower_bound <= least + 1e-14
+        assert proof.duality_gap <= by_first[-1] * (1 + 1e-12)
+    assert by_first[1] == pytest.approx(by_first[0] / 10, rel=0.05)
+    assert by_movement[1] == pytest.approx(by_movement[0] / 100, rel=0.05)
+
+
+def test_without_a_weight_of_the_movement_only_the_first_bound_is_there(make_problem: ProblemMaker) -> None:
+    problem = replace(make_problem(0.2, 3.0), rho=0.0)
+    command = unlimited.solve(problem).command_A + 1e-4
+    command[problem.free_stages :] = 0
+    proof = certify(problem, command, Multipliers.zero(problem))
+    assert 1e-6 < proof.relative_gap < np.inf
 
 
 def test_unlimited_optimum_has_no_gradient_left(make_problem: ProblemMaker) -> None:

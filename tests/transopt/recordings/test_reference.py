@@ -149,7 +149,8 @@ class TestPrepare:
 
         two = replace(pulse(), acceleration=Signal(0.0, 1e-4, bump(0.021, 30.0) + bump(0.023, 50.0)))
         one = replace(pulse(), acceleration=Signal(0.0, 1e-4, bump(0.021, 30.0)))
-        assert prepare(two, SETTINGS).onset_s == pytest.approx(prepare(one, SETTINGS).onset_s, abs=1.5e-4)
+        # A bell has no foot: both begin where they reach a share of their peak, which is higher in the first.
+        assert prepare(two, SETTINGS).onset_s == pytest.approx(prepare(one, SETTINGS).onset_s, abs=2.5e-4)
 
     def test_a_bump_in_the_approach_does_not_move_the_offset(self) -> None:
         recording = pulse(offset=9.81)

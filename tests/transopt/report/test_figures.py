@@ -60,11 +60,12 @@ def assert_nothing_clipped(figure: Figure) -> None:
 class TestLibrary:
     def test_draws_the_arrays_in_g_ampere_and_ms(self, library: Library) -> None:
         figure = library_figure(library)
-        panels, times_ms = figure.axes, 1e3 * library.time_grid().switching_times_s
+        grid = library.time_grid()
+        panels, times_ms = figure.axes, 1e3 * np.append(grid.switching_times_s, grid.after_times_s)
         assert [axes.get_title() for axes in panels] == ["grip 1 N", "grip 3 N", "grip 5 N", "", "", ""]
         assert (panels[0].get_ylabel(), panels[3].get_ylabel()) == ("acceleration [g]", "current [A]")
         speeds = [f"{speed:g} m/s" for speed in library.speeds_m_s]
-        assert legend_texts(figure) == [*speeds, "reference", "limit 4 A", "limit binds"]
+        assert legend_texts(figure) == [*speeds, "reference", "limit 4 A", "limit binds", "waveform ends"]
         levels = [line.get_ydata()[0] for line in panels[3].lines if line.get_linestyle() == ":"]
         assert sorted(levels) == [-LIMIT_A, LIMIT_A]
         for ig in range(3):
@@ -73,9 +74,14 @@ class TestLibrary:
             references = [line for line in above.lines if line.get_linestyle() == "--"]
             assert len(predicted) == len(current) == len(references) == 4
             for iv in range(4):
-                np.testing.assert_allclose(predicted[iv].get_ydata(), library.acceleration_m_s2[iv, ig] / G)
-                np.testing.assert_allclose(references[iv].get_ydata(), library.reference_m_s2[iv] / G)
-                np.testing.assert_array_equal(current[iv].get_ydata(), library.current_A[iv, ig])
+                drawn, N = predicted[iv].get_ydata(), grid.stages
+                np.testing.assert_allclose(drawn[:N], library.acceleration_m_s2[iv, ig] / G)
+                wanted = np.append(library.reference_m_s2[iv], library.reference_after_m_s2[iv]) / G
+                np.testing.assert_allclose(references[iv].get_ydata(), wanted)
+                # The largest error after the waveform is what the file says.
+                after = np.abs(drawn - wanted)[N:].max()
+                assert after == pytest.approx(library.peak_after_m_s2[iv, ig] / G, rel=1e-6)
+                np.testing.assert_array_equal(current[iv].get_ydata()[:N], library.current_A[iv, ig])
                 for line in (predicted[iv], references[iv], current[iv]):
                     np.testing.assert_allclose(line.get_xdata(), times_ms)
 
@@ -121,7 +127,7 @@ class TestLibrary:
         assert_nothing_clipped(library_figure(replace(library, **zero)))
 
     def test_speeds_differ_in_colour_and_in_grey(self, library: Library) -> None:
-        lines = solid_curves(library_figure(resized(library, 8, 1)).axes[1], 600)
+        lines = solid_curves(library_figure(resized(library, 8, 1)).axes[1], 900)
         assert len({line.get_marker() for line in lines}) == 8
         luminance = [float(np.dot(line.get_color()[:3], [0.2126, 0.7152, 0.0722])) for line in lines]
         assert np.all(np.diff(luminance) > 0)
@@ -133,7 +139,7 @@ class TestLibrary:
         columns = figure.axes[: len(figure.axes) // 2]
         assert [axes.get_title() for axes in columns][:: len(columns) - 1] == ["grip 1 N", "grip 5 N"]
         assert len(columns) == 6
-        curves = solid_curves(figure.axes[-1], 600)
+        curves = solid_curves(figure.axes[-1], 900)
         assert len(curves) == 8
         np.testing.assert_array_equal(curves[0].get_ydata(), large.current_A[0, -1])
         np.testing.assert_array_equal(curves[-1].get_ydata(), large.current_A[-1, -1])

@@ -75,7 +75,7 @@ def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
         ("[grid]", "[grid", r"not valid TOML"),
         ("[grid]", 'model = "m.json"\n[grid]', r"states a model file .* and \[model\] tables: delete \[model\]"),
         ("highpass_Hz = 8.0", "highpass_Hz = 5000.0", r"highpass_Hz = 5000: must be below lowpass_Hz = 1000"),
-        ("lead_s = 3e-4", "lead_s = 0.2", r"time.lead_s = 0.2: must be less than or equal to 0.02"),
+        ("stages = 600", "lead_s = 0.2", r"time.lead_s = 0.2: must be less than or equal to 0.02"),
         ("seed = 1", "seed = -1", r"recordings.simulated.seed = -1"),
         ("[grid]", "[gird]", r"gird: unknown key; known here: name, description, grid"),
         (

@@ -1,6 +1,7 @@
 """Methods whose native code is lost: they end in an answer that says so, and in nothing else."""
 
 import os
+import threading
 
 import numpy as np
 import pytest
@@ -22,6 +23,11 @@ def dies(*_: object) -> None:
     os._exit(134)
 
 
+def waits(*_: object) -> None:
+    """As native code that searches for ever."""
+    threading.Event().wait()
+
+
 @pytest.fixture
 def saturated() -> TransientProblem:
     return StressCase("saturated", current=Current(limit_A=0.5), horizon=Horizon(stages=60)).problem()
@@ -40,10 +46,9 @@ def test_a_method_that_ends_its_process_is_a_breakdown(saturated: TransientProbl
 def test_one_that_does_not_return_is_ended(
     saturated: TransientProblem, solver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    choose.solve(saturated, SolverOptions(solver))  # so that the time is that of the search alone
     monkeypatch.setattr(choose, "most_time_s", lambda stages: 0.0)
     monkeypatch.setattr(choose, "LATE_S", 1e-3)
-    answer = choose.solve(saturated, SolverOptions(solver))
+    answer = choose._apart(solver, waits)(saturated, SolverOptions(solver))
     assert answer.status is Status.NUMERICAL_FAILURE
     assert "no answer within 0.001 s" in answer.message
 

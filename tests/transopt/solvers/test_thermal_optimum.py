@@ -52,7 +52,7 @@ def entry(scene: Scene, references: list[Reference]) -> Maker:
         problem = entry_problem(varied, scene_stage(varied, grip_N), reference)
         if stages is None:
             return problem
-        grid, coil = replace(problem.grid, stages=stages), varied.coil()
+        grid, coil = replace(problem.grid, stages=stages, after_stages=0), varied.coil()
         assert coil is not None
         short = replace(
             problem,

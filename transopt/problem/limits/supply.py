@@ -124,5 +124,5 @@ class SupplyLimit(Limit):
             return ""
         return (
             f"supply {peak - self.limit_V:.3g} V over its {self.limit_V:g} V within a servo period, in which the "
-            f"back-EMF swings; lower time.dt_s ({problem.grid.dt_s * 1e3:g} ms)"
+            f"back-EMF swings: time.dt_s = {problem.grid.dt_s:g} s"
         )

@@ -192,13 +192,12 @@ class TemperatureLimit(Limit):
         if hottest > self.limit_C + self.replay_tolerance:
             return ""
         over = f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C"
-        shorter = f"lower time.dt_s ({dt_s * 1e3:g} ms)"
         # No winding warms faster than by the limit current with no heat leaving.
         resistance = self.coil.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
         power_W = resistance * float(effective_square(np.asarray(problem.limits.current_A)))
         warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * dt_s
         if peak - hottest <= warming_K:
-            return f"{over} within a servo period, in which it may warm by {warming_K:.3g} K; {shorter}"
+            return f"{over} within a servo period, in which it may warm by {warming_K:.3g} K: time.dt_s = {dt_s:g} s"
         if problem.stage.amplifier is None:
             return ""
         # The recursion takes |mean of i| for the mean of |i|, which is less where the current changes its sign.
@@ -209,7 +208,7 @@ class TemperatureLimit(Limit):
             return ""
         return (
             f"{over}: where the current changes its sign within a servo period it heats more than the problem "
-            f"states, here by {truly - hottest:.3g} K; {shorter}"
+            f"states, here by {truly - hottest:.3g} K: time.dt_s = {dt_s:g} s"
         )
 
 
