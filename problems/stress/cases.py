@@ -301,6 +301,11 @@ class StressCase:
                 words.append(f"{name}({said})")
         return f"{self.family}: {' '.join(words) or 'plain'}"
 
+    @property
+    def objective(self) -> str:
+        """As a scene would say it."""
+        return "waveform" if self.demand.asked_dB is None else "intensity"
+
     def grid(self) -> TimeGrid:
         """Its time grid; an InputError as `problem` raises it."""
         horizon = self.horizon

@@ -77,10 +77,10 @@ def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
     reached = np.all(has, axis=(1, 2))
     first = int(np.argmax(reached)) if reached.any() else len(limits) - 1
     return (
-        f"The energy of the recorded taps, {asked_dB:+g} dB, takes {from_on(has)} at every entry; their waveform takes "
-        f"{float(np.nanmax(needed)):.2f} A. The nearest waveform has that energy within {JUST_NOTICED_dB:g} dB from "
-        f"{from_on(wave >= asked_dB - JUST_NOTICED_dB)} on. At {limits[first]:g} A the optimum of intensity errs by "
-        f"up to {percent(float(np.nanmax(error[first])))} %."
+        f"The energy of the recorded taps, {asked_dB:+g} dB, takes {from_on(has)} at every entry; their waveform "
+        f"takes {float(np.nanmax(needed)):.2f} A. The nearest waveform has it within {JUST_NOTICED_dB:g} dB "
+        f"from {from_on(wave >= asked_dB - JUST_NOTICED_dB)} on. At {limits[first]:g} A the optimum of intensity "
+        f"errs by up to {percent(float(np.nanmax(error[first])))} %."
     )
 
 
