@@ -1,6 +1,7 @@
 """Whether any command meets all limits, decided by a linear program that shares no code with the solvers."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import optimize
@@ -75,10 +76,9 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
         quantities.append(((np.eye(N) - np.eye(N, k=-1)) * unit, np.zeros(N), slew.stated))
     if supply is not None:
         assert isinstance(supply, SupplyLimit)
-        circuit, w = supply.circuit, supply.pole_rad_s
-        rest = circuit.emf_V_s_m * supply.nominal_m_s
-        # The command felt just before and just after each switching instant.
-        for felt in (np.eye(N, k=-1), np.eye(N)):
+        w, rest = supply.pole_rad_s, supply.nominal_V
+        # The command felt just before and just after each switching instant, with the copper cold and hot.
+        for circuit, felt in product((end.circuit for end in supply.ends), (np.eye(N, k=-1), np.eye(N))):
             rate = w * (felt * unit - motion.current_A.T)
             volts = circuit.R_ohm * motion.current_A.T + circuit.L_H * rate
             quantities.append((volts + circuit.emf_V_s_m * motion.velocity_m_s.T, rest, supply.limit_V))

@@ -280,7 +280,7 @@ def _bombs() -> list[tuple[str, bytes]]:
     zeros = bytes(2**20)
     packed = io.BytesIO()
     with (
-        zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive,
+        zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         archive.open("time_s.npy", "w", force_zip64=True) as member,
     ):
         member.write(_head("<f8", (3 * 2**26,)))
@@ -291,8 +291,9 @@ def _bombs() -> list[tuple[str, bytes]]:
         for name in ("time_s.npy", "acceleration_m_s2.npy"):
             archive.writestr(name, _head("<f8", (2**40,)) + zeros[:80])
     stream = zlib.compressobj()
-    element = stream.compress(struct.pack("<II", 14, 2**31)) + b"".join(stream.compress(zeros) for _ in range(2**10))
-    element += stream.flush()
+    # After a full flush nothing refers to what lies before: the block of one megabyte stands for any number of them.
+    element = stream.compress(struct.pack("<II", 14, 2**31)) + stream.flush(zlib.Z_FULL_FLUSH)
+    element += 2**10 * (stream.compress(zeros) + stream.flush(zlib.Z_FULL_FLUSH)) + stream.flush()
     matlab = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(element)) + element
     wav = b"RIFF\xff\xff\xff\xffWAVEfmt " + struct.pack("<IHHIIHH", 16, 1, 1, 10_000, 20_000, 2, 16)
     return [

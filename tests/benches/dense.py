@@ -156,3 +156,69 @@ def optimum(
     answer = solver(h=H, g=g, a=constraints, lba=low, uba=high, lbx=-most, ubx=most)
     command = np.append(np.asarray(answer["x"]).ravel(), np.zeros(N - free))
     return command, program.merits(command)[0]
+
+
+@dataclass(frozen=True)
+class Rail:
+    """A supply rail, and all that the terminal voltage is made of.
+
+    Attributes
+    ----------
+    R_ohm : resistances of the copper at which it is kept.
+    emf_V_s_m : back-EMF per m/s of the motor mass.
+    nominal_m_s : (N,) velocity of the nominal motion at tau_k.
+    """
+
+    limit_V: float
+    R_ohm: tuple[float, ...]
+    L_H: float
+    pole_Hz: float
+    emf_V_s_m: float
+    nominal_m_s: FloatArray
+
+
+@dataclass(frozen=True)
+class Limited:
+    """An optimum under the limits that are linear.
+
+    Attributes
+    ----------
+    nrmse : of y'' against r.
+    reached : name of a limit -> largest size of what it bounds.
+    """
+
+    nrmse: float
+    reached: dict[str, float]
+
+
+def limited(problem: TransientProblem, step_A: float | None, rail: Rail | None) -> Limited:
+    """The optimum within the problem's current and command limits, a step of the command per tick, and a rail."""
+    found, N, r = responses(problem), problem.grid.stages, problem.reference_m_s2
+    held = np.eye(N, k=-1)
+    blocks, offsets, bounds = [np.zeros((0, N))], [np.zeros(0)], [np.zeros(0)]
+    if step_A is not None:
+        blocks.append(np.eye(N) - held)
+        offsets.append(np.zeros(N))
+        bounds.append(np.full(N, step_A))
+    if rail is not None:
+        i, w = found.current[:N], 2 * np.pi * rail.pole_Hz
+        for R in rail.R_ohm:
+            for felt in (held, np.eye(N)):
+                blocks.append(R * i + rail.L_H * w * (felt - i) + rail.emf_V_s_m * found.velocity[:N])
+                offsets.append(rail.emf_V_s_m * rail.nominal_m_s)
+                bounds.append(np.full(N, rail.limit_V))
+    rows, offset, bound = (np.concatenate(each) for each in (blocks, offsets, bounds))
+    # A row that no command moves has nothing to say.
+    moved = np.abs(rows).max(axis=1) > 0
+    command, _ = optimum(problem, rows[moved], -bound[moved] - offset[moved], bound[moved] - offset[moved])
+    error, target = found.acceleration[:N] @ command - r, problem.target
+    lost = float(np.sum(target.before_m_s2**2))
+    sizes = np.abs(rows @ command + offset)
+    reached = {
+        "current": float(np.abs(found.current[:N] @ command).max()),
+        "command": float(np.abs(command).max()),
+        "slew": float(np.abs(np.diff(command, prepend=0.0)).max()),
+    }
+    if rail is not None:
+        reached["supply"] = float(sizes[0 if step_A is None else N :].max())
+    return Limited(float(np.sqrt((lost + error @ error) / (lost + r @ r))), reached)

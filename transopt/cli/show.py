@@ -22,7 +22,8 @@ def show(
     if figure is not None and figure.suffix.lower() != ".png":
         raise InputError(f"--figure {figure}: figures are written as .png")
     console = terminal.console()
-    console.print(library_table(loaded, f"{library}: {loaded.meta['scene']['description']}"))
+    described = loaded.meta["scene"]["description"]
+    console.print(library_table(loaded, f"{library}: {described}" if described else str(library)))
     if figure is not None:
         from transopt.base.plotting import save_figure
 

@@ -21,6 +21,7 @@ from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, 
 from transopt.library.meta import shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
 from transopt.problem.limits import needed_outputs
+from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
@@ -229,7 +230,7 @@ def _meta(
 ) -> dict[str, Any]:
     amplifier, coil, wall, circuit = scene.amplifier_model(), scene.coil(), scene.wall(), scene.circuit()
     problem = entries[0][0].problem
-    heard = problem.error_filter
+    rail, heard = problem.limits.get(SupplyLimit.name), problem.error_filter
     # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
     warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
     watched = needed_outputs(scene.limits.asked())
@@ -243,6 +244,7 @@ def _meta(
         "amplifier": None if amplifier is None else asdict(amplifier),
         "limits": {
             **scene.limits.asked(),
+            **({COPPER: rail.copper_C} if isinstance(rail, SupplyLimit) else {}),
             TemperatureLimit.key: problem.thermal.limit_C if warm and problem.thermal is not None else None,
         },
         "thermal": None if coil is None else {"coil": asdict(coil), "budget": asdict(scene.budget())},

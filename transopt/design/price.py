@@ -1,4 +1,9 @@
-"""What binds, in the user's words: the price of each limit and the least limit that would not bind."""
+"""What the limits that bind cost: the error with a wider one, and from where on it would not bind, both solved.
+
+Nothing here is extrapolated. Multipliers are slopes at the limit as it stands; a step along them promises up to a
+third more than there is to have, since what a wider limit buys falls off on the way. They tell which limits bind, and
+no more.
+"""
 
 from dataclasses import dataclass
 
@@ -6,100 +11,258 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_up
+from transopt.design.optimum import optimum
 from transopt.problem.answer import Multipliers, Status
 from transopt.problem.leave_out import leave_out
 from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import boxes, inside
+from transopt.proof.certify import boxes
 from transopt.solvers.choose import solve_certified
-from transopt.solvers.options import SolverOptions
+from transopt.solvers.options import SolverOptions, TrialOptions
 
-WORTH_SAYING = 1e-9  # of J per unit of the limit
-AMPLE = (1.5, 6.0, 30.0)  # times what the unlimited optimum takes: out of the way
-LEAST_STEP = 1e-6  # of the limit
-CLEAR = 0.999  # of a bound: what stays below is not held by it
-STEP_SHARE = 0.25  # of the limit, at most, by which it is raised in the sentence
+BINDS = 1e-8  # of J: what all of a limit would buy along its multipliers; below, rounding
+AMPLE = (1.5, 6.0, 30.0)  # times what the optimum without limits takes: out of the way
+NEAR = 1e-5  # of a limit: what comes no nearer is not held back by it
+CLEARANCE = 2 * NEAR  # by which it lies above what it shall not hold back
+ASIDE = 1.02  # times what is about enough: near it, and does not bind
+NUDGE = 1e-4  # relative, upwards, where what was taken for enough binds
+MOST_TRIALS = 8  # of a limit that does not bind
+STEP_SHARE = 0.25  # of a limit, where the step of its kind is more than there is of it
 
 
 @dataclass(frozen=True)
 class Price:
-    """One limit that binds.
+    """One limit that binds, with the others as they are.
 
     Attributes
     ----------
     limit, unit, step_unit : what it is called, its unit, and that of differences.
     bound : where it stands; for the coil the temperature.
-    slope : dNRMSE per unit of the limit, negative; from the multipliers.
-    step : by how much it is raised in the sentence. nrmse, then : now and, to first order, after that step.
-    enough : least bound at which it would not bind, the other limits as they are.
+    nrmse : against r over the window, with the limit there.
+    step, then : by how much it is raised, and the NRMSE that is then the optimum's; NaN where that is not certified.
+    enough, there : the least bound, to the digits that are printed, at which it does not bind, and the NRMSE there;
+        NaN where no such answer is certified, infinity and NaN where it still binds at `tried`.
+    tried : the widest bound that was solved for; infinite where the problem without the limit was.
     """
 
     limit: str
     unit: str
     step_unit: str
     bound: float
-    slope: float
-    step: float
     nrmse: float
+    step: float
     then: float
     enough: float
+    there: float
+    tried: float
+
+    @property
+    def stated(self) -> str:
+        """The limit and where it stands."""
+        return f"{self.limit} {_with_unit(f'{self.bound:.8g}', self.unit)}"
+
+    @property
+    def more(self) -> str:
+        """The step."""
+        return _with_unit(f"{self.step:g}", self.step_unit)
+
+    @property
+    def free_from(self) -> str:
+        """From where on it does not bind, or why that is not known."""
+        if np.isnan(self.enough):
+            return "not certified"
+        if np.isinf(self.enough):
+            return f"still binds at {_with_unit(f'{self.tried:.4g}', self.unit)}"
+        return _with_unit(f"{self.enough:.8g}", self.unit)
 
     @property
     def sentence(self) -> str:
-        enough = "binds however wide it is"
+        now, free = _percent(self.nrmse), self.free_from
+        then = f"no certified answer with {self.more} more, so no price"
+        if not np.isnan(self.then):
+            then = f"{self.more} more gives NRMSE {_percent(self.then)} in place of {now}"
         if np.isfinite(self.enough):
-            enough = f"would not bind from {_stated(f'{rounded_up(self.enough):.8g}', self.unit)} on"
-        bound, step = _stated(f"{self.bound:g}", self.unit), _stated(f"{self.step:g}", self.step_unit)
-        return (
-            f"{self.limit} {bound}: {step} more: NRMSE {100 * self.nrmse:.3g} % to {100 * self.then:.3g} %; {enough}"
-        )
+            free = f"would not bind from {free} on, with {_percent(self.there)}"
+        elif np.isnan(self.enough):
+            free = "from where on it would not bind is not certified"
+        return f"{self.stated}: {then}, {free}"
 
 
-def _stated(number: str, unit: str) -> str:
+def _percent(value: float) -> str:
+    return f"{100 * value:.2f} %"
+
+
+def _with_unit(number: str, unit: str) -> str:
     """A number with its unit; a limit of a user's own may have none."""
     return f"{number} {unit}".rstrip()
 
 
-def _round_step(size: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above `size`."""
+def price_step(limit: Limit) -> float:
+    """By how much a limit is raised: the step of its kind or, if that is more than there is of it, a share.
+
+    The share is the largest of 1, 2, 5 times a power of ten that is at most a quarter.
+    """
+    if limit.price_step <= limit.room:
+        return limit.price_step
+    size = STEP_SHARE * limit.room
     power = 10.0 ** np.floor(np.log10(size))
     return float(max(m for m in (1, 2, 5) if m * power <= size * (1 + 1e-12)) * power)
 
 
-def _peak(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> float:
-    """Largest value that a command reaches of what one limit bounds."""
-    found = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
-    return max(box.peak for box in found if box.limit.name == limit.name)
+def binding(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> dict[str, float]:
+    """Name of every limit that binds -> slope: by how much J falls per unit by which it is raised, to first order.
+
+    Multipliers count where the limit is reached. Near a limit that is just not reached a solver leaves some as well,
+    since it knows only their product with the distance.
+    """
+    found: dict[str, float] = {}
+    for box in boxes(problem, command_A, problem.stage.motion(command_A), multipliers):
+        near = NEAR * box.limit.room
+        gain = float(box.by_upper[box.upper - box.value <= near].sum())
+        gain += float(box.by_lower[box.value - box.lower <= near].sum())
+        found[box.limit.name] = found.get(box.limit.name, 0.0) + gain
+    return {name: gain for name, gain in found.items() if gain * problem.limits[name].room > BINDS}
+
+
+def _excess(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> float:
+    """By how much a limit has to be raised for a command to keep it; negative where it is kept."""
+    of = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
+    return max(float(box.excess.max()) for box in of if box.limit.name == limit.name)
 
 
 @dataclass(frozen=True)
-class _Without:
-    """What an optimum without one limit takes of it, and its NRMSE: no wider limit can do better."""
+class _Answer:
+    """A certified optimum of a problem with other limits.
 
-    enough: float
+    Attributes
+    ----------
+    command_A : (N,).
+    nrmse : against r over the window.
+    binding : of `binding`.
+    """
+
+    command_A: FloatArray
     nrmse: float
+    binding: dict[str, float]
 
 
-def _without(problem: TransientProblem, limit: Limit, unlimited_A: FloatArray, options: SolverOptions) -> _Without:
-    """The optimum with one limit out of the way and the others as they are."""
-    if limit is problem.thermal:
-        wide = [problem.without(limit.name)]
+def _solved(problem: TransientProblem, options: SolverOptions) -> _Answer | None:
+    """The optimum; None where it is not certified, as an entry of a library has to be."""
+    small = leave_out(problem).problem
+    if small.wall is None and small.thermal is None and not small.nonlinear:
+        answer, proof = solve_certified(small, options)
+        certified = answer.status is Status.OPTIMAL and proof.accepted
     else:
-        needed = max(_peak(problem, limit, unlimited_A) / limit.stated, 1.0)
-        wide = [problem.replaced(limit.wider(ample * needed)) for ample in AMPLE]
-    for wider in wide:
-        if inside(wider, unlimited_A):
-            # No other limit binds: the optimum without any is the one without this one.
-            command, status = unlimited_A, Status.OPTIMAL
-        else:
-            answer, _ = solve_certified(leave_out(wider).problem, options)
-            command, status = answer.command_A, answer.status
-        peak = _peak(problem, limit, command)
-        clear = limit is problem.thermal or peak < CLEAR * wider.limits[limit.name].stated
-        if status is Status.OPTIMAL and clear:
-            acceleration, _ = problem.stage.rollout(command)
-            return _Without(limit.enough(peak), problem.target.nrmse(acceleration))
-    return _Without(float("inf"), 0.0)
+        # The ticks at which the wall pushes are looked for, and whether the temperature binds at all.
+        designed = optimum(problem, options)
+        problem, answer = designed.problem, designed.solution
+        bent = any(name != TemperatureLimit.name for name in problem.nonlinear)
+        certified = designed.is_proven and (designed.certificate.accepted or bent)
+    if not certified:
+        return None
+    acceleration, _ = problem.stage.rollout(answer.command_A)
+    error = problem.target.nrmse(acceleration)
+    return _Answer(answer.command_A, error, binding(problem, answer.command_A, answer.multipliers))
+
+
+@dataclass(frozen=True)
+class _Pricing:
+    """One entry whose limits are priced.
+
+    Attributes
+    ----------
+    unlimited_A : (N,) its optimum without limits.
+    nrmse : of its own optimum.
+    """
+
+    problem: TransientProblem
+    unlimited_A: FloatArray
+    nrmse: float
+    options: SolverOptions
+
+    def price(self, limit: Limit) -> Price:
+        step = price_step(limit)
+        raised = free = self._raised(limit, step)
+        widest = limit.stated + step
+        if free is None or limit.name in free.binding:
+            free, widest = self._out_of_the_way(limit)
+        enough, there = (np.nan, np.nan)
+        if free is not None and limit.name in free.binding:
+            enough = np.inf
+        elif free is not None:
+            enough, there = self._enough(limit, free, widest)
+        return Price(
+            limit=limit.label,
+            unit=limit.unit,
+            step_unit=limit.step_unit,
+            bound=limit.stated,
+            nrmse=self.nrmse,
+            step=step,
+            then=np.nan if raised is None else raised.nrmse,
+            enough=enough,
+            there=there,
+            tried=widest,
+        )
+
+    def _raised(self, limit: Limit, by: float) -> _Answer | None:
+        return _solved(self.problem.replaced(limit.raised(by)), self.options)
+
+    def _out_of_the_way(self, limit: Limit) -> tuple[_Answer | None, float]:
+        """The optimum without a limit, or with one that is so wide that it does not bind, and how wide it was."""
+        if not limit.indispensable:
+            return _solved(self.problem.without(limit.name), self.options), np.inf
+        needed = limit.stated + max(_excess(self.problem, limit, self.unlimited_A), 0.0)
+        for ample in AMPLE:
+            answer = self._raised(limit, ample * needed - limit.stated)
+            if answer is None or limit.name not in answer.binding:
+                break
+        return answer, ample * needed
+
+    def _enough(self, limit: Limit, without: _Answer, widest: float) -> tuple[float, float]:
+        """The least bound at which a limit does not bind, and the NRMSE there: solved for, and found not to bind.
+
+        What the optimum without the limit takes of it is enough, since any wider one has that same optimum. Only the
+        limit on the current also stands in J, as the unit I of the movement's weight, so that the optimum takes p(I)
+        of it; a weight that goes with 1 / I^2 makes p a straight line over 1 / I^2, whose crossing with I is sought.
+
+        Parameters
+        ----------
+        without : the optimum with the limit at `widest`, where it does not bind.
+        """
+        by = max(_excess(self.problem, limit, without.command_A), 0.0)
+        free, tried, found, least = [(widest, limit.stated + by)], [widest], (np.nan, np.nan), limit.stated
+        for _ in range(MOST_TRIALS):
+            peak = free[0][1] if len(free) < 2 else _crossing(*free[-2:])
+            if limit.scales_movement and len(free) < 2 and peak * ASIDE < widest:
+                peak *= ASIDE
+            bound = float(f"{rounded_up(max(peak + CLEARANCE * limit.room, least)):.8g}")
+            if bound == widest:
+                return widest, without.nrmse
+            if bound in tried:
+                break
+            tried.append(bound)
+            answer = self._raised(limit, bound - limit.stated)
+            if answer is None:
+                break
+            if limit.name in answer.binding:
+                least = bound * (1 + NUDGE)
+                continue
+            if not bound >= found[0]:
+                found = bound, answer.nrmse
+            if not limit.scales_movement:
+                break
+            free.append((bound, limit.stated + _excess(self.problem, limit, answer.command_A)))
+        return found
+
+
+def _crossing(one: tuple[float, float], two: tuple[float, float]) -> float:
+    """Where p(I) = I for p a straight line over 1 / I^2 through two points (I, p)."""
+    (limit, peak), (other, its_peak) = one, two
+    slope, found = (peak - its_peak) / (limit**-2 - other**-2), its_peak
+    for _ in range(20):
+        found = its_peak + slope * (found**-2 - other**-2)
+    return found
 
 
 def prices(
@@ -109,38 +272,24 @@ def prices(
     unlimited_A: FloatArray,
     options: SolverOptions,
 ) -> list[Price]:
-    """Price of every limit that binds; empty if none does or if the error is not the plain one of one device.
+    """Price of every limit that binds, the dearest first; empty if none does.
 
-    J is the squared NRMSE but for the movement term, so dNRMSE = dJ / (2 NRMSE) and dJ = -sum of the multipliers per
-    unit of the limit; the current limit also stands in the movement term. Where the NRMSE goes linearly with the
-    limit, as it does for a peak that is cut off, the step's figure is nearly exact; it never falls below the floor.
-    What is enough takes one more solve for each limit that binds: with that limit out of the way, the others kept.
+    Each is two to four further solves: with the limit raised by a step, with it out of the way, and at what is then
+    said to be enough. The others stay as they are.
+
+    Parameters
+    ----------
+    command_A, multipliers : (N,) and its multipliers: the certified optimum.
+    unlimited_A : (N,) the optimum without limits.
     """
-    if problem.error_filter is not None or problem.spread or problem.reference_is_zero:
+    if problem.reference_is_zero:
         return []
-    if multipliers.largest * problem.grid.stages <= WORTH_SAYING:
+    binds = binding(problem, command_A, multipliers)
+    if not binds:
         return []
-    stage, target = problem.stage, problem.target
-    motion, free = stage.motion(command_A), stage.motion(unlimited_A)
-    error, floor = target.nrmse(motion.acceleration_m_s2), target.nrmse(free.acceleration_m_s2)
-    gains: dict[str, float] = {}
-    for box in boxes(problem, command_A, motion, multipliers):
-        gain = float(box.by_upper.sum()) + float(box.by_lower.sum())
-        gains[box.limit.name] = gains.get(box.limit.name, 0.0) + gain
-    found = []
-    for limit in problem.limits:
-        gain = gains[limit.name]
-        if gain <= WORTH_SAYING:
-            continue
-        # The current limit also stands in the movement term, as its unit.
-        gain += problem.movement.relief(command_A) * limit.scales_movement
-        without = _without(problem, limit, unlimited_A, options)
-        # No step beyond what is enough: from there on nothing is bought.
-        lacking = max(without.enough - limit.stated, LEAST_STEP * limit.stated)
-        step = _round_step(min(STEP_SHARE * limit.room, lacking))
-        slope = -gain / (2 * error)
-        then = max(error + slope * step, without.nrmse, floor)
-        found.append(
-            Price(limit.label, limit.unit, limit.step_unit, limit.stated, slope, step, error, then, without.enough)
-        )
-    return sorted(found, key=lambda price: price.then)
+    acceleration, _ = problem.stage.rollout(command_A)
+    error = problem.target.nrmse(acceleration)
+    trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
+    pricing = _Pricing(problem, unlimited_A, error, trials)
+    found = [pricing.price(limit) for limit in problem.limits if limit.name in binds]
+    return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)

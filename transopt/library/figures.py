@@ -25,7 +25,7 @@ from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
 MARKERS = "os^Dv<>P"
 BINDING = "0.86"
-END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}  # of the waveform
+END: dict[str, Any] = {"color": "0.5", "linewidth": 0.9, "linestyle": "-."}  # of the waveform
 
 MOST_SPEEDS, MOST_GRIPS = 8, 6  # as there are markers; that one figure shows legibly
 
@@ -175,9 +175,8 @@ def transients_figure(drawn: Transients) -> Figure:
     """Every waveform in the layout of the seed's Fig. 10.
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
-    current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a dashed
-    line marks; where the references have died away the time axis is
-    compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
+    current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a
+    dash-dotted line marks; where the references have died away the time axis is compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
     """
     grid = drawn.grid
     times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3

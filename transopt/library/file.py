@@ -34,9 +34,9 @@ from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
 from transopt.library.meta import META_KEYS, WEIGHTS_OF_2
-from transopt.plant.discretise import samples_after
+from transopt.plant.discretise import TimeGrid, samples_after
+from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
-from transopt.problem.posing import Posing
 
 ADVICE = "give a library.npz written by `transopt solve`"
 TABLES_OF_WORDS = ("scene", "left_out", "sources", "versions", "solver")  # of meta, from which nothing is computed
@@ -193,7 +193,7 @@ def _beside_the_window(path: Path, meta: dict[str, Any]) -> dict[str, int]:
         )
     if not (0 <= lead_s <= LONGEST_DELAY_S and 0 <= delay_s <= LONGEST_DELAY_S):
         raise InputError(f"{path}: meta.lead_s and amplifier.delay_s must be 0 to {LONGEST_DELAY_S:g} s")
-    grid = Posing.of(meta, 1).grid
+    grid = TimeGrid(dt_s, 1, lead_s, delay_s, samples_after(weights["after_s"], dt_s))
     return {"M": grid.after_stages, "L": grid.before_times_s.size}
 
 
@@ -243,7 +243,10 @@ def _check_problem(path: Path, library: Library) -> None:
         for key, value in limits.items():
             if isinstance(value, int | float) and key != TemperatureLimit.key and not 0 < value < np.inf:
                 raise InputError(f"limits.{key} = {value}: must be > 0 and finite")
-        thermal = library.problem(0, 0).thermal
+        problem = library.problem(0, 0)
+        thermal, rail = problem.thermal, problem.limits.get(SupplyLimit.name)
+        if (ends := limits.get(COPPER)) is not None and not (isinstance(rail, SupplyLimit) and rail.copper_C == ends):
+            raise InputError(f"limits.{COPPER} = {cut(repr(ends))}: the coil and its budget say otherwise")
         stated = limits["temperature_C"]
         if stated is not None and (thermal is None or stated != thermal.limit_C):
             raise InputError(f"limits.temperature_C = {stated}: the coil and its budget say otherwise")

@@ -424,7 +424,7 @@ def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
                 "vgN",
                 f"1/{kind.step_unit}",
                 f"multiplier of the {side} bound on the {kind.label}",
-                needs="" if kind.in_every_file else kind.key,
+                needs=kind.stored_with(row),
             ),
         )
         for kind in KINDS

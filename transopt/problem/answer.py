@@ -158,7 +158,7 @@ class Certificate:
 
     VIOLATION_TOLERANCE = VIOLATION_TOLERANCE
     GAP_TOLERANCE = 1e-6
-    BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; trials 0.06 to 0.2 %
+    BOUND_TOLERANCE = 1e-2  # copper that warms makes the problem nonconvex; built-in scenes have 0.007 to 0.06 %
 
     @classmethod
     def nothing(cls) -> "Certificate":

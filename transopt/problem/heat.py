@@ -232,6 +232,11 @@ def winding_limit_C(coil: CoilModel, budget: Budget) -> float:
     return coil.limit_C if budget.headroom_K is None else min(coil.limit_C, coil.start_winding_C + budget.headroom_K)
 
 
+def steady_margin_K(coil: CoilModel, budget: Budget) -> float:
+    """What is kept of the limit where taps repeat for ever."""
+    return STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
+
+
 def _under_power(coil: CoilModel, held: FloatArray, effective_A: float) -> FloatArray:
     """(m + 1, m + 1) flow of the nodes above rest, and 1, while a constant effective current heats the copper."""
     m = held.shape[0] - 1
@@ -301,7 +306,7 @@ def heat_model(coil: CoilModel, amplifier: Amplifier | None, grid: TimeGrid, bud
         with np.errstate(over="ignore", invalid="ignore"):  # a current in the pause under which the coil runs away
             paused = linalg.expm(pause * pause_s)
         closure = (paused[:m, :m], paused[:m, m])
-        margin_K = STEADY_MARGIN * (winding_limit_C(coil, budget) - coil.rest_C)
+        margin_K = steady_margin_K(coil, budget)
     return HeatModel(
         heating=heating(amplifier, dt),
         M=nodes.M,

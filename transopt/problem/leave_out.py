@@ -46,13 +46,18 @@ class Reduced:
 
 
 def leave_out(problem: TransientProblem) -> Reduced:
-    """The problem without the limits that cannot matter, each with its proof."""
-    reasons = {}
+    """The problem without the limits, and without the rows of limits, that cannot matter, each with its proof."""
+    reasons = dict[str, str]()
     for limit in problem.limits:
         reason = limit.cannot_bind(problem)
         if reason:
             reasons[limit.name] = reason
             problem = problem.without(limit.name)
+            continue
+        needed, of_rows = limit.needed(problem)
+        if of_rows:
+            reasons |= of_rows
+            problem = problem.replaced(needed)
     if problem.wall is not None and not problem.wall.pressing[max(problem.free_stages - 1, 0) :].any():
         reasons["feedback"] = "the stylus is above the surface from the hand-over on: the wall asks for nothing there"
         problem = replace(problem, wall=None, stage=without_position(problem.stage))

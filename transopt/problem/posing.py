@@ -18,6 +18,7 @@ from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
 from transopt.problem.limits.limit import Setting
 from transopt.problem.limits.own import LawOf
+from transopt.problem.limits.supply import COPPER
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 from transopt.problem.problem import TransientProblem
@@ -90,7 +91,8 @@ class Posing:
             tracking_weights=np.asarray(meta["weights"]["tracking"], dtype=float),
             rho=meta["weights"]["rho"],
             error_filter=error_filter(meta["weights"]["error_filter"], meta["dt_s"]),
-            asked=meta["limits"],
+            # A library that does not say at which temperatures of the copper its rail is kept has it at R as stated.
+            asked={COPPER: None, **meta["limits"]},
             hand_over_samples=meta["hand_over_samples"],
             circuit=None if circuit is None else Circuit(**circuit),
             coil=None if thermal is None else CoilModel(**thermal["coil"]),

@@ -33,6 +33,7 @@ class Box:
     limit : whose row it is.
     value : (N,). lower, upper : (N,) its bounds, infinite where nothing is asked.
     by_lower, by_upper : (N,) multipliers >= 0.
+    condition : under which the row is asked for, in words; empty for none.
     """
 
     limit: Limit
@@ -41,6 +42,7 @@ class Box:
     upper: FloatArray
     by_lower: FloatArray
     by_upper: FloatArray
+    condition: str = ""
 
     @property
     def name(self) -> str:
@@ -144,7 +146,7 @@ def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
         value = row.value(effect.motion, effect.command_A)
-        yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name))
+        yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
     if thermal is not None:
         model = thermal.model
@@ -410,6 +412,7 @@ def binding_limits(
         for side, mu, slack in sides:
             active = (mu > BINDING_MULTIPLIER) & (np.abs(slack) < near)
             label = f"{box.name} {box.limit.said(side, two_sided=two_sided)} {box.unit}".rstrip()
+            label = f"{label} {box.condition}".rstrip()
             rows[label] = rows.get(label, np.zeros(active.size, dtype=bool)) | active
     found = sorted((int(np.argmax(active)), label) for label, active in rows.items() if active.any())
     return "; ".join(f"{label} at {spans_ms(problem, rows[label])} ms" for _, label in found) or "none"

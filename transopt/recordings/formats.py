@@ -30,6 +30,7 @@ _SAVE_MAT = "save it in MATLAB with -v7"
 _HEADER_LINE = re.compile(r"#\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
 
 
@@ -169,6 +170,8 @@ def _read_header_line(number: int, line: str, header: dict[str, object], words: 
     found = _HEADER_LINE.fullmatch(line)
     key, value = found.groups() if found else ("", "")
     value = value.rstrip(";, ")  # spreadsheets pad short rows with delimiters
+    if _DECIMAL_COMMA.fullmatch(value):
+        value = value.replace(",", ".")
     if key in header:
         raise InputError(f"row {number}: {key} is stated a second time; keep one of the lines")
     if key in words.header:

@@ -13,6 +13,7 @@ from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
 from transopt.problem.answer import Certificate
+from transopt.problem.limits.limit import Limit
 from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import (
@@ -29,9 +30,10 @@ from transopt.report.trade_off import attained_lines, levels_row, trade_off_line
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
-    "gap: to the optimum by the multipliers, rigorous unless the coil binds; over bound: J above the convex lower "
-    "bound, rigorous always (with a wall, for the ticks at which it pushes). violation: the largest, in A, V or K. "
-    "winding: the hottest of the replay{}. states, rows, nonzeros: "
+    "gap: to the optimum by the multipliers, rigorous unless the coil binds. over bound: how far J is above a lower "
+    "bound, of max(J, 1e-3), rigorous always (with a wall, for the ticks at which it pushes): J less its gap or, "
+    "where the coil binds, the least J of a convex problem that every admissible command meets. violation: the "
+    "largest, in A, V or K. winding: the hottest of the replay{}. states, rows, nonzeros: "
     "per stage, and of the constraints, of the program that was solved; dashes where one linear solve was enough."
 )
 
@@ -131,6 +133,19 @@ def _size_cells(entry: Entry) -> str:
     return f"{entry.size.states} | {entry.size.rows} | {entry.size.nonzeros}"
 
 
+def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
+    """What the problems keep of their limits for themselves; empty where they keep nothing."""
+    widest: dict[str, Limit] = {}
+    for limit in (limit for entry in entries for limit in entry.problem.limits if limit.kept_back > 0):
+        known = widest.get(limit.name)
+        if known is None or limit.kept_back > known.kept_back:
+            widest[limit.name] = limit
+    if not widest:
+        return []
+    said = ", ".join(f"{each.label} {each.kept_back:.2g} {each.step_unit}" for each in widest.values())
+    return ["", f"Of these limits the problem keeps so much back, for what happens between its instants: {said}."]
+
+
 def _price_lines(entries: Sequence[Entry]) -> list[str]:
     """The section on which limits bind, and what a wider one would buy."""
     priced = [(entry, price) for entry in entries for price in entry.prices]
@@ -140,17 +155,27 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
         "",
         "## What binds, and what more would buy",
         "",
-        "| speed m/s | grip N | limit and its price |",
-        "|---|---|---|",
+        "| speed m/s | grip N | limit | NRMSE % | raised by | NRMSE % then | would not bind from | NRMSE % there |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    lines += [f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.sentence} |" for entry, price in priced]
+    lines += [
+        f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.stated} | {100 * price.nrmse:.2f} | {price.more} | "
+        f"{_solved_percent(price.then, price.then)} | {price.free_from} | "
+        f"{_solved_percent(price.there, price.enough)} |"
+        for entry, price in priced
+    ]
     return [
         *lines,
         "",
-        "The slope of the NRMSE is that of the multipliers; the step is extrapolated along it, to the floor at "
-        "most, which flatters it. The last figure of a line is what the optimum takes with that limit out of the "
-        "way, the others kept.",
+        "Each figure is of an optimum that was solved and certified, with that limit alone wider and the others as "
+        "they are; none is extrapolated. would not bind from: the least limit, to the digits printed, at which it "
+        "does not bind any more.",
     ]
+
+
+def _solved_percent(error: float, of: float) -> str:
+    """An NRMSE that was solved for; where there is none, whether its answer was not certified or there is no such."""
+    return "not certified" if np.isnan(of) else "-" if np.isnan(error) else f"{100 * error:.2f}"
 
 
 def _weighted_lines(entries: Sequence[Entry]) -> list[str]:
@@ -231,6 +256,7 @@ def build_markdown(build: Build) -> str:
     lines += [
         "",
         CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
+        *_kept_back_lines(entries),
         *_price_lines(entries),
         *trade_off_lines(build),
         *attained_lines(entries),

@@ -28,7 +28,7 @@ def percent(value: float) -> str:
 FELT_g = 1.0  # peak error after the waveform, from which on a user is warned of it
 LOST = 1e-3  # share of a tap's energy before the first command can act, from which on a user is warned of it
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
-ESSENTIAL = (0, 1, 2, 3, 5, 9, 11, 12)  # columns of the entry table that a narrow terminal keeps
+ESSENTIAL = (0, 1, 2, 3, 9, 11, 12)  # columns of the entry table that a narrow terminal keeps
 RIGHT = 11  # so many columns hold numbers
 LEGEND = (
     "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap from contact on. floor: the same "

@@ -11,6 +11,7 @@ from scripts.firmware_targets import TARGETS, MissingToolError, Target, need_too
 from transopt.base.errors import InputError
 
 CORTEX_M7 = TARGETS[1]
+QUICK = ("Cortex-M4F", "Arduino, Teensy 4.1")  # either core once, with and without Arduino
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,13 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return record(tmp_path_factory.mktemp("records"), seed=0, library=None, runs=2, ticks=1500)
 
 
-@pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
+@pytest.mark.parametrize(
+    "target",
+    [
+        pytest.param(target, id=target.name, marks=() if target.name in QUICK else (pytest.mark.long,))
+        for target in TARGETS
+    ],
+)
 def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Path], tmp_path: Path) -> None:
     found = play(target, records, tmp_path)
     assert set(found.hashes) == {"runs", "talks"}

@@ -173,7 +173,9 @@ class TestResolve:
         again, kept = resolve(small, dict.fromkeys(nodes_of(small), zero), {"rounds": []})
         assert not kept
         for name in ("command_A", "nrmse", "floor", "objective", "peak_current_A", "mu_current_upper"):
-            np.testing.assert_allclose(again.array(name), small.array(name), rtol=1e-9, atol=1e-9)
+            # A command that is as exact as its proof needs, and figures that follow from it.
+            atol = 1e-6 if name == "command_A" else 1e-8
+            np.testing.assert_allclose(again.array(name), small.array(name), rtol=1e-8, atol=atol)
         assert again.meta["left_out"] == small.meta["left_out"]
         assert again.meta["limits"] == small.meta["limits"]
 

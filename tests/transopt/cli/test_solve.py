@@ -186,6 +186,73 @@ class TestSolve:
         assert {path.name: path.read_bytes() for path in Path("here").iterdir()} == before
 
 
+class TestLostStart:
+    """What is over before the first command can act is error, and a scene with much of it is warned of."""
+
+    def late(self, delay_s: str, lead_s: str, after_s: str = "0.0") -> Path:
+        text = WOOD.replace("delay_s = 68e-6", f"delay_s = {delay_s}").replace("[1.0, 3.0, 5.0]", "[3.0]")
+        text = text.replace("stages = 600 ", f"lead_s = {lead_s}\nstages = 600 ") + f"after_s = {after_s}\n"
+        path = Path("late.toml")
+        path.write_text(text)
+        return path
+
+    def test_a_delay_beyond_the_lead(self, run: Run) -> None:
+        """As an independent program has it: 30.6 and 46.3 %. What a window alone shows is 20.5 and 37 %."""
+        outcome = run("solve", self.late("1e-3", "3e-4"), "--out", "late", "--no-figures")
+        assert outcome.code == 0
+        report = json.loads(Path("late/report.json").read_text())
+        by_speed = {entry["speed_m_s"]: 100 * entry["nrmse"] for entry in report["entries"]}
+        assert by_speed[0.1] == pytest.approx(30.6, abs=0.2)
+        assert by_speed[0.4] == pytest.approx(46.3, abs=0.2)
+        shares = [100 * reference["lost_share"] for reference in report["references"]]
+        assert all(4 < share < 9 for share in shares)
+        said = f"{max(shares):.2g} % of the tap's energy at 0.4 m/s is over before the first command can act"
+        assert said in outcome.out
+        assert "time.lead_s = 0.0012 would do" in outcome.out
+        assert said in Path("late/report.md").read_text()
+        assert any(warning.startswith(said) for warning in report["warnings"])
+        # A floor that is as high is none of the limits' making.
+        assert all(entry["floor"] > 0.25 for entry in report["entries"])
+
+    def test_a_whole_pulse_is_over(self, run: Run) -> None:
+        outcome = run("solve", self.late("9e-3", "0.0"), "--out", "late", "--no-figures")
+        assert outcome.code == 0
+        report = json.loads(Path("late/report.json").read_text())
+        assert all(0.93 <= entry["nrmse"] <= 0.96 for entry in report["entries"])
+        assert "time.lead_s = 0.0092 would do" in outcome.out
+
+    def test_no_lead_covers_such_a_delay(self, run: Run) -> None:
+        outcome = run("solve", self.late("25e-3", "0.02", "0.03"), "--out", "late", "--no-figures")
+        assert "no lead up to 20 ms covers that delay" in outcome.out
+
+    def test_nothing_is_said_where_the_lead_covers_it(self, run: Run) -> None:
+        outcome = run("solve", self.late("1e-3", "1.2e-3", "0.03"), "--out", "late", "--no-figures")
+        assert outcome.code == 0
+        assert "is over before" not in outcome.out
+        report = json.loads(Path("late/report.json").read_text())
+        assert all(entry["nrmse"] < 0.12 for entry in report["entries"])
+        assert [reference["lost_share"] for reference in report["references"]] == [0.0] * 4
+
+
+class TestAfterTheWaveform:
+    def test_it_is_calm_where_it_counts_and_said_where_it_does_not(self, run: Run, quick_scene: Path) -> None:
+        """The hardest tap of the default scene: 2.3 g without, a twentieth with what comes after it counted."""
+        text = WOOD.replace("[0.1, 0.2, 0.3, 0.4]", "[0.4]").replace("[1.0, 3.0, 5.0]", "[5.0]")
+        peaks = {}
+        for after_s in (0.0, 0.03):
+            Path("one.toml").write_text(text + f"after_s = {after_s}\n")
+            outcome = run("solve", "one.toml", "--out", "one", "--no-figures")
+            (entry,) = json.loads(Path("one/report.json").read_text())["entries"]
+            peaks[after_s] = (entry["after_peak_m_s2"] / 9.80665, entry["peak_after_m_s2"] / 9.80665)
+            assert ("weights.after_s = 0.03 calms it" in outcome.out) == (after_s == 0)
+        assert peaks[0.0][0] > 2
+        assert peaks[0.0][1] == 0
+        assert 0 < peaks[0.03][1] <= 0.12
+        markdown = Path("one/report.md").read_text()
+        assert "| after % | after g |" in markdown
+        assert f"| {peaks[0.03][1]:.3f} |" in markdown
+
+
 def test_ctrl_c_in_a_real_process(tmp_path: Path) -> None:
     """The signal itself, sent while entries are solved: one line, exit code 130, no file, no child left."""
     program = (

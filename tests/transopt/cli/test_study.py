@@ -49,7 +49,9 @@ class TestCommandLine:
         text = problems.scene_path("wood_on_foam").read_text(encoding="utf-8")
         short = short_scene(scene)
         path = tmp_path / "short.toml"
-        path.write_text(text.replace("stages = 600", f"stages = {short.time.stages}"), encoding="utf-8")
+        path.write_text(
+            text.replace("stages = 600", f"stages = {short.time.stages}") + "after_s = 0.0\n", encoding="utf-8"
+        )
         return path
 
     @pytest.mark.parametrize(

@@ -16,12 +16,14 @@ from tests.conftest import ProblemMaker
 from transopt.design.build import Build, build_library
 from transopt.design.verify import admit, verify_library
 from transopt.library.library import Library
+from transopt.library.proven import doubts
 from transopt.problem.answer import Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.bands import Levels, levels
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.choose import solve, solve_certified
 from transopt.solvers.options import SolverOptions
@@ -76,14 +78,11 @@ def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
 
 
 def test_figures_are_those_expected_entry_by_entry(build: Build) -> None:
-    """Floors, and 0.4 m/s at 4 A, as an independent calculation without noise found them.
-
-    The recordings here are noisy and scaled to the grid's speeds, hence the margins.
-    """
+    """Floors, and 0.4 m/s at 4 A, as a dense program of another make (Clarabel) finds them on these recordings."""
     for entry in build.all_entries():
-        assert entry.floor == pytest.approx({1.0: 0.0041, 3.0: 0.0049, 5.0: 0.0053}[entry.grip_N], abs=5e-4)
+        assert entry.floor == pytest.approx({1.0: 0.0068, 3.0: 0.0068, 5.0: 0.0066}[entry.grip_N], abs=5e-4)
     fast = [entry.nrmse for entry in build.entries[3]]
-    np.testing.assert_allclose(fast, [0.0115, 0.102, 0.191], rtol=0.03)
+    np.testing.assert_allclose(fast, [0.0133, 0.1045, 0.1932], rtol=0.03)
     clipped = [entry.baselines.clipped for entry in build.entries[3]]
     np.testing.assert_allclose(clipped, [0.027, 0.165, 0.335], rtol=0.15)
     assert all(0.12 < entry.baselines.seed < 0.16 for row in build.entries[:3] for entry in row)
@@ -131,7 +130,7 @@ def warm(scene: Scene, **start_C: float) -> Scene:
     return scene.model_copy(update={"thermal": scene.thermal.model_copy(update=start_C)})
 
 
-@pytest.mark.parametrize(("start_C", "binding"), [(99.9, 0), (99.995, 3)])
+@pytest.mark.parametrize(("start_C", "binding"), [(99.9, 0), (99.995, 4)])
 def test_temperature_that_could_bind_is_kept_and_proven(
     scene: Scene, taps: list[Recording], build: Build, tmp_path: Path, start_C: float, binding: int
 ) -> None:
@@ -344,3 +343,19 @@ def test_verdicts() -> None:
     assert verdict(0.3, 0.005, 0.05, weak) == "too weak by 3.0 dB, most at 250 Hz"
     assert verdict(0.3, 0.005, 0.05, strong) == "too strong by 2.0 dB, most at 250 Hz"
     assert verdict(0.97, 0.97, 0.05, weak) == "at its floor, too weak by 3.0 dB, most at 250 Hz"
+
+
+def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, taps: list[Recording]) -> None:
+    changes = {"weights.objective": "intensity", "weights.error_filter": "pacinian"}
+    asked = with_values(scene, {**changes, "grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]})
+    build = build_library(asked, [tap for tap in taps if "_0.4_m_s_" in tap.name])
+    assert build.library is not None
+    library, filtered = build.library, asked.error_filter()
+    assert filtered is not None
+    assert {"intensity", "energy_dB"} <= set(library.arrays())
+    np.testing.assert_array_equal(library.meta["weights"]["error_filter_b"], filtered.b)
+    made, wanted = (filtered.apply(x) for x in (library.acceleration_m_s2[0, 0], library.reference_m_s2[0]))
+    assert library.energy_dB[0, 0] == pytest.approx(10 * np.log10((made @ made) / (wanted @ wanted)), abs=1e-9)
+    assert list(doubts(library)) == []
+    louder = replace(library, energy_dB=library.energy_dB + 0.1)
+    assert any("energy_dB says" in doubt for doubt in doubts(louder))

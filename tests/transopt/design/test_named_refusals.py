@@ -1,6 +1,7 @@
 """No entry ends without a name: walls after the waveform, what warms within a period, what has no digits left."""
 
 import itertools
+import re
 
 import pytest
 
@@ -25,12 +26,15 @@ def walled() -> tuple[Scene, list[Recording]]:
     return scene, strikes.recordings(scene)
 
 
-def statuses(walled: tuple[Scene, list[Recording]], steady_A: float, stiffness_N_m: float) -> dict[Status, list[str]]:
+def statuses(
+    walled: tuple[Scene, list[Recording]], steady_A: float, stiffness_N_m: float, after_s: float = 0.03
+) -> dict[Status, list[str]]:
     """Status -> what is said of the entries that end with it, at the fastest speed."""
     scene, recordings = walled
     data = scene.model_dump()
     data["limits"]["steady_current_A"] = steady_A
     data["feedback"]["stiffness_N_m"] = stiffness_N_m
+    data["weights"]["after_s"] = after_s
     build = build_library(Scene.model_validate(data), recordings)
     found: dict[Status, list[str]] = {}
     for entry in build.all_entries():
@@ -40,7 +44,7 @@ def statuses(walled: tuple[Scene, list[Recording]], steady_A: float, stiffness_N
 
 def test_what_the_wall_asks_for_after_the_waveform_is_the_hand_overs(walled: tuple[Scene, list[Recording]]) -> None:
     """0.12 mA over 0.8 A at the end of the last period: the problem states no limit there."""
-    found = statuses(walled, 0.25, 200.0)
+    found = statuses(walled, 0.25, 200.0, after_s=0.0)
     assert set(found) == {Status.OPTIMAL, Status.HAND_OVER}
     said, would_do = found[Status.HAND_OVER]
     assert said.startswith(
@@ -83,6 +87,8 @@ def test_hard_cases(seed: int, case: int, ends: str) -> None:
     found = judge(drawn(seed, case))
     assert not found.bad, found.detail
     assert ends in found.kind
+    # What would do is said by what was tried, and by nothing else.
+    assert not re.search("; lower |loosen|tighten|choose|rescale|report", found.detail)
 
 
 def test_a_wall_that_grows_by_itself_is_not_called_too_deep_which_it_is_as_well() -> None:

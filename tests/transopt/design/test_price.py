@@ -1,20 +1,27 @@
-"""What a limit costs: slopes, steps and the limit that is enough, each against solving again."""
+"""What a limit costs: with a step more, and from where on it does not bind, each against solving again."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
+import numpy as np
 import pytest
 
-from tests.benches.limits import with_limit, with_numbers, with_rail
+from tests.benches import dense
+from tests.benches.limits import numbers_of, supply_of, with_limit, with_numbers, with_rail
+from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
+from transopt.base.writing import rounded_up
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import Designed, optimum
-from transopt.design.price import Price, prices
+from transopt.design.price import Price, binding, price_step, prices
 from transopt.problem.answer import Status
 from transopt.problem.heat import Budget
-from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.limits.current import CurrentLimit
+from transopt.problem.limits.limit import Limit
+from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
 from transopt.recordings.reference import Reference
@@ -22,6 +29,7 @@ from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
 HOT_C = 60.0
+POINT = 0.01  # of a percent of NRMSE
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +44,10 @@ class Case:
 
 def moved_current(problem: TransientProblem, bound: float) -> TransientProblem:
     return with_numbers(problem, current_A=bound)
+
+
+def moved_command(problem: TransientProblem, bound: float) -> TransientProblem:
+    return with_numbers(problem, command_A=bound)
 
 
 def moved_slew(problem: TransientProblem, bound: float) -> TransientProblem:
@@ -53,28 +65,46 @@ def moved_coil(problem: TransientProblem, bound: float) -> TransientProblem:
     return with_limit(problem, thermal)
 
 
+MOVED = {"current": moved_current, "command": moved_command, "slew": moved_slew, "supply": moved_supply}
+
+
+def railed(scene: Scene, reference: Reference, grip_N: float, limit_V: float) -> TransientProblem:
+    data = scene.model_dump()
+    data["limits"]["supply_V"] = limit_V
+    on_rail = Scene.model_validate(data)
+    return without_tail(entry_problem(on_rail, scene_stage(on_rail, grip_N), reference))
+
+
 @pytest.fixture(scope="module")
 def cases(scene: Scene, references: list[Reference]) -> dict[str, Case]:
     """At 0.4 m/s and 5 N, each limit alone: the others are out of the way."""
     data = scene.model_dump()
     data["thermal"].update(start_winding_C=HOT_C, start_housing_C=HOT_C)
     hot = Scene.model_validate(data)
-    problem = entry_problem(hot, scene_stage(hot, 5.0), references[-1])
-    circuit = scene.circuit()
-    assert circuit is not None
-    rail = SupplyLimit(9.0, circuit, problem.stage.amplifier.rate_rad_s, references[-1].nominal_velocity_m_s)
+    # Without a tail J is the squared NRMSE but for the movement.
+    problem = without_tail(entry_problem(hot, scene_stage(hot, 5.0), references[-1]))
     wide = with_numbers(problem, current_A=8.0, command_A=16.0)
+    rail = with_numbers(railed(scene, references[-1], 5.0, 9.0).without("temperature"), current_A=8.0, command_A=16.0)
     return {
         "current 4 A": Case("current", wide.without("temperature"), 4.0, moved_current),
         "current 2 A": Case("current", wide.without("temperature"), 2.0, moved_current),
-        "supply 9 V": Case("supply", with_limit(wide.without("temperature"), rail), 9.0, moved_supply),
-        "supply 6 V": Case("supply", with_limit(wide.without("temperature"), rail), 6.0, moved_supply),
+        "command 3 A": Case("command", wide.without("temperature"), 3.0, moved_command),
+        "supply 9 V": Case("supply", rail, 9.0, moved_supply),
+        "supply 6 V": Case("supply", rail, 6.0, moved_supply),
         "coil 60.05 C": Case("coil", wide, HOT_C + 0.05, moved_coil),
         "slew 0.5 A/tick": Case("slew", wide.without("temperature"), 0.5, moved_slew),
     }
 
 
-NAMES = ["current 4 A", "current 2 A", "supply 9 V", "supply 6 V", "coil 60.05 C", "slew 0.5 A/tick"]
+NAMES = [
+    "current 4 A",
+    "current 2 A",
+    "command 3 A",
+    "supply 9 V",
+    "supply 6 V",
+    "coil 60.05 C",
+    "slew 0.5 A/tick",
+]
 
 
 def solved(problem: TransientProblem) -> tuple[Designed, float, list[Price]]:
@@ -97,81 +127,192 @@ def solved_at(case: Case, bound: float) -> tuple[Designed, float, list[Price]]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_slope_against_solving_again(cases: dict[str, Case], name: str) -> None:
-    """Two percent up and down; measured within 0.03 % of the difference quotient."""
-    case = cases[name]
-    _, error, found = solved_at(case, case.start)
-    (price,) = found
-    assert (price.limit, price.bound) == (case.name, pytest.approx(case.start, rel=1e-9))
-    assert price.nrmse == pytest.approx(error, rel=1e-12)
-    room = case.start - HOT_C if case.name == "coil" else case.start
-    step = 0.02 * room
-    up, down = (solved_at(case, case.start + sign * step)[1] for sign in (1, -1))
-    assert price.slope == pytest.approx((up - down) / (2 * step), rel=2e-3)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_sentences_step_against_solving_again(cases: dict[str, Case], name: str) -> None:
-    """First order and J is convex, so the gain is overstated, never understated.
-
-    Measured: by 5.1, 0.9, 4.0, 1.0, 8.7 and 18 % of the true gain, in the order of the names. Near the floor that is
-    much of what is left: 2.1 % foretold and 2.9 % had at 5 A, 0.5 % and 1.1 % at 11 V.
-    """
+def test_a_step_more_is_solved_for(cases: dict[str, Case], name: str) -> None:
     case = cases[name]
     _, error, (price,) = solved_at(case, case.start)
+    assert (price.limit, price.bound) == (case.name, pytest.approx(case.start, rel=1e-9))
+    assert price.nrmse == pytest.approx(error, rel=1e-12)
     _, truly, _ = solved_at(case, case.start + price.step)
-    foretold, had = error - price.then, error - truly
-    assert had > 0
-    assert had * (1 - 1e-6) <= foretold <= 1.25 * had
-    unit = "K" if case.name == "coil" else price.unit
-    assert f": {price.step:g} {unit} more: NRMSE {100 * error:.3g} % to {100 * price.then:.3g} %" in price.sentence
-
-
-def printed_enough(price: Price) -> float:
-    """The figure as a user reads it."""
-    return float(price.sentence.split("would not bind from ")[1].split(" ")[0])
+    assert price.then < price.nrmse
+    assert price.then == pytest.approx(truly, rel=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_enough_is_enough_and_slightly_less_is_not(cases: dict[str, Case], name: str) -> None:
+def test_it_buys_no_more_than_the_multipliers_promise(cases: dict[str, Case], name: str) -> None:
+    """J is convex in a limit, so its slope at the limit is the most that a step can have; measured 7 to 82 % more.
+
+    The winding's limit bends that by little. The limit on the current stands in the movement's weight as well.
+    """
+    case = cases[name]
+    designed, _, (price,) = solved_at(case, case.start)
+    problem, command = case.moved(case.problem, case.start), designed.solution.command_A
+    ((_, slope),) = binding(problem, command, designed.solution.multipliers).items()
+    if case.name == "current":
+        slope += problem.movement.relief(command)
+    had = price.nrmse**2 - price.then**2
+    assert 0 < had <= slope * price.step * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_at_what_is_enough_it_does_not_bind_and_just_below_it_does(cases: dict[str, Case], name: str) -> None:
     case = cases[name]
     _, _, (price,) = solved_at(case, case.start)
-    enough = printed_enough(price)
-    assert price.enough <= enough <= price.enough * (1 + 1e-3)
-    designed, error, left = solved_at(case, enough)
+    assert f"would not bind from {price.enough:.8g} " in price.sentence
+    designed, error, left = solved_at(case, price.enough)
     assert left == []
-    assert error == pytest.approx(designed.floor, rel=1e-9)
+    assert error == pytest.approx(designed.floor, rel=1e-6)
+    assert price.there == pytest.approx(error, rel=1e-6)
+    # What is printed is rounded up, temperatures to a millikelvin.
     room = price.enough - HOT_C if case.name == "coil" else price.enough
-    _, _, short = solved_at(case, price.enough - 5e-3 * room)
+    _, _, short = solved_at(case, price.enough - max(1.1e-3 * room, 1.1e-3 * (case.name == "coil")))
     assert [p.limit for p in short] == [case.name]
 
 
-def test_enough_while_another_limit_binds(scene: Scene, references: list[Reference]) -> None:
-    """Current and rail bind together: raised alone to what is said to be enough, each of them lets go."""
-    data = scene.model_dump()
-    data["limits"]["supply_V"] = 9.0
-    both = Scene.model_validate(data)
-    problem = entry_problem(both, scene_stage(both, 5.0), references[-1])
+def test_where_several_bind_the_others_stay_in_force(scene: Scene, references: list[Reference]) -> None:
+    """Rail and current bind together: raised alone to what is said to be enough, each of them lets go."""
+    problem = railed(scene, references[-1], 5.0, 11.0)
     _, _, found = solved(problem)
     by_name = {price.limit: price for price in found}
     assert {"current", "supply"} <= set(by_name)
-    for name, moved in (("current", moved_current), ("supply", moved_supply)):
-        _, _, left = solved(moved(problem, printed_enough(by_name[name])))
-        assert name not in [price.limit for price in left], name
+    for name, price in by_name.items():
+        _, error, left = solved(MOVED[name](problem, price.enough))
+        assert name not in [each.limit for each in left]
+        assert error == pytest.approx(price.there, rel=1e-6)
+        assert left, "without any limit that binds the error would be the floor"
+        _, _, short = solved(MOVED[name](problem, price.enough * (1 - 1e-3)))
+        assert name in [each.limit for each in short]
+
+
+def drawn(scene: Scene, references: list[Reference], seed: int) -> tuple[TransientProblem, dense.Rail | None]:
+    """An entry of the default scene cut to 10 ms, its limits by lot, and its rail in plain numbers."""
+    lot, N = np.random.default_rng(seed), 100
+    grip, current_A = float(lot.uniform(1.0, 5.0)), float(lot.uniform(1.2, 4.0))
+    volts = 2.8 * current_A * float(lot.uniform(0.8, 1.2))  # hot copper has 2.8 ohm
+    reference = references[int(lot.integers(2, 4))]
+    problem = railed(scene, reference, grip, volts).without("temperature")
+    nominal = reference.nominal_velocity_m_s[:N]
+    limits = problem.limits.replaced(replace(supply_of(problem), nominal_m_s=nominal))
+    limits = numbers_of(
+        limits,
+        problem.grid.dt_s,
+        current_A=current_A,
+        command_A=float(lot.uniform(2.0, 8.0)),
+        slew_A_per_s=float(lot.uniform(3e3, 2e4)) if lot.random() < 0.5 else None,
+    )
+    with_rail = lot.random() < 0.6
+    problem = replace(
+        problem,
+        grid=replace(problem.grid, stages=N),
+        target=Target(problem.reference_m_s2[:N]),
+        tracking_weights=np.ones(N),
+        limits=limits if with_rail else limits.without("supply"),
+    )
+    motor, emf = scene.motor, scene.motor.kt_Nm_A * scene.transmission.ratio_1_m
+    hot_ohm = motor.R_ohm * (1 + 0.0039 * (motor.winding_max_C - 25.0))
+    rail = dense.Rail(volts, (motor.R_ohm, hot_ohm), motor.L_H, scene.amplifier.pole_Hz, emf, nominal)
+    return problem, rail if with_rail else None
+
+
+def by_dense(problem: TransientProblem, rail: dense.Rail | None, name: str, bound: float) -> dense.Limited:
+    """The dense optimum with one limit at a bound."""
+    slew = problem.limits.get("slew")
+    step_A = None if slew is None else slew.stated
+    if name == "slew":
+        step_A = bound
+    elif name == "supply":
+        assert rail is not None
+        rail = replace(rail, limit_V=bound)
+    else:
+        problem = MOVED[name](problem, bound)
+    return dense.limited(problem, step_A, rail)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_against_an_independent_dense_program(scene: Scene, references: list[Reference], seed: int) -> None:
+    """Every figure of every price of an entry drawn by lot; measured 3e-5 points at the most."""
+    problem, rail = drawn(scene, references, seed)
+    _, error, found = solved(problem)
+    assert found
+    for price in found:
+        name, bound = price.limit, price.bound
+        now = by_dense(problem, rail, name, bound)
+        assert 100 * abs(now.nrmse - error) <= POINT
+        assert now.reached[name] == pytest.approx(bound, rel=1e-6)
+        then = by_dense(problem, rail, name, bound + price.step)
+        assert 100 * abs(price.then - then.nrmse) <= POINT
+        free = by_dense(problem, rail, name, price.enough)
+        assert 100 * abs(price.there - free.nrmse) <= POINT
+        # What is enough is not reached, or more of it buys nothing; and what is little less is reached.
+        if not free.reached[name] < price.enough * (1 - 1e-6):
+            more = by_dense(problem, rail, name, price.enough * 1.01)
+            assert 100 * (free.nrmse - more.nrmse) <= POINT / 100
+        less = price.enough * (1 - 1.1e-3)
+        assert by_dense(problem, rail, name, less).reached[name] == pytest.approx(less, rel=1e-6)
+
+
+class TestSteps:
+    @pytest.mark.parametrize(
+        ("limit", "step"),
+        [
+            (CurrentLimit(4.0), 1.0),
+            (CurrentLimit(1.0), 1.0),
+            (CurrentLimit(0.9), 0.2),
+            (CurrentLimit(0.05), 0.01),
+            (SlewLimit(1e4, 1e-4), 0.2),
+        ],
+    )
+    def test_that_of_the_kind_or_a_share(self, limit: Limit, step: float) -> None:
+        assert price_step(limit) == pytest.approx(step, rel=1e-12)
+
+    def test_ten_kelvin_where_there_are_as_many(self, cases: dict[str, Case]) -> None:
+        case = cases["coil 60.05 C"]
+        assert price_step(case.problem.thermal) == pytest.approx(10.0)
+        assert price_step(case.moved(case.problem, HOT_C + 0.05).thermal) == pytest.approx(0.01)
+        assert price_step(supply_of(cases["supply 9 V"].problem)) == pytest.approx(1.0)
+
+
+class TestWords:
+    def test_a_sentence_says_what_was_solved(self, cases: dict[str, Case]) -> None:
+        case = cases["current 4 A"]
+        _, error, (price,) = solved_at(case, 4.0)
+        assert price.sentence == (
+            f"current 4 A: 1 A more gives NRMSE {100 * price.then:.2f} % in place of {100 * error:.2f} %, would not "
+            f"bind from {price.enough:.8g} A on, with {100 * price.there:.2f} %"
+        )
+        assert price.enough == pytest.approx(rounded_up(price.enough), rel=1e-9)
+
+    def test_an_answer_that_is_not_certified_gives_no_price(self, cases: dict[str, Case]) -> None:
+        case = cases["current 4 A"]
+        designed, _, _ = solved_at(case, 4.0)
+        problem, answer = case.moved(case.problem, 4.0), designed.solution
+        in_vain = SolverOptions(max_iterations=1)
+        (price,) = prices(problem, answer.command_A, answer.multipliers, designed.unlimited_command_A, in_vain)
+        assert np.isnan(price.then)
+        assert np.isnan(price.enough)
+        assert price.sentence == (
+            "current 4 A: no certified answer with 1 A more, so no price, from where on it would not bind is not "
+            "certified"
+        )
+
+    def test_a_limit_that_always_binds_says_up_to_where(self) -> None:
+        price = Price("current", "A", "A", 4.0, 0.2, 1.0, 0.18, np.inf, np.nan, 120.0)
+        assert price.sentence.endswith(", still binds at 120 A")
 
 
 def test_dearest_first_and_nothing_where_nothing_binds(scene: Scene, references: list[Reference]) -> None:
     problem = entry_problem(scene, scene_stage(scene, 5.0), references[-1])
     _, _, found = solved(problem)
-    assert found[0].limit == "current"
-    assert [p.then for p in found] == sorted(p.then for p in found)
+    assert [p.limit for p in found] == ["current", "command"]
+    assert found[0].then < found[1].then
     slow = entry_problem(scene, scene_stage(scene, 3.0), references[1])
     assert solved(slow)[2] == []
 
 
-def test_no_price_in_nrmse_where_the_objective_is_another(cases: dict[str, Case]) -> None:
+def test_where_errors_are_weighed_the_plain_nrmse_is_told(cases: dict[str, Case]) -> None:
+    """J is another figure then, and what more would buy of it may cost something of this one."""
     case = cases["current 4 A"]
     weighted = replace(moved_current(case.problem, 4.0), error_filter=pacinian(1e-4))
-    designed, _, found = solved(weighted)
-    assert designed.solution.multipliers.upper("current").max() > 1e-6
-    assert found == []
+    _, error, (price,) = solved(weighted)
+    _, truly, _ = solved(moved_current(weighted, 5.0))
+    assert price.nrmse == pytest.approx(error, rel=1e-12)
+    assert price.then == pytest.approx(truly, rel=1e-5)

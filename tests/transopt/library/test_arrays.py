@@ -36,7 +36,14 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
     for name, stated in ARRAYS.items():
         assert set(stated.shape) <= set("vgNMLhns12"), name
         assert stated.meaning, name
-        assert stated.needs in ("", "spread", "refinement", "after_s", "intensity", *(kind.key for kind in KINDS))
+        assert stated.needs in (
+            "",
+            "spread",
+            "refinement",
+            "after_s",
+            "intensity",
+            *(kind.stored_with(row) for kind in KINDS for row in kind.row_names),
+        )
 
 
 def test_a_library_file_and_a_mat_file_hold_what_is_declared(library: Library, tmp_path: Path) -> None:

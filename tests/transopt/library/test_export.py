@@ -340,12 +340,12 @@ def test_header_plays_the_transient_clamped_to_the_command_limit(
     amplifier: dict[str, float] | None, compiler: list[str], make_library: Make, tmp_path: Path
 ) -> None:
     library = make_library(amplifier=amplifier)
-    library = replace(library, transient_command_A=4 * library.command_A)
+    library = replace(library, transient_command_A=40 * library.command_A)
     library.meta["feedback"] = {"stiffness_N_m": 1000.0}
     library.meta["limits"]["current_A"] = 4.0 if amplifier else 1.5  # an ideal amplifier's command is the current
     points = random_points(library)
     scale, commands = run_header(library, compiler, tmp_path, points)
-    wanted = np.clip(4 * expected(library, points), -1.5, 1.5)
+    wanted = np.clip(40 * expected(library, points), -1.5, 1.5)
     assert np.abs(commands - wanted).max() <= tolerance_A(library, scale)
     assert {-1.5, 1.5} <= set(commands)
 

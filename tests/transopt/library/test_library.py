@@ -3,16 +3,21 @@
 import json
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.benches.places import SCHEMA_1
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.design.build import Build
+from transopt.design.verify import verify_library
 from transopt.library.arrays import HASH_FIELD, content_hash
 from transopt.library.file import load_library
 from transopt.library.library import ARRAYS, Library
+from transopt.library.proven import doubts
 
 COIL = {"R_ohm": 2.18, "R_wh_K_W": 3.0, "R_ha_K_W": 14.0, "tau_w_s": 12.0, "tau_h_s": 600.0, "limit_C": 100.0}
 
@@ -53,7 +58,7 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
             if name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB"))
             and not name.startswith(("mu_current", "mu_command", "mu_end"))
         }
-        assert len(absent) == 20
+        assert len(absent) == 24
         assert names >= (set(ARRAYS) - absent) | {"meta"}
         assert not absent & names, "no limit beside those of current and command is in force and there is one device"
         meta = json.loads(str(file["meta"]))
@@ -72,6 +77,56 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
     assert set(meta["versions"]) == {"transopt", "casadi", "numpy", "scipy", "python"}
     assert len(meta["sources"]) == 12
     assert "simulated" in meta["sources"][0]["origin"]
+
+
+def test_what_comes_after_the_window_is_stored(library: Library, build: Build) -> None:
+    assert library.reference_after_m_s2.shape == library.reference_raw_after_m_s2.shape == (4, 300)
+    assert library.reference_before_m_s2.shape == (4, 0)
+    assert library.nominal_position_at_ticks_m.shape == (4, 600)
+    weights = library.meta["weights"]
+    assert (weights["after_s"], weights["objective"], weights["intensity_dB"]) == (0.03, "waveform", 0.0)
+    assert (weights["error_filter_b"], weights["error_filter_a"]) == ([1.0], [1.0])
+    for iv, row in enumerate(build.entries):
+        for ig, entry in enumerate(row):
+            made = entry.problem.accelerations(entry.solution.command_A)[0, 600:]
+            error = made - library.reference_after_m_s2[iv]
+            energy = float(library.reference_m_s2[iv] @ library.reference_m_s2[iv])
+            assert library.nrmse_after[iv, ig] == pytest.approx(np.sqrt(error @ error / energy), rel=1e-6)
+            assert library.peak_after_m_s2[iv, ig] == pytest.approx(np.abs(error).max(), rel=1e-6)
+            np.testing.assert_allclose(library.lasting(iv, ig)[0][600:], made, atol=1e-9)
+
+
+class TestSchema1:
+    """A file written before anything was known of what lies beside the window: it keeps the meaning that it had."""
+
+    @pytest.fixture
+    def old(self) -> Library:
+        return load_library(SCHEMA_1)
+
+    def test_nothing_lies_beside_its_window(self, old: Library) -> None:
+        grid = old.time_grid()
+        assert (grid.after_stages, grid.lead_s) == (0, 3e-4)
+        assert old.reference_after_m_s2.shape == old.reference_before_m_s2.shape == (2, 0)
+        assert not old.nrmse_after.any()
+        problem = old.problem(1, 0)
+        assert (problem.target.lost_m2_s4, problem.grid.after_stages, problem.intensity) == (0.0, 0, 0.0)
+
+    def test_it_is_proven_replayed_and_played(self, old: Library) -> None:
+        assert list(doubts(old)) == []
+        assert not any(check.shortfalls for check in verify_library(old))
+        assert old.at(0.25, 3.0).command_A.shape == (150,)
+        assert old.scene().time_grid() == old.time_grid()
+
+    def test_a_delay_beyond_its_lead_loses_nothing_of_it(self, old: Library) -> None:
+        amplifier = {**old.meta["amplifier"], "delay_s": 1e-3}
+        late = replace(old, meta={**old.meta, "amplifier": amplifier})
+        assert late.target(np.eye(2)[0]).lost_m2_s4 == 0
+
+    def test_it_is_saved_as_what_it_is(self, old: Library, tmp_path: Path) -> None:
+        old.save(tmp_path / "again.npz")
+        again = load_library(tmp_path / "again.npz")
+        assert again.meta == old.meta
+        assert again.content_sha256 == old.content_sha256
 
 
 def test_hand_over_is_zero_and_transient_is_the_command(library: Library) -> None:
@@ -176,6 +231,34 @@ class TestRefusals:
         rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
         rehash(saved)
         with pytest.raises(InputError, match="this version reads 1 and 2" if "schema" in change else "meta"):
+            load_library(saved)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ({"after_s": 1e7}, "must be 0 to 0.5 s and at most 3000 samples"),
+            ({"after_s": -1.0}, "must be 0 to 0.5 s"),
+            ({"after_s": float("nan")}, "meta"),
+            ({"after_s": "0.03"}, "meta does not describe a problem"),
+            ({"after_s": 0.02}, r"reference_after_m_s2 has shape \(4, 300\), expected \(4, 200\)"),
+            ({"objective": "intensity"}, "array intensity is missing"),
+        ],
+    )
+    def test_weights_that_do_not_fit_the_arrays(
+        self, saved: Path, library: Library, change: dict, words: str
+    ) -> None:
+        weights = {**library.meta["weights"], **change}
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, "weights": weights})))
+        rehash(saved)
+        with pytest.raises(InputError, match=words):
+            load_library(saved)
+
+    def test_a_delay_that_would_make_a_long_lost_start(self, saved: Path, library: Library) -> None:
+        """L follows from the time axis; the arrays do not have it."""
+        amplifier = {**library.meta["amplifier"], "delay_s": 0.9}
+        rewrite(saved, meta=np.array(json.dumps({**library.meta, "amplifier": amplifier})))
+        rehash(saved)
+        with pytest.raises(InputError, match=r"reference_before_m_s2 has shape \(4, 0\), expected \(4, 8997\)"):
             load_library(saved)
 
     def test_truncated_at_every_tenth(self, saved: Path, tmp_path: Path) -> None:

@@ -77,7 +77,9 @@ def flow_of(problem: TransientProblem) -> np.ndarray:
     return flow
 
 
-def voltages(problem: TransientProblem, command_A: np.ndarray, scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def voltages(
+    problem: TransientProblem, command_A: np.ndarray, scene: Scene, copper_C: float = 25.0
+) -> tuple[np.ndarray, np.ndarray]:
     """(N,) R i + L di/dt + k_e w just before and after tau_k, di/dt by one-sided differences of the current."""
     motor, transmission = scene.motor, scene.transmission
     plant, flow, h = problem.stage.plant, flow_of(problem), 1e-7
@@ -85,6 +87,7 @@ def voltages(problem: TransientProblem, command_A: np.ndarray, scene: Scene) -> 
     period, onward, back = expm(flow * 1e-4), expm(flow * h), expm(-flow * h)
     # Shaft speed in rad/s times V s/rad, and k_e = k_t in SI.
     emf = motor.kt_Nm_A * transmission.ratio_1_m
+    R_ohm = motor.R_ohm * (1 + 0.0039 * (copper_C - 25.0))
     x = np.zeros(n + 2)
     before, after = np.zeros(command_A.size), np.zeros(command_A.size)
     for k, c in enumerate(command_A):
@@ -94,13 +97,13 @@ def voltages(problem: TransientProblem, command_A: np.ndarray, scene: Scene) -> 
             i = [x[n], near[n], (step @ near)[n]]
             rate = sign * (-3 * i[0] + 4 * i[1] - i[2]) / (2 * h)
             speed = float((plant.Ce @ plant.A)[0] @ x[:n]) + nominal_m_s[k]
-            side[k] = motor.R_ohm * i[0] + motor.L_H * rate + emf * speed
+            side[k] = R_ohm * i[0] + motor.L_H * rate + emf * speed
         x = period @ x
     return before, after
 
 
 def stated(problem: TransientProblem, motion: Motion, command_A: np.ndarray) -> list[np.ndarray]:
-    """(N,) voltages just before and just after the switching instants, as the limit states them."""
+    """(N,) voltages just before and just after the switching instants, with cold copper and then with hot."""
     return [row.value(motion, command_A) for row in supply_of(problem).rows(problem)]
 
 
@@ -109,11 +112,12 @@ class TestVoltage:
         """Measured 1.9e-6 V, which is what the differences are good for."""
         problem = entry(supply_V=9.0)
         command = np.random.default_rng(1).uniform(-5, 5, problem.grid.stages)
-        before, after = stated(problem, problem.stage.motion(command), command)
-        expected_before, expected_after = voltages(problem, command, scene)
-        assert np.abs(expected_after).max() > 9
-        np.testing.assert_allclose(before, expected_before, rtol=0, atol=1e-5)
-        np.testing.assert_allclose(after, expected_after, rtol=0, atol=1e-5)
+        values = stated(problem, problem.stage.motion(command), command)
+        for (before, after), copper_C in zip((values[:2], values[2:]), (25.0, 100.0), strict=True):
+            expected_before, expected_after = voltages(problem, command, scene, copper_C)
+            assert np.abs(expected_after).max() > 9
+            np.testing.assert_allclose(before, expected_before, rtol=0, atol=1e-5)
+            np.testing.assert_allclose(after, expected_after, rtol=0, atol=1e-5)
 
     def test_nominal_motion_comes_in_at_the_stated_speed(self, entry: Maker) -> None:
         for speed in (0.1, 0.4):
@@ -150,7 +154,7 @@ class TestBinding:
         problem, command = nine_volts.problem, nine_volts.solution.command_A
         assert nine_volts.certificate.accepted
         assert nine_volts.certificate.violation("V") <= 1e-9
-        before, after = voltages(problem, command, scene)
+        before, after = voltages(problem, command, scene, copper_C=100.0)
         peak = max(np.abs(before).max(), np.abs(after).max())
         assert peak == pytest.approx(9, abs=1e-5)
         assert played(problem, command).reached["supply"] == pytest.approx(9, abs=1e-9)
@@ -164,7 +168,7 @@ class TestBinding:
 
     def test_binding_says_so(self, nine_volts: Designed) -> None:
         text = binding_limits(nine_volts.problem, nine_volts.solution.command_A, nine_volts.solution.multipliers)
-        assert "supply +9 V at " in text
+        assert "supply +9 V with the copper at 100 C at " in text
 
     def test_slew_is_kept(self, entry: Maker) -> None:
         problem = entry(slew_A_per_s=5000.0)

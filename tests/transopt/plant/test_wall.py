@@ -152,7 +152,7 @@ class TestHandOver:
         N = problem.grid.stages
         random = np.random.default_rng(6)
         command, weights = random.uniform(-1, 1, N), random.standard_normal(problem.hand_over_samples)
-        problem = pressing(problem, problem.feedback.course(problem.stage.motion(command)))
+        problem = pressing(problem, problem.feedback.course(problem.stage.motion(problem.continued(command))))
         multipliers = replace(Multipliers.zero(problem), hand_over=weights)
 
         def lagrangian(c: np.ndarray) -> float:

@@ -1,12 +1,15 @@
 """Entries on a virtual wall: refusals by name, the ticks at which it pushes, libraries."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import integrate
 
 from tests.benches.limits import with_numbers
+from tests.benches.tails import without_tail
 from tests.conftest import WalledMaker, walled_scene
 from tests.transopt.plant.test_wall import plain_feedback, plain_prefilter
 from transopt.design.build import build_library
@@ -31,12 +34,20 @@ class TestRefusal:
         """A motor that can neither hold the stylus up nor push back what the wall asks for."""
         return with_numbers(problem, current_A=0.3)
 
-    def test_names_the_hand_over(self, walled: WalledMaker) -> None:
+    def test_names_the_hand_over(self, walled: WalledMaker, references: list[Reference]) -> None:
         designed = optimum(self.weak(walled(2000, 0.4)), SolverOptions())
         assert designed.solution.status is Status.HAND_OVER
         (reason,) = designed.remarks
-        assert reason.startswith("hand-over: K_p z / k_f = 4.36 A at 2.72 mm below the surface, ")
-        assert reason.endswith(", limit 0.3 A")
+        assert reason.endswith(" below the surface, where the reference goes, limit 0.3 A")
+        # The deepest point of the recorded motion from the hand-over on: the wall pushes on after the waveform.
+        fast = references[-1]
+        recorded = np.append(fast.raw_m_s2, fast.raw_after_m_s2)
+        velocity = -fast.speed_m_s + integrate.cumulative_trapezoid(recorded, dx=DT_S, initial=0)
+        course = integrate.cumulative_trapezoid(velocity, dx=DT_S, initial=0)
+        depth_mm = -1e3 * float(course[590:].min())
+        said = re.match(r"hand-over: K_p z / k_f = (\S+) A at (\S+) mm", reason)
+        assert said is not None
+        assert [float(number) for number in said.groups()] == pytest.approx([2 * depth_mm / 1.25, depth_mm], rel=0.03)
 
     def test_a_wall_that_holds_the_stylus_up_itself_is_no_reason(self, walled: WalledMaker) -> None:
         """The reference would go 2.7 mm deep, where 2000 N/m ask for 4.4 A; the answer does not go there."""
@@ -59,7 +70,7 @@ class TestMask:
 
         At 0.4 m/s and 5 N the answer saturates, so that its motion is not the reference's.
         """
-        problem = walled(500, 0.4, 5.0, damping_N_s_m=0.0)
+        problem = without_tail(walled(500, 0.4, 5.0, damping_N_s_m=0.0))
         # Close to the surface the wall asks for next to nothing, so the answer is nearly that without a wall.
         plain = optimum(replace(problem, wall=None), SolverOptions())
         answer = plain.problem.feedback.course(plain.problem.stage.motion(plain.solution.command_A))

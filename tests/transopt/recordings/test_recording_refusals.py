@@ -116,9 +116,10 @@ def test_a_european_spreadsheet_is_read(tmp_path: Path) -> None:
     """Semicolons, decimal commas, its note about the delimiter, and padding of short rows."""
     path = tmp_path / "tap.csv"
     rows = "\r\n".join(f"{k * 1e-4:.4f};{np.sin(k):.3f};".replace(".", ",") for k in range(20))
-    path.write_text(f"sep=;\r\n# speed_m_s: 0.2;;\r\ntime_s;acceleration_g;\r\n{rows}\r\n")
+    path.write_text(f"sep=;\r\n# speed_m_s: 0,21;;\r\n# grip_N = 3,5\r\ntime_s;acceleration_g;\r\n{rows}\r\n")
     recording = load_recording(path)
-    assert recording.speed_m_s == 0.2
+    assert recording.speed_m_s == pytest.approx(0.21, rel=1e-15)
+    assert recording.grip_N == pytest.approx(3.5, rel=1e-15)
     np.testing.assert_allclose(recording.acceleration.values / G, np.sin(np.arange(20)), atol=5e-4)
 
 

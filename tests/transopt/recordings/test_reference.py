@@ -9,9 +9,10 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal, highpass, lowpass, nrmse
 from transopt.plant.discretise import TimeGrid
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, assign, build_reference, build_references
+from transopt.recordings.reference import Reference, assign, between, build_reference, build_references
 from transopt.recordings.settings import Recordings
 from transopt.recordings.tap import find_onset, prepare, read_recordings
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings, strike
 
@@ -248,6 +249,125 @@ class TestReference:
             self.reference(pulse(duration_s=0.04))
 
 
+LASTING = TimeGrid(1e-4, 300, 3e-4, 68e-6, after_stages=200)  # to 49.8 ms
+
+
+class TestBesideTheWindow:
+    """What comes before the first command can act, and after the last one."""
+
+    def reference(self, grid: TimeGrid, *taps: Recording) -> Reference:
+        prepared = [prepare(tap, SETTINGS) for tap in taps]
+        return build_reference(0.2, prepared, np.ones(len(prepared)), grid, SETTINGS)
+
+    def test_it_goes_on_as_recorded(self) -> None:
+        """A longer window has the same in it."""
+        found = self.reference(LASTING, pulse())
+        longer = self.reference(replace(LASTING, stages=500, after_stages=0), pulse())
+        np.testing.assert_allclose(found.target.continued_m_s2, longer.motor_m_s2, atol=1e-9)
+        np.testing.assert_allclose(np.append(found.raw_m_s2, found.raw_after_m_s2), longer.raw_m_s2, atol=1e-9)
+        np.testing.assert_allclose(found.nominal_position_at_ticks_m, longer.nominal_position_at_ticks_m, atol=1e-12)
+
+    def test_where_the_recording_ends_the_high_pass_goes_on_by_itself(self) -> None:
+        """d2u/dt2 + sqrt(2) w du/dt + w^2 u = 0 of the user's share u = -r, from where the recording left it."""
+        ends_s = 35e-3
+        found = self.reference(LASTING, pulse(duration_s=0.02 + ends_s))
+        after_s = LASTING.after_times_s
+        late = after_s > ends_s
+        assert 100 < late.sum() < 200
+        np.testing.assert_array_equal(found.raw_after_m_s2[late], 0.0)
+        r, t = found.after_m_s2[late], after_s[late]
+        assert np.abs(r).max() > 1.0
+        # In its own modes exp(-w t / sqrt 2) {cos, sin}(w t / sqrt 2).
+        w = 2 * np.pi * SETTINGS.highpass_Hz / np.sqrt(2)
+        modes = np.exp(-w * (t - t[0]))[:, None] * np.stack([np.cos(w * (t - t[0])), np.sin(w * (t - t[0]))], axis=1)
+        weights, *_ = np.linalg.lstsq(modes, r, rcond=None)
+        np.testing.assert_allclose(modes @ weights, r, atol=1e-4 * np.abs(r).max())
+        # As long as the recording lasts it is as if it went on.
+        whole = self.reference(LASTING, pulse())
+        recorded = after_s < ends_s - 1e-3  # the low-pass sees 1 ms ahead
+        np.testing.assert_allclose(found.after_m_s2[recorded], whole.after_m_s2[recorded], atol=1e-3)
+
+    def test_a_mean_ends_where_the_shortest_repeat_does(self) -> None:
+        found = self.reference(LASTING, pulse(name="long"), pulse(duration_s=0.055, name="short"))
+        since_s = LASTING.after_times_s - 35e-3
+        np.testing.assert_array_equal(found.raw_after_m_s2[since_s > 0], 0.0)
+        assert np.abs(found.raw_after_m_s2[since_s < -2e-4]).min() > 0
+
+    def test_a_file_has_to_reach_the_windows_end_and_no_further(self) -> None:
+        needed_s = 0.02 + LASTING.switching_times_s[-1]
+        assert self.reference(LASTING, pulse(duration_s=needed_s + 2e-4)).after_m_s2.shape == (200,)
+        with pytest.raises(InputError, match=r"the window needs 29\.7 ms"):
+            self.reference(LASTING, pulse(duration_s=needed_s - 2e-4))
+
+    @pytest.mark.parametrize(
+        ("delay_s", "lead_s", "lost"), [(1e-3, 3e-4, 7), (68e-6, 3e-4, 0), (3e-4, 3e-4, 0), (9e-3, 0, 90)]
+    )
+    def test_what_no_command_can_reach_counts_from_contact_on(self, delay_s: float, lead_s: float, lost: int) -> None:
+        grid = TimeGrid(1e-4, 300, lead_s, delay_s)
+        found = self.reference(grid, pulse())
+        assert found.before_m_s2.shape == (lost,)
+        if not lost:
+            assert found.target.lost_share == 0
+            return
+        # The same instants within the window of a waveform that starts so much earlier.
+        early = self.reference(TimeGrid(1e-4, 300, lead_s + lost * 1e-4, delay_s), pulse())
+        np.testing.assert_allclose(found.before_m_s2, early.motor_m_s2[:lost], atol=1e-9)
+        assert found.target.energy_m2_s4 >= float(early.motor_m_s2 @ early.motor_m_s2) * (1 - 1e-9)
+
+    def test_between_speeds_all_of_it_is_blended(self) -> None:
+        grid = TimeGrid(1e-4, 300, 0.0, 1e-3, after_stages=50)
+        slow, fast = (
+            replace(self.reference(grid, pulse(height=h)), speed_m_s=v) for h, v in ((50.0, 0.2), (90.0, 0.4))
+        )
+        found = between([slow, fast], 0.3)
+        for name in ("before_m_s2", "after_m_s2", "raw_after_m_s2", "nominal_position_at_ticks_m"):
+            wanted = 0.3 * (0.5 * getattr(slow, name) / 0.2 + 0.5 * getattr(fast, name) / 0.4)
+            np.testing.assert_allclose(getattr(found, name), wanted, rtol=1e-12)
+        # Formed after the blend: what is lost is not linear.
+        assert found.target.lost_m2_s4 == pytest.approx(float(found.before_m_s2 @ found.before_m_s2))
+
+
+class TestSoftPulses:
+    def soft(self, toe_s: float, noise: float = 0.0, toe: float = 4.0) -> Recording:
+        """A toe that creeps up to 4 m/s^2, then a half sine of 8 ms and 50 m/s^2; it begins at 30 ms."""
+        t = np.arange(0, 0.15, 1e-4) - 0.03
+        steep = 50 * np.sin(np.pi * np.clip((t - toe_s) / 8e-3, 0, 1))
+        values = np.where((t > 0) & (t < toe_s + 8e-3), np.maximum(toe * np.clip(t / toe_s, 0, 1), steep), 0.0)
+        values += noise * np.random.default_rng(3).standard_normal(t.size)
+        return replace(pulse(), acceleration=Signal(0.0, 1e-4, values))
+
+    @pytest.mark.parametrize("noise", [0.0, 0.1])
+    @pytest.mark.parametrize("toe_s", [3e-3, 8e-3])
+    def test_contact_is_where_the_pulse_begins(self, toe_s: float, noise: float) -> None:
+        """Its energy is played: none of it lies before tau_0."""
+        recording = self.soft(toe_s, noise)
+        steep = find_onset(recording.acceleration)
+        tap = prepare(recording, SETTINGS)
+        assert steep == pytest.approx(0.03 + toe_s, abs=2e-4)
+        assert tap.onset_s == pytest.approx(0.03, abs=1.2e-3)
+        assert "a soft pulse" in "; ".join(tap.notes)
+        r = highpass(tap.acceleration, SETTINGS.highpass_Hz)
+        energy = r.values**2
+        toe = (r.times_s < GRID.switching_times_s[0]) & (r.times_s > -1e-3 - toe_s)
+        assert energy[toe].sum() < 3e-4 * energy.sum()
+
+    def test_a_stated_onset_stays_and_the_toe_is_said(self) -> None:
+        tap = prepare(self.soft(8e-3), SETTINGS.model_copy(update={"onset_s": 0.038}))
+        assert tap.onset_s == 0.038
+        assert "recordings.onset_s, of which only the waveform's lead is played" in "; ".join(tap.notes)
+
+    def test_a_hand_that_slows_down_is_no_toe(self) -> None:
+        """0.1 g for 30 ms before a hard pulse: the user's own motion."""
+        recording = pulse(0.06, duration_s=0.12)
+        braking = recording.acceleration.values + np.where(np.arange(1200) < 600, np.linspace(0, 1.0, 1200), 0.0)
+        tap = prepare(replace(recording, acceleration=Signal(0.0, 1e-4, braking)), SETTINGS)
+        assert tap.onset_s == pytest.approx(0.06, abs=2e-4)
+        assert not tap.notes
+
+    def test_the_built_in_taps_are_hard_enough(self, scene: Scene, taps: list[Recording]) -> None:
+        assert not any("soft" in note for tap in taps for note in prepare(tap, scene.recordings).notes)
+
+
 class TestFilters:
     def test_lowpass_has_zero_phase_and_6_dB_at_the_cutoff(self) -> None:
         t = np.arange(0, 0.2, 1e-5)
@@ -284,6 +404,22 @@ class TestSimulatedTaps:
         fine = strike(plant, target, speeds, 0.02, 2.5e-6)[1][0][::4]
         size = min(coarse.size, fine.size)
         assert nrmse(coarse[:size], fine[:size]) < 1e-5
+
+    def test_looking_further_after_the_waveform_changes_no_sample(self, scene: Scene, taps: list[Recording]) -> None:
+        for after_s in (0.0, 0.1):
+            others = recordings(with_values(scene, {"weights.after_s": after_s}))
+            for tap, other in zip(taps, others, strict=True):
+                own, its = tap.acceleration.values, other.acceleration.values
+                assert its.size - own.size == round((after_s - 0.03) / 1e-4)
+                both = min(own.size, its.size)
+                np.testing.assert_array_equal(its[:both], own[:both])
+                assert tap.position is not None
+                assert other.position is not None
+                np.testing.assert_array_equal(other.position.values[:both], tap.position.values[:both])
+
+    def test_a_lead_changes_no_sample(self, scene: Scene, taps: list[Recording]) -> None:
+        for tap, other in zip(taps, recordings(with_values(scene, {"time.lead_s": 1e-3})), strict=True):
+            np.testing.assert_array_equal(other.acceleration.values, tap.acceleration.values)
 
     def test_repeats_serve_every_grid_speed(self, scene: Scene, taps: list[Recording]) -> None:
         built = build_references(taps, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)

@@ -12,6 +12,7 @@ from transopt.design.entry import scene_stage
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limits, Setting
 from transopt.scene.file import read_scene
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 
 TEXT = problems.scene_path("wood_on_foam").read_text()
@@ -36,10 +37,65 @@ def test_every_built_in_scene_loads_and_its_plants_are_passive(name: str) -> Non
     scene.coil()
 
 
+def test_a_scene_need_not_be_described(scene: Scene) -> None:
+    plain = Scene.model_validate({key: value for key, value in scene.model_dump().items() if key != "description"})
+    assert plain.description == ""
+    assert repr(plain).startswith("Scene(wood_on_foam; 4 speeds")
+
+
 def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
     scene = problems.load("wood_on_foam")
     assert limits_of(scene).current_A == pytest.approx(4.0, rel=1e-15)
     assert scene.time_grid().lead_s == 3e-4
+
+
+def test_no_built_in_scene_states_its_lead_so_that_a_copy_with_another_delay_has_the_right_one() -> None:
+    assert all("lead_s" not in problems.scene_path(name).read_text() for name in problems.scene_names())
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "dt_s", "lead_s"),
+    [
+        (68e-6, 1e-4, 3e-4),
+        (0.0, 1e-4, 2e-4),
+        (1e-4, 1e-4, 3e-4),  # just three periods, whatever rounding says
+        (100.1e-6, 1e-4, 4e-4),
+        (1e-3, 1e-4, 1.2e-3),
+        (68e-6, 2.5e-5, 2.75e-4),
+        (19.8e-3, 1e-4, 20e-3),
+    ],
+)
+def test_a_lead_that_is_not_stated_covers_the_delay(scene: Scene, delay_s: float, dt_s: float, lead_s: float) -> None:
+    """The least whole number of periods that is at least the delay and 0.2 ms."""
+    found = with_values(scene, {"amplifier.delay_s": delay_s, "time.dt_s": dt_s, "weights.after_s": 0.01})
+    assert found.time.lead_s is None
+    assert found.time_grid().lead_s == lead_s
+    assert found.time_grid().before_times_s.size == 0
+
+
+def test_a_lead_that_is_stated_stays(scene: Scene) -> None:
+    found = with_values(scene, {"amplifier.delay_s": 9e-3, "time.lead_s": 0.0}).time_grid()
+    assert (found.lead_s, found.before_times_s.size) == (0.0, 90)
+
+
+def test_what_is_looked_at_after_the_waveform(scene: Scene) -> None:
+    for after_s, dt_s, samples in ((None, 1e-4, 300), (0.0, 1e-4, 0), (0.03, 5e-5, 600), (0.0124, 1e-3, 12)):
+        changes = {"time.dt_s": dt_s, **({} if after_s is None else {"weights.after_s": after_s})}
+        assert with_values(scene, changes).time_grid().after_stages == samples
+
+
+def test_an_objective_reaches_the_problems(scene: Scene) -> None:
+    assert (scene.posing().objective, scene.posing().intensity_dB) == ("waveform", 0.0)
+    asked = with_values(scene, {"weights.objective": "intensity", "weights.intensity_dB": 1.5}).posing()
+    assert (asked.objective, asked.intensity_dB) == ("intensity", 1.5)
+
+
+def test_a_description_is_no_duty(tmp_path: Path) -> None:
+    path = tmp_path / "plain.toml"
+    path.write_text(re.sub("^description.*$", "", TEXT, flags=re.MULTILINE))
+    scene = problems.load(path)
+    assert scene.description == ""
+    assert repr(scene).startswith("Scene(plain; 4 speeds")
 
 
 @pytest.mark.parametrize(
@@ -76,6 +132,20 @@ def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
         ("[grid]", 'model = "m.json"\n[grid]', r"states a model file .* and \[model\] tables: delete \[model\]"),
         ("highpass_Hz = 8.0", "highpass_Hz = 5000.0", r"highpass_Hz = 5000: must be below lowpass_Hz = 1000"),
         ("stages = 600", "lead_s = 0.2", r"time.lead_s = 0.2: must be less than or equal to 0.02"),
+        (
+            "delay_s = 68e-6",
+            "delay_s = 19.9e-3",
+            r"time.lead_s: the amplifier's delay of 19.9 ms .* take a lead of 20.1",
+        ),
+        ("[weights]", "[weights]\nafter_s = 0.6", r"weights.after_s = 0.6: must be less than or equal to 0.5"),
+        ("[weights]", "[weights]\nafter_s = -1e-3", r"weights.after_s = -0.001: must be greater than or equal to 0"),
+        ("dt_s = 1e-4", "dt_s = 5e-6", r"weights.after_s = 0.03 s: 6000 samples of 5e-06 s, at most 3000: lower"),
+        (
+            "[weights]",
+            '[weights]\nobjective = "loud"',
+            r"weights.objective = 'loud': must be 'waveform' or 'intensity'",
+        ),
+        ("[weights]", "[weights]\nintensity_dB = 60", r"weights.intensity_dB = 60: must be less than or equal to 20"),
         ("seed = 1", "seed = -1", r"recordings.simulated.seed = -1"),
         ("[grid]", "[gird]", r"gird: unknown key; known here: name, description, grid"),
         (

@@ -275,8 +275,8 @@ class TestRepetitionOnAWall:
             thermal = entry.problem.thermal
             if idle is None:
                 at_the_end = entry.solution.command_A[-1]
-                # Known before the solve, from the reference's course: not to the last digit.
-                assert thermal.budget.pause_A == pytest.approx(at_the_end, rel=0.3)
+                # Known before the solve, from the reference's course, and no less than what is left at the end.
+                assert at_the_end <= thermal.budget.pause_A <= 1.5 * at_the_end
                 # 64 % of the time: R i^2 over both resistances.
                 coil, share = thermal.coil, 1 - 6.0 * 0.06
                 extra = (

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from problems.stress.draw import drawn
 from tests.benches.limits import with_numbers
 from tests.conftest import ProblemMaker, WalledMaker
 from transopt.base.signals import FloatArray
@@ -12,7 +13,7 @@ from transopt.design.optimum import ROUNDED
 from transopt.plant.chain import Link, chain
 from transopt.plant.discretise import Motion, discretise
 from transopt.plant.wall import reference_course
-from transopt.problem.answer import OBJECTIVE_SCALE, Status
+from transopt.problem.answer import OBJECTIVE_SCALE, Solution, Status
 from transopt.problem.leave_out import pressing
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import error_filter
@@ -289,3 +290,16 @@ class TestCompiledPass:
         problem = make_problem(0.2, 3.0, stages=30)
         run = extension.LinearPass(without_limits(replace(problem, rho=0.0, tracking_weights=np.zeros(30))))
         assert all(run.solve(unlimited.GAP).code not in (extension.SOLVED, extension.ACCURACY) for _ in range(2))
+
+
+@pytest.mark.skipif(not extension.available, reason="the extension is not built")
+def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first bound may be above what the pass may leave; the one by the movement's curvature is far below."""
+    problem = drawn(2, 727).problem()
+
+    def asked(_: TransientProblem) -> Solution:
+        raise AssertionError("another method was asked")
+
+    monkeypatch.setattr(unlimited, "solve_apart", asked)
+    found = unlimited.solve(problem)
+    assert certify(problem, found.command_A, found.multipliers).is_stationary

@@ -19,6 +19,8 @@ class CommandLimit(Limit):
     implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("command",)
     in_every_file: ClassVar[bool] = True
+    indispensable: ClassVar[bool] = True
+    price_step: ClassVar[float] = 1.0
     after_the_waveform: ClassVar[bool] = True
 
     limit_A: float

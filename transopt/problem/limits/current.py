@@ -24,6 +24,8 @@ class CurrentLimit(Limit):
     in_every_file: ClassVar[bool] = True
     after_the_waveform: ClassVar[bool] = True
     scales_movement: ClassVar[bool] = True
+    indispensable: ClassVar[bool] = True
+    price_step: ClassVar[float] = 1.0
 
     limit_A: float
 

@@ -49,6 +49,7 @@ class Row:
     outputs : output -> its coefficient in the value.
     lower, upper : (N,) or one number for all instants; infinite where nothing is asked.
     offset : (N,) or one number: the part of the value that no command changes.
+    condition : under which the value is this one, as it is said where the row binds; empty for none.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Row:
     lower: FloatArray | float
     upper: FloatArray | float
     offset: FloatArray | float = 0.0
+    condition: str = ""
 
     def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
         """(..., N) what a command (..., N) with this motion makes of it."""
@@ -184,6 +186,8 @@ class Limit(ABC):
     in_every_file : whether a library has its multipliers even where the limit is not in force.
     after_the_waveform : whether it is watched in the replay after the waveform too, where a wall goes on pushing.
     scales_movement : whether it is the unit I of the movement's weight in J.
+    indispensable : whether it bounds the command of every problem that has it, so that none can be without it.
+    price_step : by how much it is raised where its price is asked for; infinite for a share of it.
     of_one_device : whether it depends on the motion of the entry's own device, which a spread of devices does
         not share.
     asks_for : what a scene has to state beside its number; empty for nothing.
@@ -202,6 +206,8 @@ class Limit(ABC):
     in_every_file: ClassVar[bool] = False
     after_the_waveform: ClassVar[bool] = False
     scales_movement: ClassVar[bool] = False
+    indispensable: ClassVar[bool] = False
+    price_step: ClassVar[float] = np.inf
     of_one_device: ClassVar[bool] = False
     asks_for: ClassVar[str] = ""
     said_without: ClassVar[str] = ""
@@ -225,6 +231,10 @@ class Limit(ABC):
     def wider(self, factor: float) -> Self:
         """The same limit, `factor` times as wide."""
 
+    def raised(self, by: float) -> Self:
+        """The same limit, wider on every side by so much of its own unit."""
+        return self.wider(1 + by / self.stated)
+
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         """What it bounds; nothing for a limit that has a state of its own."""
         return ()
@@ -238,6 +248,11 @@ class Limit(ABC):
         """The bound of a side where it binds."""
         sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]
         return f"{sign}{self.stated:.8g}"
+
+    @classmethod
+    def stored_with(cls, row: str) -> str:
+        """What a library states among its limits where it has the multipliers of a row; empty: it always has them."""
+        return "" if cls.in_every_file else cls.key
 
     @classmethod
     def base_unit(cls) -> str:
@@ -266,9 +281,10 @@ class Limit(ABC):
         """
         return tuple(row for row in self.rows(problem) if HELD not in row.outputs)
 
-    def enough(self, peak: float) -> float:
-        """The least limit that does not bind where what it bounds reaches this peak at the switching instants."""
-        return peak
+    @property
+    def kept_back(self) -> float:
+        """How much of it the problem keeps for itself, for what it does not state."""
+        return 0.0
 
     @property
     def tolerance(self) -> float:
@@ -291,6 +307,13 @@ class Limit(ABC):
     def cannot_bind(self, problem: Posed) -> str:
         """Why no admissible command can reach it, with the bound; empty where one might."""
         return ""
+
+    def needed(self, problem: Posed) -> tuple[Self, Mapping[str, str]]:
+        """The same limit without those of its rows that no admissible command can reach: part -> why it is left out.
+
+        Asked only of a limit that might bind.
+        """
+        return self, {}
 
     def unavoidable(self, problem: Posed) -> str:
         """Why it is missed whatever is commanded; empty where it need not be."""

@@ -73,8 +73,9 @@ class OutputLimit(Limit):
     def watched(self, problem: Posed) -> tuple[Row, ...]:
         return (Row(self.name, {self.output: 1.0}, -self.limit, self.limit, self.nominal),)
 
-    def enough(self, peak: float) -> float:
-        return peak + self.margin
+    @property
+    def kept_back(self) -> float:
+        return self.margin
 
     def bound(self, problem: Posed) -> float:
         """What no admissible command can exceed: the sum of the response's sizes, every command at its largest."""

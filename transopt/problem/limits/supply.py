@@ -2,6 +2,11 @@
 
 It is stated just before and just after each switching instant: between two of them R i + L di/dt goes monotonically
 from the value after the one to the value before the next, through an amplifier of one pole, di/dt = w (c - i).
+
+R grows with the copper's temperature by 0.39 % a kelvin, so the voltage is stated twice: for the coldest copper that
+an entry may have and for the hottest. It is affine in R, and so the two hold for every temperature between. One end
+is not enough. Hot copper takes more while a current stands. On a steep fall R i and L di/dt have opposite signs, and
+there cold copper takes more, because less is subtracted.
 """
 
 from collections.abc import Mapping
@@ -12,9 +17,44 @@ import numpy as np
 
 from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
+from transopt.plant.coil import CoilModel
+from transopt.problem.heat import Budget, winding_limit_C
 from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Limit, Posed, Row, Setting, positive
 
 BETWEEN_INSTANTS = 1e-3  # of the rail: within a period only the back-EMF is left to its own devices
+COPPER = "supply_copper_C"  # among a library's limits: the temperatures of the copper at which its rail is kept
+COLD, HOT = "supply", "supply_hot"  # what the names of an end's rows begin with
+
+
+@dataclass(frozen=True)
+class CopperEnd:
+    """The motor's terminals at one end of what the copper's temperature may be.
+
+    Attributes
+    ----------
+    rows : what the names of its rows begin with.
+    circuit : with the resistance at that temperature.
+    winding_C : the temperature; None where nothing is known of it and R is the stated one.
+    """
+
+    rows: str
+    circuit: Circuit
+    winding_C: float | None
+
+    @property
+    def said(self) -> str:
+        """At which end, in words; empty where there is only one."""
+        return "" if self.winding_C is None else f"with the copper at {self.winding_C:.6g} C"
+
+
+def copper_C(coil: CoilModel, budget: Budget) -> tuple[float, float]:
+    """The coldest and the hottest that a winding may be during a tap [C].
+
+    Nothing cools it below the coldest of winding, housing and ambient at the start; its limit is what the entry
+    allows it at the most.
+    """
+    coldest = min(coil.start_winding_C, coil.start_housing_C, coil.ambient_C)
+    return coldest, winding_limit_C(coil, budget)
 
 
 @dataclass(frozen=True, repr=False)
@@ -24,7 +64,8 @@ class SupplyLimit(Limit):
     Attributes
     ----------
     limit_V : > 0.
-    circuit : terminals of the motor.
+    ends : terminals of the motor with the copper at its coldest and at its hottest; a single one where R is taken as
+        stated, or where the other end cannot bind.
     pole_rad_s : w of di/dt = w (c - i).
     nominal_m_s : (N,) velocity of the nominal motion at tau_k; the back-EMF follows dz/dt, not dy/dt.
     """
@@ -34,13 +75,16 @@ class SupplyLimit(Limit):
     unit: ClassVar[str] = "V"
     step_unit: ClassVar[str] = "V"
     key: ClassVar[str] = "supply_V"
-    row_names: ClassVar[tuple[str, ...]] = ("supply_before", "supply_after")
+    row_names: ClassVar[tuple[str, ...]] = tuple(
+        f"{end}_{side}" for end in (COLD, HOT) for side in ("before", "after")
+    )
     of_one_device: ClassVar[bool] = True
+    price_step: ClassVar[float] = 1.0
     asks_for: ClassVar[str] = "the motor's circuit and an amplifier with a pole"
     said_without: ClassVar[str] = "the scene states no supply limit"
 
     limit_V: float
-    circuit: Circuit
+    ends: tuple[CopperEnd, ...]
     pole_rad_s: float
     nominal_m_s: FloatArray
 
@@ -53,52 +97,86 @@ class SupplyLimit(Limit):
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        circuit, amplifier = setting.circuit, setting.stage.amplifier
+        circuit, amplifier, coil = setting.circuit, setting.stage.amplifier, setting.coil
         if circuit is None or amplifier is None:
             return None
-        return cls(asked[cls.key], circuit, amplifier.rate_rad_s, setting.nominal_m_s)
+        ends: tuple[CopperEnd, ...] = (CopperEnd(COLD, circuit, None),)
+        if coil is not None and asked.get(COPPER, ()) is not None:
+            cold_C, hot_C = copper_C(coil, setting.budget)
+            ends = (CopperEnd(COLD, circuit.at(cold_C), cold_C),)
+            if hot_C > cold_C:
+                ends = (*ends, CopperEnd(HOT, circuit.at(hot_C), hot_C))
+        return cls(asked[cls.key], ends, amplifier.rate_rad_s, setting.nominal_m_s)
+
+    @classmethod
+    def stored_with(cls, row: str) -> str:
+        return COPPER if row.startswith(HOT) else cls.key
 
     def wider(self, factor: float) -> Self:
         return replace(self, limit_V=factor * self.limit_V)
 
     @property
-    def by_current(self) -> float:
+    def copper_C(self) -> list[float] | None:
+        """The temperatures of the copper at which it is kept, as a library states them; None for R as stated."""
+        found = [end.winding_C for end in self.ends if end.winding_C is not None]
+        return found or None
+
+    def _by_current(self, end: CopperEnd) -> float:
         """dV/di at a fixed command: R - L w [ohm]."""
-        return self.circuit.R_ohm - self.by_command
+        return end.circuit.R_ohm - self._by_command(end)
+
+    def _by_command(self, end: CopperEnd) -> float:
+        """dV/dc: L w [ohm]."""
+        return end.circuit.L_H * self.pole_rad_s
 
     @property
-    def by_command(self) -> float:
-        """dV/dc: L w [ohm]."""
-        return self.circuit.L_H * self.pole_rad_s
+    def emf_V_s_m(self) -> float:
+        """Back-EMF per m/s of the stylus, whatever the copper's temperature."""
+        return self.ends[0].circuit.emf_V_s_m
 
     @property
     def nominal_V(self) -> FloatArray:
         """(N,) back-EMF of the nominal motion."""
-        return self.circuit.emf_V_s_m * self.nominal_m_s
+        return self.emf_V_s_m * self.nominal_m_s
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        common, volts = {CURRENT: self.by_current, VELOCITY: self.circuit.emf_V_s_m}, self.limit_V
-        return (
-            Row("supply_before", {**common, HELD: self.by_command}, -volts, volts, self.nominal_V),
-            Row("supply_after", {**common, COMMAND: self.by_command}, -volts, volts, self.nominal_V),
-        )
+        found, volts, nominal = list[Row](), self.limit_V, self.nominal_V
+        for end in self.ends:
+            common, by_command = {CURRENT: self._by_current(end), VELOCITY: self.emf_V_s_m}, self._by_command(end)
+            for side, command in (("before", HELD), ("after", COMMAND)):
+                outputs = {**common, command: by_command}
+                found.append(Row(f"{end.rows}_{side}", outputs, -volts, volts, nominal, end.said))
+        return tuple(found)
 
-    def bound_V(self, problem: Posed) -> float:
-        """Largest terminal voltage of any command inside the current and command limits."""
+    def bounds_V(self, problem: Posed) -> list[float]:
+        """Of each end the largest terminal voltage of any command inside the current and command limits."""
         current = problem.limits.current_A
         command = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)
         impulse = np.zeros(problem.grid.stages)
         impulse[0] = 1.0
         response = np.abs(problem.stage.motion(impulse).velocity_m_s)
         velocity = np.append(0.0, np.cumsum(response)[1:]) * command + np.abs(self.nominal_m_s)
-        drop = abs(self.by_current) * current + self.by_command * command
-        return float(drop + self.circuit.emf_V_s_m * velocity.max())
+        emf = self.emf_V_s_m * velocity.max()
+        return [
+            float(abs(self._by_current(end)) * current + self._by_command(end) * command + emf) for end in self.ends
+        ]
 
     def cannot_bind(self, problem: Posed) -> str:
-        bound = self.bound_V(problem)
+        bound = max(self.bounds_V(problem))
         if bound > self.limit_V:
             return ""
         return f"no current inside its limits takes more than {bound:.1f} V, limit {self.limit_V:g} V"
+
+    def needed(self, problem: Posed) -> tuple[Self, dict[str, str]]:
+        found, reasons = list[CopperEnd](), dict[str, str]()
+        for end, bound in zip(self.ends, self.bounds_V(problem), strict=True):
+            if bound > self.limit_V or end.winding_C is None:
+                found.append(end)
+                continue
+            reasons[f"supply {end.said}"] = (
+                f"no current inside its limits takes more than {bound:.1f} V then, limit {self.limit_V:g} V"
+            )
+        return (replace(self, ends=tuple(found)) if reasons else self), reasons
 
     def unavoidable(self, problem: Posed) -> str:
         # Before the first command is felt the motor already moves.

@@ -23,7 +23,7 @@ from transopt.plant.coil import (
 )
 from transopt.plant.discretise import TimeGrid
 from transopt.plant.wall import HandOver, reference_course
-from transopt.problem.heat import STEADY_MARGIN, Budget, HeatModel, heat_model, winding_limit_C
+from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
 
 ROUNDING = 1e-6  # relative, of the steady state of a period that is short beside the time constants
@@ -50,6 +50,7 @@ class TemperatureLimit(Limit):
     implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("temperature",)
     sides: ClassVar[tuple[str, ...]] = ("upper",)
+    price_step: ClassVar[float] = 10.0
     asks_for: ClassVar[str] = "the motor whose winding it is"
     said_without: ClassVar[str] = "the scene has no motor data"
 
@@ -86,8 +87,10 @@ class TemperatureLimit(Limit):
 
     def wider(self, factor: float) -> Self:
         """With kelvins in proportion to what is left of them."""
-        rise = (factor - 1) * max(float(self.model.headroom_K.max()), 1.0)
-        return replace(self, model=replace(self.model, headroom_K=self.model.headroom_K + rise))
+        return self.raised((factor - 1) * max(float(self.model.headroom_K.max()), 1.0))
+
+    def raised(self, by: float) -> Self:
+        return replace(self, model=replace(self.model, headroom_K=self.model.headroom_K + by))
 
     @property
     def linear(self) -> bool:
@@ -98,6 +101,11 @@ class TemperatureLimit(Limit):
         """Largest headroom over the unpowered course [K]."""
         headroom = self.model.headroom_K
         return float(headroom[np.isfinite(headroom)].max())
+
+    @property
+    def kept_back(self) -> float:
+        """Of taps for ever: the steady state adds up what a current that changes its sign within a period heats."""
+        return 0.0 if self.period_s is None else steady_margin_K(self.coil, self.budget)
 
     @property
     def tolerance(self) -> float:
@@ -143,7 +151,7 @@ class TemperatureLimit(Limit):
             return replace(self, model=replace(model, gain=np.minimum(model.gain, after), copper=0.0))
         # The margin makes up for what the recursion leaves out, so that commands keep the relaxed limit as well whose
         # true temperature just keeps the stated one.
-        headroom = (model.headroom_K + STEADY_MARGIN * (self.limit_C - coil.rest_C)) * (1 + ROUNDING)
+        headroom = (model.headroom_K + self.kept_back) * (1 + ROUNDING)
         lapse = self.period_s / coil.tau_w_s
         total = coil.R_wh_K_W + (coil.R_ha_K_W if coil.nodes == 2 else 0.0)
         kept = max(float(np.exp(-lapse)), 1 - lapse * coil.R_wh_K_W / total)

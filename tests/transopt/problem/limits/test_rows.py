@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from problems.stress.cases import Coil, Current, Horizon, StressCase, Surface
+from problems.stress.cases import R_OHM, Coil, Current, Horizon, StressCase, Surface
 from problems.stress.judge import played
 from tests.benches.limits import supply_of
 from tests.conftest import ProblemMaker
@@ -111,15 +111,23 @@ class TestValues:
 
     @pytest.mark.parametrize("walled", [False, True])
     def test_supply(self, walled: bool) -> None:
-        """R i + L di/dt + k_e dz/dt with di/dt = w (c - i), c the command felt before and after tau_k."""
+        """R i + L di/dt + k_e dz/dt with di/dt = w (c - i), c the command felt before and after tau_k.
+
+        R is that of the coldest copper, at the start, and that of the hottest, at the limit of the coil.
+        """
         problem = all_limits(walled=walled)
         command, supply = drawn_command(problem), supply_of(problem)
-        motion, circuit = problem.stage.motion(command), supply.circuit
-        i, w = motion.current_A, supply.pole_rad_s
-        speed = motion.velocity_m_s + supply.nominal_m_s
-        for row, felt in (("supply_before", np.append(0.0, command[:-1])), ("supply_after", command)):
-            volts = circuit.R_ohm * i + circuit.L_H * w * (felt - i) + circuit.emf_V_s_m * speed
-            np.testing.assert_allclose(value_of(problem, row, command), volts, rtol=1e-12, atol=1e-12)
+        motion, w, coil = problem.stage.motion(command), supply.pole_rad_s, problem.thermal.coil
+        i, speed = motion.current_A, motion.velocity_m_s + supply.nominal_m_s
+        coldest = min(coil.start_winding_C, coil.start_housing_C, coil.ambient_C)
+        assert coldest < coil.limit_C
+        for name, copper_C in (("supply", coldest), ("supply_hot", coil.limit_C)):
+            R = R_OHM * (1 + 0.0039 * (copper_C - 25.0))
+            for side, felt in (("before", np.append(0.0, command[:-1])), ("after", command)):
+                volts = R * i + 0.238e-3 * w * (felt - i) + supply.emf_V_s_m * speed
+                np.testing.assert_allclose(
+                    value_of(problem, f"{name}_{side}", command), volts, rtol=1e-12, atol=1e-12
+                )
 
     def test_stroke_and_velocity(self, problem: TransientProblem) -> None:
         """y and dy/dt of the motor mass a period later, from the states, with the nominal motion's part there."""

@@ -46,7 +46,9 @@ def test_a_wider_stroke_is_left_out_or_changes_nothing(scene: Scene, taps: list[
     assert "moves it beyond" in wide.left_out["stroke"]
     loose = entry(scene, taps, KEY, 0.01)
     assert "stroke" not in loose.binding
-    np.testing.assert_allclose(loose.solution.command_A, wide.solution.command_A, atol=1e-6)
+    # Both are proven; where the command saturates J hardly depends on how it gets there.
+    assert loose.certificate.objective == pytest.approx(wide.certificate.objective, rel=1e-9)
+    np.testing.assert_allclose(loose.solution.command_A, wide.solution.command_A, atol=1e-3)
 
 
 def test_its_price_is_what_it_says(scene: Scene, taps: list[Recording]) -> None:
