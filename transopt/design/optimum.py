@@ -167,7 +167,8 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     if not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
         return ""
     extended = double
-    if problem.thermal is None:  # the temperature's recursion has no other precision
+    # What filters, and the temperature's recursion, have no other precision.
+    if problem.thermal is None and problem.wall is None and problem.error_filter is None:
         wide = replace(
             problem,
             stage=problem.stage.extended(),

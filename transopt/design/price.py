@@ -26,8 +26,8 @@ AMPLE = (1.5, 6.0, 30.0)  # times what the optimum without limits takes: out of 
 NEAR = 1e-5  # of a limit: what comes no nearer is not held back by it
 CLEARANCE = 2 * NEAR  # by which it lies above what it shall not hold back
 ASIDE = 1.02  # times what is about enough: near it, and does not bind
-NUDGE = 1e-4  # relative, upwards, where what was taken for enough binds
-MOST_TRIALS = 8  # of a limit that does not bind
+NUDGE = 1e-4  # relative, upwards, where what was taken for enough binds; four times that where it does again
+MOST_GUESSES, MOST_TRIALS = 8, 30  # from the peaks, and in all: the others halve what is left
 STEP_SHARE = 0.25  # of a limit, where the step of its kind is more than there is of it
 
 
@@ -231,29 +231,28 @@ class _Pricing:
         without : the optimum with the limit at `widest`, where it does not bind.
         """
         by = max(_excess(self.problem, limit, without.command_A), 0.0)
-        free, tried, found, least = [(widest, limit.stated + by)], [widest], (np.nan, np.nan), limit.stated
-        for _ in range(MOST_TRIALS):
+        free, low, high, nudge = [(widest, limit.stated + by)], limit.stated, (widest, without.nrmse), NUDGE
+        for trial in range(MOST_TRIALS):
             peak = free[0][1] if len(free) < 2 else _crossing(*free[-2:])
             if limit.scales_movement and len(free) < 2 and peak * ASIDE < widest:
                 peak *= ASIDE
+            if trial >= MOST_GUESSES:
+                peak = float(np.sqrt(low * high[0]))
+            least = low if low == limit.stated else low * (1 + nudge)
             bound = float(f"{rounded_up(max(peak + CLEARANCE * limit.room, least)):.8g}")
-            if bound == widest:
-                return widest, without.nrmse
-            if bound in tried:
-                break
-            tried.append(bound)
+            if bound >= high[0]:
+                return high if np.isfinite(high[0]) else (np.nan, np.nan)
             answer = self._raised(limit, bound - limit.stated)
             if answer is None:
                 break
             if limit.name in answer.binding:
-                least = bound * (1 + NUDGE)
+                low, nudge = bound, 4 * nudge
                 continue
-            if not bound >= found[0]:
-                found = bound, answer.nrmse
+            high = bound, answer.nrmse
             if not limit.scales_movement:
-                break
+                return high
             free.append((bound, limit.stated + _excess(self.problem, limit, answer.command_A)))
-        return found
+        return np.nan, np.nan
 
 
 def _crossing(one: tuple[float, float], two: tuple[float, float]) -> float:

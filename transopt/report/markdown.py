@@ -158,6 +158,9 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
         "| speed m/s | grip N | limit | NRMSE % | raised by | NRMSE % then | would not bind from | NRMSE % there |",
         "|---|---|---|---|---|---|---|---|",
     ]
+    other = ""
+    if any(entry.problem.error_filter is not None or entry.problem.spread for entry, _ in priced):
+        other = " What a wider limit lowers is the error that the design minimises; this NRMSE need not fall with it."
     lines += [
         f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.stated} | {100 * price.nrmse:.2f} | {price.more} | "
         f"{_solved_percent(price.then, price.then)} | {price.free_from} | "
@@ -169,7 +172,7 @@ def _price_lines(entries: Sequence[Entry]) -> list[str]:
         "",
         "Each figure is of an optimum that was solved and certified, with that limit alone wider and the others as "
         "they are; none is extrapolated. would not bind from: the least limit, to the digits printed, at which it "
-        "does not bind any more.",
+        "does not bind any more." + other,
     ]
 
 

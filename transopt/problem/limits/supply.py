@@ -47,7 +47,7 @@ class CopperEnd:
         return "" if self.winding_C is None else f"with the copper at {self.winding_C:.6g} C"
 
 
-def copper_C(coil: CoilModel, budget: Budget) -> tuple[float, float]:
+def coldest_and_hottest_C(coil: CoilModel, budget: Budget) -> tuple[float, float]:
     """The coldest and the hottest that a winding may be during a tap [C].
 
     Nothing cools it below the coldest of winding, housing and ambient at the start; its limit is what the entry
@@ -101,8 +101,9 @@ class SupplyLimit(Limit):
         if circuit is None or amplifier is None:
             return None
         ends: tuple[CopperEnd, ...] = (CopperEnd(COLD, circuit, None),)
+        # None where a library is read that keeps its rail at R as stated; a scene does not say, and has both ends.
         if coil is not None and asked.get(COPPER, ()) is not None:
-            cold_C, hot_C = copper_C(coil, setting.budget)
+            cold_C, hot_C = coldest_and_hottest_C(coil, setting.budget)
             ends = (CopperEnd(COLD, circuit.at(cold_C), cold_C),)
             if hot_C > cold_C:
                 ends = (*ends, CopperEnd(HOT, circuit.at(hot_C), hot_C))
@@ -174,7 +175,7 @@ class SupplyLimit(Limit):
                 found.append(end)
                 continue
             reasons[f"supply {end.said}"] = (
-                f"no current inside its limits takes more than {bound:.1f} V then, limit {self.limit_V:g} V"
+                f"no current inside its limits reaches the rail then: at most {bound:.1f} V of {self.limit_V:g} V"
             )
         return (replace(self, ends=tuple(found)) if reasons else self), reasons
 

@@ -149,7 +149,7 @@ class TestWords:
         reduced = leave_out(between)
         said = reduced.left_out["supply with the copper at 25 C"]
         rail = between.limits["supply"].stated
-        assert said == f"no current inside its limits takes more than {cold_V:.1f} V then, limit {rail:g} V"
+        assert said == f"no current inside its limits reaches the rail then: at most {cold_V:.1f} V of {rail:g} V"
         assert [row.name for limit, row in reduced.problem.rows() if limit.name == "supply"] == [
             "supply_hot_before",
             "supply_hot_after",
