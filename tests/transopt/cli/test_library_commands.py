@@ -91,7 +91,7 @@ class TestCompare:
         outcome = run("compare", solved / "library.npz", "other.npz", "--out", "c.md")
         assert outcome.code == 0
         (row,) = (line for line in Path("c.md").read_text().splitlines() if line.startswith("| 0.2 | 3 |"))
-        assert row.split(" | ")[6] == "-"
+        assert row.split(" | ")[7] == "-"
 
     def test_refusals(self, run: Run, solved: Path) -> None:
         library = solved / "library.npz"

@@ -102,9 +102,16 @@ def test_measured_impacts_are_solved_and_proven(tmp_path: Path) -> None:
     assert_entries_are_proven(build)
     assert build.references[0].repeatability == pytest.approx(0.030, abs=0.005)
     assert build.references[0].repeatability_unaligned == pytest.approx(0.055, abs=0.005)
-    # Found independently: optimum / clipped inversion 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
-    first, _, last = build.entries[3]
+    # Found independently, with nothing after the window: optimum / clipped 14.5 / 25 % at 1 N, 23 / 51 % at 5 N.
+    weights = scene.weights.model_copy(update={"after_s": 0.0})
+    alone = build_library(scene.model_copy(update={"weights": weights}), read_recordings(settings))
+    first, _, last = alone.entries[3]
     assert (first.nrmse, last.nrmse) == (pytest.approx(0.145, abs=0.03), pytest.approx(0.23, abs=0.035))
+    # What the calm after it costs within the window.
+    for lasting, ended in zip(build.entries[3], alone.entries[3], strict=True):
+        assert ended.nrmse <= lasting.nrmse <= ended.nrmse + 0.015
+        assert lasting.played.error_peak_after_m_s2 < 0.1 * ended.played.after_peak_m_s2
+    first, _, last = build.entries[3]
     assert (first.baselines.clipped, last.baselines.clipped) == (
         pytest.approx(0.25, abs=0.02),
         pytest.approx(0.51, abs=0.02),
