@@ -285,8 +285,14 @@ def certify(
     limits, silent = list(_boxes(effect, clipped)), problem.reference_is_zero
     objective = merit = 0.0
     if not problem.target.is_zero:
-        objective = problem.objective(command_A, effect.accelerations_m_s2)
-        merit = problem.merit(command_A, effect.accelerations_m_s2)
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # over a wall that grows by itself what comes after does too
+            objective = problem.objective(command_A, effect.accelerations_m_s2)
+            merit = problem.merit(command_A, effect.accelerations_m_s2)
+        if not np.isfinite(merit):
+            # Beside an objective without bound any gap would be none.
+            return Certificate.nothing()
 
     if not all(np.isfinite(box.value).all() for box in limits):
         # Thermal runaway: there is no steady state to speak of.
