@@ -94,7 +94,13 @@ def test_hard_cases(seed: int, case: int, ends: str) -> None:
 
 def test_under_a_wall_that_grows_by_itself_only_without_it_a_larger_weight_helps() -> None:
     case = drawn(1, 585)
-    found = judge(replace(case, horizon=replace(case.horizon, after=0)))
+    found = judge(
+        replace(
+            case,
+            horizon=replace(case.horizon, after=0, lost=False),
+            demand=replace(case.demand, price=0.0, asked_dB=None),
+        )
+    )
     assert not found.bad, found.detail
     assert "PRECISION" in found.kind
 
