@@ -14,7 +14,7 @@ from transopt.design.optimum import Designed, optimum
 from transopt.problem.answer import Status
 from transopt.problem.objective.bands import Levels, levels
 from transopt.proof.certify import BINDING_MULTIPLIER
-from transopt.solvers.options import SolverOptions
+from transopt.solvers.options import SolverOptions, TrialOptions
 
 POINTS = 8  # of the path, both ends among them
 BEND = 1.5  # of their steps, the shorter ones first
@@ -45,7 +45,7 @@ class TradeOff:
     waveform : the optimum of J.
     intensity : the one with the energy that the scene asks for, or that of r where it asks for none.
     missing_dB : of that energy, where no lam reaches it.
-    path : by growing lam; points that were not proven are left out.
+    path : by growing lam; points that the wanted solver does not prove are left out.
     """
 
     speed_m_s: float
@@ -68,7 +68,9 @@ def trade_off(entry: Entry, options: SolverOptions) -> TradeOff | None:
     wave = found if found.attained.price == 0 else optimum(problem, options)
     # The energy in dB goes about evenly with -log(1 - lam); the path bends most near its start.
     prices = -np.expm1(np.linspace(0.0, 1.0, POINTS) ** BEND * np.log1p(-most_price(problem)))[1:]
-    others = [optimum(replace(problem, intensity=float(price)), options) for price in prices if price > 0]
+    # A point of the path that the first method does not prove is left out: another one may take a second.
+    trial = TrialOptions(options.solver, options.tolerance, options.max_iterations)
+    others = [optimum(replace(problem, intensity=float(price)), trial) for price in prices if price > 0]
     ends = (_point(wave), _point(found))
     path = {point.price: point for point in (*ends, *(_point(each) for each in others if each.is_proven))}
     return TradeOff(
