@@ -176,7 +176,8 @@ def transients_figure(drawn: Transients) -> Figure:
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
     current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a
-    dash-dotted line marks; where the references have died away the time axis is compressed, and says so. Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
+    dash-dotted line marks. Where the references have died away the time axis is compressed, and says so. Of a large
+    grid some nodes are drawn, its edges among them; the axis says of how many.
     """
     grid = drawn.grid
     times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3

@@ -89,14 +89,14 @@ def test_at_any_temperature_of_the_copper_the_rail_is_kept(
 def test_neither_end_alone_is_enough(
     scene: Scene, references: list[Reference], problems: dict[Case, TransientProblem]
 ) -> None:
-    """Cold rows alone let 13.1 V pass an 11 V rail at 90 C, hot ones alone 12.6 V at 25 C behind a fast amplifier."""
+    """Cold rows alone let 13.1 V pass an 11 V rail at 90 C, hot ones alone 12.9 V at 25 C behind a fast amplifier."""
     slow, fast = ((11.0, pole, 0.4, 5.0) for pole in POLES_Hz)
     cold_only = highest_V(scene, references, {slow: at_one_end(problems[slow], 0)})[slow]
     assert cold_only[WINDING_C.index(25.0)] == pytest.approx(11.0, abs=1e-4)
     assert cold_only[WINDING_C.index(90.0)] == pytest.approx(13.14, abs=0.05)
     hot_only = highest_V(scene, references, {fast: at_one_end(problems[fast], 1)})[fast]
     assert hot_only[WINDING_C.index(100.0)] == pytest.approx(11.0, abs=1e-4)
-    assert hot_only[WINDING_C.index(25.0)] == pytest.approx(12.56, abs=0.05)
+    assert hot_only[WINDING_C.index(25.0)] == pytest.approx(12.86, abs=0.05)
 
 
 class TestEnds:
