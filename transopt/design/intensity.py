@@ -36,20 +36,16 @@ NARROW = 1e-9  # of lam, below which a bracket holds a jump
 
 @dataclass(frozen=True)
 class _Tried:
-    """One lam that was solved for; energy over that of r, and J."""
+    """One lam that was solved for; energy over that of r [dB], and J."""
 
     lam: float
-    energy: float
+    energy_dB: float
     objective: float
     designed: Designed
 
     @property
     def t(self) -> float:
         return float(-np.log1p(-self.lam))
-
-    @property
-    def energy_dB(self) -> float:
-        return float(10 * np.log10(self.energy))
 
 
 def most_price(problem: TransientProblem) -> float:
@@ -95,8 +91,7 @@ def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -
 def _tried(lam: float, designed: Designed) -> _Tried:
     problem = designed.problem
     accelerations = problem.accelerations(designed.solution.command_A)
-    energy = 10 ** (problem.tracking.energy_dB(accelerations) / 10)
-    return _Tried(lam, energy, designed.certificate.objective, designed)
+    return _Tried(lam, problem.tracking.energy_dB(accelerations), designed.certificate.objective, designed)
 
 
 @dataclass
@@ -167,7 +162,10 @@ def _search(problem: TransientProblem, first: Designed, options: SolverOptions) 
             break
         slow = not slow and missed_dB(here) > SLOW * missed_dB(nearest[-1])
         bracket.cut(lam, too_weak=here.energy_dB < asked_dB)
-    return min(tried, key=missed_dB), problems, spent_s
+    # Where even the highest lam is too weak it is kept, whatever rounding makes of energies that are alike.
+    last = max(tried, key=lambda each: each.lam)
+    unreached = last.lam == most_price(problem) and last.energy_dB < asked_dB - TOLERANCE_dB
+    return last if unreached else min(tried, key=missed_dB), problems, spent_s
 
 
 def _next(nearest: list[_Tried], asked_dB: float) -> float:

@@ -273,6 +273,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     spent, cold = free.solve_time_s, small.without(TemperatureLimit.name)
     answer, proof = solve_certified(cold, options)
     spent += answer.solve_time_s
+    cold_proven = answer.status is Status.OPTIMAL and proof.is_stationary
     if small.thermal is not None:
         if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only=TemperatureLimit.name):
             hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
@@ -290,8 +291,9 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
         answer = free
     answer = replace(answer, solve_time_s=spent)
-    # A wall that grows by itself asks for anything: that is its name then.
-    too_deep = "" if proven or unstable_wall(problem) else _hand_over_excess(small)
+    # A wall that grows by itself asks for anything: that is its name then. Where the hand-over can be met in the cold,
+    # it is the heat that forbids it.
+    too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep])
     return designed(answer, program.size(small), [])

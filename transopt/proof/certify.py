@@ -99,12 +99,14 @@ class Effect:
     @cached_property
     def continued_A(self) -> FloatArray:
         """(N + M,) the command and what follows it."""
-        return self.problem.continued(self.command_A)
+        with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself goes on growing
+            return self.problem.continued(self.command_A)
 
     @cached_property
     def lasting(self) -> Motion:
         """(N + M,) of the problem's own device, through the window and after it."""
-        return self.problem.stage.motion(self.continued_A)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self.problem.stage.motion(self.continued_A)
 
     @cached_property
     def motion(self) -> Motion:
