@@ -291,8 +291,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
         answer = free
     answer = replace(answer, solve_time_s=spent)
-    # A wall that grows by itself asks for anything: that is its name then. Where the hand-over can be met in the cold,
-    # it is the heat that forbids it.
+    # A wall that grows by itself asks for anything: that is its name then. And what can be handed over in the cold is
+    # forbidden by the heat.
     too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep])
