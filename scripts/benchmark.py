@@ -20,6 +20,7 @@ from common.benchmark_cases import (
     calibration,
     cold_start,
     compare,
+    designed_entry,
     entry,
     iterations,
     libraries,
@@ -92,6 +93,8 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
         Case("horizon", LONG, project_solver(long, "casadi-piqp")),
         *([Case("unsaturated", 600, cached_pass(free))] if riccati.available else []),
         *(Case("unsaturated", 600, peer) for peer in unsaturated),
+        Case("entry", 600, designed_entry("window alone", scene, 0.4, 5.0, 0.0)),
+        Case("entry", 600, designed_entry("with its tail", scene, 0.4, 5.0, scene.weights.after_s)),
     )
     taken = []
     if riccati.available:
@@ -113,12 +116,13 @@ def ratios(rows: list[Row], taken: list[Iterations]) -> list[str]:
 
     def ratio(case: str, one: str, other: str, bound: str = "") -> str:
         value = by[case, one, 600] / by[case, other, 600]
-        return f"{one} / {other}, {case}: {value:.1f}{bound and f' ({bound})'}"
+        return f"{one} / {other}, {case}: {value:.{1 if value > 2 else 2}f}{bound and f' ({bound})'}"
 
     found = [
         ratio("saturated", "opti-ipopt", "casadi-piqp"),
         ratio("saturated", "casadi-ipopt", "casadi-piqp"),
         ratio("unsaturated", "sparse-kkt", "riccati-pass"),
+        ratio("entry", "with its tail", "window alone", "at most 1.1"),
         f"wall clock / virtual time, servo + simulator: {by['online', 'servo + simulator', 10000] / 1e3:.2f}",
         f"{LONG} stages / 600 stages, casadi-piqp: "
         f"{by['horizon', 'casadi-piqp', LONG] / by['saturated', 'casadi-piqp', 600]:.1f}",

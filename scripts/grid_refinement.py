@@ -20,7 +20,8 @@ import problems
 from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
-from transopt.design.entry import entry_problem, optimum
+from transopt.design.entry import entry_problem
+from transopt.design.intensity import best
 from transopt.design.refine_grid import DEFAULT_CAP, refine_grid
 from transopt.library.library import Library
 from transopt.plant.discretise import discretise
@@ -48,8 +49,9 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
     for speed, grip in points:
         stage = discretise(scene.plant(grip), scene.amplifier_model(), grid.dt_s)
         reference = between(references, speed)
-        best = optimum(entry_problem(scene, stage, reference), SolverOptions()).solution.command_A
-        commands = np.stack([best, *(library.at(speed, grip).command_A for library in libraries)])
+        problem, objective = entry_problem(scene, stage, reference), scene.weights.objective
+        exactly = best(problem, SolverOptions(), objective=objective).solution.command_A
+        commands = np.stack([exactly, *(library.at(speed, grip).command_A for library in libraries)])
         wanted = [reference.target] * len(commands)
         exact, *blended = replayed_errors(stage, grid, commands, wanted)
         found.append([each - exact for each in blended])

@@ -19,6 +19,7 @@ from controller.waveforms.prediction import REACTION_S, Prediction, predict
 from transopt.base.signals import FloatArray, Signal, lowpass, nrmse
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
+from transopt.problem.objective.bands import Levels, levels
 
 FIT_S = 0.03  # of straight approach that the parabola is laid through
 LEAST_FIT = 10  # records of it
@@ -38,6 +39,7 @@ class Compared:
     nrmse_reference : after it, against the recorded tap.
     peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration|, low-passed alike.
     spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
+    levels : energies over those of the recorded tap; None where nothing is compared.
     """
 
     latency_s: float
@@ -47,9 +49,10 @@ class Compared:
     predicted_peak_m_s2: float
     reference_peak_m_s2: float
     spectral_error_dB: float
+    levels: Levels | None
 
 
-NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING)
+NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
 
 
 @dataclass(frozen=True)
@@ -87,9 +90,12 @@ class PlayedTap:
     @property
     def verdict(self) -> str:
         """In words: what limits the tap, or what a hand can feel of its error."""
-        if self.why:
+        if self.why or self.compared.levels is None:
             return self.why
-        return verdict(self.compared.nrmse_reference, self.prediction.floor, self.prediction.repeatability)
+        prediction = self.prediction
+        return verdict(
+            self.compared.nrmse_reference, prediction.floor, prediction.repeatability, self.compared.levels
+        )
 
     def rate_hardness_N_m(self, force_per_current_N_A: float) -> float:
         """Of the rendered surface, from the measured current; NaN if nothing was compared."""
@@ -225,4 +231,5 @@ def _compare(
         predicted_peak_m_s2=float(np.abs(expected).max()),
         reference_peak_m_s2=float(np.abs(reference).max()),
         spectral_error_dB=spectral_error_dB(aligned.played_m_s2, reference, contact.dt_s),
+        levels=levels(aligned.played_m_s2, reference, contact.dt_s),
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.signals import FloatArray
+from transopt.design.intensity import most_price
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.chain import Link, chain
 from transopt.plant.circuit import Circuit
@@ -124,12 +125,20 @@ class Current:
 
 @dataclass(frozen=True)
 class Horizon:
-    """The time grid of a case: servo period, number of commands, lead before contact, hand-over samples."""
+    """The time grid of a case: servo period, number of commands, lead before contact, hand-over samples, tail.
+
+    Attributes
+    ----------
+    after : instants after the window that count.
+    lost : whether what comes before the first instant that a command can reach counts.
+    """
 
     dt_s: float = 1e-4
     stages: int = 100
     lead_s: float = 3e-4
     hand_over: int = 10
+    after: int = 0
+    lost: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,6 +153,8 @@ class Demand:
     rho : weight of the command's movement.
     pacinian : whether the error is filtered by what the hand feels.
     seed : of the noise in the reference.
+    price : of intensity, lam over the largest that the weights leave.
+    asked_dB : intensity that is searched for; None for none.
     """
 
     kind: str = "tap"
@@ -152,20 +163,30 @@ class Demand:
     rho: float = 1e-3
     pacinian: bool = False
     seed: int = 0
+    price: float = 0.0
+    asked_dB: float | None = None
 
-    def reference(self, grid: TimeGrid) -> FloatArray:
-        """(N,) [m/s^2], with the kinds of wrong input that the constructors have to refuse."""
-        N, t = grid.stages, np.maximum(grid.switching_times_s, 0.0)
+    def target(self, grid: TimeGrid, *, lost: bool) -> Target:
+        """Within the window of a grid, after it and, if that counts, before it."""
+        before = grid.before_times_s if lost else np.zeros(0)
+        window = self._reference(grid.switching_times_s, self.seed)
+        return Target(
+            window, self._reference(grid.after_times_s, self.seed + 1), self._reference(before, self.seed + 2)
+        )
+
+    def _reference(self, times_s: FloatArray, seed: int) -> FloatArray:
+        """(K,) [m/s^2] at some instants, with the kinds of wrong input that the constructors have to refuse."""
+        N, t = times_s.size, np.maximum(times_s, 0.0)
         peak = PEAK_PER_SPEED_1_S * self.speed_m_s
         ringing = 0.3 * np.exp(-t / RING_DECAY_S) * np.sin(2 * np.pi * RING_HZ * t)
         tap = peak * (np.where(t < 4e-3, np.sin(np.pi * t / 4e-3), 0.0) + ringing)
-        white = np.random.default_rng(self.seed).standard_normal(N)
+        white = np.random.default_rng(seed).standard_normal(N)
         made: dict[str, FloatArray] = {
             "tap": tap,
             "constant": np.full(N, peak),
             "denormal": np.full(N, 5e-324),
             "noise": peak * white,
-            "sample": peak * np.eye(1, N, N // 2)[0],
+            "sample": np.where(np.arange(N) == N // 2, peak, 0.0),
             "huge": 1e6 * peak * white,
             "overflow": 1e200 * white,
             "nan": np.where(np.arange(N) == N // 2, np.nan, tap),
@@ -280,11 +301,16 @@ class StressCase:
                 words.append(f"{name}({said})")
         return f"{self.family}: {' '.join(words) or 'plain'}"
 
+    @property
+    def objective(self) -> str:
+        """As a scene would say it."""
+        return "waveform" if self.demand.asked_dB is None else "intensity"
+
     def grid(self) -> TimeGrid:
         """Its time grid; an InputError as `problem` raises it."""
         horizon = self.horizon
         delay = 0.0 if self.current.pole_Hz is None else self.current.delay_samples * horizon.dt_s
-        return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay)
+        return TimeGrid(horizon.dt_s, horizon.stages, horizon.lead_s, delay, horizon.after)
 
     def _numbers(self) -> dict[str, Any]:
         """Dotted key, as a scene would have it, -> number that the case states."""
@@ -342,7 +368,7 @@ class StressCase:
         if self.current.pole_Hz is not None:
             amplifier = Amplifier(self.current.pole_Hz, grid.delay_s, numbers["amplifier.command_limit_A"])
         plant, N = self.device.plant(), grid.stages
-        reference = self.demand.reference(grid)
+        target = self.demand.target(grid, lost=self.horizon.lost)
         wall = None
         if self.surface is not None and numbers.get("feedback", True) is not None:
             law = Wall(
@@ -352,7 +378,7 @@ class StressCase:
                 int(numbers["feedback.latency_ticks"]),
                 self.surface.filter_Hz,
             )
-            nominal = -speed * grid.issue_times_s
+            nominal = -speed * grid.all_issue_times_s
             wall = HandOver(law, nominal, speed, nominal < 0)
         coil = None
         if self.coil is not None:
@@ -368,7 +394,7 @@ class StressCase:
             coil=coil,
             budget=Budget(tap_rate_Hz=numbers.get("thermal.tap_rate_Hz")),
             wall=wall,
-            reference_m_s2=reference,
+            reference_m_s2=target.window_m_s2,
             nominal_m=-speed * grid.switching_times_s,
             nominal_m_s=np.full(N, -speed),
         )
@@ -376,7 +402,7 @@ class StressCase:
         plain = TransientProblem(
             stage=stage,
             grid=grid,
-            target=Target(reference),
+            target=target,
             tracking_weights=self.demand.tracking(N),
             rho=numbers["weights.rho"],
             limits=posed({"current_A": asked["current_A"]}, replace(setting, coil=None)),
@@ -385,7 +411,10 @@ class StressCase:
             error_filter=error_filter("pacinian", grid.dt_s) if self.demand.pacinian else None,
         )
         # A reference that is refused is named before the limits that it cannot be held to.
-        return replace(plain, limits=posed(asked, setting))
+        whole = replace(plain, limits=posed(asked, setting))
+        return replace(
+            whole, intensity=self.demand.price * most_price(whole), intensity_dB=self.demand.asked_dB or 0.0
+        )
 
 
 def _short(value: object) -> str:

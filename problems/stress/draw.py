@@ -1,6 +1,7 @@
 """Random draws over everything at once; a case follows from seed and index alone."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -16,8 +17,8 @@ T = TypeVar("T")
 class _Draw:
     """The random numbers of one case."""
 
-    def __init__(self, seed: int, index: int) -> None:
-        self._random = np.random.default_rng([seed, index])
+    def __init__(self, seed: int, index: int, apart: int | None = None) -> None:
+        self._random = np.random.default_rng([seed, index] if apart is None else [seed, index, apart])
 
     def perhaps(self, probability: float) -> bool:
         """True with this probability."""
@@ -118,4 +119,20 @@ def drawn(seed: int, index: int) -> StressCase:
     surface = _surface(draw) if draw.perhaps(0.12) else None
     if horizon.stages >= WHEN_LONG:
         coil = surface = None
+    horizon, demand = _beyond(_Draw(seed, index, apart=1), horizon, demand)
     return StressCase("random", device, current, horizon, demand, coil, surface)
+
+
+def _beyond(draw: _Draw, horizon: Horizon, demand: Demand) -> tuple[Horizon, Demand]:
+    """The same with what lies around the window, and with a price on intensity or an intensity to search for.
+
+    It has random numbers of its own, so that a case is otherwise what it is without.
+    """
+    after = draw.of(0, 0, 1, 7, 60, 300)
+    horizon = replace(horizon, after=after if horizon.stages < WHEN_LONG else 0, lost=draw.perhaps(0.5))
+    if draw.perhaps(0.25):
+        return horizon, replace(demand, price=draw.of(1.0, 0.1, 0.5, 0.9))
+    # A search takes several problems; the longest ones are solved once.
+    if horizon.stages < WHEN_LONG and draw.perhaps(0.3):
+        return horizon, replace(demand, asked_dB=draw.of(0.0, 0.0, -3.0, 3.0, 12.0))
+    return horizon, demand

@@ -110,9 +110,34 @@ def _walls() -> Iterator[StressCase]:
     yield StressCase("input", surface=Surface(-1.0))
 
 
+def _intensities() -> Iterator[StressCase]:
+    for limit in (SMALL_A, 1.0, 1e3):
+        cut = Current(limit_A=limit)
+        for share in (1e-6, 0.5, 1.0):
+            yield StressCase("price", current=cut, demand=replace(SATURATED, price=share))
+        for asked in (-3.0, 0.0, 6.0):
+            yield StressCase("intensity", current=cut, demand=replace(SATURATED, asked_dB=asked))
+    for weights in ("late", "tiny"):
+        yield StressCase("intensity", current=Current(limit_A=1.0), demand=Demand(weights=weights, asked_dB=0.0))
+    yield StressCase("intensity", coil=Coil(), demand=replace(SATURATED, asked_dB=0.0))
+    yield StressCase("intensity", surface=Surface(500.0), demand=replace(SATURATED, asked_dB=0.0))
+    yield StressCase("input", demand=Demand(price=-1.0))
+
+
+def _tails() -> Iterator[StressCase]:
+    for after in (1, 30, 300):
+        for current in (Current(limit_A=SMALL_A), Current(limit_A=1.0, slew=0.1), Current(pole_Hz=None)):
+            yield StressCase("tail", current=current, horizon=Horizon(after=after), demand=SATURATED)
+        yield StressCase("tail", horizon=Horizon(after=after), surface=Surface(500.0))
+        yield StressCase("tail", horizon=Horizon(after=after), coil=Coil())
+    late = Current(limit_A=1.0, delay_samples=20.0)
+    yield StressCase("lost", current=late, horizon=Horizon(lead_s=0.0, lost=True, after=30), demand=SATURATED)
+    yield StressCase("input", horizon=Horizon(after=-1))
+
+
 def directed() -> list[StressCase]:
     """Every named extreme by itself."""
-    return [*_devices(), *_currents(), *_horizons(), *_demands(), *_heat(), *_walls()]
+    return [*_devices(), *_currents(), *_horizons(), *_demands(), *_heat(), *_walls(), *_intensities(), *_tails()]
 
 
 def rescaled(case: StressCase, units: float) -> StressCase:

@@ -12,7 +12,8 @@ from problems.stress.cases import StressCase
 from problems.stress.oracle import admits_a_command
 from transopt.base.errors import InputError
 from transopt.design.explain import what_would_do
-from transopt.design.optimum import Designed, optimum
+from transopt.design.intensity import best
+from transopt.design.optimum import Designed
 from transopt.design.remedy import remedies
 from transopt.design.verify import admit
 from transopt.problem.answer import Certificate, Multipliers, Status
@@ -93,8 +94,9 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     status, shortfalls = admit(solution.status, proof, run, problem, solution.command_A, predicted)
     said = "; ".join(designed.remarks or shortfalls)
     if status is Status.OPTIMAL:
-        # Beside a zero reference any motion is infinitely wrong: that of the wall alone.
-        unknown = ("winding_C", "housing_C", *(["nrmse"] if problem.reference_is_zero else []))
+        # Beside a zero reference any motion is infinitely wrong: that of the wall alone, or what is left undone after
+        # a window that ends before the tap begins.
+        unknown = ("winding_C", "housing_C", *(["nrmse", "nrmse_after"] if problem.reference_is_zero else []))
         whole = _numbers(designed) and _numbers(proof) and _numbers(solution.multipliers) and _numbers(run, unknown)
         if not (whole and np.all(np.isfinite(solution.command_A))):
             return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)
@@ -102,6 +104,11 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
             return Outcome("bad: NaN", "a largest value of a certified answer", nothing, nothing, 0.0)
         if problem.thermal is not None and not (np.isfinite(run.winding_C) and np.isfinite(run.housing_C)):
             return Outcome("bad: NaN", "temperature of a certified answer", nothing, nothing, 0.0)
+        attained = designed.attained
+        # With the temperature or a wall in it the path may jump over what is asked for.
+        smooth = problem.thermal is None and problem.wall is None
+        if attained is not None and smooth and attained.is_stray:
+            return Outcome("bad: intensity", attained.sentence, nothing, nothing, 0.0)
         difference = float(np.abs(run.acceleration_m_s2 - predicted).max()) / run.scale_m_s2
         return Outcome(CERTIFIED, solution.solver, proof.relative_gap, difference, 0.0)
     if status not in REMARKS or not re.search(REMARKS[status], said):
@@ -142,7 +149,7 @@ def judge(case: StressCase) -> Outcome:
         warnings.simplefilter("error")
         try:
             problem = case.problem()
-            designed = optimum(problem, SolverOptions())
+            designed = best(problem, SolverOptions(), objective=case.objective)
             command = np.nan_to_num(designed.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0)
             run = played(designed.problem, command)
             found = with_remedy(case, designed, run, judge_design(designed, run))

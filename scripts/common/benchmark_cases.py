@@ -25,6 +25,7 @@ from controller.waveforms.bank import bank
 from controller.waveforms.prediction import scene_of
 from transopt.base.signals import FloatArray
 from transopt.design.build import build_library
+from transopt.design.entry import Entry, design_grip
 from transopt.library.library import Library
 from transopt.library.online import Online
 from transopt.plant.discretise import discretise
@@ -123,6 +124,22 @@ def reused(name: str, options: str, method: Callable[[], Solution], problem: Tra
     proof = certify(problem, solution.command_A, solution.multipliers)
     said = options or f"tol {SolverOptions().tolerance:g}, object reused"
     return Peer(name, said, method, max(first - second, 0.0), proof.relative_gap, proof.primal_violation)
+
+
+def designed_entry(name: str, scene: Scene, speed_m_s: float, grip_N: float, after_s: float) -> Peer:
+    """A library's entry from its reference to its prices, looked at so long after the window."""
+    weights = scene.weights.model_copy(update={"after_s": after_s})
+    scene = scene.model_copy(update={"weights": weights})
+    references = build_references(recordings(scene), scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    wanted, options = references[scene.grid.speeds_m_s.index(speed_m_s)], SolverOptions()
+
+    def run() -> Entry:
+        return design_grip(scene, grip_N, [wanted], options)[0]
+
+    first, second = (elapsed_ms(run) for _ in range(2))
+    proof = run().certificate
+    said = f"{1e3 * after_s:g} ms after the window"
+    return Peer(name, said, run, max(first - second, 0.0), proof.relative_gap, proof.primal_violation)
 
 
 def project_solver(problem: TransientProblem, solver: str) -> Peer:

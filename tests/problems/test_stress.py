@@ -150,14 +150,14 @@ class TestJudge:
         assert outcome.kind == "bad: feasible after all"
 
     def test_warnings_and_exceptions_are_bad(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def divides(*_: object) -> None:
+        def divides(*_: object, **__: object) -> None:
             np.ones(1) / np.zeros(1)
 
-        def breaks(*_: object) -> None:
+        def breaks(*_: object, **__: object) -> None:
             raise KeyError("x")
 
         for broken, kind in ((divides, "bad: RuntimeWarning"), (breaks, "bad: KeyError")):
-            monkeypatch.setattr("problems.stress.judge.optimum", broken)
+            monkeypatch.setattr("problems.stress.judge.best", broken)
             assert judge(SATURATED).kind == kind
 
     def test_the_oracle_sees_both_ways(self) -> None:

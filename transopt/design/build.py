@@ -4,6 +4,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Refinement
 from transopt.design.scene_entry import with_remedies
+from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, own_arrays
 from transopt.library.meta import shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
@@ -100,6 +102,12 @@ class Build:
     def all_entries(self) -> Iterator[Entry]:
         for row in self.entries:
             yield from row
+
+    @cached_property
+    def trade_offs(self) -> list[TradeOff]:
+        """Waveform against intensity of every entry that a limit cuts; solved when it is first asked for."""
+        options = SolverOptions(self.solver)
+        return [found for entry in self.all_entries() if (found := trade_off(entry, options)) is not None]
 
     @property
     def refused(self) -> list[Entry]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,8 +10,10 @@ import numpy as np
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
+from transopt.design.attained import Attained
 from transopt.design.explain import Remedy
-from transopt.design.optimum import Designed, optimum
+from transopt.design.intensity import best
+from transopt.design.optimum import Designed
 from transopt.design.price import Price, prices
 from transopt.design.verify import admit
 from transopt.plant.coil import CoilModel
@@ -18,6 +21,7 @@ from transopt.plant.discretise import StageModel, acting_states
 from transopt.problem.answer import Certificate, Solution, Status, verdict
 from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import KINDS
+from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.posing import Wanted
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits
@@ -71,6 +75,7 @@ class Entry:
     left_out : part of the problem -> why it is not in it.
     size : of the program that was solved; None where one linear solve was enough.
     spread : errors over the spread of devices; None for an entry designed for one device.
+    attained : what was found of the energy that was asked for; None where the scene asks for none.
     """
 
     speed_m_s: float
@@ -94,6 +99,7 @@ class Entry:
     size: Size | None
     spread: SpreadErrors | None
     remedies: tuple[Remedy, ...] = ()
+    attained: Attained | None = None
 
     def __repr__(self) -> str:
         found = (
@@ -154,13 +160,18 @@ class Entry:
         """NRMSE as the scene's error filter hears it; the plain one without a filter."""
         return self.nrmse if self.problem.reference_is_zero else self.problem.tracking.nrmse(self.predicted_m_s2)
 
+    @cached_property
+    def levels(self) -> Levels:
+        """Energies of the prediction over those of r: broadband, as felt, band by band."""
+        return levels(self.predicted_m_s2, self.problem.reference_m_s2, self.problem.grid.dt_s)
+
     @property
     def verdict(self) -> str:
         if self.status is not Status.OPTIMAL:
             return "refused"
         if self.problem.reference_is_zero:
             return "zero reference"
-        return verdict(self.nrmse, self.floor, self.repeatability)
+        return verdict(self.nrmse, self.floor, self.repeatability, self.levels)
 
 
 def energy_dB(problem: TransientProblem, command_A: FloatArray) -> float:
@@ -225,7 +236,9 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     """
     stage = scene_stage(scene, grip_N)
     spread = spread_stages(scene, grip_N)
-    designed = [optimum(entry_problem(scene, stage, reference, spread), options) for reference in references]
+    objective = scene.weights.objective
+    problems = [entry_problem(scene, stage, reference, spread) for reference in references]
+    designed = [best(problem, options, objective=objective) for problem in problems]
     replays = replayed(scene.coil(), designed)
     rivals = rivals_errors(scene.limits.steady_current_A, designed)
     return [
@@ -299,7 +312,9 @@ def _entry(
     status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
     spread = None
     if problem.spread and status is Status.OPTIMAL:
-        nominal = optimum(replace(problem, spread=()), options).solution.command_A
+        # Made for the node alone, and asked for the same.
+        alone = replace(problem.without_intensity(), spread=())
+        nominal = best(alone, options, objective=scene.weights.objective).solution.command_A
         spread = _spread_errors(problem, nominal, command)
     return Entry(
         speed_m_s=reference.speed_m_s,
@@ -324,4 +339,5 @@ def _entry(
         left_out={**left_out_by_scene(scene, problem), **designed.left_out},
         size=designed.size,
         spread=spread,
+        attained=designed.attained,
     )

@@ -7,6 +7,7 @@ import numpy as np
 
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
+from transopt.design.attained import Attained
 from transopt.design.explain import infeasibility, stated_wall, unavoidable, unstable_wall
 from transopt.plant.wall import reference_course
 from transopt.problem.answer import Certificate, Solution, Status
@@ -36,6 +37,7 @@ class Designed:
     left_out : part -> why the problem that was solved does not have it.
     size : of the program that was solved; None where one linear solve was enough.
     remarks : why an entry has no answer.
+    attained : what was found of the energy that was asked for; None where none is.
     """
 
     problem: TransientProblem
@@ -47,6 +49,7 @@ class Designed:
     left_out: dict[str, str]
     size: program.Size | None
     remarks: list[str]
+    attained: Attained | None = None
 
     __repr__ = brief
 
@@ -270,6 +273,7 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     spent, cold = free.solve_time_s, small.without(TemperatureLimit.name)
     answer, proof = solve_certified(cold, options)
     spent += answer.solve_time_s
+    cold_proven = answer.status is Status.OPTIMAL and proof.is_stationary
     if small.thermal is not None:
         if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only=TemperatureLimit.name):
             hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
@@ -287,8 +291,9 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     if free_proof is not None and not proven and free_proof.relative_gap <= least_gap:
         answer = free
     answer = replace(answer, solve_time_s=spent)
-    # A wall that grows by itself asks for anything: that is its name then.
-    too_deep = "" if proven or unstable_wall(problem) else _hand_over_excess(small)
+    # A wall that grows by itself asks for anything: that is its name then. And what can be handed over in the cold is
+    # forbidden by the heat.
+    too_deep = "" if proven or cold_proven or unstable_wall(problem) else _hand_over_excess(small)
     if too_deep:
         return designed(replace(answer, status=Status.HAND_OVER), program.size(small), [too_deep])
     return designed(answer, program.size(small), [])

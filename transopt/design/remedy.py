@@ -18,7 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.units import unit_of
 from transopt.design.entry import replayed
 from transopt.design.explain import Change, Remedy
-from transopt.design.optimum import optimum
+from transopt.design.intensity import best
 from transopt.design.verify import admit
 from transopt.problem.answer import Status
 from transopt.problem.limits.current import CurrentLimit
@@ -55,6 +55,10 @@ Move = tuple[str, bool]  # a key, and whether its number goes up
 class Adjustable(Protocol):
     """An entry that can be posed with other numbers."""
 
+    @property
+    def objective(self) -> str:
+        """What is asked for, as a scene says it: "waveform" or "intensity"."""
+
     def value(self, key: str) -> float | None:
         """What stands at a dotted key of the scene; None where nothing does."""
 
@@ -75,7 +79,7 @@ def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
             problem = entry.problem(changes)
         except InputError:
             return False
-        designed = optimum(problem, trial)
+        designed = best(problem, trial, objective=entry.objective)
         if not designed.is_proven:
             return False
         (played,) = replayed(None if problem.thermal is None else problem.thermal.coil, [designed])

@@ -30,6 +30,10 @@ class SceneEntry:
     grip_N: float
     reference: Reference
 
+    @property
+    def objective(self) -> str:
+        return self.scene.weights.objective
+
     def value(self, key: str) -> float | None:
         """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
         if key == CURRENT:

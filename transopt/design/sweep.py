@@ -16,8 +16,10 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.design.entry import Baselines, entry_problem, replayed, rivals_errors, scene_stage
-from transopt.design.optimum import Designed, optimum
+from transopt.base.signals import FloatArray
+from transopt.design.entry import Baselines, energy_dB, entry_problem, replayed, rivals_errors, scene_stage
+from transopt.design.intensity import best
+from transopt.design.optimum import Designed
 from transopt.design.price import prices
 from transopt.design.verify import admit
 from transopt.plant.discretise import StageModel
@@ -25,6 +27,7 @@ from transopt.problem.answer import Status
 from transopt.problem.limits import KINDS
 from transopt.problem.limits.limit import Limit
 from transopt.problem.limits.supply import SupplyLimit
+from transopt.problem.objective.bands import levels
 from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, boxes
 from transopt.proof.replay import Replay
@@ -78,6 +81,9 @@ class Outcome:
     Attributes
     ----------
     status : name of a `Status`, REFUSED or DEFECT. reason : why it is not OPTIMAL.
+    energy_dB, pacinian_dB : energy over the recorded tap's, as the scene counts it and as it is felt.
+    waveform_dB : the same as `energy_dB` of the nearest waveform; what it is where the scene asks for no energy.
+    intensity : lam, the price of the energy; 0 where the scene asks for none, or the nearest waveform has it.
     relative_gap, relative_bound, violation_A, violation_V, violation_K : certificate.
     multipliers : column of a limit (`multiplier_column`) -> its largest multiplier.
     binding : which limits bind, from when to when.
@@ -92,6 +98,10 @@ class Outcome:
     nrmse: float = NAN
     floor: float = NAN
     weighted_nrmse: float = NAN
+    energy_dB: float = NAN
+    pacinian_dB: float = NAN
+    waveform_dB: float = NAN
+    intensity: float = NAN
     free_peak_A: float = NAN
     peak_current_A: float = NAN
     peak_command_A: float = NAN
@@ -182,7 +192,7 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
     spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
     reference = _reference(task, scene, item.speed_m_s)
     problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
-    designed = optimum(problem, task.options)
+    designed = best(problem, task.options, objective=scene.weights.objective)
     return _Solved(item, scene, designed, time.perf_counter() - start)
 
 
@@ -202,6 +212,20 @@ def _largest(designed: Designed) -> dict[str, float]:
         name = multiplier_column(type(box.limit))
         found[name] = max(found.get(name, 0.0), float(box.by_upper.max()), float(box.by_lower.max()))
     return found
+
+
+def _intensity(designed: Designed, predicted_m_s2: FloatArray) -> dict[str, float]:
+    """The columns of an outcome that say how strong the tap is; none of a zero reference."""
+    problem, attained = designed.problem, designed.attained
+    if problem.reference_is_zero:
+        return {}
+    made_dB = energy_dB(problem, designed.solution.command_A)
+    return {
+        "energy_dB": made_dB,
+        "pacinian_dB": levels(predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s).pacinian_dB,
+        "waveform_dB": made_dB if attained is None else attained.waveform_dB,
+        "intensity": problem.intensity,
+    }
 
 
 def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | None, replay_s: float) -> Outcome:
@@ -224,6 +248,7 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         nrmse=played.nrmse,
         floor=designed.floor,
         weighted_nrmse=played.nrmse if problem.reference_is_zero else problem.tracking.nrmse(predicted),
+        **_intensity(designed, predicted),
         free_peak_A=designed.free_peak_A,
         peak_current_A=played.peak_current_A,
         peak_command_A=played.peak_command_A,

@@ -158,9 +158,22 @@ class Online:
             correction = np.einsum("v,g,vgk->k", own, by_grip, library.correction_m_s2)
             wanted = replace(wanted, target=wanted.target.moved(correction))
         problem = posing.problem(wanted, stage, tuple(spread), coil)
+        if posing.objective == "intensity":
+            problem = replace(problem, intensity=self._price(speed_m_s, grip_N))
         if problem.wall is None:
             return problem
         return pressing(problem, reference_course(problem.grid, problem.target.continued_m_s2))
+
+    def _price(self, speed_m_s: float, grip_N: float) -> float:
+        """lam between the nodes, bilinear: the optimum at any lam is the nearest waveform with the energy it has.
+
+        Where lam would have to be another for exactly the energy that the scene asks for, the tap is a little
+        stronger or weaker than that. What is solved is proven at its own lam.
+        """
+        library = self._library
+        by_speed = interpolation_weights(library.speeds_m_s, speed_m_s)
+        by_grip = interpolation_weights(library.grips_N, grip_N)
+        return float(by_speed @ library.intensity @ by_grip)
 
     def solve(
         self,

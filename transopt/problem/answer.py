@@ -10,11 +10,11 @@ import numpy as np
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE
+from transopt.problem.objective.bands import JUST_NOTICED_dB, Levels
 from transopt.problem.problem import TransientProblem
 
 OBJECTIVE_SCALE = 1e-3  # objectives below this count as this in relative comparisons
 AT_FLOOR = 1e-3  # an NRMSE within 0.1 % of the floor is at the floor
-AMPLITUDE_THRESHOLD = 0.2  # just noticeable difference of vibration amplitude, about 1.8 dB
 
 
 class Status(Enum):
@@ -206,16 +206,24 @@ class Certificate:
         return self.is_stationary and -self.GAP_TOLERANCE <= self.relative_bound <= self.BOUND_TOLERANCE
 
 
-def verdict(nrmse: float, floor: float, repeatability: float) -> str:
+def verdict(nrmse: float, floor: float, repeatability: float, levels: Levels) -> str:
     """How good an entry is, in terms of what limits it or of what a hand can feel.
+
+    Hands know a surface by the intensity of the tap more than by its waveform, so that an entry which neither its
+    floor nor the recordings explain goes by that: within what is just noticed, or too weak, and in which band most.
+    A floor or recordings so poor that the intensity is off are called that too.
 
     Parameters
     ----------
     repeatability : trial-to-mean NRMSE of the recordings, NaN if unknown.
     """
-    if nrmse > AMPLITUDE_THRESHOLD:
-        # Nothing to be proud of, even where the floor is no lower.
-        return "above 20 % threshold"
+    off_dB = levels.felt_dB
+    heard = np.isnan(off_dB) or abs(off_dB) <= JUST_NOTICED_dB
+    off = "" if heard else f"too {'weak' if off_dB < 0 else 'strong'} by {abs(off_dB):.1f} dB, most {levels.where}"
     if nrmse <= floor + AT_FLOOR:
-        return "at its floor"
-    return "below repeatability" if nrmse <= repeatability else "below 20 % threshold"
+        said = "at its floor"
+    elif nrmse <= repeatability:
+        said = "below repeatability"
+    else:
+        return off or f"intensity within {JUST_NOTICED_dB:g} dB"
+    return f"{said}, {off}" if off else said

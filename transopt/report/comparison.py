@@ -12,6 +12,7 @@ from transopt.base import writing
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
+from transopt.problem.objective.bands import levels
 from transopt.report.tables import percent
 
 LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
@@ -119,7 +120,12 @@ def _entries(library: Library) -> dict[Node, Figures]:
                 peak_after_m_s2=float(library.peak_after_m_s2[iv, ig]) if looked else float("nan"),
                 peak_current_A=float(library.peak_current_A[iv, ig]),
                 peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
-                verdict=verdict(nrmse, floor, float("nan") if spread is None else spread),
+                verdict=verdict(
+                    nrmse,
+                    floor,
+                    float("nan") if spread is None else spread,
+                    levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
+                ),
                 command_A=library.command_A[iv, ig],
             )
     return found

@@ -12,12 +12,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, plain, style
+from transopt.base.plotting import CLIPPED, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.figures import QUIET, grip_label, legend_above
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
-from transopt.problem.answer import AMPLITUDE_THRESHOLD, Status
+from transopt.problem.answer import Status
 
 if TYPE_CHECKING:  # these import casadi and pydantic, which a figure of a library file needs not
     from transopt.design.build import Build
@@ -83,7 +83,7 @@ def method_figure(build: "Build") -> Figure:
     methods = _methods(build)
     percent = 100 * np.array([[method.value(entry) for entry in entries] for method in methods])
     repeatability = 100 * np.array([entry.repeatability for entry in entries])
-    shown = np.concatenate([percent.ravel(), repeatability, [100 * AMPLITUDE_THRESHOLD]])
+    shown = np.concatenate([percent.ravel(), repeatability])
     shown = shown[np.isfinite(shown) & (shown > 0)]
     bottom, top = 0.7 * float(shown.min()), 1.5 * float(shown.max())
 
@@ -102,8 +102,6 @@ def method_figure(build: "Build") -> Figure:
         # NaN and infinity stay away; zero cannot be on a logarithmic axis and is put on its edge.
         x, y = positions + method.offset, np.maximum(values, bottom)
         axes.plot(x, y, linestyle="", zorder=9 - j, clip_on=False, label=method.label, **method.marker)
-    label = f"amplitude threshold {100 * AMPLITUDE_THRESHOLD:g} %"
-    axes.axhline(100 * AMPLITUDE_THRESHOLD, color=DARK, linewidth=1.0, linestyle="--", label=label)
     left, right = positions - 0.45, positions + 0.45
     label = "_none" if np.all(np.isnan(repeatability)) else "repeatability of the taps"
     axes.hlines(repeatability, left, right, color="0.45", linewidth=1.2, linestyle=":", label=label)

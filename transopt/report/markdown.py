@@ -26,6 +26,7 @@ from transopt.report.tables import (
     summary,
     warnings,
 )
+from transopt.report.trade_off import attained_lines, levels_row, trade_off_lines, trade_off_row
 from transopt.solvers.options import FALLBACK, default_solver
 
 CERTIFICATE_LEGEND = (
@@ -43,8 +44,9 @@ def _between_lines(refinement: Refinement) -> list[str]:
     if refinement.entries == 1:
         return lines
     lines += [
-        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % |",
-        "|---|---|---|---|---|---|---|---|",
+        "| grid | speeds | grips | entries | worst excess % | at m/s, N | NRMSE / optimum % | median excess % | "
+        "weakest dB |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, grid, excess, blended in (
         ("of the scene", refinement.recorded, "excess_before", "before"),
@@ -56,14 +58,17 @@ def _between_lines(refinement: Refinement) -> list[str]:
         lines.append(
             f"| {name} | {speeds} | {grips} | {speeds * grips} | {100 * getattr(worst, excess):.2f} | "
             f"{worst.speed_m_s:.4g}, {worst.grip_N:.4g} | {percent(getattr(worst, blended))} / "
-            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} |"
+            f"{percent(worst.optimum)} | {100 * np.median([getattr(p, excess) for p in points]):.2f} | "
+            f"{min(getattr(p, f'{blended}_dB') for p in points):+.2f} |"
         )
     return [
         *lines,
         "",
         "excess: NRMSE of the bilinear blend of the node commands, replayed, less that of the optimum solved exactly "
-        f"there; at {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where "
-        "it errs most. `grid_error.png` shows it, where figures are drawn.",
+        "there, or the share of amplitude that the blend lacks beside that optimum, whichever is larger; "
+        "weakest: its energy over that optimum's, where it is least. "
+        f"At {len(refinement.points)} points: nodes and midpoints of the refined grid, quarter points where it errs "
+        "most. `grid_error.png` shows it, where figures are drawn.",
     ]
 
 
@@ -256,6 +261,8 @@ def build_markdown(build: Build) -> str:
         CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
         *_kept_back_lines(entries),
         *_price_lines(entries),
+        *trade_off_lines(build),
+        *attained_lines(entries),
         *_weighted_lines(entries),
         *_spread_lines(entries),
     ]
@@ -310,6 +317,9 @@ def build_json(build: Build) -> str:
             "prices": [asdict(price) for price in e.prices],
             "size": None if e.size is None else asdict(e.size),
             "weighted_nrmse": e.weighted_nrmse,
+            "levels": levels_row(e.levels),
+            "attained": None if e.attained is None else asdict(e.attained),
+            "trade_off": trade_off_row(build, e.speed_m_s, e.grip_N),
             "spread": None if e.spread is None else asdict(e.spread),
             "certificate": _certificate_row(e.certificate),
             "replay_step_error": e.played.step_error,

@@ -12,7 +12,15 @@ from transopt.report.markdown import build_json, build_markdown
 Files = Mapping[str, Callable[[Path], object]]  # file name -> what writes that file under a path
 
 # Of an earlier build in the same folder, which this one may not have.
-LEFTOVERS = ("refused.md", "refused.json", "transients.png", "methods.png", "bode.png", "grid_error.png")
+LEFTOVERS = (
+    "refused.md",
+    "refused.json",
+    "transients.png",
+    "methods.png",
+    "bode.png",
+    "trade_off.png",
+    "grid_error.png",
+)
 
 
 def publish(folder: Path, files: Files, stale: Sequence[str] = ()) -> None:
@@ -63,10 +71,13 @@ def files_of(build: Build, *, figures: bool = True) -> Files:
     from transopt.base.plotting import save_figure
     from transopt.report import figures as drawing
     from transopt.report.grid_figure import grid_figure
+    from transopt.report.trade_off_figure import trade_off_figure
 
     files["transients.png"] = lambda path: save_figure(library.plot(), path)
     files["methods.png"] = lambda path: save_figure(drawing.method_figure(build), path)
     files["bode.png"] = lambda path: save_figure(drawing.bode_figure(library), path)
+    if build.trade_offs:
+        files["trade_off.png"] = lambda path: save_figure(trade_off_figure(build), path)
     refinement = build.refinement
     if refinement is not None and refinement.entries > 1:
         files["grid_error.png"] = lambda path: save_figure(grid_figure(refinement), path)

@@ -14,6 +14,7 @@ from transopt.design.refine_grid import Refinement
 from transopt.design.verify import EntryCheck
 from transopt.library.library import Library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
+from transopt.problem.objective.bands import JUST_NOTICED_dB, levels
 from transopt.scene.sections import covering_lead_s
 
 
@@ -33,8 +34,9 @@ LEGEND = (
     "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap from contact on. floor: the same "
     "problem without its limits. after %: |a - r| when the waveform is over, relative to the same |r|; after g: the "
     "largest |a - r| there. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its current "
-    "clipped (both keep current and command limits only). repeats: NRMSE of the recordings to their mean. 20 %: a "
-    "just noticeable difference of amplitude."
+    "clipped (both keep current and command limits only). repeats: NRMSE of the recordings to their mean. "
+    "verdict: weak, strong: energy as vibration is felt, around 275 Hz, beside that of r; "
+    f"{JUST_NOTICED_dB:g} dB are just noticed."
 )
 
 
@@ -231,7 +233,12 @@ def library_table(library: Library, name: str) -> Table:
                 f"{gap:.0e}",
                 f"{library.solve_time_s[iv, ig] * 1e3:.0f}",
                 str(library.binding[iv, ig]),
-                verdict(nrmse, floor, float("nan") if spread is None else spread),
+                verdict(
+                    nrmse,
+                    floor,
+                    float("nan") if spread is None else spread,
+                    levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
+                ),
             )
         table.add_section()
     return table

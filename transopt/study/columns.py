@@ -23,6 +23,10 @@ VIOLATIONS = ("violation_A", "violation_V", "violation_K")
 MEASURES = (
     "nrmse",
     "weighted_nrmse",
+    "energy_dB",
+    "pacinian_dB",
+    "waveform_dB",
+    "intensity",
     "floor",
     "peak_current_A",
     "peak_command_A",

@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import LABEL_PT, style
 from transopt.base.writing import percent
+from transopt.design.attained import TOLERANCE_dB
 from transopt.problem.answer import AT_FLOOR
+from transopt.problem.objective.bands import JUST_NOTICED_dB
 from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.study.axes import parse_axis
@@ -44,19 +46,59 @@ class Swept:
 
 
 def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    error, floor, needed = (entry_grid(plan, rows, name) for name in ("nrmse", "floor", "free_peak_A"))
+    names = ("nrmse", "floor", "free_peak_A", "pacinian_dB")
+    error, floor, needed, felt = (entry_grid(plan, rows, name) for name in names)
     limits = plan.axes[0].values
     cut = int(np.sum(needed[0] > limits[0]))
     free = [A for A, e, f in zip(limits, error, floor, strict=True) if np.all(e <= f + AT_FLOOR)]
     clear = (
         f"from {free[0]:.2f} A on all are at their floor" if free else f"even {limits[-1]:g} A is not enough for all"
     )
-    moderate = [A for A, e in zip(limits, error, strict=True) if np.all(e <= 0.2)]
-    fair = f"; the 20 % threshold of amplitude is kept by all from {moderate[0]:.2f} A on" if moderate else ""
+    strong = [A for A, dB in zip(limits, felt, strict=True) if np.all(np.abs(dB) <= JUST_NOTICED_dB)]
+    fair = f"; from {strong[0]:.2f} A on all are as strong as felt, within {JUST_NOTICED_dB:g} dB" if strong else ""
     return (
         f"At {limits[0]:g} A the limit cuts {cut} of {needed[0].size} taps, and the best that is left errs by "
         f"{percent(float(error[0].min()))} to {percent(float(error[0].max()))} %{fair}; {clear}."
     )
+
+
+def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
+    names = ("energy_dB", "waveform_dB", "nrmse", "free_peak_A")
+    energy, wave, error, needed = (entry_grid(plan, rows, name) for name in names)
+    limits = np.array(plan.axes[0].values)
+    asked_dB = plan.scene.weights.intensity_dB
+
+    def from_on(met: Any) -> str:
+        """The least limit from which on every entry meets something."""
+        kept = np.logical_and.accumulate(np.all(met, axis=(1, 2))[::-1])[::-1]
+        return f"{limits[int(np.argmax(kept))]:g} A" if kept.any() else f"more than {limits[-1]:g} A"
+
+    has = energy >= asked_dB - 2 * TOLERANCE_dB
+    reached = np.all(has, axis=(1, 2))
+    first = int(np.argmax(reached)) if reached.any() else len(limits) - 1
+    return (
+        f"The energy of the recorded taps, {asked_dB:+g} dB, takes {from_on(has)} at every entry; their waveform "
+        f"takes {float(np.nanmax(needed)):.2f} A. The nearest waveform has it within {JUST_NOTICED_dB:g} dB "
+        f"from {from_on(wave >= asked_dB - JUST_NOTICED_dB)} on. At {limits[first]:g} A the optimum of intensity "
+        f"errs by up to {percent(float(np.nanmax(error[first])))} %."
+    )
+
+
+def intensity_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
+    """Energy of the nearest waveform, and the error of the nearest one with the energy asked for, over the limit."""
+    limits = np.array(plan.axes[0].values)
+    figure = Figure(figsize=(7.4, 3.7), layout="constrained")
+    panels = figure.subplots(1, 2)
+    drawn = (entry_grid(plan, rows, "waveform_dB"), 100 * entry_grid(plan, rows, "nrmse"))
+    words = ("energy of the nearest waveform [dB]", "NRMSE with the energy asked for [%]")
+    for axes, values, label in zip(panels, drawn, words, strict=True):
+        style(axes)
+        entry_lines(axes, plan, limits, values)
+        axes.set_xlabel("current limit [A]", fontsize=LABEL_PT)
+        axes.set_ylabel(label, fontsize=LABEL_PT)
+    panels[0].axhspan(-JUST_NOTICED_dB, 0.0, color="0.93", linewidth=0)
+    legend_above(figure, panels[0].get_lines(), 3)
+    return figure
 
 
 def bandwidth_finding(plan: Plan, rows: Sequence[Row]) -> str:
@@ -127,6 +169,14 @@ def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
 ALL_SPEEDS_M_S, ALL_GRIPS_N = (0.1, 0.2, 0.3, 0.4), (1.0, 3.0, 5.0)
 SWEPT = {
     "current_limit": Swept("limits.current_A=1.25:6:20", ALL_SPEEDS_M_S, ALL_GRIPS_N, curves, current_finding),
+    "intensity": Swept(
+        "limits.current_A=0.5:5.5:21",
+        ALL_SPEEDS_M_S,
+        ALL_GRIPS_N,
+        intensity_figure,
+        intensity_finding,
+        (("weights.objective", "intensity"),),
+    ),
     "tap_rate": Swept(
         "thermal.tap_rate_Hz=2:16:15",
         (0.3, 0.4),

@@ -19,6 +19,7 @@ from transopt.library.library import Library
 from transopt.library.proven import doubts
 from transopt.problem.answer import Status, verdict
 from transopt.problem.limits.temperature import temperature_limit
+from transopt.problem.objective.bands import Levels, levels
 from transopt.proof.certify import certify
 from transopt.recordings.recording import Recording
 from transopt.recordings.tap import read_recordings
@@ -335,12 +336,20 @@ class TestVerify:
         assert "status in the file" in checks[0].shortfalls[0]
 
 
+def of_intensity(dB: float, wanted: np.ndarray) -> Levels:
+    return levels(10 ** (dB / 20) * wanted, wanted, 1e-4)
+
+
 def test_verdicts() -> None:
-    assert verdict(0.0055, 0.005, np.nan) == "at its floor"
-    assert verdict(0.02, 0.005, 0.03) == "below repeatability"
-    assert verdict(0.1, 0.005, np.nan) == "below 20 % threshold"
-    assert verdict(0.3, 0.005, 0.05) == "above 20 % threshold"
-    assert verdict(0.97, 0.97, 0.05) == "above 20 % threshold"
+    tap = np.sin(2 * np.pi * 250 * 1e-4 * np.arange(600)) * np.exp(-np.arange(600) / 100)
+    as_strong, weak, strong = (of_intensity(dB, tap) for dB in (0.0, -3.0, 2.0))
+    assert verdict(0.0055, 0.005, np.nan, as_strong) == "at its floor"
+    assert verdict(0.02, 0.005, 0.03, as_strong) == "below repeatability"
+    assert verdict(0.3, 0.005, 0.05, as_strong) == "intensity within 1.6 dB"
+    assert verdict(0.3, 0.005, np.nan, of_intensity(-1.5, tap)) == "intensity within 1.6 dB"
+    assert verdict(0.3, 0.005, 0.05, weak) == "too weak by 3.0 dB, most at 250 Hz"
+    assert verdict(0.3, 0.005, 0.05, strong) == "too strong by 2.0 dB, most at 250 Hz"
+    assert verdict(0.97, 0.97, 0.05, weak) == "at its floor, too weak by 3.0 dB, most at 250 Hz"
 
 
 def test_a_scene_that_asks_for_intensity_stores_price_and_energy(scene: Scene, taps: list[Recording]) -> None:

@@ -12,7 +12,7 @@ from tests.benches.commands import Outcome, Terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import Signal, highpass
 from transopt.design.build import Build, build_library
-from transopt.design.refine_grid import Refinement, refine_grid
+from transopt.design.refine_grid import OffNode, Refinement, lacking, refine_grid
 from transopt.design.verify import verify_library
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -21,6 +21,7 @@ from transopt.recordings.reference import Reference, between, build_references
 from transopt.report.grid_figure import grid_figure
 from transopt.report.markdown import build_json, build_markdown
 from transopt.report.tables import refinement_summary
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -124,8 +125,26 @@ class TestTolerance:
         assert refined.library is not None
         points = refinement.off(refinement.grid)[::40]
         at = np.array([(p.speed_m_s, p.grip_N) for p in points])
-        expected = [(p.excess_before, p.excess_after) for p in points]
+        expected = [(p.before - p.optimum, p.after - p.optimum) for p in points]
         np.testing.assert_allclose(expected, excess(scene, references, at, library, refined.library), atol=1e-9)
+
+    def test_what_a_blend_lacks_in_amplitude_counts_as_excess(self, refinement: Refinement) -> None:
+        weak = OffNode(0.3, 2.0, optimum=0.1, before=0.1, after=0.09, before_dB=20 * np.log10(0.97), after_dB=0.1)
+        assert weak.excess_before == pytest.approx(0.03)
+        assert weak.excess_after == pytest.approx(-0.01)
+        assert max(lacking(p.after_dB) for p in refinement.points) <= 0.02
+        assert min(p.before_dB for p in refinement.off(refinement.recorded)) < 0
+
+    def test_an_optimum_of_intensity_is_not_blended_weaker(self, scene: Scene, taps: list[Recording]) -> None:
+        """NRMSE alone would pass a blend that is nearer to the waveform and weaker."""
+        loud = with_values(
+            with_grid(scene, [0.2, 0.4], [5.0]), {"weights.objective": "intensity", "limits.current_A": 2.5}
+        )
+        own = [tap for tap in taps if min(abs(tap.speed_m_s / v - 1) for v in (0.2, 0.4)) < 0.1]
+        found = refine_grid(loud, own, 0.02)
+        assert not found.shortfall
+        assert min(p.before_dB for p in found.points) < -0.2
+        assert min(p.after_dB for p in found.points) > 20 * np.log10(0.98)
 
     def test_nothing_to_blend_at_a_node(self, scene: Scene, refinement: Refinement) -> None:
         """Optimum and blend are the same commands there; replayed side by side, each stage may round otherwise."""
@@ -229,4 +248,4 @@ class TestWhatIsWritten:
         assert "grid of the scene, 12 entries" in before.get_title()
         assert f"refined, {refinement.entries} entries" in after.get_title()
         assert before.collections[0].get_clim() == after.collections[0].get_clim()
-        assert "NRMSE [%]" in bar.get_ylabel()
+        assert "NRMSE or amplitude [%]" in bar.get_ylabel()

@@ -75,14 +75,14 @@ def test_infeasible_entry_is_told(scene: Scene, taps: list[Recording]) -> None:
 
 
 def test_a_defect_takes_nobody_with_it(scene: Scene, taps: list[Recording], monkeypatch: pytest.MonkeyPatch) -> None:
-    optimum = sweep.optimum
+    best = sweep.best
 
-    def breaks(problem: object, options: SolverOptions) -> object:
+    def breaks(problem: object, options: SolverOptions, *, objective: str) -> object:
         if problem.limits.current_A == 3.0:  # type: ignore[attr-defined]
             raise RuntimeError("two\nlines")
-        return optimum(problem, options)  # type: ignore[arg-type]
+        return best(problem, options, objective=objective)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(sweep, "optimum", breaks)
+    monkeypatch.setattr(sweep, "best", breaks)
     one, other = run_task(task(scene, taps, [{"limits.current_A": 3.0}, {"limits.current_A": 3.5}], [0.4]))
     assert (one.status, one.reason) == (DEFECT, "RuntimeError: two lines")
     assert other.status == "OPTIMAL"

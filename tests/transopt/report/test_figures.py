@@ -174,7 +174,6 @@ class TestMethods:
             "seed inversion, 1.25 A": [e.baselines.seed_steady for e in entries],
             "clipped optimum, 4 A": [e.baselines.clipped for e in entries],
             "clipped optimum, 1.25 A": [e.baselines.clipped_steady for e in entries],
-            "amplitude threshold 20 %": 0.2,
         }
         assert legend_texts(figure) == [*wanted, "repeatability of the taps"] == [*drawn, legend_texts(figure)[-1]]
         for name, shares in wanted.items():

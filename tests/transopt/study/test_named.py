@@ -49,6 +49,18 @@ class TestNamed:
         worst = entry_grid(plan, rows, "nrmse")
         assert percent(float(worst[0].max())) in said or f"{100 * worst[0, 0].max():.2f}" in said
 
+    def test_what_intensity_needs_stands_beside_what_the_waveform_needs(self, short: Scene, tmp_path: Path) -> None:
+        fewer = replace(SWEPT["intensity"], axis="limits.current_A=2,3,4", speeds_m_s=(0.4,), grips_N=(5.0,))
+        plan = fewer.plan(short)
+        rows = run_plan(plan, tmp_path, serial())
+        energy, wave, needed = (entry_grid(plan, rows, name) for name in ("energy_dB", "waveform_dB", "free_peak_A"))
+        np.testing.assert_allclose(energy, 0.0, atol=0.011)
+        assert np.all(np.diff(wave[:, 0, 0]) > 0)
+        said = fewer.finding(plan, rows)
+        assert "takes 2 A at every entry" in said
+        assert f"waveform takes {needed.max():.2f} A" in said
+        assert len(fewer.figure(plan, rows).axes) == 2
+
     def test_blind_grip(self, short: Scene) -> None:
         found, optima = mismatch(short, (0.2,), (1.0, 3.0))
         assert [(one.speed_m_s, one.grip_N, one.status) for one in optima] == [

@@ -49,8 +49,9 @@ def tail(problem: TransientProblem, stage: LinearStage) -> Tail:
             by_state, offset = _fixed(stage, M) if problem.wall is None else _walled(problem, stage)
             Q, gain = np.linalg.qr(by_state)
             wanted = np.repeat(after, devices) - offset
-    target = wanted @ Q
-    rest = max(float(wanted @ wanted - target @ target), 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        target = wanted @ Q
+        rest = max(float(wanted @ wanted - target @ target), 0.0)
     return Tail(gain / np.sqrt(devices), target / np.sqrt(devices), rest / devices)
 
 

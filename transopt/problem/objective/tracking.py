@@ -67,8 +67,9 @@ class Tracking:
 
     def energy_dB(self, accelerations_m_s2: FloatArray) -> float:
         """Energy within the window over that of r, the mean over the devices, of accelerations (S, >= N) [dB]."""
-        made, wanted = self._energies(accelerations_m_s2)
-        return float(10 * np.log10(max(made, np.finfo(float).tiny) / wanted))
+        # Either may be too small or too large for their ratio.
+        made, wanted = (np.log10(max(energy, np.finfo(float).tiny)) for energy in self._energies(accelerations_m_s2))
+        return float(10 * (made - wanted))
 
     def _energies(self, accelerations_m_s2: FloatArray) -> tuple[float, float]:
         N = self.target.window_m_s2.size

@@ -1,0 +1,184 @@
+"""The root search over the price of intensity, and what its answer is worth."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from transopt.design.attained import Attained
+from transopt.design.entry import entry_problem, scene_stage
+from transopt.design.intensity import best, intense, most_price
+from transopt.design.optimum import Designed, optimum
+from transopt.problem.problem import TransientProblem
+from transopt.recordings.reference import Reference
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+from transopt.solvers.options import SolverOptions
+
+OPTIONS = SolverOptions()
+Posed = Callable[..., TransientProblem]
+
+
+@pytest.fixture(scope="module")
+def posed(scene: Scene, references: list[Reference]) -> Posed:
+    def make(speed_m_s: float = 0.4, grip_N: float = 5.0, dB: float = 0.0, **changes: object) -> TransientProblem:
+        changed = with_values(scene, {key.replace("__", "."): value for key, value in changes.items()})
+        reference = next(r for r in references if r.speed_m_s == speed_m_s)
+        problem = entry_problem(changed, scene_stage(changed, grip_N), reference)
+        return replace(problem, intensity_dB=dB)
+
+    return make
+
+
+def attained(designed: Designed) -> Attained:
+    assert designed.attained is not None
+    return designed.attained
+
+
+def J(problem: TransientProblem, command_A: np.ndarray) -> float:
+    return problem.objective(command_A, problem.accelerations(command_A))
+
+
+def energy_dB(problem: TransientProblem, command_A: np.ndarray) -> float:
+    return problem.tracking.energy_dB(problem.accelerations(command_A))
+
+
+@pytest.mark.parametrize("current_A", [4.0, 2.5, 1.25])
+def test_a_saturated_tap_gets_the_energy_it_is_asked_for(posed: Posed, current_A: float) -> None:
+    problem = posed(limits__current_A=current_A)
+    found = intense(problem, OPTIONS)
+    assert attained(found).waveform_dB < -1
+    assert energy_dB(problem, found.solution.command_A) == pytest.approx(0.0, abs=0.01)
+    assert attained(found).energy_dB == pytest.approx(energy_dB(problem, found.solution.command_A), abs=1e-9)
+    assert found.problem.intensity == attained(found).price > 0
+    assert found.certificate.accepted
+    assert attained(found).problems <= 8
+    assert found.certificate.objective == pytest.approx(J(problem, found.solution.command_A), rel=1e-9)
+
+
+def test_floor_and_unlimited_optimum_stay_those_of_the_waveform(posed: Posed) -> None:
+    problem = posed()
+    plain, found = optimum(problem, OPTIONS), intense(problem, OPTIONS)
+    assert (found.floor, found.free_peak_A) == (plain.floor, plain.free_peak_A)
+    np.testing.assert_array_equal(found.unlimited_command_A, plain.unlimited_command_A)
+    assert attained(found).waveform_dB == pytest.approx(energy_dB(problem, plain.solution.command_A), abs=1e-9)
+
+
+def test_a_tap_that_no_limit_cuts_is_left_as_it_is(posed: Posed) -> None:
+    problem = posed(speed_m_s=0.2)
+    found = intense(problem, OPTIONS)
+    np.testing.assert_array_equal(found.solution.command_A, optimum(problem, OPTIONS).solution.command_A)
+    assert (attained(found).price, attained(found).problems) == (0.0, 1)
+    assert "the optimum of the waveform has it" in attained(found).sentence
+
+
+def test_less_than_the_waveform_has_costs_nothing_and_more_can_be_asked_for(posed: Posed) -> None:
+    assert attained(intense(posed(dB=-3.0), OPTIONS)).price == 0
+    louder = intense(posed(speed_m_s=0.2, dB=3.0), OPTIONS)
+    assert attained(louder).energy_dB == pytest.approx(3.0, abs=0.01)
+
+
+def test_no_command_with_as_much_energy_is_nearer(posed: Posed) -> None:
+    """The claim of the certificate, tried: feasible commands that are as strong all have a larger J."""
+    problem = posed(limits__current_A=2.5)
+    found = intense(problem, OPTIONS)
+    best_A, rng = found.solution.command_A, np.random.default_rng(1)
+    objective, level = J(problem, best_A), energy_dB(problem, best_A)
+    lams = (0.7, 0.9, 0.97)
+    others = [optimum(replace(problem, intensity=lam), OPTIONS).solution.command_A for lam in lams]
+    tried = 0
+    for _ in range(60):
+        share = rng.uniform(0, 1)
+        other = others[rng.integers(len(others))]
+        command = (1 - share) * best_A + share * other  # inside every limit, being convex
+        command[: problem.free_stages] += rng.normal(0, 1e-3, problem.free_stages)
+        command = np.clip(command, -2.4, 2.4)
+        command[problem.free_stages :] = 0.0
+        if energy_dB(problem, command) >= level:
+            tried += 1
+            assert J(problem, command) >= objective - found.certificate.duality_gap
+    assert tried > 10
+
+
+def test_energy_grows_with_its_price(posed: Posed) -> None:
+    problem = posed(limits__current_A=1.25)
+    found = [optimum(replace(problem, intensity=lam), OPTIONS) for lam in (0.0, 0.3, 0.6, 0.9, 0.99)]
+    levels_dB = [energy_dB(problem, one.solution.command_A) for one in found]
+    objectives = [one.certificate.objective for one in found]
+    assert levels_dB == sorted(levels_dB)
+    assert objectives == sorted(objectives)
+
+
+def test_what_is_out_of_reach_is_stated_in_dB(posed: Posed) -> None:
+    found = attained(intense(posed(limits__current_A=0.5), OPTIONS))
+    assert found.price == pytest.approx(0.99)
+    assert found.missing_dB > 1
+    assert f"{found.missing_dB:.2f} dB are missing" in found.sentence
+    assert "no proof" in found.sentence
+    assert f"{found.waveform_dB:+.2f} dB" in found.sentence
+
+
+def test_a_price_stays_below_the_smallest_weight(posed: Posed) -> None:
+    problem = posed(limits__current_A=1.25)
+    weights = np.where(np.arange(problem.grid.stages) < 300, 1.0, 0.5)
+    found = attained(intense(replace(problem, tracking_weights=weights), OPTIONS))
+    assert found.price < 0.5
+    assert most_price(replace(problem, tracking_weights=0 * weights)) == 0
+    unweighted = attained(intense(replace(problem, tracking_weights=np.maximum(weights - 0.5, 0)), OPTIONS))
+    assert unweighted.price == 0
+    assert unweighted.missing_dB > 0
+
+
+def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
+    problem = posed(limits__current_A=2.5, weights__error_filter="pacinian")
+    found = intense(problem, OPTIONS)
+    felt = problem.tracking.filtered(problem.stage.rollout(found.solution.command_A)[0])
+    wanted = problem.tracking.filtered(problem.reference_m_s2)
+    assert 10 * np.log10(float(felt @ felt) / float(wanted @ wanted)) == pytest.approx(0.0, abs=0.01)
+    assert found.certificate.accepted
+
+
+def test_a_spread_is_asked_for_its_mean_energy(posed: Posed, scene: Scene) -> None:
+    problem = posed(limits__current_A=2.5)
+    several = replace(problem, spread=(scene_stage(scene, 4.0), scene_stage(scene, 3.0)))
+    found = intense(several, OPTIONS)
+    made = several.accelerations(found.solution.command_A)[:, : several.grid.stages]
+    ratio = np.mean(np.sum(made**2, axis=-1)) / np.sum(several.reference_m_s2**2)
+    assert 10 * np.log10(ratio) == pytest.approx(0.0, abs=0.01)
+    assert found.certificate.accepted
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"limits__slew_A_per_s": 4000.0, "limits__current_A": 2.5},
+        {"limits__supply_V": 9.0},
+        {"feedback": {"stiffness_N_m": 500.0, "damping_N_s_m": 5.0}, "limits__current_A": 2.5},
+        {"thermal__start_winding_C": 99.95, "thermal__start_housing_C": 80.0},
+    ],
+    ids=["slew", "supply", "wall", "temperature"],
+)
+def test_every_kind_of_limit(posed: Posed, changes: dict[str, object]) -> None:
+    problem = posed(**changes)
+    found = intense(problem, OPTIONS)
+    assert found.is_proven
+    assert found.certificate.is_stationary
+    reached = attained(found)
+    assert reached.missing_dB == 0 or reached.price == pytest.approx(most_price(problem))
+    assert reached.energy_dB == pytest.approx(energy_dB(found.problem, found.solution.command_A), abs=1e-9)
+
+
+def test_a_zero_tap_asks_for_nothing(posed: Posed) -> None:
+    problem = posed()
+    found = intense(problem.towards(0 * problem.reference_m_s2), OPTIONS)
+    assert not found.solution.command_A.any()
+    assert found.attained is None
+
+
+def test_the_scene_says_which_objective(scene: Scene, references: list[Reference]) -> None:
+    louder = with_values(scene, {"weights.objective": "intensity", "weights.intensity_dB": 1.0})
+    problem = entry_problem(louder, scene_stage(louder, 5.0), references[-1])
+    found = best(problem, OPTIONS, objective=louder.weights.objective)
+    assert attained(found).energy_dB == pytest.approx(1.0, abs=0.01)
+    assert best(problem, OPTIONS, objective="waveform").attained is None

@@ -1,0 +1,204 @@
+"""The root search over the price of intensity: the least lam at which an entry has the energy it is asked for.
+
+Where limits bind, the nearest waveform is too weak. L = J - lam (energy - what is asked) is a sum of squares for
+every lam below the smallest weight, and its minimiser c(lam) is the global optimum of "J, with at least the energy
+that c(lam) has": no admissible command with as much energy has a smaller J, up to the certified gap of L. Its energy
+grows with lam. So all that is searched for is one number.
+
+Without limits c(lam) makes y'' = r / (1 - lam), so that the energy in dB is linear in t = -log(1 - lam). Under limits
+it is bent, but two solved problems tell more than two points of it: by the envelope theorem dJ = lam d(energy) along
+the path, and the J of both give the integral of lam over the energy between them. The parabola t(dB) that has both
+points and this integral is what is followed, inside a bracket that is halved where the parabola comes no nearer (as
+in the projection step of ITP: Oliveira and Takahashi, ACM Trans. Math. Softw. 47, 2020).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from transopt.design.attained import Attained, TOLERANCE_dB
+from transopt.design.optimum import Designed, optimum
+from transopt.problem.problem import TransientProblem
+from transopt.solvers.options import SolverOptions
+
+MOST = 0.99  # of the smallest tracking weight, and of 1
+MOST_PROBLEMS = 14
+FIRST_dB = 4.0  # per unit of t, of the first step: 8.7 without limits, about this where a limit cuts the tap
+SLOW = (
+    0.5  # of the energy that the older of two problems misses: what the next one may miss, or the bracket is halved
+)
+INSET = 1e-3  # of a bracket, which a candidate stays away from its ends
+STEEPEST = 0.9  # of the chord's slope: what the parabola's may differ from it at the ends of its interval
+NEWTON = 8
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
+NARROW = 1e-9  # of lam, below which a bracket holds a jump
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """One lam that was solved for; energy over that of r [dB], and J."""
+
+    lam: float
+    energy_dB: float
+    objective: float
+    designed: Designed
+
+    @property
+    def t(self) -> float:
+        return float(-np.log1p(-self.lam))
+
+
+def most_price(problem: TransientProblem) -> float:
+    """The largest lam that is tried; 0 where a tracking weight is zero."""
+    return MOST * min(1.0, float(problem.tracking_weights.min()))
+
+
+def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
+    """The optimum with at least the energy that `problem.intensity_dB` asks for, of those that a price on it finds.
+
+    Floor, unlimited optimum and its peak stay those of J. The certificate is that of L at the lam that was found;
+    what the search leaves of the energy is stated in dB (`Designed.attained`), never in the gap.
+    """
+    first = optimum(problem.without_intensity(), options)
+    if not first.is_proven or problem.reference_is_zero:
+        return first
+    found, problems, spent_s = _search(problem, first, options)
+    wave = _tried(0.0, first)
+    attained = Attained(
+        asked_dB=problem.intensity_dB,
+        energy_dB=found.energy_dB,
+        waveform_dB=wave.energy_dB,
+        waveform_nrmse=problem.target.nrmse(first.problem.stage.rollout(first.solution.command_A)[0]),
+        price=found.lam,
+        most=most_price(problem),
+        problems=problems,
+    )
+    return replace(
+        found.designed,
+        solution=replace(found.designed.solution, solve_time_s=spent_s),
+        unlimited_command_A=first.unlimited_command_A,
+        floor=first.floor,
+        free_peak_A=first.free_peak_A,
+        attained=attained,
+    )
+
+
+def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -> Designed:
+    """The optimum of a scene's objective: "waveform" minimises J, "intensity" asks for the energy of the tap too."""
+    return intense(problem, options) if objective == "intensity" else optimum(problem, options)
+
+
+def _tried(lam: float, designed: Designed) -> _Tried:
+    problem = designed.problem
+    accelerations = problem.accelerations(designed.solution.command_A)
+    return _Tried(lam, problem.tracking.energy_dB(accelerations), designed.certificate.objective, designed)
+
+
+@dataclass
+class _Bracket:
+    """Between what lams the one that is searched for lies.
+
+    Attributes
+    ----------
+    is_open : nothing was found above, so that the upper end is a candidate itself.
+    """
+
+    low: float
+    high: float
+    is_open: bool = True
+
+    @property
+    def is_empty(self) -> bool:
+        return self.high - self.low <= NARROW
+
+    @property
+    def halfway(self) -> float:
+        """What tells most where the points known do not: whether there is anything at all, or the middle."""
+        return self.high if self.is_open else 0.5 * (self.low + self.high)
+
+    def inside(self, lam: float) -> float:
+        """The nearest lam that is a little away from what has been tried."""
+        inset = INSET * (self.high - self.low)
+        return min(max(lam, self.low + inset), self.high if self.is_open else self.high - inset)
+
+    def cut(self, lam: float, *, too_weak: bool) -> None:
+        """Take what was found at a lam for the new end."""
+        if too_weak:
+            self.low = lam
+        else:
+            self.high, self.is_open = lam, False
+
+
+def _search(problem: TransientProblem, first: Designed, options: SolverOptions) -> tuple[_Tried, int, float]:
+    """The lam that was found with its answer, how many problems were solved, and the time of their solvers."""
+    asked_dB = problem.intensity_dB
+
+    def missed_dB(each: _Tried) -> float:
+        return abs(each.energy_dB - asked_dB)
+
+    tried, problems, spent_s = [_tried(0.0, first)], 1, first.solution.solve_time_s
+    if tried[0].energy_dB >= asked_dB - TOLERANCE_dB:
+        return tried[0], problems, spent_s
+    bracket, slow = _Bracket(0.0, most_price(problem)), False
+    while not bracket.is_empty and problems < MOST_PROBLEMS:
+        nearest = sorted(tried, key=missed_dB)[:2]
+        lam = bracket.halfway if slow else _next(nearest, asked_dB)
+        if not bracket.low < lam < bracket.high:
+            # The two that come nearest lie on one side and point away: the ends of the bracket are what is left.
+            ends = [each for each in tried if each.lam in (bracket.low, bracket.high)]
+            lam = bracket.halfway if len(ends) < 2 else _next(ends, asked_dB)
+        lam = bracket.inside(lam)
+        designed = optimum(replace(problem, intensity=lam), options)
+        problems += 1
+        spent_s += designed.solution.solve_time_s
+        if not designed.is_proven:
+            # Nothing is known of the energy there; half way back to what is proven comes next.
+            bracket.cut(lam, too_weak=False)
+            slow = True
+            continue
+        here = _tried(lam, designed)
+        tried.append(here)
+        if missed_dB(here) <= TOLERANCE_dB:
+            break
+        slow = not slow and missed_dB(here) > SLOW * missed_dB(nearest[-1])
+        bracket.cut(lam, too_weak=here.energy_dB < asked_dB)
+    # Where even the highest lam is too weak it is kept, whatever rounding makes of energies that are alike.
+    last = max(tried, key=lambda each: each.lam)
+    unreached = last.lam == most_price(problem) and last.energy_dB < asked_dB - TOLERANCE_dB
+    return last if unreached else min(tried, key=missed_dB), problems, spent_s
+
+
+def _next(nearest: list[_Tried], asked_dB: float) -> float:
+    """The lam that one problem solved, or two, point to."""
+    first = nearest[0]
+    t = first.t + (asked_dB - first.energy_dB) / FIRST_dB
+    if len(nearest) > 1:
+        t = _parabola(first, nearest[1], asked_dB)
+    return float(-np.expm1(-t))
+
+
+def _parabola(one: _Tried, other: _Tried, at_dB: float) -> float:
+    """t at an energy, by the parabola t(dB) through two points whose integral of lam d(energy) is what their J state.
+
+    With the chord t_c, t = t_c + c (dB - dB_1) (dB - dB_2); c is found by Newton's method and kept so small that t
+    grows over all of the interval.
+    """
+    low, high = sorted((one, other), key=lambda each: each.energy_dB)
+    width = high.energy_dB - low.energy_dB
+    if width <= 0 or high.t <= low.t:
+        return 0.5 * (low.t + high.t)
+    slope = (high.t - low.t) / width
+    dB = low.energy_dB + 0.5 * width * (1 + NODES)
+    energy = 10 ** (dB / 10)
+    weights = 0.5 * width * WEIGHTS * energy * np.log(10) / 10  # of d(energy)
+    chord, bow = low.t + slope * (dB - low.energy_dB), (dB - low.energy_dB) * (dB - high.energy_dB)
+    # E holds what is lost too, the energy that is asked for is that of the window.
+    tracking = low.designed.problem.tracking
+    share = float(np.sum(tracking.unit_reference[: tracking.weights.size] ** 2))
+    wanted = (high.objective - low.objective) / share
+    c, most = 0.0, STEEPEST * slope / width
+    for _ in range(NEWTON):
+        remaining = np.exp(-chord - c * bow)  # 1 - lam
+        missed, by_c = float(weights @ (1 - remaining)) - wanted, float(weights @ (remaining * bow))
+        c = float(np.clip(c - missed / by_c, -most, most))
+    return low.t + slope * (at_dB - low.energy_dB) + c * (at_dB - low.energy_dB) * (at_dB - high.energy_dB)

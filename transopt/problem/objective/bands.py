@@ -1,0 +1,114 @@
+"""How strong a movement is beside the one that is wanted: in all, as vibration is felt, and band by band.
+
+Energies are those of the window tau_0 to tau_(N-1) as it is, without a taper: a tap starts and ends at rest in it.
+The energy in a band is the integral of the signal's energy density |X(f)|^2 between the band's edges. With R_m the
+autocorrelation of the samples, |X(f)|^2 = sum_m R_m cos(2 pi f m dt), so that the integral is a finite sum without
+any grid of frequencies, and the bands from 0 to half the sampling rate add up to the energy of the samples. (The
+lines of a DFT of 60 ms lie 17 Hz apart, wider than the third octave at 50 Hz.)
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from transopt.base.signals import FloatArray
+from transopt.problem.objective.weighting import PACINIAN_Hz, pacinian
+
+# IEC 61260-1: base-ten third octaves, midband 1000 Hz 10^(x/10), edges a factor 10^(1/20) below and above.
+BANDS = range(-13, 1)  # x of the bands from 50 Hz to 1 kHz, where recordings end
+EDGE = 10 ** (1 / 20)
+NOMINAL_Hz = (50.0, 63.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0, 315.0, 400.0, 500.0, 630.0, 800.0, 1000.0)
+QUIET = 1e-4  # of the energy that is wanted, as it is or as it is felt: what holds less of both is no band of the tap
+JUST_NOTICED_dB = 1.6  # of the intensity of vibration: thresholds lie between 1.6 and 1.9 dB
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Energy of a movement over that of the one that is wanted [dB]; 0 is as strong, NaN where nothing is wanted.
+
+    Attributes
+    ----------
+    broadband_dB : of all frequencies alike.
+    pacinian_dB : through the band-pass at 275 Hz by which vibration is felt (`weighting.pacinian`); NaN at a servo
+        rate that cannot carry it.
+    below_dB : of all below the lowest third octave.
+    thirds_dB : nominal midband frequency [Hz] -> dB, of the third octaves that hold a part of the tap.
+    lacking_Hz : third octave in which most of what is felt is missing, or too much; 0 for what lies below.
+    """
+
+    broadband_dB: float
+    pacinian_dB: float
+    below_dB: float
+    thirds_dB: dict[float, float]
+    lacking_Hz: float
+
+    @property
+    def felt_dB(self) -> float:
+        """What the verdict goes by: Pacinian, or broadband where that is not known."""
+        return self.broadband_dB if np.isnan(self.pacinian_dB) else self.pacinian_dB
+
+    @property
+    def where(self) -> str:
+        """The band in which most is missing, in words."""
+        return f"at {self.lacking_Hz:g} Hz" if self.lacking_Hz else f"below {EDGES_Hz[0]:.0f} Hz"
+
+
+EDGES_Hz: FloatArray = 1000 * 10 ** (np.array([*BANDS, BANDS[-1] + 1]) / 10) / EDGE
+
+
+def band_energies(samples: FloatArray, dt_s: float) -> FloatArray:
+    """(..., 15) energy of samples (..., N) below the lowest third octave and in each of them [unit^2].
+
+    Bands that lie above half the sampling rate hold nothing; one that it cuts holds what is below it.
+    """
+    N = samples.shape[-1]
+    length = scipy.fft.next_fast_len(2 * N)
+    spectrum = scipy.fft.rfft(samples, length, axis=-1)
+    correlation = scipy.fft.irfft(np.abs(spectrum) ** 2, length, axis=-1)[..., :N]
+    # Rounding leaves an empty band a hair below zero.
+    return np.asarray(np.maximum(correlation @ _integrals(N, dt_s), 0.0))
+
+
+@lru_cache(maxsize=8)
+def _integrals(N: int, dt_s: float) -> FloatArray:
+    """(N, 15) by which autocorrelations at lags 0 to N - 1 become energies in bands."""
+    edges = np.minimum(np.append(0.0, EDGES_Hz) * dt_s, 0.5)
+    # 2 int cos(2 pi f m) df from 0 to an edge; lags come twice, m and -m, but for m = 0.
+    up_to = 2 * edges * np.sinc(2 * edges * np.arange(N)[:, None])
+    up_to[1:] *= 2
+    return np.diff(up_to, axis=1)
+
+
+def levels(made_m_s2: FloatArray, wanted_m_s2: FloatArray, dt_s: float) -> Levels:
+    """Of accelerations (N,), or the mean energy of those (S, N) of several devices, beside (N,) wanted."""
+    made = np.atleast_2d(made_m_s2)
+    broadband = _dB(float(np.mean(np.sum(made**2, axis=-1))), float(wanted_m_s2 @ wanted_m_s2))
+    felt_made, felt_wanted, pacinian_dB = made, wanted_m_s2, float("nan")
+    if 2 * PACINIAN_Hz * dt_s < 1:
+        by = pacinian(dt_s)
+        felt_made, felt_wanted = by.apply(made), by.apply(wanted_m_s2)
+        pacinian_dB = _dB(float(np.mean(np.sum(felt_made**2, axis=-1))), float(felt_wanted @ felt_wanted))
+    plain = band_energies(np.vstack([made, wanted_m_s2, felt_made, felt_wanted]), dt_s)
+    S = made.shape[0]
+    own, asked = plain[:S].mean(axis=0), plain[S]
+    felt, felt_asked = plain[S + 1 : -1].mean(axis=0), plain[-1]
+    heard = (asked > QUIET * float(wanted_m_s2 @ wanted_m_s2)) | (
+        felt_asked > QUIET * float(felt_wanted @ felt_wanted)
+    )
+    thirds = {f: _dB(own[j + 1], asked[j + 1]) for j, f in enumerate(NOMINAL_Hz) if heard[j + 1]}
+    off = int(np.argmax(np.abs(felt - felt_asked)))
+    return Levels(
+        broadband_dB=broadband,
+        pacinian_dB=pacinian_dB,
+        below_dB=_dB(own[0], asked[0]) if heard[0] else float("nan"),
+        thirds_dB=thirds,
+        lacking_Hz=(0.0, *NOMINAL_Hz)[off],
+    )
+
+
+def _dB(made: float, wanted: float) -> float:
+    if wanted <= 0:
+        return float("nan")
+    return float(10 * np.log10(max(made / wanted, np.finfo(float).tiny)))

@@ -1,0 +1,103 @@
+"""Waveform against intensity, as sections of report.md and rows of report.json."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from transopt.base.writing import percent
+from transopt.design.entry import Entry
+from transopt.design.trade_off import TradeOff, TradeOffPoint
+from transopt.problem.objective.bands import EDGES_Hz, JUST_NOTICED_dB, Levels
+
+if TYPE_CHECKING:
+    from transopt.design.build import Build
+
+
+def _dB(value: float) -> str:
+    return "-" if np.isnan(value) else f"{round(value, 1) + 0.0:+.1f}"  # no -0.0
+
+
+def trade_off_lines(build: "Build") -> list[str]:
+    """The section of report.md; empty where nothing binds."""
+    found = build.trade_offs
+    if not found:
+        return []
+    weights = build.scene.weights
+    asked_dB = weights.intensity_dB if weights.objective == "intensity" else 0.0
+    bands = _bands(found)
+    head = ["m/s", "N", "optimum of", "lam", "NRMSE %", "dB", "felt dB", f"below {EDGES_Hz[0]:.0f} Hz"]
+    lines = [
+        "",
+        "## Waveform and intensity",
+        "",
+        "| " + " | ".join([*head, *(f"{band:g} Hz" for band in bands)]) + " |",
+        "|" + "---|" * (len(head) + len(bands)),
+    ]
+    for each in found:
+        for name, point in (("waveform", each.waveform), ("intensity", each.intensity)):
+            cells = [f"{each.speed_m_s:g}", f"{each.grip_N:g}", name, f"{point.price:.3g}", percent(point.nrmse)]
+            thirds = [point.levels.thirds_dB.get(band, np.nan) for band in bands]
+            cells += map(_dB, (point.levels.broadband_dB, point.levels.pacinian_dB, point.levels.below_dB, *thirds))
+            lines.append("| " + " | ".join(cells) + " |")
+    missing = "; ".join(
+        f"{each.speed_m_s:g} m/s, {each.grip_N:g} N ({each.missing_dB:.2f} dB short)"
+        for each in found
+        if each.missing_dB
+    )
+    said = f"No lam reaches it at {missing}. That is no proof that no command within the limits has more."
+    return [
+        *lines,
+        "",
+        "Entries that a limit cuts, as predicted. waveform: the least squares of the error. intensity: the nearest "
+        f"waveform among all commands with an energy of {asked_dB:+g} dB over the recorded one, at the price lam. "
+        "dB: energy within the window over that of r; felt: through the band-pass at 275 Hz, of which "
+        f"{JUST_NOTICED_dB:g} dB are just noticed; then third octaves (IEC 61260) that hold a part of the tap. "
+        "`trade_off.png` shows what lies between, where figures are drawn.",
+        *([said] if missing else []),
+    ]
+
+
+def _bands(found: Sequence[TradeOff]) -> list[float]:
+    """Third octaves that any entry's tap has a part in."""
+    return sorted({band for each in found for band in each.waveform.levels.thirds_dB})
+
+
+def attained_lines(entries: Sequence[Entry]) -> list[str]:
+    """The section on the energy that the scene asks for; empty where it asks for none."""
+    said = [(entry, entry.attained) for entry in entries if entry.attained is not None]
+    if not said:
+        return []
+    lines = [f"- {e.speed_m_s:g} m/s, {e.grip_N:g} N: {attained.sentence}" for e, attained in said]
+    return [
+        "",
+        "## Intensity",
+        "",
+        *lines,
+        "",
+        "Each is the nearest waveform among all commands within the limits with as much energy: gap and bound are "
+        "those of J less lam times the energy. What the search for lam leaves stands in the dB.",
+    ]
+
+
+def levels_row(levels: Levels) -> dict[str, Any]:
+    """Levels with the bands under their names."""
+    return {**asdict(levels), "thirds_dB": {f"{band:g}": value for band, value in levels.thirds_dB.items()}}
+
+
+def _row(point: TradeOffPoint) -> dict[str, Any]:
+    return {**asdict(point), "levels": levels_row(point.levels)}
+
+
+def trade_off_row(build: "Build", speed_m_s: float, grip_N: float) -> dict[str, Any] | None:
+    """Of an entry's row in report.json; None where nothing binds."""
+    for each in build.trade_offs:
+        if (each.speed_m_s, each.grip_N) == (speed_m_s, grip_N):
+            return {
+                "waveform": _row(each.waveform),
+                "intensity": _row(each.intensity),
+                "missing_dB": each.missing_dB,
+                "path": [_row(point) for point in each.path],
+            }
+    return None
