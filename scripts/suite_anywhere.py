@@ -24,11 +24,9 @@ import subprocess
 import sys
 import tempfile
 import time
-import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -36,12 +34,14 @@ from shuffled import VARIABLE as ORDER
 
 from controller.firmware.build import NoCompilerError, compiler
 from transopt.base.writing import table, write_text
+from transopt.solvers.native.extension import EXTENSION
 
 ROOT = Path(__file__).parents[1]
 # What a run leaves behind or brings itself; all else belongs to the copy that is given another extension.
 LEFT_BEHIND = (".git", ".venv", ".*cache", ".hypothesis", "__pycache__", "*.so", "*.pyd", "build", "dist", "out")
 BESIDE = "shared"  # recordings that some tests look for beside the checkout
 PROBE_S = 60.0
+EXTENSION_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno")  # as in setup.py
 NO_EXTENSION = 0  # as a width of the compiled pass
 HEAD = ("environment", "passed", "failed", "skipped", "seconds")
 # OpenBLAS names some kernels otherwise than it is asked for them.
@@ -192,13 +192,10 @@ def obstacle(environment: Environment, here: Probed) -> str:
 
 
 def build_extension(root: Path, width: int) -> None:
-    """Compile the extension into a copy of the checkout, by the sources and flags that pyproject.toml states."""
-    stated = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
-    for module in stated["tool"]["setuptools"]["ext-modules"]:
-        target = root.joinpath(*module["name"].split("."))
-        command = [*compiler().command, "-shared", "-fPIC", *module["extra-compile-args"], f"-DONLY_WIDTH={width}"]
-        output = target.with_name(target.name + EXTENSION_SUFFIXES[0])
-        subprocess.run([*command, *module["sources"], "-o", str(output), "-lm"], cwd=root, check=True)
+    """Compile the solver's extension into a copy of the checkout."""
+    command = [*compiler().command, "-shared", "-fPIC", *EXTENSION_FLAGS, f"-DONLY_WIDTH={width}"]
+    native = root / "transopt/solvers/native"
+    subprocess.run([*command, "riccati.c", "-o", EXTENSION, "-lm"], cwd=native, check=True)
 
 
 @contextmanager

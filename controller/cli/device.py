@@ -100,7 +100,7 @@ def _run_compiled(program: Path, options: list[str], plant: bytes) -> int:
             running.wait()
 
 
-@app.command()
+@app.command(epilog="Example: transopt-device --like wood_on_foam --listen localhost:5333")
 def device(
     listen: Annotated[str | None, typer.Option(help="HOST:PORT of a socket instead of a pseudo-terminal.")] = None,
     like: Annotated[

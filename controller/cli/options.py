@@ -1,11 +1,13 @@
 """What the commands of `transopt-play` and `transopt-device` ask of their options, and the options several share."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 
 if TYPE_CHECKING:
     from controller.sim.simulator import Imperfections
@@ -60,6 +62,18 @@ def within(option: str, value: float | None, low: float, high: float, unit: str 
     """
     if value is not None and not low <= value <= high:
         raise InputError(f"--{option} {value:g}: must be {low:g} to {high:g}{unit}")
+
+
+def one_of(option: str, value: str, choices: Iterable[str]) -> None:
+    """Whether the value of an option is one of its words.
+
+    Raises
+    ------
+    InputError : it is not.
+    """
+    words = list(choices)
+    if value not in words:
+        raise InputError(f"--{option} {value}: must be one of {', '.join(words)}{did_you_mean(value, words)}")
 
 
 def numbers(option: str, text: str | None, low: float, high: float, unit: str) -> list[float] | None:

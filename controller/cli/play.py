@@ -12,24 +12,33 @@ from controller.cli.refine import refine
 from controller.cli.tap import tap
 from transopt.base import terminal
 
+LIBRARY = "out/wood_on_foam/library.npz"  # of the examples: where `transopt solve` writes
+PORT = "/dev/ttyACM0"
+FIRST = f"""\
+transopt-play tap {LIBRARY} --simulate   plays on a simulated device (`transopt solve` makes it)
+transopt-play check {LIBRARY} --port PORT   before your own device is armed; `ports` lists them
+transopt-play --help   all commands; each has a --help of its own with an example"""
+
 app = typer.Typer(
-    no_args_is_help=True,
+    epilog=f"Example: transopt-play tap {LIBRARY} --simulate",
     add_completion=False,
     pretty_exceptions_enable=False,
     help="Play a library of transients.",
 )
-app.command()(port_commands.ports)
-app.command()(port_commands.upload)
-app.command()(port_commands.monitor)
-app.command()(port_commands.check)
-app.command()(refine)
-app.command()(tap)
+app.command(epilog="Example: transopt-play ports")(port_commands.ports)
+app.command(epilog=f"Example: transopt-play upload {LIBRARY} --port {PORT}")(port_commands.upload)
+app.command(epilog=f"Example: transopt-play monitor --port {PORT} --for 10")(port_commands.monitor)
+app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(port_commands.check)
+app.command(epilog=f"Example: transopt-play refine {LIBRARY} --simulate --out refined")(refine)
+app.command(epilog=f"Example: transopt-play tap {LIBRARY} --simulate --speed 0.2 --out played")(tap)
 app.add_typer(record_commands.record_app, name="record")
 
 
-@app.callback()
-def play() -> None:
+@app.callback(invoke_without_command=True)
+def play(context: typer.Context) -> None:
     """Play a library of transients."""
+    if context.invoked_subcommand is None:
+        typer.echo(FIRST)
 
 
 def main() -> None:

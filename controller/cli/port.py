@@ -57,9 +57,19 @@ def open_device(port: "str | Connection") -> "Device":
 
 
 def load(device: "Device", given: "Load", console: "Console") -> None:
-    """Configuration and library in force, with a progress bar where there is a terminal."""
+    """Configuration and library in force, with a progress bar where there is a terminal; says what was replaced.
+
+    A device holds one library. The name of the scene of each is kept by its hash, which is all that a device knows.
+    """
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+    from controller.host import library_names
+    from controller.host.payload import Payload
+    from controller.protocol.image import sha256
+
+    before, after = device.hello.library_sha256, sha256(given.image)
+    if isinstance(given, Payload) and not device.harmless:
+        library_names.remember(after, given.library.meta["scene"]["name"])
     device.configure(given.configuration)
     began_s = time.monotonic()
     columns = (TextColumn("upload"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
@@ -69,7 +79,11 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
     if device.harmless:
         device.checked()  # nothing is wired there that could be wired wrong
-    words = f"uploaded {took}" if sent else "the device has this library already"
+    words, named = "the device has this library already", library_names.in_words(after)
+    if sent:
+        words = f"uploaded {took}"
+        named += f", in place of {library_names.in_words(before)}" if any(before) else ""
+    words = f"{words}: {named}"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
 
 
@@ -154,7 +168,7 @@ def ports() -> None:
 
 
 def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
-    """Put a library into a device, whole or not at all; goes on where an upload was cut off."""
+    """Put a library into a device, in place of the one it holds; whole or not at all, going on where it was cut."""
     from controller.host.payload import payload
 
     given = payload(library)
@@ -191,13 +205,15 @@ def monitor(
 def _who(port: str, hello: "HelloReply") -> str:
     """One line about a device."""
     version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
-    there, known = any(hello.configuration_sha256), any(hello.library_sha256)
+    from controller.host.library_names import in_words
+
+    there = any(hello.configuration_sha256)
     checked = "checked" if hello.checked_sha256 == hello.configuration_sha256 else "not checked"
     return (
         f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
         f"period {hello.dt_s * 1e6:g} us, limits {hello.current_limit_A:g} A and {hello.command_limit_A:g} A, "
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
-        + (f"library {hello.library_sha256.hex()[:8]}" if known else "no library")
+        + in_words(hello.library_sha256)
     )
 
 

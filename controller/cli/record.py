@@ -25,6 +25,7 @@ from controller.cli.options import (
     imperfect,
     is_simulated,
     numbers,
+    one_of,
     with_port,
     with_simulate,
     within,
@@ -32,7 +33,11 @@ from controller.cli.options import (
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
-record_app = typer.Typer(no_args_is_help=True, help="Record what a device's sensors say.")
+record_app = typer.Typer(
+    no_args_is_help=True,
+    help="Record what a device's sensors say.",
+    epilog="Example: transopt-play record sweep --simulate --out sweeps",
+)
 DEFAULT_SCENE = "wood_on_foam"
 MOST_HEAT_S = 24 * 3600.0
 
@@ -44,7 +49,7 @@ def record() -> None:
     """Record what a device's sensors say."""
 
 
-@record_app.command("sweep")
+@record_app.command("sweep", epilog="Example: transopt-play record sweep --simulate --out sweeps")
 def record_sweep(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for the trials; none is written over.")],
@@ -82,9 +87,7 @@ def record_sweep(
     from controller.record.sweep_plan import Purpose, sweep_plan
 
     simulated = is_simulated(context, "record sweep", simulate, port)
-    purposes = [choice.value for choice in Purpose]
-    if purpose not in purposes:
-        raise InputError(f"--for {purpose}: must be one of {', '.join(purposes)}")
+    one_of("for", purpose, (choice.value for choice in Purpose))
     planned = sweep_plan(
         Purpose(purpose),
         numbers("grips", grips, 0.0, 50.0, " N, what a hand does"),
@@ -132,7 +135,7 @@ def record_sweep(
     record_sweeps(person_at(port), series)
 
 
-@record_app.command("tap")
+@record_app.command("tap", epilog="Example: transopt-play record tap --simulate --object --out taps")
 def record_tap(
     context: typer.Context,
     out: Folder,
@@ -194,7 +197,7 @@ def record_tap(
         taps_of_library(wanted, library, scene)
 
 
-@record_app.command("heat")
+@record_app.command("heat", epilog="Example: transopt-play record heat --simulate --out heat")
 def record_heat(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the recording; must hold none yet. Needed with --simulate.")

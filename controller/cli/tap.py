@@ -24,6 +24,7 @@ from controller.cli.options import (
     TrueDeviceName,
     imperfect,
     is_simulated,
+    one_of,
     with_simulate,
     within,
 )
@@ -118,11 +119,8 @@ def _simulated(
     from controller.waveforms.prediction import scene_of
     from transopt.library.proven import load_proven
 
-    methods, habits = [choice.value for choice in Method], [choice.value for choice in Habit]
-    if method not in methods:
-        raise InputError(f"--method {method}: must be one of {', '.join(methods)}")
-    if user not in habits:
-        raise InputError(f"--user {user}: must be one of {', '.join(habits)}")
+    one_of("method", method, (choice.value for choice in Method))
+    one_of("user", user, (choice.value for choice in Habit))
     library = load_proven(path)
     speed_m_s, grip_N = _middle(library, speed, grip)
     table = bank(library, Method(method))

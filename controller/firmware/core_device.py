@@ -1,21 +1,26 @@
 """The device: its compiled core as an object in this process, sans-IO, without a clock and without a port.
 
 The same C files run on a microcontroller and in the program behind `transopt-device`. Here they are a shared library,
-compiled on first use, so that a host, a line and a device can run in one process in virtual time.
+compiled on first use or when the package was built, so that a host, a line and a device can run in one process in
+virtual time.
 """
 
 import ctypes
 import functools
+import os
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Protocol
 
-from controller.firmware.build import CORE, build, sources
+from controller.firmware.build import CORE, FIRMWARE, NoCompilerError, build, sources
 from controller.firmware.replay import MOST_EVENTS, REPLAY, counts_of
 from controller.protocol.capacity import Hardware
 from controller.protocol.codes import EVENTS, NOTHING, STATES
 from controller.protocol.packed import HASH_BYTES
 from controller.protocol.wire import ENCODED_LIMIT, PAYLOAD_LIMIT
 from controller.servo.interface import Event, Fault, Output, Readings, State
+
+INSTALLED = FIRMWARE / ("_core.pyd" if os.name == "nt" else "_core.so")
 
 
 class DeviceEnd(Protocol):
@@ -92,9 +97,26 @@ class Look(ctypes.Structure):
         return bytes(self._checked)
 
 
+def _compiled(flags: tuple[str, ...]) -> Path:
+    """The shared library: compiled here where there is a compiler, else the one that was installed, of usual size.
+
+    A compiler comes first, because only what is compiled here is sure to be of the sources that are here.
+
+    Raises
+    ------
+    NoCompilerError : no compiler, and none was installed or flags are asked for.
+    """
+    try:
+        return build("probe", [*sources(CORE), REPLAY / "td_probe.c"], flags=flags, shared=True)
+    except NoCompilerError:
+        if flags or not INSTALLED.exists():
+            raise
+        return INSTALLED
+
+
 @functools.cache
 def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
-    library = ctypes.CDLL(str(build("probe", [*sources(CORE), REPLAY / "td_probe.c"], flags=flags, shared=True)))
+    library = ctypes.CDLL(str(_compiled(flags)))
     pointer, size, number = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_double
     for name in (
         "td_probe_device_size",
@@ -183,7 +205,7 @@ class CoreDevice:
 
     Raises
     ------
-    NoCompilerError : it cannot be compiled here.
+    NoCompilerError : it can neither be compiled here nor was it when the package was built.
     """
 
     ROOM_BYTES = 1 << 17

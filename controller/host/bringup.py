@@ -18,6 +18,7 @@ from controller.protocol.messages import STOP_PRESSED, Record, column
 from controller.servo.interface import Fault, Notice, State
 from controller.servo.settings import Settings
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 
 PATIENCE_S = 30.0  # for what a person has to do
@@ -331,7 +332,7 @@ def check_skipped(names: Sequence[str]) -> tuple[str, ...]:
     """
     for name in names:
         if name not in SKIPPABLE:
-            raise InputError(f"--skip {name}: must be one of {', '.join(SKIPPABLE)}")
+            raise InputError(f"--skip {name}: must be one of {', '.join(SKIPPABLE)}{did_you_mean(name, SKIPPABLE)}")
     return tuple(names)
 
 

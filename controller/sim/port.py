@@ -97,7 +97,7 @@ def core_end(settings: Settings, samples: int = 0, longest: int = 0) -> CoreDevi
 
     Raises
     ------
-    InputError : there is no C compiler.
+    InputError : there is no C compiler, and the core did not come with the package or is too small.
     """
     known = Hardware()
     hardware = Hardware(
@@ -110,10 +110,13 @@ def core_end(settings: Settings, samples: int = 0, longest: int = 0) -> CoreDevi
         "TD_MAX_LIBRARY_SAMPLES": (usual.samples, max(samples, longest)),
         "TD_MAX_SAMPLES": (usual.waveform_samples, longest),
     }
-    flags = (
+    flags = tuple(
         f"-D{name}={size << (wanted // size).bit_length()}" for name, (size, wanted) in sizes.items() if wanted > size
     )
     try:
-        return CoreDevice(BOOT, hardware, tuple(flags))
+        return CoreDevice(BOOT, hardware, flags)
     except NoCompilerError as missing:
-        raise InputError(f"--simulate runs the device's own C code: {missing}") from None
+        why = f"--simulate runs the device's own C code, which needs the wheel or a compiler: {missing}"
+        if flags:
+            why = f"{why}; the wheel's device is too small for this library"
+        raise InputError(why) from None

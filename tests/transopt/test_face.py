@@ -74,8 +74,9 @@ class TestNames:
             _ = to.solv  # type: ignore[attr-defined]
 
 
-def test_a_file_problems_py_beside_a_script_is_not_taken_for_the_scenes(tmp_path: Path) -> None:
-    (tmp_path / "problems.py").write_text("raise RuntimeError('the wrong file')\n", encoding="utf-8")
+@pytest.mark.parametrize("name", ["problems.py", "controller.py"])
+def test_a_file_beside_a_script_is_not_taken_for_one_of_the_packages(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("raise RuntimeError('the wrong file')\n", encoding="utf-8")
     program = "import transopt as to; print(to.load_scene('wood_on_foam').name, len(to.scene_names()))"
     assert python(program, tmp_path).split() == ["wood_on_foam", str(len(to.scene_names()))]
 

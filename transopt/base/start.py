@@ -1,7 +1,12 @@
 """The first steps of a command, whose loading takes some tenths of a second in which a Ctrl-C may come."""
 
 import signal
+import sys
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+INSTALLED = Path(__file__).parents[2]  # the folder that holds the packages, in a checkout as in site-packages
 
 
 def start(module: str) -> None:
@@ -9,8 +14,34 @@ def start(module: str) -> None:
 
     Until the command line answers signals itself (`transopt.base.terminal.run`), a Ctrl-C ends the process as it ends
     any other program; Python's own answer would be a traceback from the middle of an import. A Ctrl-C that is
-    ignored, as in the background of a shell, stays ignored.
+    ignored, as in the background of a shell, stays ignored. A file of the package's name that Python would load in
+    its stead ends the process with code 2 and one line.
     """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    package = module.partition(".")[0]
+    stranger = in_the_way(package)
+    if stranger is not None:
+        print(
+            f"error: {ascii(str(stranger))[1:-1]}: stands in the way of the package {package}, which Python "
+            "would load in its stead: rename it, or take its folder out of PYTHONPATH",
+            file=sys.stderr,
+        )
+        sys.exit(2)
     import_module(module).main()
+
+
+def in_the_way(package: str) -> Path | None:
+    """The file or folder that Python would load for a package's name in place of the one installed beside this.
+
+    Nothing is loaded to find it out. None if the package itself would be loaded.
+    """
+    found = find_spec(package)
+    if found is None:
+        return None
+    places = [found.origin] if found.has_location and found.origin else list(found.submodule_search_locations or ())
+    ours = (INSTALLED / package).resolve()
+    for place in map(Path, places):
+        if ours not in (place.resolve(), place.resolve().parent):
+            return place
+    return None

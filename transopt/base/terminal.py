@@ -3,6 +3,7 @@
 import faulthandler
 import io
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -18,6 +19,7 @@ from rich.text import Text
 
 from transopt.base import apart
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 
 LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
@@ -176,5 +178,17 @@ def _refuse(error: Any) -> None:
         return
     context = getattr(error, "ctx", None)
     asking = f"; `{context.command_path} --help` lists what there is" if context is not None else ""
-    words = " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
+    words = _unknown(error, said) or " ".join(said.split()).rstrip(".").replace("Input should be", "must be")
     typer.echo(f"error: {harmless(words)}{asking}", err=True)
+
+
+def _unknown(error: Any, said: str) -> str:
+    """For a command or an option that there is not: that, and the nearest that there is; empty for other errors."""
+    command = getattr(getattr(error, "ctx", None), "command", None)
+    if type(error).__name__ == "NoSuchOption":
+        options = [name for parameter in getattr(command, "params", ()) for name in parameter.opts]
+        return f"{error.option_name}: no such option" + did_you_mean(error.option_name, options)
+    found = re.match(r"No such command (['\"])(.*?)\1", said)
+    if found is None:
+        return ""
+    return f"{found[2]}: no such command" + did_you_mean(found[2], getattr(command, "commands", ()))

@@ -16,10 +16,14 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "wood_on_foam"
 
-app = typer.Typer(no_args_is_help=True, help="Built-in scenes: list, show, copy; the keys of a scene.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Built-in scenes: list, show, copy; the keys of a scene.",
+    epilog="Example: transopt scene list",
+)
 
 
-@app.command("list")
+@app.command("list", epilog="Example: transopt scene list")
 def scene_list() -> None:
     """Name the built-in scenes and what each shows."""
     import tomllib
@@ -31,7 +35,7 @@ def scene_list() -> None:
         typer.echo(f"{name:20} {tomllib.loads(text)['description']}")
 
 
-@app.command("show")
+@app.command("show", epilog="Example: transopt scene show wood_on_foam")
 def scene_show(name: str) -> None:
     """Print a built-in scene, comments included."""
     from transopt.scene import builtin
@@ -39,7 +43,7 @@ def scene_show(name: str) -> None:
     typer.echo(builtin.scene_path(name).read_text(encoding="utf-8"), nl=False)
 
 
-@app.command("new")
+@app.command("new", epilog="Example: transopt scene new mine.toml --from own_taps")
 def scene_new(
     file: Path, source: Annotated[str, typer.Option("--from", help="Built-in scene to copy.")] = DEFAULT_SCENE
 ) -> None:
@@ -60,7 +64,7 @@ def scene_new(
     typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
 
 
-@app.command("keys")
+@app.command("keys", epilog="Example: transopt scene keys mine.toml")
 def scene_keys(
     scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
 ) -> None:

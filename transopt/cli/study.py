@@ -13,11 +13,10 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
+from transopt.cli.scene import DEFAULT_SCENE, key_table
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-    from transopt.scene.scene import Scene
     from transopt.study.executors import Pool
     from transopt.study.plan import Plan
 
@@ -50,7 +49,7 @@ class Request:
 
 
 def study(
-    scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = "wood_on_foam",
+    scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
     vary: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUES", help="V1,V2,... or START:STOP:COUNT[:log]; repeatable.")
     ] = None,
@@ -86,7 +85,8 @@ def study(
     from transopt.scene import builtin
 
     if list_keys:
-        terminal.console().print(key_table(builtin.load_scene(scene)))
+        loaded = builtin.load_scene(scene)
+        terminal.console().print(key_table(loaded, f"{loaded.name}: keys for --vary, --set and --solve-for"))
         return
     if out is None:
         raise InputError("--out: give a folder")
@@ -124,7 +124,8 @@ def check_together(request: Request) -> None:
 
     name = request.name
     if name is not None and name not in (*STUDIES, "all"):
-        raise InputError(f"--study {name}: no such study; choose one of {', '.join(STUDIES)}, or all")
+        near = did_you_mean(name, STUDIES)
+        raise InputError(f"--study {name}: no such study{near}; choose one of {', '.join(STUDIES)}, or all")
     inverse = bool(request.require) or request.solve_for is not None or request.greatest
     if inverse and (not request.require or request.solve_for is None):
         raise InputError("--require and --solve-for belong together: what is to be met, and by which key")
@@ -228,24 +229,3 @@ def _answer(request: Request, plan: "Plan", pool: "Pool") -> int:
         typer.echo(sentence)
     typer.echo(f"{request.out}: rows.csv, answer.png, report.md")
     return 0 if found.met is not None else 1
-
-
-def key_table(scene: "Scene") -> "Table":
-    """What --list-keys prints."""
-    from rich.table import Table
-
-    from transopt.scene.keys import keys
-
-    table = Table(title=f"{scene.name}: keys for --vary, --set and --solve-for")
-    for column in ("key", "unit", "default", "here", "allowed", "about"):
-        table.add_column(column, overflow="fold")
-
-    def shown(value: object) -> str:
-        return "-" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-    for key in keys(scene):
-        words = ", ".join(key.choices)
-        allowed = " or ".join(part for part in (key.bounds, words, "none" if key.optional else "") if part)
-        default = "to be stated" if key.required else shown(key.default)
-        table.add_row(key.path, key.unit, default, shown(key.value), allowed, key.description)
-    return table

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 
 if TYPE_CHECKING:
     from transopt.scene.scene import Scene
@@ -31,8 +32,8 @@ def scene_path(name: str) -> Path:
     """
     if name not in scene_names():
         raise InputError(
-            f"{name}: no built-in scene of that name; choose one of {', '.join(scene_names())}, "
-            "or give the path of a .toml file"
+            f"{name}: no built-in scene of that name{did_you_mean(name, scene_names())}; choose one of "
+            f"{', '.join(scene_names())}, or give the path of a .toml file"
         )
     return SCENES / f"{name}.toml"
 

@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 
 from transopt.base.errors import InputError
 from transopt.base.files import check_depth, is_file, read_file
+from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_STAGES, MOST_TEXT_BYTES
@@ -68,7 +69,7 @@ def _keys_only(complaint: ErrorDetails, content: Any) -> tuple[str | int, ...]:
     return tuple(keys)
 
 
-def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
+def _known_keys(keys: tuple[str | int, ...], content: Any) -> list[str]:
     """The keys that the table around the last of `keys` takes."""
     tables: list[Any] = [Scene]
     for key in keys[:-1]:
@@ -82,7 +83,7 @@ def _known_keys(keys: tuple[str | int, ...], content: Any) -> str:
             if "kind" in t.model_fields and content.get("kind") in get_args(t.model_fields["kind"].annotation)
         ]
         tables = of_kind or tables
-    return ", ".join(dict.fromkeys(name for table in tables for name in table.model_fields))
+    return list(dict.fromkeys(name for table in tables for name in table.model_fields))
 
 
 def explain(source: Path | str, error: ValidationError, content: dict[str, Any]) -> str:
@@ -99,7 +100,8 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     keys = _keys_only(first, content)
     where = ".".join(str(key) for key in keys)
     if first["type"] == "extra_forbidden":
-        text = f"{where}: unknown key; known here: {_known_keys(keys, content)}"
+        known = _known_keys(keys, content)
+        text = f"{where}: unknown key{did_you_mean(str(keys[-1]), known)}; known here: {', '.join(known)}"
         if len(keys) > 1 and keys[-1] in Scene.model_fields:
             text = (
                 f"{where}: {keys[-1]} is no key of this table but of the scene: put its line above the first [table]"

@@ -3,7 +3,6 @@
 Everything is read from the tables of which `Scene` is made, so that a key that is added there is known here.
 """
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from transopt.base.errors import InputError
+from transopt.base.nearest import nearest
 from transopt.base.section import Section
 from transopt.base.units import largest, unit_of
 from transopt.plant.hand import LinearParameter
@@ -157,11 +157,12 @@ def find_key(scene: Scene, path: str) -> Key:
         raise InputError(f"{path}: {COUPLED}")
     known = {key.path: key for key in keys(scene)}
     if path not in known:
-        close = difflib.get_close_matches(path, known, 3, 0.5) or difflib.get_close_matches(
-            path.rsplit(".", 1)[-1], known, 3, 0.4
+        # The table may be left out or be another: the key is then looked for by its own name.
+        close = nearest(path, known, 0.5) or nearest(path.rsplit(".", 1)[-1], known, 0.4)
+        hint = f" (did you mean {' or '.join(close)}?)" if close else ""
+        raise InputError(
+            f"{path}: no key of the scene {scene.name} that can be varied{hint}; `transopt scene keys` shows all"
         )
-        hint = f"; perhaps {', '.join(close)}" if close else ""
-        raise InputError(f"{path}: no key of the scene {scene.name} that can be varied{hint}; --list-keys shows all")
     return known[path]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from transopt.base import apart
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status
 from transopt.problem.limits.temperature import TemperatureLimit
@@ -64,7 +65,9 @@ def check_name(solver: str) -> None:
     InputError : unknown solver name.
     """
     if solver not in SOLVERS:
-        raise InputError(f"--solver {solver}: unknown; choose one of {', '.join(SOLVERS)}")
+        raise InputError(
+            f"--solver {solver}: unknown{did_you_mean(solver, SOLVERS)}; choose one of {', '.join(SOLVERS)}"
+        )
     if solver == "riccati" and not riccati.available:
         raise InputError(
             "--solver riccati: its extension is not built or out of date; install again where there is a compiler"

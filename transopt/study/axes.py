@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.plant.motor import Motor, Transmission
 from transopt.scene.file import explain, read_toml
@@ -105,10 +106,8 @@ def _file(kind: str, name: str, search: Sequence[Path]) -> tuple[str, dict[str, 
         path = known[matches[0]]
     else:
         others = f" or one of {', '.join(known)}" if known else ""
-        raise InputError(
-            f"{kind} = {name}: {'several files begin so' if matches else 'no such file'}; "
-            f"give the path of a .toml file{others}"
-        )
+        why = "several files begin so" if matches else f"no such file{did_you_mean(name, known)}"
+        raise InputError(f"{kind} = {name}: {why}; give the path of a .toml file{others}")
     content = read_toml(path)
     try:
         return path.stem, FILES[kind].model_validate(content).model_dump()

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from transopt.base.errors import InputError
+from transopt.base.nearest import did_you_mean
 from transopt.base.units import unit_of
 from transopt.scene.keys import Key, check_value, find_key
 from transopt.scene.scene import Scene
@@ -59,7 +60,10 @@ def parse_requirement(text: str) -> Requirement:
     if found is None or not math.isfinite(bound):
         raise InputError(f"--require {text}: must be MEASURE<=NUMBER or MEASURE>=NUMBER, as nrmse<=0.10")
     if found[1] not in MEASURES:
-        raise InputError(f"--require {text}: {found[1]}: no such measure; one of {', '.join(MEASURES)}")
+        raise InputError(
+            f"--require {text}: {found[1]}: no such measure{did_you_mean(found[1], MEASURES)}; "
+            f"one of {', '.join(MEASURES)}"
+        )
     return Requirement(found[1], found[2] == "<=", bound)
 
 

@@ -105,6 +105,17 @@ def test_upload_once(play: Run, desk: Desk) -> None:
     assert desk.closed == 2
 
 
+def test_a_device_holds_one_library_and_what_replaces_which_is_said_by_name(play: Run, desk: Desk) -> None:
+    excitation = play("check", "--sweep", *PORT)
+    assert excitation.code == 0, excitation.out + excitation.err
+    before = desk.end.look().library_sha256.hex()[:8]
+    said = play("upload", "library.npz", *PORT).out
+    name = f"wood_on_foam ({desk.end.look().library_sha256.hex()[:8]})"
+    assert f": {name}, in place of library {before}" in said
+    assert f"the device has this library already: {name}" in play("upload", "library.npz", *PORT).out
+    assert name in play("monitor", *PORT, "--for", 0.1).out
+
+
 def test_monitor(play: Run, ready: Desk) -> None:
     outcome = play("monitor", *PORT, "--for", 0.2)
     assert outcome.code == 0

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.firmware.build import CORE, sources
+from controller.firmware import core_device
+from controller.firmware.build import CORE, NoCompilerError, sources
 from controller.firmware.core_device import CoreDevice, Decoder, crc32, encode, sha256
 from controller.firmware.replay import REPLAY
 from controller.protocol import wire
@@ -121,3 +122,17 @@ def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...],
     world.host_alive = False
     world.until(lambda: world.output.state is State.IDLE, 0.21)
     assert core.look().lost_frames == 0
+
+
+def test_without_a_compiler_the_core_that_was_installed_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of its usual size only: another size is compiled or refused."""
+    if not core_device.INSTALLED.exists():
+        pytest.skip("the package was installed without a compiler")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    core_device._probe.cache_clear()
+    try:
+        assert CoreDevice(BOOT).look().boot == BOOT
+        with pytest.raises(NoCompilerError, match="no-such-compiler"):
+            CoreDevice(BOOT, flags=("-DTD_MAX_LIBRARY_SAMPLES=300001",))
+    finally:
+        core_device._probe.cache_clear()

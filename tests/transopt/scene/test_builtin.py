@@ -26,7 +26,8 @@ def test_a_path_is_read_and_finds_built_in_motors(tmp_path: Path) -> None:
 
 def test_an_unknown_name_is_refused_with_the_known_ones() -> None:
     with pytest.raises(
-        InputError, match=r"^wood: no built-in scene of that name; choose one of .*wood_on_foam, or give"
+        InputError,
+        match=r"^wood: no built-in scene of that name \(did you mean wood_on_foam\?\); .*wood_on_foam, or give",
     ):
         builtin.load_scene("wood")
 

@@ -101,8 +101,8 @@ class TestRefusals:
         ("path", "words"),
         [
             ("motor.kt_Nm_A", "one row of a datasheet.*motor=A,B"),
-            ("limits.curent_A", "perhaps limits.current_A"),
-            ("pole_Hz", "perhaps amplifier.pole_Hz"),
+            ("limits.curent_A", "did you mean limits.current_A"),
+            ("pole_Hz", "did you mean amplifier.pole_Hz"),
             ("name", "no key of the scene wood_on_foam"),
         ],
     )

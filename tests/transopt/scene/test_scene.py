@@ -101,7 +101,11 @@ def test_a_description_is_no_duty(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("beta = 3.2", "betta = 3.2", r"limits.betta: unknown key; known here: steady_current_A, beta, current_A"),
+        (
+            "beta = 3.2",
+            "betta = 3.2",
+            r"limits.betta: unknown key \(did you mean beta\?\); known here: steady_current_A, beta, current_A",
+        ),
         ("[0.1, 0.2", "[0.1, 0.1", r"grid.speeds_m_s = \[0.1, 0.1, 0.3, 0.4\]: must be strictly increasing"),
         ("[0.1, 0.2", "[0.2, 0.1", r"grid.speeds_m_s = .*strictly increasing"),
         ("[0.1, 0.2", "[0.0, 0.2", r"grid.speeds_m_s.0 = 0.0: must be greater than or equal to 0.0001"),
@@ -147,11 +151,11 @@ def test_a_description_is_no_duty(tmp_path: Path) -> None:
         ),
         ("[weights]", "[weights]\nintensity_dB = 60", r"weights.intensity_dB = 60: must be less than or equal to 20"),
         ("seed = 1", "seed = -1", r"recordings.simulated.seed = -1"),
-        ("[grid]", "[gird]", r"gird: unknown key; known here: name, description, grid"),
+        ("[grid]", "[gird]", r"gird: unknown key \(did you mean grid\?\); known here: name, description, grid"),
         (
             "skin_stiffness",
             "skin_stifness",
-            r"model.hand.skin_stifness_N_m: unknown key; known here: mass_kg, skin_stiff",
+            r"skin_stifness_N_m: unknown key \(did you mean skin_stiffness_N_m",
         ),
         ('"drive"', '"second_order"', r"model.stylus_mass_kg: unknown key; known here: kind \(and 1 more\)"),
         ("beta = 3.2", "beta = 32.0", r"transient limit 40 A is above the motor's i_peak_A = 10 A"),

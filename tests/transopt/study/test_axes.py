@@ -61,7 +61,7 @@ class TestAxes:
             ("motor=maxon", "several files begin so; give the path of a .toml file or one of faulhaber"),
             ("motor=escap", "no such file"),
             ("grid.grips_N=1,2", "give them with --grip"),
-            ("limit.current_A=1,2", "perhaps limits.current_A"),
+            ("limit.current_A=1,2", "did you mean limits.current_A"),
         ],
     )
     def test_refusals(self, scene: Scene, text: str, words: str) -> None:

@@ -7,7 +7,7 @@ The extension is optional. Where it could not be built, `available` is False.
 """
 
 import ctypes as ct
-from importlib.machinery import PathFinder
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from transopt.problem.answer import OBJECTIVE_SCALE
 from transopt.problem.stage_data import Stages
 from transopt.solvers.bounds import check_bounds
 
-EXTENSION = "_riccati"
+EXTENSION = "_riccati.pyd" if os.name == "nt" else "_riccati.so"
 MOST_STATES = 48  # of riccati.c
 INTERFACE = 4  # as `tr_interface` of riccati.c: both change with what arguments and results mean
 DOUBLES = ct.c_void_p  # an address: whoever states it keeps the array alive
@@ -57,11 +57,11 @@ class _Result(ct.Structure):
 
 
 def _library() -> ct.CDLL | None:
-    found = PathFinder.find_spec(EXTENSION, [str(Path(__file__).parent)])
-    if found is None or found.origin is None:
+    file = Path(__file__).with_name(EXTENSION)
+    if not file.exists():
         return None
     # With the GIL held, so that an exception which a signal has raised inside is raised by the call.
-    library = ct.PyDLL(found.origin)
+    library = ct.PyDLL(str(file))
     if not hasattr(library, "tr_interface") or library.tr_interface() != INTERFACE:
         return None  # left behind by another version: as good as none
     problem, result = ct.POINTER(_Problem), ct.POINTER(_Result)

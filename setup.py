@@ -1,0 +1,80 @@
+"""The two compiled parts: the solver's interior point and the device's core. All else stands in pyproject.toml.
+
+Both are plain C libraries that Python loads with ctypes: they use nothing of Python's binary interface. One wheel per
+platform therefore serves every Python 3, and the files have a name without a version in it. Both are optional:
+without a C compiler the install succeeds, the solvers of CasADi take over, and a simulated device says what it lacks.
+"""
+
+import os
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build_ext import build_ext
+
+FIRMWARE = Path("controller/firmware")
+CORE = sorted(path.as_posix() for path in (FIRMWARE / "src/core").glob("*.c"))
+PROBE = (FIRMWARE / "replay/td_probe.c").as_posix()
+# By name: Windows exports nothing else, and elsewhere everything is exported.
+SOLVER_CALLS = ["tr_interface", "tr_workspace", "tr_solve", "tr_linear"]
+CORE_CALLS = [
+    *("td_probe_device_size", "td_probe_decoder_size", "td_probe_start", "td_probe_step", "td_probe_decode"),
+    *("td_probe_look", "td_probe_image", "td_probe_heat", "td_device_state", "td_device_receive", "td_device_send"),
+    *("td_decoder_start", "td_wire_encode", "td_sha256_of", "td_crc32"),
+]
+
+
+def flags(compiler: str, name: str) -> list[str]:
+    """Of a kind of compiler, as setuptools calls it, for one of the parts.
+
+    A contraction of a * b + c into one rounding would give other bits on other processors.
+    """
+    if compiler == "msvc":
+        return ["/O2", "/fp:precise", "/std:c11"]
+    fast = ["-O3", "-fno-math-errno"] if name.endswith("_riccati") else ["-O2"]
+    return ["-std=c99", "-ffp-contract=off", *fast]
+
+
+class Build(build_ext):
+    """Plain shared libraries instead of modules of one Python."""
+
+    def build_extension(self, ext: Extension) -> None:
+        ext.extra_compile_args = flags(self.compiler.compiler_type, ext.name)
+        super().build_extension(ext)
+
+    def get_ext_filename(self, fullname: str) -> str:
+        return fullname.replace(".", os.sep) + (".pyd" if os.name == "nt" else ".so")
+
+    def get_export_symbols(self, ext: Extension) -> list[str]:
+        return ext.export_symbols  # and no PyInit
+
+    def get_libraries(self, ext: Extension) -> list[str]:
+        return ext.libraries  # and not Python's
+
+
+class Wheel(bdist_wheel):
+    """For every Python 3 of one platform."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        return "py3", "none", super().get_tag()[2]
+
+
+if __name__ == "__main__":
+    setup(
+        ext_modules=[
+            Extension(
+                "transopt.solvers.native._riccati",
+                ["transopt/solvers/native/riccati.c"],
+                export_symbols=SOLVER_CALLS,
+                optional=True,
+            ),
+            Extension(
+                "controller.firmware._core",
+                [*CORE, PROBE],
+                include_dirs=[(FIRMWARE / "src/core").as_posix(), (FIRMWARE / "replay").as_posix()],
+                export_symbols=CORE_CALLS,
+                optional=True,
+            ),
+        ],
+        cmdclass={"build_ext": Build, "bdist_wheel": Wheel},
+    )
