@@ -21,7 +21,7 @@ from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys
 
-LANGUAGES = {"sh", "python", "toml", "text", "bibtex", "{toctree}", "{include}"}
+LANGUAGES = {"sh", "python", "toml", "text", "bibtex", "{toctree}", "{include}", "{code-cell}"}
 COMMANDS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
