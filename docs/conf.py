@@ -1,6 +1,15 @@
 """The manual: Sphinx with MyST-NB. Built by `sphinx-build -W --keep-going -n docs build/docs`."""
 
+import sys
 from importlib import metadata
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+import reference_pages  # noqa: E402  (found beside this file)
+
+reference_pages.write(HERE / "reference" / "generated")
 
 project = "transopt"
 author = "The transopt developers"

@@ -5,6 +5,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable, Iterable
 from importlib import util
 from pathlib import Path
 
@@ -12,14 +13,34 @@ import click
 import pytest
 import typer
 
+from controller.protocol.codes import Kind, Reason
 from tests.benches.places import ROOT
 from tests.docs.pages import DOCS, PAGES, blocks, text
+from transopt.library.library import ARRAYS
+from transopt.problem.answer import Status
+from transopt.scene.builtin import load_scene
+from transopt.scene.keys import keys
 
-LANGUAGES = {"sh", "python", "toml", "text", "bibtex", "{toctree}", "{include}"}
+LANGUAGES = {"sh", "python", "toml", "text", "bibtex", "{toctree}", "{include}", "{code-cell}"}
 COMMANDS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
     "transopt-device": "controller.cli.device",
+}
+
+
+# Page of the reference -> the words that the code has for it to name.
+STATED: dict[str, Callable[[], Iterable[str]]] = {
+    "scene_keys": lambda: [key.path for key in keys(load_scene("wood_on_foam"))],
+    "library_file": lambda: ARRAYS,
+    "messages": lambda: [*(kind.name for kind in Kind), *(reason.name for reason in Reason)],
+    "exit_codes": lambda: [status.name for status in Status],
+    "commands": lambda: [
+        "transopt solve",
+        "transopt identify device",
+        "transopt-play record sweep",
+        "--grid-tolerance",
+    ],
 }
 
 
@@ -82,4 +103,7 @@ def test_the_manual_builds_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", str(DOCS), str(tmp_path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=110)
     assert ended.returncode == 0, ended.stderr
-    assert (tmp_path / "explanation/proof.html").exists()
+    for name, stated in STATED.items():
+        page = re.sub("<[^>]*>", "", (tmp_path / f"reference/{name}.html").read_text(encoding="utf-8"))
+        missing = [word for word in stated() if word not in page]
+        assert not missing, f"reference/{name}.md lacks {missing}"
