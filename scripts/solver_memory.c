@@ -8,7 +8,7 @@
 
 #include "../transopt/solvers/native/riccati.c"
 
-enum { INTEGERS = 8, ARRAYS = 18, NUMBERS = 5 };
+enum { INTEGERS = 9, ARRAYS = 20, NUMBERS = 6 };
 
 static void read_or_stop(void *into, size_t size, size_t count, FILE *file)
 {
@@ -44,10 +44,11 @@ static void run(FILE *file)
         arrays[i] = doubles((size_t)lengths[i]);
         read_or_stop(arrays[i], sizeof(double), (size_t)lengths[i], file);
     }
-    tr_problem q = {of[0], of[1], of[2], of[3], of[4], of[5], of[6], of[7],
+    tr_problem q = {of[0], of[1], of[2], of[3], of[4], of[5], of[6], of[7], of[8],
                     arrays[0], arrays[1], arrays[2], arrays[3], arrays[4], arrays[5], arrays[6], arrays[7], arrays[8],
                     arrays[9], arrays[10], arrays[11], arrays[12], arrays[13], arrays[14], arrays[15], arrays[16],
-                    arrays[17], numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]};
+                    arrays[17], arrays[18], arrays[19],
+                    numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5]};
     const size_t N = (size_t)q.stages, rows = (N + 1) * (size_t)q.rows;
     const tr_options options = {60, 1e-9, NULL};
     tr_result r = {doubles(N), doubles(N), doubles(rows), doubles(rows), doubles(N), doubles((size_t)q.nodes),

@@ -100,7 +100,7 @@ def written(stages: Stages) -> bytes:
     integers = [stages.sizes[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_int]
     numbers = [stages.numbers[name] for name, kind in extension.PROBLEM_FIELDS if kind is extension.ct.c_double]
     arrays = [stages.arrays[name] for name in names]
-    head = struct.pack(f"{len(integers)}i{len(numbers)}d", *integers, *numbers)
+    head = struct.pack(f"={len(integers)}i{len(numbers)}d", *integers, *numbers)  # without gaps between the kinds
     lengths = struct.pack(f"{len(arrays)}q", *(array.size for array in arrays))
     return head + lengths + b"".join(array.tobytes() for array in arrays)
 
