@@ -24,9 +24,7 @@ from transopt.solvers.options import SolverOptions
 MOST = 0.99  # of the smallest tracking weight, and of 1
 MOST_PROBLEMS = 14
 FIRST_dB = 4.0  # per unit of t, of the first step: 8.7 without limits, about this where a limit cuts the tap
-SLOW = (
-    0.5  # of the energy that the older of two problems misses: what the next one may miss, or the bracket is halved
-)
+SLOW = 0.5  # of what the older of two problems misses: the most that the next one may miss, or the bracket is halved
 INSET = 1e-3  # of a bracket, which a candidate stays away from its ends
 STEEPEST = 0.9  # of the chord's slope: what the parabola's may differ from it at the ends of its interval
 NEWTON = 8

@@ -80,12 +80,12 @@ class Feedback:
         side: Literal[0, 1] = 1 if transposed else 0
         asked = np.asarray(asked, dtype=float)
         found = linalg.solve_triangular(
-            self._untouched, asked, trans=side, lower=True, unit_diagonal=True, check_finite=False
+            self._one_less_T, asked, trans=side, lower=True, unit_diagonal=True, check_finite=False
         )
         return np.asarray(found)
 
     @cached_property
-    def _untouched(self) -> FloatArray:
+    def _one_less_T(self) -> FloatArray:
         """(M, M) 1 - T."""
         assert self.wall is not None
         M, N, dt, amplifier = self.grid.after_stages, self.grid.stages, self.grid.dt_s, self.stage.amplifier

@@ -269,7 +269,7 @@ def certify(
     they must cancel g over the hand-over, or what is left of it counts with c_max (so that a lost or flipped one is
     noticed, although the hand-over commands cannot move). Where the temperature binds, the Lagrangian is not convex:
     the gap is then that of a stationary point, and `lower_bound` has to come from the convex problem of
-    `solvers.global_bound`.
+    `TemperatureLimit.relaxed`.
 
     Parameters
     ----------
