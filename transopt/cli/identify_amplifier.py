@@ -106,6 +106,7 @@ def amplifier_part(fit: "AmplifierFit", runs: "Sequence[Measurement]") -> "Ampli
         parameters=["pole_Hz", "delay_s"],
         covariance=fit.covariance[:2, :2].tolist(),
         verdict=fit.verdict(),
+        shortfalls=fit.shortcomings(),
         sources=[Source(file=run.source, sha256=run.sha256) for run in runs],
     )
 

@@ -65,7 +65,7 @@ def identify_coil(
     console.print(f"coil: {part.verdict}", style="red" if short else None, highlight=False, soft_wrap=True)
     if short:
         raise typer.Exit(1)
-    console.print(next_step(out), highlight=False, soft_wrap=True)
+    console.print(next_step(out, None if scene == DEFAULT_SCENE else scene), highlight=False, soft_wrap=True)
 
 
 def _coil_of(scene: str) -> "CoilModel":
@@ -101,6 +101,7 @@ def coil_part(fit: "CoilFit", run: "Measurement", nominal: "CoilModel", continuo
             "parameters": list(NAMES),
             "covariance": fit.covariance.tolist(),
             "verdict": verdict(fit, nominal, continuous_A),
+            "shortfalls": fit.shortfalls(),
             "sources": [Source(file=run.source, sha256=run.sha256).model_dump()],
         }
     )

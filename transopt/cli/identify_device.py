@@ -74,7 +74,7 @@ def identify_device(
         )
     if result.short:
         raise typer.Exit(1)
-    console.print(next_step(out), highlight=False, soft_wrap=True)
+    console.print(next_step(out, scene), highlight=False, soft_wrap=True)
 
 
 @contextmanager

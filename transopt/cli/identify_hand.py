@@ -109,6 +109,7 @@ def hand_part(fit: "HandFit", chain: "ChainFit", runs: "Sequence[Measurement]") 
             "covariance": fit.covariance.tolist(),
             "grips_N": grips,
             "verdict": verdict(fit),
+            "shortfalls": fit.shortfalls(),
             "sources": [Source(file=run.source, sha256=run.sha256).model_dump() for run in runs],
             "fourth_order": chain_content(chain),
         }

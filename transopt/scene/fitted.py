@@ -28,9 +28,17 @@ class Source(Section):
 
 
 class ModelPart(Section):
-    """What every part states besides its values."""
+    """What every part states besides its values.
+
+    Attributes
+    ----------
+    verdict : in plain words, what designs the part supports.
+    shortfalls : why it is not fit to design with, one sentence each; none for a part that is.
+    sources : what it was fitted to.
+    """
 
     verdict: Words
+    shortfalls: list[Words] = Field(default_factory=list)
     sources: list[Source]
 
 

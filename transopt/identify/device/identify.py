@@ -324,6 +324,7 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
     nrmse = {f"{grip:.6g}": error for grip, error in result.chosen.recorded.items() if np.isfinite(error)}
     common = {"grips_N": [grip.grip_N for grip in result.grips], "nrmse": nrmse, "sources": sources}
     common["verdict"] = "; ".join([result.verdict, *result.short])
+    common["shortfalls"] = list(result.short)
     if result.chosen.kind is Kind.STATE_SPACE:
         assert result.black_box is not None
         matrices = {
