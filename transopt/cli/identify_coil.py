@@ -8,6 +8,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ def identify_coil(
     resistance_ohm: Annotated[
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
     ] = None,
+    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
     """Thermal resistances and time constants of the coil; exit 1 if they are not fit to design with."""
     from dataclasses import replace
@@ -46,7 +49,7 @@ def identify_coil(
 
     check_place(out)
     nominal = _coil_of(scene)
-    run = load_measurement(file)
+    run = load_measurement(file, layout(columns, units))
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
     fit = fit_coil(heat_record(run, R_ohm), limit_C=nominal.limit_C)
     # Of the identified coil in the scene's surroundings, to be compared with the datasheet.
