@@ -173,6 +173,17 @@ def _apart(name: str) -> tuple[str, str | None]:
     return found["base"].replace("_", " ").strip(), (found["inside"] or found["behind"] or "").strip() or None
 
 
+def _stated_unit(name: str, quantity: str, units: Mapping[str, str]) -> str | None:
+    """The unit of a column, as a user or the file states it; None if neither does."""
+    base, stated = _apart(name)
+    return next((units[key] for key in (name, base, quantity) if key in units), stated)
+
+
+def _lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
+    quantity = _quantity(_apart(name)[0], words)
+    return name not in words.columns and quantity is not None and _stated_unit(name, quantity, units) is None
+
+
 def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> tuple[str, float]:
     """Quantity and factor to SI of a column.
 
@@ -182,28 +193,21 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> tuple[str
 
     Raises
     ------
-    InputError : a name that means nothing here, a unit that is none of the quantity, or no unit at all.
+    InputError : a name that means nothing here, or a unit that is none of the quantity.
     """
-    base, stated = _apart(name)
-    quantity = words.columns[name][0] if name in words.columns else _quantity(base, words)
+    quantity = words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
     if quantity is None:
         known = ", ".join(words.columns)
         usual = "time [s], acc [g] and the like"
         remedy = 'rename it, or name all columns (--columns, recordings.columns; "-" skips one)'
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
-    unit = next((units[key] for key in (name, base, quantity) if key in units), stated)
+    unit = _stated_unit(name, quantity, units)
     if unit is None and name in words.columns:
         return words.columns[name]
-    if unit is None:
-        example = next(iter(UNITS[quantity]))
-        raise InputError(
-            f"column {quote(name)} states no unit of {quantity}; state it: --units {quantity}={example} (in a scene "
-            f'recordings.units = {{ {quantity} = "{example}" }}); known: {", ".join(UNITS[quantity])}'
-        )
-    factor = UNITS[quantity].get(_plain(unit))
+    factor = UNITS[quantity].get(_plain(unit or ""))
     if factor is None:
         known = ", ".join(UNITS[quantity])
-        raise InputError(f"column {quote(name)}: {quote(unit)} is no unit of {quantity}; known: {known}")
+        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}")
     return quantity, factor
 
 
@@ -222,7 +226,16 @@ def meanings(
     """
     present = quote(", ".join(found or names))
     used = [name for name in names if name != SKIPPED]
-    said = {}
+    said, without = {}, [name for name in used if _lacks_unit(name, words, units)]
+    if without:
+        wanted = [_quantity(_apart(name)[0], words) or name for name in without]
+        stated = [f"{quantity}={next(iter(UNITS[quantity]))}" for quantity in wanted]
+        in_scene = ", ".join(f'{quantity} = "{next(iter(UNITS[quantity]))}"' for quantity in wanted)
+        known = "; ".join(f"{quantity} in {', '.join(UNITS[quantity])}" for quantity in wanted)
+        raise InputError(
+            f"no unit stated in the column{'s' * (len(without) > 1)} {quote(', '.join(without))}; state it, for "
+            f"example --units {','.join(stated)} (in a scene recordings.units = {{ {in_scene} }}); known: {known}"
+        )
     for name in used:
         said[name] = meaning(name, words, units)
         if found and name not in found:

@@ -26,6 +26,7 @@ _ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; it
 _MISSING = 0.01  # of all samples: so many may be missing and are interpolated
 _IN_A_ROW = 1  # missing samples, beyond which a spline invents what it should interpolate
 _JITTER = 0.35  # steps, rms: beyond it nobody knows when the samples were taken
+_BESIDE = 8  # stamps on either side of a long step that say whether a row was lost
 _NEIGHBOURS = 21  # stamps that a stamp is compared with
 
 
@@ -138,8 +139,8 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     """The uniform grid that the stamps (n,) [s] were taken on.
 
     Stamps are judged by their rms distance from the grid: the largest of 20 000 harmless ones is four times as large.
-    Between two stamps lie round(step / median) periods, so that a lost row leaves a gap of two. A stamp far off its
-    place, late by most of a step for example, is no time for its sample, which is then missing like a lost one.
+    A stamp far off its place, late by most of a step for example, is no time for its sample, which is then missing
+    like that of a lost row.
     """
     steps = np.diff(times)
     median = float(np.median(steps))
@@ -151,7 +152,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     if not low <= median <= high:
         limit = f"must be {low:g} to {high:g} s; is time in the unit its name states?"
         raise InputError(f"median time step {median:g} s: {limit}")
-    periods = np.rint(steps / median)
+    periods = _periods(times, median)
     at = int(np.argmax(periods > 1 + _IN_A_ROW))
     if periods[at] > 1 + _IN_A_ROW:
         found = f"step {1e3 * steps[at]:.4g} ms, median {1e3 * median:.4g} ms: {periods[at] - 1:.0f} samples dropped"
@@ -159,13 +160,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         raise InputError(f"after {place(at)} ({times[at]:.15g} s): {found}; {remedy}")
     index = np.concatenate([[0.0], np.cumsum(periods)])
     mean, late, jitter = _against_grid(times, index)
-    index += np.rint(jitter)  # a stamp late by 0.4 and one early by 0.4 were rounded to two periods and none
-    mean, late, jitter = _against_grid(times, index)
-    off, same = np.abs(jitter), np.diff(index) == 0
-    good = off <= _ASTRAY
-    # Two stamps for one place: a late one was rounded to the place of the next.
-    good[1:] &= ~(same & (off[1:] > off[:-1]))
-    good[:-1] &= ~(same & (off[:-1] >= off[1:]))
+    good = np.abs(jitter) <= _ASTRAY
     size = int(index[-1] - index[0]) + 1
     lost = size - int(np.count_nonzero(good))
     rms = float(np.sqrt(np.mean(jitter[good] ** 2)))
@@ -186,6 +181,23 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     return _Clock(mean, np.flatnonzero(good), size, off_grid, missing, uniform)
 
 
+def _periods(times: FloatArray, median_s: float) -> FloatArray:
+    """(n - 1,) periods between stamps (n,): one, but where a step is long and the stamps behind it stay behind.
+
+    Behind a lost row all stamps are late by a period; behind a stamp that is late itself they are not.
+    """
+    periods = np.ones(times.size - 1)
+    long = np.flatnonzero(np.diff(times) > 1.5 * median_s)
+    if long.size:
+        late = times / median_s - np.arange(times.size)
+        near = np.arange(_BESIDE)
+        before = np.median(late[np.maximum(long[:, None] - near, 0)], axis=1)
+        behind = np.median(late[np.minimum(long[:, None] + 1 + near, times.size - 1)], axis=1)
+        most = np.maximum(np.rint(np.diff(times)[long] / median_s), 1)
+        periods[long] = np.clip(1 + np.rint(behind - before), 1, most)
+    return periods
+
+
 def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Mean step [s] of stamps (n,) at places (n,) of a grid; how late each is, and how late against its neighbours.
 
@@ -195,7 +207,8 @@ def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, FloatArr
     """
     mean = float((times[-1] - times[0]) / (index[-1] - index[0]))
     late = (times - times[0]) / mean - (index - index[0])
-    return mean, late, late - scipy.ndimage.median_filter(late, _NEIGHBOURS, mode="nearest")
+    usual = scipy.ndimage.median_filter(late, _NEIGHBOURS, mode="nearest")
+    return mean, late, late - scipy.ndimage.uniform_filter(usual, 3 * _NEIGHBOURS, mode="nearest")
 
 
 def _stated(header: Mapping[str, object], quantity: str, words: Vocabulary) -> float | None:

@@ -80,7 +80,10 @@ def read_recordings(settings: Recordings) -> list[Recording]:
             stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
             grip = settings.grip_N if recording.grip_N is None else recording.grip_N
             speed = by_file.get(recording.name, by_file.get(path.name, stated))
-            found.append(replace(recording, speed_m_s=speed, grip_N=grip))
+            notes = recording.notes
+            if recording.name != path.name and speed is not None and recording.name not in by_file:
+                notes = (*notes, f"its speed is the one that is stated for all taps of {path.name}")
+            found.append(replace(recording, speed_m_s=speed, grip_N=grip, notes=notes))
     stray = set(by_file) - {path.name for path in paths} - {recording.name for recording in found}
     if stray:
         raise InputError(

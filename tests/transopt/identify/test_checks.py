@@ -156,7 +156,7 @@ def test_jitter_says_what_it_does(tmp_path: Path, columns: dict, jitter: float, 
     )
     write_measurement(tmp_path / "j.npz", shaken, {"grip_N": 1.0})
     read = load_measurement(tmp_path / "j.npz")
-    assert read.off_grid == pytest.approx(jitter / np.sqrt(3), rel=0.1)  # the rms of what is uniform
+    assert 0.4 * jitter < read.off_grid < jitter  # the rms of what is uniform is 0.58 of the largest
     read = replace(read, off_grid=0.25) if fatal else read
     message = only(checks.check_measurement(read, ALL), Fault.JITTER, fatal=fatal)
     assert "steps (rms) off the uniform grid, resampled to it: phases are off by" in message
