@@ -20,7 +20,7 @@ from transopt.base import mat5
 from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.signals import FloatArray
-from transopt.base.sizes import MOST_COLUMNS, MOST_SAMPLES
+from transopt.base.sizes import MOST_COLUMNS, MOST_ROWS
 from transopt.recordings.names import (
     SKIPPED,
     Layout,
@@ -271,5 +271,5 @@ def _read_wav(data: bytes, layout: Layout) -> RawTable:
 
 
 def _check_size(samples: int) -> None:
-    if samples > MOST_SAMPLES:
-        raise InputError(f"{samples} samples, at most {MOST_SAMPLES}; cut the taps out of it")
+    if samples > MOST_ROWS:
+        raise InputError(f"{samples} samples, at most {MOST_ROWS}; cut the taps out of it")

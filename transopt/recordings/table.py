@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
-from transopt.base.sizes import MOST_FILE_BYTES
+from transopt.base.sizes import MOST_RECORD_BYTES
 from transopt.recordings.formats import LARGEST, MIN_SAMPLES, RawTable, guarded, read_raw
 from transopt.recordings.names import Layout, Vocabulary, quote
 
@@ -85,7 +85,7 @@ def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> T
     ------
     InputError : one line, file first, whatever is wrong.
     """
-    data = read_file(path, MOST_FILE_BYTES, "name a recording; a long one cut into its taps")
+    data = read_file(path, MOST_RECORD_BYTES, "name a recording; a long one cut into its taps")
     try:
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")

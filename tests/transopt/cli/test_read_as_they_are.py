@@ -1,4 +1,4 @@
-"""Commands on files as instruments write them: --columns, --units, --tap and --channel, and lines that work pasted."""
+"""Commands on files as instruments write them: --columns, --units, --tap, --channel; and lines that work pasted."""
 
 import re
 from pathlib import Path
