@@ -176,7 +176,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 
 def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
-    from transopt.report.identified import model_warning
+    from transopt.report.identified import model_warning, moving_target
     from transopt.report.tables import LEGEND, build_table, refinement_summary, refusal, summary, warnings
 
     def line(text: str, style: str | None = None) -> None:
@@ -187,7 +187,7 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
-    for warning in (*warnings(build), *filter(None, [model_warning(build)])):
+    for warning in (*warnings(build), *filter(None, [model_warning(build), moving_target(build.scene)])):
         line(warning, "yellow")
     for entry in build.refused:
         line(f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}", "red")

@@ -245,7 +245,8 @@ def meanings(
         if count > 1 or (count == 0 and quantity in words.required):
             choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
             raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
-    unused = [key for key in units if key not in said and key not in words.quantities]
+    own = {*said, *(_apart(name)[0] for name in said), *words.quantities}
+    unused = [key for key in units if key not in own]
     if unused:
         raise InputError(f"--units {unused[0]}: no column of that name; the file has {present}")
     return said

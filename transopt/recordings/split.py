@@ -26,15 +26,18 @@ SLOWEST_HZ = 8.0  # below it the hand moves and turns the sensor in the earth's 
 def bounds(x: Signal) -> list[tuple[int, int]]:
     """First sample and end of every tap of a signal, in order; the whole signal where there is one tap or none.
 
-    A tap is where the signal without its slow share exceeds a threshold, together with all that follows less than
-    `PAUSE_S` later. Two taps are parted in the middle of the quiet stretch between them.
+    A tap is where the signal without its slow share exceeds a threshold in the direction of its highest peak,
+    together with all that follows less than `PAUSE_S` later. Two taps are parted in the middle of the quiet stretch
+    between them.
     """
     whole = [(0, x.values.size)]
     if x.values.size * x.dt_s < PAUSE_S or x.rate_Hz < 5 * SLOWEST_HZ:
         return whole
     # From the level that the file begins with, or the filter would see a step there.
     rest = np.median(x.values[: max(int(START_S / x.dt_s), 1)])
-    quick = np.abs(highpass(replace(x, values=x.values - rest), SLOWEST_HZ).values)
+    quick = highpass(replace(x, values=x.values - rest), SLOWEST_HZ).values
+    # A force that is let go, or a stylus that is lifted, moves the other way than a tap.
+    quick = quick * np.sign(quick[np.argmax(np.abs(quick))])
     steps = np.diff(x.values)
     noise = float(scipy.stats.median_abs_deviation(steps, scale="normal") / np.sqrt(2))
     loud = np.flatnonzero(quick > max(LEAST_SHARE * float(quick.max()), LEAST_TO_NOISE * noise))

@@ -97,6 +97,17 @@ def unfit_model(scene: Scene) -> str:
     return f"{scene.model.file} is not fit to design with: {said}" if said else ""
 
 
+def moving_target(scene: Scene) -> str:
+    """One line where the taps to be reproduced are made with the identified device; empty if they are not."""
+    model = scene.model
+    if scene.recordings.simulated is None or scene.striker is not None or not isinstance(model, IdentifiedModel):
+        return ""
+    return (
+        f"the simulated taps are struck by the device of {model.file} and change with it: state [model] in the "
+        "scene, and the file by model_file, to keep them"
+    )
+
+
 def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
     """A note on grips that the scene plays outside the recorded ones."""
     recorded = [grip for grip in model.moving.grips_N if grip > 0]

@@ -103,6 +103,15 @@ class TestTheTargetStays:
         for a, b in zip(short, recordings_of(load_scene("bare.toml", model=MODEL)), strict=True):
             np.testing.assert_array_equal(a.acceleration.values, b.acceleration.values)
 
+    def test_a_scene_without_a_device_of_its_own_is_told_that_its_taps_move(self, run: Run) -> None:
+        heavier()
+        bare = WOOD.replace(WOOD[WOOD.index("[model]") : WOOD.index("[amplifier]")], "").replace(POLE, "")
+        bare = bare.replace("[0.1, 0.2, 0.3, 0.4]", "[0.2]").replace("[1.0, 3.0, 5.0]", "[3.0]")
+        Path("bare.toml").write_text(f'model = "MODEL.json"\n{bare}')
+        said = "simulated taps are struck by the device of MODEL.json and change with it"
+        assert said in run("solve", "bare.toml", "--no-figures").out
+        assert said not in run("solve", quick("mine.toml"), "--model", MODEL, "--no-figures").out
+
     def test_the_report_says_who_struck(self, run: Run) -> None:
         heavier()
         assert run("solve", quick("mine.toml"), "--model", MODEL, "--no-figures").code == 0

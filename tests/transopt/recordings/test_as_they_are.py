@@ -9,9 +9,10 @@ from tests.benches.places import IMPACTS
 from tests.benches.recording_files import DT_S, TAP_M_S2, TIMES_S, load, mat, npz, refusal, text, wav
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
-from transopt.base.signals import FloatArray
+from transopt.base.signals import FloatArray, Signal
 from transopt.recordings.names import stated_units
 from transopt.recordings.settings import Recordings
+from transopt.recordings.split import bounds
 from transopt.recordings.tap import PreparedTap, prepare, read_recordings
 
 IN_G = text(TIMES_S, TAP_M_S2 / G)
@@ -33,7 +34,7 @@ IN_G = text(TIMES_S, TAP_M_S2 / G)
         ("Time,Acc\n(s),(g)\n", IN_G),
         ("time (ms),acc (m/s²)", text(1e3 * TIMES_S, TAP_M_S2)),
         ("time [µs],acc [m/s^2]", text(1e6 * TIMES_S, TAP_M_S2)),
-        ("time_s,acc [mg]", text(TIMES_S, 1e3 * TAP_M_S2 / G)),
+        ("# speed_m_s: 0.2\ntime_s,acc [mg]", text(TIMES_S, 1e3 * TAP_M_S2 / G)),
     ],
 )
 @pytest.mark.parametrize("suffix", [".csv", ".txt"])
@@ -90,6 +91,12 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
 )
 def test_names_and_units_that_cannot_be(tmp_path: Path, header: str, options: dict[str, object], words: str) -> None:
     assert refusal(tmp_path, f"{header}\n{IN_G}", **options).startswith(words)
+
+
+def test_a_stated_unit_goes_before_that_of_the_file(tmp_path: Path) -> None:
+    for key in ("acc", "acc [m/s^2]", "acceleration"):
+        recording = load(tmp_path, f"time [s],acc [m/s^2]\n{IN_G}", units={key: "g"})
+        np.testing.assert_allclose(recording.acceleration.values, TAP_M_S2, atol=1e-6)
 
 
 def test_units_of_a_command_line() -> None:
@@ -190,6 +197,15 @@ class TestSeveralTaps:
         (tmp_path / "one.csv").write_text(session(STARTS[:1], SPEEDS[2:]))
         (one,) = read_recordings(settings(tmp_path, "one.csv"))
         assert one.name == "one.csv"
+
+
+def test_a_grip_that_lets_go_is_no_tap() -> None:
+    """Struck, held pressed with a fifth of the peak, and let go within milliseconds."""
+    t = np.arange(10000) * 1e-4
+    hit = 40 * np.sin(np.pi * np.clip(t - 0.2, 0, 3e-3) / 3e-3)
+    held = 8.0 * np.clip((t - 0.25) / 0.1, 0, 1) * np.clip((0.6 - t) / 3e-3, 0, 1)
+    assert len(bounds(Signal(0.0, 1e-4, hit + held))) == 1
+    assert len(bounds(Signal(0.0, 1e-4, -hit - held))) == 1
 
 
 def test_a_trigger_without_pre_roll_says_so(tmp_path: Path) -> None:
