@@ -14,7 +14,8 @@ PAGES = [
     *(page for page in sorted(DOCS.rglob("*.md")) if page.parent != GENERATED),
 ]
 FENCED = re.compile(
-    r"(?:^<!-- not run: (?P<why>[^\n]+) -->\n+)?^```(?P<language>[^\n`]*)\n(?P<code>.*?)^```$", re.DOTALL | re.MULTILINE
+    r"(?:^<!-- not run: (?P<why>[^\n]+) -->\n+)?^```(?P<language>[^\n`]*)\n(?P<code>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
 )
 NAMED = re.compile(r"\A# ([\w.-]+\.(?:py|toml))$", re.MULTILINE)
 

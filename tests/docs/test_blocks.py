@@ -1,8 +1,9 @@
 """Every code block of every page is run as a reader would run it, or says why not, or is output.
 
-The rule: `text` and `bibtex` are output; `sh`, `python`, `toml` and `c` are run, page by page and in order, in a folder
-that holds what the page assumes; a comment before the fence, `<!-- not run: WHY -->`, leaves a block out. In its short
-form the suite reads the blocks only (`tests/docs/test_pages.py`); `-m long` runs them, which takes two minutes.
+The rule: `text` and `bibtex` are output; `sh`, `python`, `toml` and `c` are run, page by page and in order, in a
+folder that holds what the page assumes; a comment before the fence, `<!-- not run: WHY -->`, leaves a block out. In
+its short form the suite reads the blocks only (`tests/docs/test_pages.py`); `-m long` runs them, which takes two
+minutes.
 """
 
 import shutil

@@ -15,13 +15,15 @@ import typer
 
 from controller.protocol.codes import Kind, Reason
 from tests.benches.places import ROOT
-from tests.docs.pages import DOCS, PAGES, blocks, text
+from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, named, text
 from transopt.library.library import ARRAYS
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys
 
-LANGUAGES = {"sh", "python", "toml", "text", "bibtex", "{toctree}", "{include}", "{code-cell}"}
+OUTPUT = {"text", "bibtex"}
+RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
+BUILT = {"{toctree}", "{include}", "{code-cell}"}  # by Sphinx, which executes the cells
 COMMANDS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
@@ -44,19 +46,13 @@ STATED: dict[str, Callable[[], Iterable[str]]] = {
 }
 
 
-def named(page: Path) -> str:
-    return str(page.relative_to(ROOT))
-
-
 @pytest.mark.parametrize("page", PAGES, ids=named)
 class TestPage:
     def test_every_block_says_what_it_is(self, page: Path) -> None:
-        opened = re.findall(r"^```(.*)$", text(page), flags=re.MULTILINE)[::2]
-        assert {first.split(" ")[0] for first in opened} <= LANGUAGES
-
-    def test_links_lead_somewhere(self, page: Path) -> None:
-        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text(page)):
-            assert target.startswith("https://") or (page.parent / target).exists(), target
+        assert {block.language for block in fenced(page)} <= OUTPUT | RUN | BUILT
+        assert len(fenced(page)) == len(re.findall(r"^```", text(page), flags=re.MULTILINE)) / 2
+        indented = re.findall(r"\n\n( {4}\S.*)", FENCED.sub("", text(page)))
+        assert not indented, "a block without a fence cannot say what it is"
 
     def test_python_compiles_and_toml_parses(self, page: Path) -> None:
         for block in blocks(page, "python"):
@@ -71,6 +67,24 @@ class TestPage:
                 if words and words[0] in COMMANDS:
                     _check(words)
 
+    def test_commands_in_the_text_exist(self, page: Path) -> None:
+        for span in re.findall(r"`([^`]+)`", FENCED.sub("", text(page))):
+            words = span.split()
+            if words[0] in COMMANDS:
+                _check(words)
+
+    def test_scripts_and_their_options_exist(self, page: Path) -> None:
+        for name, options in re.findall(r"python (scripts/\w+\.py)([^`|\n]*)", text(page)):
+            assert (ROOT / name).exists(), name
+            for option in re.findall(r"--[\w-]+", options):
+                assert option in sources(ROOT / name), f"{name} {option}"
+
+
+def sources(script: Path) -> str:
+    """Of a script and of its helpers, some of which read its command line."""
+    helpers = [path for path in (ROOT / "scripts").glob("*/*.py") if path.parent.stem in script.read_text()]
+    return "\n".join(path.read_text(encoding="utf-8") for path in (script, *helpers))
+
 
 def _check(words: list[str]) -> None:
     from importlib import import_module
@@ -78,7 +92,7 @@ def _check(words: list[str]) -> None:
     app = import_module(COMMANDS[words[0]]).app
     command: click.Command = typer.main.get_command(app)
     rest = words[1:]
-    while isinstance(command, click.Group) or hasattr(command, "commands"):
+    while rest and (isinstance(command, click.Group) or hasattr(command, "commands")):
         assert rest[0] in command.commands, " ".join(words)  # type: ignore[union-attr]
         command, rest = command.commands[rest[0]], rest[1:]  # type: ignore[union-attr]
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
