@@ -14,12 +14,15 @@ import pytest
 import typer
 
 from controller.protocol.codes import Kind, Reason
+from controller.servo.interface import Fault, Notice
 from tests.benches.places import ROOT
 from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, named, text
 from transopt.library.library import ARRAYS
+from transopt.library.meta import META
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys
+from transopt.scene.model_parts import CoilPart, DriveDevice, HandPart
 
 OUTPUT = {"text", "bibtex"}
 RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
@@ -34,7 +37,9 @@ COMMANDS = {
 # Page of the reference -> the words that the code has for it to name.
 STATED: dict[str, Callable[[], Iterable[str]]] = {
     "scene_keys": lambda: [key.path for key in keys(load_scene("wood_on_foam"))],
-    "library_file": lambda: ARRAYS,
+    "library_file": lambda: [*ARRAYS, *META],
+    "model_file": lambda: [name for part in (DriveDevice, HandPart, CoilPart) for name in part.model_fields],
+    "faults": lambda: [*(fault.name for fault in Fault), *(notice.name for notice in Notice)],
     "messages": lambda: [*(kind.name for kind in Kind), *(reason.name for reason in Reason)],
     "exit_codes": lambda: [status.name for status in Status],
     "commands": lambda: [
