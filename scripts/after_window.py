@@ -138,7 +138,7 @@ def played(
 
 
 def figures_of(taps: list[Ended]) -> tuple[float, ...]:
-    """Of one way in one scene: means in % of the error by the model, played and after, worst peaks in g, worst kick."""
+    """Of one way in one scene: mean errors in % by the model, played and after; worst peaks in g, worst kick in A."""
     mean = [
         100 * float(np.mean([getattr(tap, key) for tap in taps])) for key in ("nrmse", "after", "predicted_nrmse")
     ]

@@ -52,17 +52,18 @@ def commit() -> str:
     return f"commit {found}{', with changes' if changed else ''}" if found else "of no commit"
 
 
+COMMIT = commit()  # asked for when a script starts: what it imports is what was there then
+
+
 def stamp(script: str) -> str:
-    """One line: command, date, processor, cores, Python, commit. Where the page lies is no part of the command."""
-    words = [
-        word
-        for word, before in zip(sys.argv[1:], ["", *sys.argv[1:]], strict=False)
-        if "--page" not in (word, before)
-    ]
+    """One line: command, date, processor, cores, Python, commit. Where the page and the results lie is left open."""
+    said = sys.argv[1:]
+    words = [word for word, before in zip(said, ["", *said], strict=False) if "--page" not in (word, before)]
+    words = ["DIR" if Path(word).is_absolute() else word for word in words]
     here = machine()
     return (
         f"*`{' '.join(['python', f'scripts/{script}', *words])}`, {datetime.now(UTC):%Y-%m-%d}, {here['cpu']}, "
-        f"{here['cores']} cores, Python {platform.python_version()}, {commit()}.*"
+        f"{here['cores']} cores, Python {platform.python_version()}, {COMMIT}.*"
     )
 
 
