@@ -274,13 +274,14 @@ def method_comparison(experiment: Experiment, out: Path) -> list[str]:
 def write_all(
     experiment: Experiment, out: Path, command: str, *, sweep_s: float = SWEEP_S, page: Path | None = None
 ) -> None:
-    """Every file of the command into the folder `out`, each whole, and the comparison of all methods into a page."""
+    """Every file of the command into the folder `out`, each whole, and what was found by the methods into a page."""
     started = time.perf_counter()
-    methods = method_comparison(experiment, out)
-    write_part(page, [line for line in methods if not line.startswith(("## ", "!["))])
+    methods, played = method_comparison(experiment, out), played_figures(experiment, out)
+    figures = [line for line in methods if not line.startswith(("## ", "!["))]
+    write_part(page, [*figures, *(line for line in played if line.startswith("- "))])
     parts = [
         *methods,
-        *played_figures(experiment, out),
+        *played,
         *device_figures(experiment.scene, experiment.conditions, sweep_s, out),
     ]
     computer, installed = machine(), versions("transopt", "numpy", "scipy", "casadi", "matplotlib")

@@ -81,5 +81,5 @@ def write_part(page: Path | None, lines: Sequence[str]) -> None:
     marks = re.compile(f"({re.escape(begin(script))}\n).*?({END})", re.DOTALL)
     if not marks.search(text):
         raise InputError(f"{page}: no part of this script; mark one by two lines: {begin(script)} and {END}")
-    part = "\n".join(["", *lines]).rstrip() + f"\n\n{stamp(script)}\n\n"
+    part = "\n" + "\n".join(lines).strip() + f"\n\n{stamp(script)}\n\n"
     write_text(marks.sub(lambda found: found[1] + part + found[2], text), page)
