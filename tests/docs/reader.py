@@ -107,9 +107,11 @@ class Reader:
             (self.folder / block.file).write_text(block.code, encoding="utf-8")
         there = Path.cwd()
         os.chdir(self.folder)
+        sys.path.insert(0, str(self.folder))  # where `python` started in this folder looks for what it imports
         try:
             exec(compile(block.code, f"<{self.folder.name}>", "exec"), self._names)
         finally:
+            sys.path.remove(str(self.folder))
             os.chdir(there)
 
     def _scene(self, block: Block) -> None:
@@ -123,7 +125,9 @@ class Reader:
         if compiler is not None:
             source = self.folder / "block.c"
             source.write_text(block.code, encoding="utf-8")
-            ended = self.run(compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", str(source))
+            ended = self.run(
+                compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", f"-I{self.folder}", str(source)
+            )
             assert ended.returncode == 0, ended.stderr
 
 

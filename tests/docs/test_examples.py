@@ -2,12 +2,14 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import transopt as to
-from tests.docs.pages import blocks, text
+from tests.docs.pages import blocks, fenced, text
 from transopt.library.library import Library
+from transopt.solvers import choose
 from transopt.solvers.native import extension
 
 [README] = blocks("README.md", "python")
@@ -56,6 +58,19 @@ def test_limits_of_your_own() -> None:
     for block in blocks("docs/limits/own.md", "python"):
         exec(block, names)
     assert names["LIMITS"]
+
+
+def test_a_solver_from_outside_the_package_designs_a_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's own file, entered by its steps."""
+    method, use = fenced("docs/develop/add_solver.md")
+    assert method.file == "my_solver.py"
+    (tmp_path / method.file).write_text(method.code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(choose, "SOLVERS", dict(choose.SOLVERS))
+    names: dict[str, Any] = {}
+    exec(use.code, names)
+    [own] = [entry for entry in to.build(names["scene"]).all_entries()]
+    assert names["entry"].certificate.objective == pytest.approx(own.certificate.objective, rel=1e-7)
 
 
 class TestNumpyAlone:

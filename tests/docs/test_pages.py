@@ -78,6 +78,15 @@ class TestPage:
             if words[0] in COMMANDS:
                 _check(words)
 
+    def test_places_in_the_code_exist(self, page: Path) -> None:
+        for file, name in re.findall(r"`((?:\w+/)+\w+\.\w+)(?::(\w+))?`", FENCED.sub("", text(page))):
+            if file.split("/")[0] not in ("transopt", "controller", "problems", "scripts", "tests", "docs"):
+                continue
+            assert (ROOT / file).exists(), file
+            stated = rf"^\s*(?:def|class|async def) {name}\b|^\s*{name}\b[^=\n]*=|^[\w *]+\b{name}\("
+            if name:
+                assert re.search(stated, text(file), re.MULTILINE), f"{file}:{name}"
+
     def test_scripts_and_their_options_exist(self, page: Path) -> None:
         for name, options in re.findall(r"python (scripts/\w+\.py)([^`|\n]*)", text(page)):
             assert (ROOT / name).exists(), name

@@ -62,8 +62,8 @@ class Solver:
         return self.method(problem, options)
 
 
-# The first that takes a problem is the first choice for it: the project's own method where it is built, then PIQP where
-# the problem is a QP, then IPOPT, which takes all.
+# The first that takes a problem is the first choice for it: the project's own method where it is built, then PIQP
+# where the problem is a QP, then IPOPT, which takes all.
 SOLVERS: dict[str, Solver] = {
     "riccati": Solver(riccati.solve, riccati.can_solve),
     "casadi-piqp": Solver(_apart("casadi-piqp", casadi_piqp.solve), lambda problem: not problem.nonlinear),
