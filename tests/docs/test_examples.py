@@ -69,7 +69,7 @@ def test_a_solver_from_outside_the_package_designs_a_library(tmp_path: Path, mon
     monkeypatch.setattr(choose, "SOLVERS", dict(choose.SOLVERS))
     names: dict[str, Any] = {}
     exec(use.code, names)
-    [own] = [entry for entry in to.build(names["scene"]).all_entries()]
+    [own] = to.build(names["scene"]).all_entries()
     assert names["entry"].certificate.objective == pytest.approx(own.certificate.objective, rel=1e-7)
 
 
