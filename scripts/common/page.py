@@ -55,16 +55,21 @@ def commit() -> str:
 COMMIT = commit()  # asked for when a script starts: what it imports is what was there then
 
 
-def stamp(script: str) -> str:
-    """One line: command, date, processor, cores, Python, commit. Where the page and the results lie is left open."""
+def stamp(command: str) -> str:
+    """One line: command, date, processor, cores, Python, commit."""
+    here = machine()
+    return (
+        f"*`{command}`, {datetime.now(UTC):%Y-%m-%d}, {here['cpu']}, "
+        f"{here['cores']} cores, Python {platform.python_version()}, {COMMIT}.*"
+    )
+
+
+def called() -> str:
+    """The command by which the script that runs was called; where the page and the results lie is left open."""
     said = sys.argv[1:]
     words = [word for word, before in zip(said, ["", *said], strict=False) if "--page" not in (word, before)]
     words = ["DIR" if Path(word).is_absolute() else word for word in words]
-    here = machine()
-    return (
-        f"*`{' '.join(['python', f'scripts/{script}', *words])}`, {datetime.now(UTC):%Y-%m-%d}, {here['cpu']}, "
-        f"{here['cores']} cores, Python {platform.python_version()}, {COMMIT}.*"
-    )
+    return " ".join(["python", f"scripts/{Path(sys.argv[0]).name}", *words])
 
 
 def write_part(page: Path | None, lines: Sequence[str]) -> None:
@@ -81,5 +86,5 @@ def write_part(page: Path | None, lines: Sequence[str]) -> None:
     marks = re.compile(f"({re.escape(begin(script))}\n).*?({END})", re.DOTALL)
     if not marks.search(text):
         raise InputError(f"{page}: no part of this script; mark one by two lines: {begin(script)} and {END}")
-    part = "\n" + "\n".join(lines).strip() + f"\n\n{stamp(script)}\n\n"
+    part = "\n" + "\n".join(lines).strip() + f"\n\n{stamp(called())}\n\n"
     write_text(marks.sub(lambda found: found[1] + part + found[2], text), page)
