@@ -15,8 +15,9 @@ from controller.protocol.packed import OPEN_END, Packed
 from controller.servo.faults import FAULTS, SEEN_WHEN
 from controller.servo.interface import Notice, State
 from controller.servo.settings import Settings
+from transopt.base import sizes
 from transopt.base.section import Section
-from transopt.base.units import unit_of
+from transopt.base.units import LARGEST, unit_of
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.library import ARRAYS
 from transopt.library.meta import META
@@ -154,6 +155,30 @@ def notices() -> str:
     return table(["notice", "what it says"], [[code(notice.name), notice.value] for notice in Notice])
 
 
+def bounds() -> str:
+    """How large inputs may be: of each unit, and in all."""
+    by_unit = table(["unit", "largest size of a number"], [[unit, f"{most:g}"] for unit, most in LARGEST.items()])
+    inputs = [
+        ["servo period", f"{sizes.SHORTEST_DT_S:g} to {sizes.LONGEST_DT_S:g} s"],
+        ["waveform", f"{sizes.MOST_STAGES} commands and {sizes.LONGEST_HORIZON_S:g} s"],
+        ["delay of an amplifier", f"{sizes.LONGEST_DELAY_S:g} s"],
+        ["lead", f"{sizes.LONGEST_LEAD_S:g} s"],
+        ["what is looked at after the waveform", f"{sizes.MOST_AFTER} samples and {sizes.LONGEST_AFTER_S:g} s"],
+        ["speeds, and grips, of a library", f"{sizes.MOST_NODES} each"],
+        ["commands of a library", f"{sizes.MOST_COMMANDS}"],
+        ["states of a device", f"{sizes.MOST_STATES}"],
+        ["devices that a robust entry serves besides its own", f"{sizes.MOST_DEVICES}"],
+        ["recordings of a scene", f"{sizes.MOST_FILES}"],
+        ["a recording", f"{sizes.MOST_SAMPLES} samples, {sizes.MOST_COLUMNS} columns"],
+        ["file of a scene, a motor or a device", sizes.megabytes(sizes.MOST_TEXT_BYTES)],
+        ["model file", sizes.megabytes(sizes.MOST_MODEL_BYTES)],
+        ["file of a recording or a library", sizes.megabytes(sizes.MOST_FILE_BYTES)],
+        ["the same, unpacked", sizes.megabytes(sizes.MOST_UNPACKED_BYTES)],
+        ["tables in tables, of TOML and JSON", f"{sizes.DEEPEST} deep"],
+    ]
+    return f"{table(['input', 'at most'], inputs)}\n\n{by_unit}"
+
+
 def exit_codes() -> str:
     """What exit code 1 of every command means, as its help says it."""
     rows = []
@@ -253,6 +278,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "library_arrays": library_arrays,
     "library_meta": library_meta,
     "model_file": model_file,
+    "bounds": bounds,
     "exit_codes": exit_codes,
     "faults": faults,
     "notices": notices,
