@@ -25,7 +25,7 @@ myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 60
-linkcheck_timeout = 20
-linkcheck_retries = 2
 # Fences of a shell session, of a scene and of output carry comments and prompts that no lexer has to accept.
 suppress_warnings = ["misc.highlighting_failure"]
+linkcheck_timeout = 20
+linkcheck_retries = 2

@@ -42,7 +42,7 @@ def assumed(tmp_path_factory: pytest.TempPathFactory, home: Path) -> Path:
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", [page for page, own in ON_PAPER.items() if own], ids=named)
 def test_the_blocks_of_a_page_run_in_their_order(
     page: Path, tmp_path: Path, home: Path, request: pytest.FixtureRequest
