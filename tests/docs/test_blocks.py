@@ -19,7 +19,7 @@ from transopt.scene.model_file import save_part
 
 RUN = ("sh", "python", "toml", "c")
 FROM_NOTHING = ("README.md", "docs/start/")  # pages that begin in an empty folder
-OWN_TAPS = "docs/start/own_taps.md"  # its reader has recorded taps, and solved another scene before
+OWN_TAPS = "docs/start/own_taps.md"  # its reader has recorded taps, and solved scenes before
 RECORDINGS = Path(__file__).parents[2] / "problems/recordings"
 ON_PAPER = {page: [block for block in fenced(page) if block.language in RUN and not block.why_not] for page in PAGES}
 
@@ -55,7 +55,8 @@ def test_the_blocks_of_a_page_run_in_their_order(
     if named(page) == OWN_TAPS:
         shutil.copytree(RECORDINGS, folder, dirs_exist_ok=True)
         shutil.copytree(RECORDINGS, folder / "recordings")  # where the scene that is copied there expects them
-        shutil.copytree(request.getfixturevalue("assumed") / "out/wood_on_foam", folder / "out/other")
+        for other in ("out/other", "mine"):
+            shutil.copytree(request.getfixturevalue("assumed") / "out/wood_on_foam", folder / other)
     reader = Reader(folder, home)
     for block in ON_PAPER[page]:
         reader.do(block)
