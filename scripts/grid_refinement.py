@@ -27,7 +27,6 @@ from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.proof.replay import replayed_errors
 from transopt.recordings.reference import Reference, between, build_references
-from transopt.report.grid_figure import grid_figure
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -86,7 +85,7 @@ def demonstrate(name: str, scene: Scene, points: int, tolerance: float, cap: int
     print(f"  {refinement.elapsed_s:.1f} s for {refinement.rounds} rounds, {built_s:.1f} s for both libraries")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        save_figure(grid_figure(refinement), out / f"grid_error_{name}.png")
+        save_figure(refinement.plot(), out / f"grid_error_{name}.png")
     return bool(found[:, 1].max() <= 100 * tolerance)
 
 

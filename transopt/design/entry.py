@@ -14,7 +14,7 @@ from transopt.design.attained import Attained
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
-from transopt.design.price import Price, prices
+from transopt.design.price import Price, binding, prices
 from transopt.design.verify import admit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, acting_states
@@ -159,6 +159,17 @@ class Entry:
     def weighted_nrmse(self) -> float:
         """NRMSE as the scene's error filter hears it; the plain one without a filter."""
         return self.nrmse if self.problem.reference_is_zero else self.problem.tracking.nrmse(self.predicted_m_s2)
+
+    @property
+    def slopes(self) -> dict[str, float]:
+        """Limit that binds -> by how much J falls per unit by which it is raised, from the multipliers alone.
+
+        It is the slope at the limit as it stands. What a step buys is less, since the slope flattens on the way: see
+        `prices`, which are solved for.
+        """
+        if self.problem.reference_is_zero:
+            return {}
+        return binding(self.problem, self.solution.command_A, self.solution.multipliers)
 
     @cached_property
     def levels(self) -> Levels:
