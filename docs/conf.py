@@ -1,5 +1,6 @@
 """The manual: Sphinx with MyST-NB. Built by `sphinx-build -W --keep-going -n docs build/docs`."""
 
+import os
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -25,5 +26,12 @@ myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 60
+nb_merge_streams = True
+# A page that runs writes files: it does so in an empty folder of its own. It calls the commands that are installed beside
+# this Python, which need not be on the path, and their tables are as wide as a page.
+nb_execution_in_temp = True
+os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+os.environ["COLUMNS"] = "100"
+os.environ["MATPLOTLIBRC"] = str(HERE / "matplotlibrc")  # how their figures look
 # Fences of a shell session, of a scene and of output carry comments and prompts that no lexer has to accept.
 suppress_warnings = ["misc.highlighting_failure"]

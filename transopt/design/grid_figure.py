@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-from transopt.base.plotting import LABEL_PT, SMALL_PT
+from transopt.base.plotting import LABEL_PT, SMALL_PT, Drawing
 from transopt.base.signals import FloatArray
 from transopt.design.refine_grid import Refinement
 from transopt.scene.sections import Grid
@@ -32,7 +32,7 @@ def grid_figure(refinement: Refinement) -> Figure:
     excess = 100 * np.array([(p.excess_before, p.excess_after) for p in points])  # (n, 2) [%]
     tolerance = 100 * refinement.tolerance
     top = float(max(excess.max(), tolerance))
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    figure = Drawing(figsize=(8.0, 3.8), layout="constrained")
     panels = list(figure.subplots(1, 2, sharex=True, sharey=True))
     single = [axis for axis in (0, 1) if np.ptp(at[:, axis]) == 0]
     names = ("speed [m/s]", "grip [N]")

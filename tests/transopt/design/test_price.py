@@ -163,7 +163,7 @@ def test_the_slope_of_an_entry_is_what_a_small_step_buys(build: Build, taps: lis
     fast = [tap for tap in taps if abs(tap.speed_m_s / 0.4 - 1) < 0.1]
     [[wider]] = build_library(with_values(build.scene, alone), fast).entries
     bought = hardest.certificate.objective - wider.certificate.objective
-    assert set(hardest.slopes) == {"current"}
+    assert set(hardest.slopes) == {"current", "command"}
     assert bought == pytest.approx(hardest.slopes["current"] * step_A, rel=0.01)
     assert build.entries[0][0].slopes == {}
 
