@@ -27,8 +27,8 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 60
 nb_merge_streams = True
-# A page that runs writes files: it does so in an empty folder of its own. It calls the commands that are installed beside
-# this Python, which need not be on the path, and their tables are as wide as a page.
+# A page that runs writes files: it does so in an empty folder of its own. It calls the commands that are installed
+# beside this Python, which need not be on the path, and their tables are as wide as a page.
 nb_execution_in_temp = True
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
 os.environ["COLUMNS"] = "100"
