@@ -20,6 +20,8 @@ extensions = ["myst_nb"]
 exclude_patterns = ["reference/generated"]
 html_theme = "furo"
 html_title = f"transopt {release}"
+html_static_path = ["static"]
+html_css_files = ["pages.css"]
 language = "en"
 
 myst_heading_anchors = 3
@@ -31,7 +33,8 @@ nb_merge_streams = True
 # beside this Python, which need not be on the path, and their tables are as wide as a page.
 nb_execution_in_temp = True
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-os.environ["COLUMNS"] = "100"
+os.environ["COLUMNS"] = "90"
+os.environ["BASH_ENV"] = str(HERE / "bash_env")
 os.environ["MATPLOTLIBRC"] = str(HERE / "matplotlibrc")  # how their figures look
 # Fences of a shell session, of a scene and of output carry comments and prompts that no lexer has to accept.
 suppress_warnings = ["misc.highlighting_failure"]
