@@ -168,6 +168,16 @@ def test_the_slope_of_an_entry_is_what_a_small_step_buys(build: Build, taps: lis
     assert build.entries[0][0].slopes == {}
 
 
+def test_limits_along_a_command(build: Build) -> None:
+    hardest = build.entries[3][2]
+    own = {box.limit.name: box for box in hardest.boxes()}
+    assert own["current"].peak == pytest.approx(4.0, abs=1e-6)
+    assert own["current"].by_upper.sum() > 0
+    doubled = {box.limit.name: box for box in hardest.boxes(2 * hardest.solution.command_A)}
+    assert doubled["current"].excess.max() == pytest.approx(4.0, abs=1e-6)
+    assert not doubled["current"].by_upper.any()
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_at_what_is_enough_it_does_not_bind_and_just_below_it_does(cases: dict[str, Case], name: str) -> None:
     case = cases[name]
