@@ -29,7 +29,6 @@ from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.proof.replay import replayed_errors
 from transopt.recordings.reference import Reference, between, build_references
-from transopt.report.grid_figure import grid_figure
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -90,7 +89,7 @@ def demonstrate(
     print(f"  {refinement.elapsed_s:.1f} s for {refinement.rounds} rounds, {built_s:.1f} s for both libraries")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        save_figure(grid_figure(refinement), out / f"grid_error_{name}.png")
+        save_figure(refinement.plot(), out / f"grid_error_{name}.png")
     sizes = f"refined, {len(grid.speeds_m_s)} speeds x {len(grid.grips_N)} grips"
     rows: list[list[object]] = [
         [device, words, count, f"{errors.max():.2f}", f"{np.median(errors):.2f}"]

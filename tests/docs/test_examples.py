@@ -66,13 +66,6 @@ def test_the_page_on_python_names_the_whole_interface() -> None:
     assert set(re.findall(r"`(\w+)", table)) == set(to.__all__)
 
 
-def test_limits_of_your_own() -> None:
-    names: dict[str, object] = {}
-    for block in blocks("docs/limits/own.md", "python"):
-        exec(block, names)
-    assert names["LIMITS"]
-
-
 class TestNumpyAlone:
     @pytest.mark.parametrize("entry", ["3, 2", "3, 0", "0, 1"])
     def test_certifies_a_real_library(
