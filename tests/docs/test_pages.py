@@ -88,7 +88,7 @@ class TestPage:
                 assert re.search(stated, text(file), re.MULTILINE), f"{file}:{name}"
 
     def test_scripts_and_their_options_exist(self, page: Path) -> None:
-        for name, options in re.findall(r"python (scripts/\w+\.py)([^`|\n]*)", text(page)):
+        for name, options in re.findall(r"python (scripts/[a-z_]+\.py)([^`|\n]*)", text(page)):
             assert (ROOT / name).exists(), name
             for option in re.findall(r"--[\w-]+", options):
                 assert option in sources(ROOT / name), f"{name} {option}"
