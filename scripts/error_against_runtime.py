@@ -157,7 +157,9 @@ def compared(
         save_small(drawn, figure)
     write_text(text, out / REPORT)
     print("\n".join(summaries_of(cases, rows)))
-    write_part(page, summaries_of(cases, rows))
+    summaries = summaries_of(cases, rows)
+    # On the page they stand in the middle of a section.
+    write_part(page, [f"**{line[4:]}**" if line.startswith("### ") else line for line in summaries])
     print(f"{out}: {REPORT}, {FIGURE}, {ROWS}; {time.perf_counter() - started:.0f} s in all")
     return 0
 
