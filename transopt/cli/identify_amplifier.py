@@ -27,7 +27,10 @@ def identify_amplifier(
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
-    """Pole and delay of the current amplifier from swept sines; exit 1 if they are not fit to design with."""
+    """Pole and delay of the current amplifier from swept sines.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from transopt.base.plotting import save_figure
     from transopt.identify.amplifier import fit_amplifier
     from transopt.identify.figures.amplifier import amplifier_figure

@@ -38,7 +38,10 @@ def identify_coil(
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
-    """Thermal resistances and time constants of the coil; exit 1 if they are not fit to design with."""
+    """Thermal resistances and time constants of the coil.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from dataclasses import replace
 
     from transopt.base.plotting import save_figure

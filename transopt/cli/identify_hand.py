@@ -34,7 +34,10 @@ def identify_hand(
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
-    """Mass, damping and stiffness of the hand over grip from taps; exit 1 if they are not fit to design with."""
+    """Mass, damping and stiffness of the hand over grip from taps.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from pydantic import ValidationError
 
     from transopt.base.plotting import save_figure

@@ -55,14 +55,24 @@ def scene_new(
     from transopt.scene import builtin
     from transopt.scene.model_place import on_model
 
-    if file.suffix != ".toml":
-        raise InputError(f"{file}: a scene file ends in .toml")
     # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
     text = builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')
     if model is not None:
         # What the scene would be refused for is said before there is a file.
-        grips = builtin.load_scene(source, model=model).grid.grips_N
-        text = on_model(text, model, file.parent, grips)
+        text = on_model(text, model, file.parent, builtin.load_scene(source, model=model).grid.grips_N)
+    write_new(file, text)
+    typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
+
+
+def write_new(file: Path, text: str) -> None:
+    """Write a scene file that is not there.
+
+    Raises
+    ------
+    InputError : it is, has another suffix than .toml, or cannot be written.
+    """
+    if file.suffix != ".toml":
+        raise InputError(f"{file}: a scene file ends in .toml")
     try:
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
@@ -70,7 +80,6 @@ def scene_new(
         raise InputError(f"{file}: exists already; choose another name") from None
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror}); choose another place") from None
-    typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
 
 
 @app.command("keys", epilog="Example: transopt scene keys mine.toml")

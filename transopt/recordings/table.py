@@ -163,10 +163,6 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     good = np.abs(jitter) <= _ASTRAY
     size = int(index[-1] - index[0]) + 1
     lost = size - int(np.count_nonzero(good))
-    rms = float(np.sqrt(np.mean(jitter[good] ** 2)))
-    if rms > _JITTER:
-        limit = f"at most {_JITTER:g}; sample by a timer and record again"
-        raise InputError(f"time stamps lie {rms:.2g} steps (rms) off a uniform grid: {limit}")
     missing = ""
     if lost:
         gaps = np.flatnonzero((np.diff(index) > 1) | ~good[1:])
@@ -176,6 +172,10 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
             limit = f"at most {100 * _MISSING:g} % are interpolated; record again, or keep the rows of one stretch"
             raise InputError(f"{missing}: {limit}")
         missing += ": interpolated"
+    rms = float(np.sqrt(np.mean(jitter[good] ** 2)))
+    if rms > _JITTER:
+        limit = f"at most {_JITTER:g}; sample by a timer and record again"
+        raise InputError(f"time stamps lie {rms:.2g} steps (rms) off a uniform grid: {limit}")
     uniform = not lost and float(np.abs(late).max()) <= _UNIFORM
     off_grid = float(np.sqrt(np.mean(late[good] ** 2)))
     return _Clock(mean, np.flatnonzero(good), size, off_grid, missing, uniform)

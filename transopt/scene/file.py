@@ -133,6 +133,28 @@ def _take_model_file(scene: Path, content: dict[str, Any]) -> None:
     put_model(content, _identified(scene, "model_file", named))
 
 
+def with_model(scene: Scene, file: str | Path) -> Scene:
+    """The scene with what has been identified in place of what it states of the device, checked as a whole.
+
+    The model takes the place of `[model]` and, as far as the file has these parts, of the tip and of the amplifier's
+    pole and delay; the command's range stays. Simulated taps are struck by the scene's own device.
+
+    Parameters
+    ----------
+    file : model file, as `transopt identify` writes it.
+
+    Raises
+    ------
+    InputError : one line: file, key, value, what is wrong.
+    """
+    content = scene.model_dump()
+    put_model(content, identified_table(Path(file), str(file)))
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(scene.name, error, content)) from None
+
+
 def _resolved(scene: Path, folder: str) -> str:
     """The recordings' folder from anywhere."""
     try:

@@ -21,7 +21,13 @@ Interval = tuple[Finite, Finite]
 
 
 class Source(Section):
-    """A file that a part was fitted to."""
+    """A file that a part was fitted to.
+
+    Attributes
+    ----------
+    file : its name.
+    sha256 : of its bytes.
+    """
 
     file: Words
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]

@@ -44,7 +44,7 @@ def put_model(content: dict[str, Any], identified: dict[str, Any]) -> None:
     identified : see `identified_table`.
     """
     own, amplifier, recordings = content.get("model"), content.get("amplifier"), content.get("recordings")
-    simulated = isinstance(recordings, dict) and "simulated" in recordings
+    simulated = isinstance(recordings, dict) and recordings.get("simulated") is not None
     if isinstance(own, dict) and own.get("kind") != "identified" and simulated:
         # Only the delay matters to a tap that nobody drives, and it only to how long the recording is.
         whole = isinstance(amplifier, dict) and all(amplifier.get(name) is not None for name in OF_THE_FILE)
