@@ -66,6 +66,8 @@ def identify_coil(
     channels = "the winding" if fit.record.housing is None else "winding and housing"
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
     console.print(f"from {channels}, {noise}", highlight=False, soft_wrap=True)
+    if run.missing:
+        console.print(f"note: {run.missing}", highlight=False, soft_wrap=True)
     console.print(f"{out}, {figure.name}", highlight=False, soft_wrap=True)
     short = fit.shortfalls()
     console.print(f"coil: {part.verdict}", style="red" if short else None, highlight=False, soft_wrap=True)

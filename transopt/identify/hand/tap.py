@@ -15,7 +15,7 @@ What biases such a fit, and what is done about it:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, signal, stats
@@ -208,7 +208,7 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
         _check_signs_and_units(trial, tap)
     except InputError as error:
         raise InputError(f"{trial.name}: {error}") from None
-    return tap
+    return replace(tap, note="; ".join(filter(None, [trial.missing, tap.note])))
 
 
 def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[HandTap], list[str]]:

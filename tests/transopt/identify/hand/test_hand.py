@@ -322,3 +322,8 @@ def test_the_figure_is_three_panels(hand: HandFit, tmp_path: Path) -> None:
     assert figure.axes[0].get_title().startswith("$m = 0.2")
     assert figure.axes[2].get_title().startswith("$k = ")
     save_figure(figure, tmp_path / "hand.png")
+
+
+def test_lost_rows_are_passed_on_to_the_user(trials: Trials) -> None:
+    said = "1 of 900 samples lost or without a time, first after row 41 (0.0039 s): interpolated"
+    assert tap_of(replace(measurement(trials), missing=said)).note == said
