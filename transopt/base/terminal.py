@@ -135,6 +135,14 @@ def _leave(code: int) -> NoReturn:
     os._exit(code)
 
 
+def _signal_again(number: int) -> None:
+    """To the main thread, out of its sleep where the platform can."""
+    if sys.platform == "win32":
+        _thread.interrupt_main(number)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+
 @contextmanager
 def _signals_end_it() -> Iterator[list[int]]:
     """SIGINT, SIGTERM and SIGHUP raise an exception, so that all that is open is tidied up on the way out.
@@ -162,7 +170,7 @@ def _signals_end_it() -> Iterator[list[int]]:
     def ignored(what: "sys.UnraisableHookArgs") -> None:
         if came and issubclass(what.exc_type, KeyboardInterrupt | SystemExit):
             # From a thread of its own, so that it comes when this place is left.
-            threading.Timer(AGAIN_S, _thread.interrupt_main, (came[0],)).start()
+            threading.Timer(AGAIN_S, _signal_again, (came[0],)).start()
         else:
             said_before(what)
 
