@@ -38,14 +38,20 @@ Gain = Annotated[
 Reset = Annotated[bool, with_port("Leave a latched fault first; its cause must be gone.", "--reset")]
 Seconds = Annotated[float | None, with_port("End after so many seconds; default: on Ctrl-C.", "--for")]
 TapCount = Annotated[int | None, with_port("End after so many; default: on Ctrl-C.")]
-AccelerometerHz = Annotated[float, with_port("Bandwidth of its accelerometer.")]
-CountUm = Annotated[float, with_port("One encoder count at the tip, in um.")]
+DeviceName = Annotated[
+    str | None,
+    typer.Option(
+        "--device",
+        help="What the device is: a device file or a built-in example; default device.toml beside the library, else "
+        "the built-in device.",
+    ),
+]
 TrueDeviceName = Annotated[
     str | None,
     with_simulate(
         "Whose device it is, before --mismatch: built-in scene, .toml or library.npz; default the library's own, "
         "without one wood_on_foam.",
-        "--device",
+        "--true-device",
     ),
 ]
 Mismatch = Annotated[float, with_simulate("Every parameter is off by up to this part; 0.1: 10 %.")]

@@ -8,6 +8,7 @@ import typer
 
 from controller.cli import port as port_commands
 from controller.cli import record as record_commands
+from controller.cli.describe import device_app
 from controller.cli.refine import refine
 from controller.cli.tap import tap
 from transopt.base import terminal
@@ -32,6 +33,7 @@ app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(port
 app.command(epilog=f"Example: transopt-play refine {LIBRARY} --simulate --out refined")(refine)
 app.command(epilog=f"Example: transopt-play tap {LIBRARY} --simulate --speed 0.2 --out played")(tap)
 app.add_typer(record_commands.record_app, name="record")
+app.add_typer(device_app, name="device")
 
 
 @app.callback(invoke_without_command=True)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import SIMULATED, LibraryFile, Port, Reset, Seconds, within
+from controller.cli.options import SIMULATED, DeviceName, LibraryFile, Port, Reset, Seconds, within
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -63,6 +63,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     """
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+    from controller.device.stated import grip_in_words
     from controller.host import library_names
     from controller.host.payload import Payload
     from controller.protocol.image import sha256
@@ -85,6 +86,9 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
         named += f", in place of {library_names.in_words(before)}" if any(before) else ""
     words = f"{words}: {named}"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
+    assumed = grip_in_words(given.device, given.library) if isinstance(given, Payload) else ""
+    if assumed:
+        console.print(assumed, highlight=False, soft_wrap=True)
 
 
 class StoppedError(Exception):
@@ -167,37 +171,40 @@ def ports() -> None:
         console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
 
 
-def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
+def upload(library: LibraryFile, port: Port, device: DeviceName = None, reset: Reset = False) -> None:
     """Put a library into a device, in place of the one it holds; whole or not at all, going on where it was cut."""
+    from controller.cli.describe import described
     from controller.host.payload import payload
 
-    given = payload(library)
-    with connected(port, reset) as device:
-        load(device, given, terminal.console())
+    given = payload(library, described(device, library).device)
+    with connected(port, reset) as opened:
+        load(opened, given, terminal.console())
 
 
 def monitor(
     port: Port,
+    device: DeviceName = None,
     every: Annotated[int, typer.Option(help="One record every so many ticks.")] = 100,
     seconds: Seconds = None,
 ) -> None:
     """Watch a device; it is neither configured nor armed."""
+    from controller.cli.describe import described
     from controller.host.monitor import Monitor
     from controller.protocol.events import Changed
-    from controller.servo.settings import Settings
 
     within("every", every, 1, 65535, " ticks")
     within("for", seconds, 0.0, 1e9, " s")
     console = terminal.console()
-    with connected(port) as device:
-        hello = device.hello
+    encoder = described(device).device.encoder
+    with connected(port) as opened:
+        hello = opened.hello
         console.print(_who(port, hello), highlight=False, soft_wrap=True)
-        with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
-            shown.take(Changed(device.state, device.fault))
-            device.listeners.append(shown.take)
-            device.set_telemetry(every)
+        with Monitor(console, port, hello.dt_s, encoder.count_m, encoder.surface_counts) as shown:
+            shown.take(Changed(opened.state, opened.fault))
+            opened.listeners.append(shown.take)
+            opened.set_telemetry(every)
             try:
-                _listen(device, seconds, lambda: False, armed=None)
+                _listen(opened, seconds, lambda: False, armed=None)
             finally:
                 console.print(shown.table())
 
@@ -258,7 +265,10 @@ def run(
     from controller.host.monitor import Monitor
     from controller.servo.interface import State
 
-    stopped, shown = False, Monitor(bench.console, title, device.hello.dt_s, recorder.count_m)
+    stopped, shown = (
+        False,
+        Monitor(bench.console, title, device.hello.dt_s, recorder.count_m, recorder.surface_counts),
+    )
     with recorder, shown, no_long_pauses():
         device.listeners += [recorder.take, shown.take]
         try:

@@ -10,9 +10,9 @@ import typer
 
 from controller.cli import port as sessions
 from controller.cli.options import (
-    AccelerometerHz,
     AnyPort,
     Crossover,
+    DeviceName,
     Gain,
     LibraryFile,
     Mismatch,
@@ -34,6 +34,7 @@ from transopt.base.errors import InputError
 if TYPE_CHECKING:
     from controller.cli.bench import Bench
     from controller.cli.tables import Yardstick
+    from controller.device.reading import Described
     from controller.host.payload import Payload
     from controller.record.played import PlayedTap
     from controller.sim.simulator import Imperfections
@@ -59,33 +60,36 @@ def tap(
     ] = "bilinear",
     user: Annotated[str, with_simulate("mild, yielding, stopping or recorded.")] = "mild",
     real_time: Annotated[bool, with_simulate("Paced by the clock, to watch telemetry.", "--real-time")] = False,
-    device: TrueDeviceName = None,
+    device: DeviceName = None,
+    true_device: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
     crossover: Crossover = 0.01,
     taps: TapCount = None,
     seconds: Seconds = None,
-    accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:
     """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature."""
     simulated = is_simulated(context, "tap", simulate, port)
     within("gain", gain, 0.0, 1.0)
-    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
     within("taps", taps, 1, 1_000_000)
     within("for", seconds, 0.0, 1e9, " s")
+    from controller.cli.describe import described, sensing
     from controller.host.payload import payload
     from controller.record.recorder import make_room
 
+    found = described(device, library, quiet=simulated)
     if simulated:
         wrong, full = imperfect(mismatch, seed, crossover), 1.0 if gain is None else gain
-        given, bench, title = _simulated(library, speed, grip, full, method, seed, wrong, device, user, real_time)
+        given, bench, title = _simulated(
+            library, found, speed, grip, full, method, seed, sensing(found, wrong), true_device, user, real_time
+        )
     else:
         assert port is not None
-        given, bench, title = payload(library), sessions.person_at(port), f"{library} on {port}"
+        given, bench, title = payload(library, found.device), sessions.person_at(port), f"{library} on {port}"
     if out is not None:
         make_room(out, over=simulated)
-    _play(given, bench, title, gain, taps, seconds, accelerometer_hz, reset, out)
+    _play(given, bench, title, gain, taps, seconds, found.device.accelerometer.bandwidth_Hz, reset, out)
 
 
 def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -> tuple[float, float]:
@@ -97,13 +101,14 @@ def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -
 
 def _simulated(
     path: Path,
+    found: "Described",
     speed: float | None,
     grip: float | None,
     gain: float,
     method: str,
     seed: int,
     wrong: "Imperfections",
-    device: str | None,
+    true_device: str | None,
     user: str,
     real_time: bool,
 ) -> "tuple[Payload, Bench, str]":
@@ -127,7 +132,10 @@ def _simulated(
     if method == Method.ONLINE.value:
         table = _solved_for(library, table, speed_m_s, grip_N)
     given = payload_of(
-        library, None if method == Method.BILINEAR.value else table, amplifier_tolerance=wrong.mismatch
+        library,
+        None if method == Method.BILINEAR.value else table,
+        device=found.device,
+        amplifier_tolerance=wrong.mismatch,
     )
     settings = given.settings
     within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
@@ -137,10 +145,11 @@ def _simulated(
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
     wanted = SimulatedTap(speed_m_s, grip_N, gain, Habit(user), seed, wrong)
-    true = device_of(scene_of(library) if device is None else scene_like(device))
-    bench, _ = simulated_bench(given, true, [wanted], clock=WallClock() if real_time else None)
+    true = device_of(scene_of(library) if true_device is None else scene_like(true_device))
+    clock = WallClock() if real_time else None
+    bench, _ = simulated_bench(given, true, [wanted], described=found.device, clock=clock)
     title = f"{path}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
-    return given, bench, title + ("" if device is None else f", on the device of {device}")
+    return given, bench, title + ("" if true_device is None else f", on the device of {true_device}")
 
 
 def _solved_for(library: "Library", table: "Bank", speed_m_s: float, grip_N: float) -> "Bank":
