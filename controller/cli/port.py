@@ -299,46 +299,74 @@ class ConsolePerson:
 def check(
     port: Port,
     library: Annotated[Path | None, typer.Argument(help="library.npz; without it only the sensors.")] = None,
-    rest_g: Annotated[float, typer.Option(help="Accelerometer at rest in g: 1 level, 0 upright surface.")] = 1.0,
+    device: DeviceName = None,
     skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
     patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
     sweep: Annotated[
         bool, typer.Option("--sweep", help="For `record sweep`, with the library's limits or the built-in ones.")
     ] = False,
+    step: Annotated[str | None, typer.Option(help="Do this step alone, once more.")] = None,
+    grip_weight_g: Annotated[
+        float | None, typer.Option(help="A known weight to check the grip sensor's scale with.")
+    ] = None,
     reset: Reset = False,
 ) -> None:
     """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
+    from controller.cli.describe import described
     from controller.cli.tables import VERDICTS, check_table
-    from controller.host.bringup import Check, Result, check_skipped, passed, run_steps
-    from controller.host.payload import payload, trial_sweep
+    from controller.device.stated import servo_numbers
+    from controller.host.bringup import Result, check_skipped, check_step, passed, run_steps
+    from controller.host.check_state import Check
+    from controller.host.payload import Payload, payload, trial_sweep
     from controller.servo.settings import Settings
+    from transopt.base.signals import STANDARD_GRAVITY_M_S2
+    from transopt.library.proven import load_proven
 
-    within("rest-g", rest_g, -1.0, 1.0, " g")
+    within("grip-weight-g", grip_weight_g, 10.0, 5000.0, " g")
     within("patience", patience, 0.1, 3600.0, " s")
-    skipped = check_skipped(skip or ())
-    given: Load | None = None if library is None else payload(library)
+    skipped, only = check_skipped(skip or ()), None if step is None else check_step(step)
+    found = described(device, library)
+    given: Load | None = None if library is None else payload(library, found.device)
     console = terminal.console()
 
     def tell(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
-    with connected(port, reset) as device:
+    with connected(port, reset) as opened:
         if sweep:
-            given = trial_sweep(device.hello, library)
+            given = trial_sweep(opened.hello, library, found.device)
         if given is not None:
-            load(device, given, terminal.console())
-        settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
-        device.set_telemetry(1)
-        bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
-        results = run_steps(bench, skipped, tell)
-        good = passed(results, skipped)
-        if good:
-            device.checked()
+            load(opened, given, terminal.console())
+        dt_s = opened.hello.dt_s
+        settings = Settings(dt_s, 0.0, 1.0, **servo_numbers(found.device, dt_s)) if given is None else given.settings
+        opened.set_telemetry(1)
+        bench = Check(
+            opened,
+            settings,
+            ConsolePerson(),
+            loaded=given is not None,
+            described=found.device,
+            library=given.library
+            if isinstance(given, Payload)
+            else None
+            if library is None
+            else load_proven(library),
+            grip_weight_N=None if grip_weight_g is None else 1e-3 * grip_weight_g * STANDARD_GRAVITY_M_S2,
+            patience_s=patience,
+        )
+        results = run_steps(bench, skipped, tell, only)
+        good = passed(bench, results, skipped)
+        if good and only is None:
+            opened.checked()
     console.print(check_table(results, f"{port}: bring-up check"))
     if any(result.passed is False for result in results):
-        words = "failed: put right what is wrong, then check again; until then the device does not arm"
-        console.print(words, style="red", highlight=False)
+        off = "; ".join(bench.off) or "see the steps that failed"
+        words = f"failed: {off}; put it right, or state it in the device file, then check again"
+        console.print(words, style="red", highlight=False, soft_wrap=True)
         raise typer.Exit(1)
+    if only is not None:
+        console.print(f"{only}: as it should be; the whole check goes through all steps", highlight=False)
+        return
     without = f" without {', '.join(skipped)}" if skipped else ""
     console.print(
         f"passed{without}: this configuration may be armed until the device starts anew"

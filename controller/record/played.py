@@ -36,6 +36,7 @@ class Compared:
     ----------
     latency_s : the one shift within 1 ms that aligns played and predicted, positive if played late.
     nrmse : after it, against the prediction.
+    scale : after it, the factor of the prediction that is nearest to what was played in the mean square.
     nrmse_reference : after it, against the recorded tap.
     peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration|, low-passed alike.
     spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
@@ -50,6 +51,7 @@ class Compared:
     reference_peak_m_s2: float
     spectral_error_dB: float
     levels: Levels | None
+    scale: float = float("nan")
 
 
 NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
@@ -232,4 +234,5 @@ def _compare(
         reference_peak_m_s2=float(np.abs(reference).max()),
         spectral_error_dB=spectral_error_dB(aligned.played_m_s2, reference, contact.dt_s),
         levels=levels(aligned.played_m_s2, reference, contact.dt_s),
+        scale=float(aligned.played_m_s2 @ expected / (expected @ expected)),
     )

@@ -18,7 +18,6 @@ from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.device import started, tokens
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.recordings.settings import SimulatedTaps
 
@@ -65,6 +64,16 @@ class Hand:
             (back_s, 2 * depth / back_s / 2),
             (back_s, 0),
         )
+
+    def back(self, now_s: float) -> None:
+        """To where it was at first, if it is somewhere else."""
+        way_m = START_M - self._places[-1]
+        if abs(way_m) > 1e-6:
+            self.go(now_s, (0.03, way_m / 0.1), (0.07, way_m / 0.1), (0.03, 0.0))
+
+    def shake(self, now_s: float) -> None:
+        """Out and in, by a centimetre, three times a second, for 1.5 s."""
+        self.go(now_s, *((1 / 6, (-1) ** j * 0.06) for j in range(9)), (1 / 6, 0.0))
 
     def intention_m(self, time_s: float) -> float:
         j = bisect_right(self._times, time_s) - 1
@@ -126,9 +135,10 @@ class Desk(Cable):
         samples: int | None = None,
         hardware: Hardware | None = None,
         target: SimulatedTaps | None = None,
+        gravity_m_s2: float = 0.0,
     ) -> None:
         self._tokens, self._boots = tokens(), count(500)
-        self._samples, self._hardware = samples, hardware
+        self._samples, self._hardware, self._gravity_m_s2 = samples, hardware, gravity_m_s2
         super().__init__(self._started(), self, DT_S)
         self.hand = Hand()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
@@ -139,10 +149,12 @@ class Desk(Cable):
         self.obeys: dict[str, Callable[[], None]] = {
             "press": lambda: self._press(True),
             "release": lambda: self._press(False),
-            "move": lambda: self.hand.go(self.now_s(), (0.03, 0.05), (0.06, 0.05), (0.03, 0.0)),
-            "let the": lambda: None,
+            "move": lambda: self.hand.go(self.now_s(), (0.03, 0.1), (0.07, 0.1), (0.03, 0.0)),
+            "let the": lambda: self.hand.back(self.now_s()),
+            "shake": lambda: self.hand.shake(self.now_s()),
             "let go": lambda: self._grip(0.0),
             "hold": lambda: self._grip(3.0),
+            "put the weight": lambda: self._grip(3.0),
             "tap": lambda: self.hand.tap(self.now_s(), 0.2),
         }
 
@@ -166,9 +178,9 @@ class Desk(Cable):
 
     def readings(self, tick: int) -> Readings:
         read = self.plant.readings()
-        gravity = read.acceleration_m_s2 + STANDARD_GRAVITY_M_S2
+        felt = read.acceleration_m_s2 + self._gravity_m_s2
         readings = Readings(
-            read.tick, read.encoder_counts, read.grip_N, read.current_A, gravity, emergency_stop=self.hand.pressed
+            read.tick, read.encoder_counts, read.grip_N, read.current_A, felt, emergency_stop=self.hand.pressed
         )
         return readings if self.wrong is None else self.wrong(readings)
 

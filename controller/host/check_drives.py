@@ -1,0 +1,139 @@
+"""The steps of the bring-up check in which a current flows: small pulses, then a tap or a sweep at a tenth."""
+
+import numpy as np
+
+from controller.host.check_looks import Verdict
+from controller.host.check_state import Check, FailedError
+from controller.host.diagnosis import sound
+from controller.host.pulses import FIRST_S, LATE_TICKS, pulse_model
+from controller.protocol.capacity import PULSE_LIMIT_A, TRIAL_GAIN
+from controller.protocol.events import Happened
+from controller.record.played import PlayedTap, played_tap
+from controller.record.recorder import AFTER_S, Recorder
+from controller.servo.interface import Notice
+
+PULSE_A, PULSE_S, PAIRS = PULSE_LIMIT_A, 10e-3, 8
+REST_S = 0.1  # between two pulses, for the hand to come back
+BEFORE_S = 20e-3  # of each pulse, over which what the sensors read without it is averaged
+SLACK_S = 0.2  # after a trial, for the last telemetry
+
+
+def pulses(check: Check) -> Verdict:
+    """Pairs of pulses of either sign, so small that they do no harm with the wrong sign either."""
+    check.person.asked("hold the stylus above the surface, still: it will tremble")
+    check.need_rest()
+    size_A = min(PULSE_A, check.settings.current_limit_A)
+    found = [one for _ in range(PAIRS) for sign in (1, -1) if (one := _pulsed(check, sign * size_A)) is not None]
+    if len(found) < 2 * PAIRS:
+        raise FailedError(f"{2 * PAIRS - len(found)} of {2 * PAIRS} pulses were not seen whole")
+    current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
+    check.note(current=current)
+    seen = f"current {current:+.2f} of what was asked"
+    if not check.described.accelerometer.sensor or check.library is None:
+        return f"{seen}, acceleration {acceleration:+.2f} m/s² per A", sound(current)
+    assumed = check.settings.assumed_grip_N
+    grip = check.mean("grip_N") if assumed is None else assumed
+    model = pulse_model(check.library, PULSE_S, check.described.accelerometer.bandwidth_Hz)
+    expected, _ = model.at(grip)
+    check.note(acceleration=acceleration / expected)
+    seen += f", acceleration {acceleration / expected:+.2f} of the model's {expected:.1f} m/s² per A at {grip:.2f} N"
+    return seen, sound(current) and sound(acceleration / expected)
+
+
+def _pulsed(check: Check, size_A: float) -> tuple[float, float] | None:
+    """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
+    check.device.listen(REST_S)
+    check.device.pulse(size_A, check.ticks(PULSE_S))
+    check.device.listen(PULSE_S + REST_S / 2)
+    records = [record for _, record in check.records]
+    driven = np.array([record.command_A != 0 for record in records])
+    wanted, before = check.ticks(PULSE_S), check.ticks(BEFORE_S)
+    latest = np.flatnonzero(driven)[-wanted:]
+    if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
+        return None
+    first = int(latest[0])
+    current = np.array([record.measured_current_A for record in records[first - before : first + wanted + 1]])
+    felt = np.array([record.acceleration_m_s2 for record in records[first - before : first + wanted + 1]])
+    late = current[before + wanted // 2 : before + wanted].mean() - current[:before].mean()
+    begin = before + LATE_TICKS
+    pushed = felt[begin : begin + check.ticks(FIRST_S)].mean() - felt[:before].mean()
+    return float(late / size_A), float(pushed / size_A)
+
+
+def trial_sweep(check: Check) -> Verdict:
+    check.person.asked("hold the stylus, or leave it alone, still: it will tremble for a moment")
+    check.need_rest()
+    begin = len(check.happened)
+
+    def ended() -> bool:
+        return any(event.what is Notice.FINISHED for event in check.happened[begin:])
+
+    check.device.arm(TRIAL_GAIN, trial=True)
+    try:
+        check.device.start()
+        done = check.wait(ended, check.patience_s)
+    finally:
+        check.device.disarm()
+    return "played to its end" if done else "not played to its end", done
+
+
+def trial_tap(check: Check) -> Verdict:
+    """A tap at a tenth, which has to be the one that the library predicts."""
+    check.person.asked("hold the stylus above the surface, still")
+    s = check.settings
+    least_N = s.grip_min_N + s.grip_margin_N
+
+    def held() -> bool:
+        z = (check.column("encoder_counts") - s.surface_counts) * s.count_m
+        firm = s.assumed_grip_N is not None or float(check.column("grip_N").min(initial=np.inf)) > least_N
+        return check.at_rest() and firm and float(z.min()) > s.rearm_height_m
+
+    check.forget()
+    if not check.wait(held, check.patience_s):
+        return f"not held still above the surface within {check.patience_s:g} s", False
+    begin = len(check.happened)
+
+    def came(what: Notice) -> Happened | None:
+        return next((event for event in check.happened[begin:] if event.what is what), None)
+
+    recorder = Recorder(None, check.dt_s, s.count_m, s.surface_counts)
+    check.device.listeners.append(recorder.take)
+    try:
+        check.device.arm(TRIAL_GAIN, trial=True)
+        try:
+            check.person.asked("tap the surface")
+            check.wait(lambda: came(Notice.FINISHED) is not None, check.patience_s)
+        finally:
+            check.device.disarm()
+        if came(Notice.FINISHED) is not None:
+            check.wait(lambda: bool(recorder.contacts), AFTER_S + SLACK_S)
+    finally:
+        check.device.listeners.remove(recorder.take)
+    contact = came(Notice.CONTACT)
+    if contact is None:
+        seen = ", ".join(dict.fromkeys(event.what.value for event in check.happened[begin:]))
+        return f"no contact within {check.patience_s:g} s" + (f": {seen}" if seen else ""), False
+    seen = f"contact at {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
+    if came(Notice.FINISHED) is None:
+        return f"{seen}, not played to its end", False
+    words, good = _as_predicted(check, recorder)
+    return f"{seen}, played to its end{words}", good
+
+
+def _as_predicted(check: Check, recorder: Recorder) -> tuple[str, bool]:
+    """The trial tap beside its prediction, where there is an accelerometer."""
+    if check.library is None or not check.described.accelerometer.sensor:
+        return "", True
+    if not recorder.contacts:
+        return ", not recorded whole", False
+    tap: PlayedTap = played_tap(
+        recorder.contacts[0],
+        check.library,
+        check.settings,
+        TRIAL_GAIN,
+        check.described.accelerometer.bandwidth_Hz,
+    )
+    if tap.why:
+        return f", not compared: {tap.why}", False
+    check.note(trial=tap.compared.scale)
+    return f", {tap.compared.scale:.2f} times its prediction", sound(tap.compared.scale)
