@@ -1,9 +1,10 @@
 """A device and a person at it, written anew for the trials of the check: nothing of it is shared with the simulator.
 
-Three masses in absolute coordinates (motor, stylus, hand), an amplifier with a PI current loop on the motor's
-voltage, an accelerometer with one pole, all linear for one grip, by the classical Runge-Kutta rule at 5 us. For a linear system one such step is the polynomial I + hA + (hA)^2/2 + (hA)^3/6 + (hA)^4/24, so a servo period is a
-product of two powers of it: before and after the moment at which the command of the tick is felt. The sensors round
-and add noise of their own.
+Three masses in absolute coordinates (motor, stylus, hand), an amplifier with a PI current loop on the motor's voltage
+and an accelerometer with one pole, all linear for one grip, by the classical Runge-Kutta rule at 5 us. For a linear
+system one such step is the polynomial I + hA + (hA)^2/2 + (hA)^3/6 + (hA)^4/24, so a servo period is a product of two
+powers of it: before and after the moment at which the command of the tick is felt. The sensors round and add noise of
+their own.
 
 The scripted person does what the check asks for: moves by a ruler, shakes, rests, lets go, holds, taps; a hand never
 holds quite still.
@@ -22,6 +23,7 @@ STEP_S = 5e-6
 Z1, V1, Z2, V2, Z3, V3, CURRENT, CHARGE, FELT, COMMAND, HAND, HAND_SPEED = range(12)
 BLOCK = 4096  # random numbers drawn at once
 TREMOR = ((0.55e-4, 3.1), (0.3e-4, 5.3), (0.13e-4, 8.7))  # m, Hz: 0.1 mm each way at most
+STRAIGHT_S = 0.15  # of a tap's way in
 ABOVE_M = 6e-3  # where the stylus is held above the surface
 
 
@@ -313,11 +315,11 @@ class Person:
         self.world.grip_N, self.world.weight_N = 0.0, 1e-3 * grams * STANDARD_GRAVITY_M_S2
 
     def tap(self, speed_m_s: float) -> None:
-        """From where the stylus is held straight in, on for 30 ms, and back."""
+        """Out first, then straight in for so long that the start's swing is gone, on for 30 ms, and back."""
         v, begin_s, high = speed_m_s, self.world.now_s, self.here()
-        rise = max(15e-3 - high, 0.0)
-        up_s, start_s, onward_s, stop_s, back_s = 0.2, 0.03, 0.03, 0.05, 0.3
-        top = high + rise
+        up_s, start_s, onward_s, stop_s, back_s = 0.4, 0.03, 0.03, 0.05, 0.4
+        top = v * (STRAIGHT_S + start_s / 2)
+        rise = top - high
         straight_s = (top - v * start_s / 2) / v
         deepest = -v * (onward_s + stop_s / 2)
 
