@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from controller.host.driver import Device
     from controller.host.monitor import Monitor
     from controller.host.payload import Load
+    from controller.host.surface import Drift
     from controller.protocol.messages import HelloReply
     from controller.record.recorder import Recorder
 
@@ -244,6 +245,7 @@ def run(
     enough: Callable[[], bool] = lambda: False,
     seconds: float | None = None,
     gain: float | None = None,
+    file: Path | None = None,
 ) -> "tuple[Monitor, bool]":
     """Take telemetry of every tick to screen and files until whoever holds the device has tapped.
 
@@ -252,6 +254,7 @@ def run(
     enough : asked again and again; a person's run ends with it.
     seconds : after which it ends at the latest.
     gain : to arm with; None leaves the device idle.
+    file : of the device, in which the surface is stored when the counts have drifted; None without one.
 
     Returns
     -------
@@ -263,20 +266,28 @@ def run(
     """
     from controller.host.driver import LinkLostError
     from controller.host.monitor import Monitor
+    from controller.host.surface import Drift
     from controller.servo.interface import State
 
+    drift = Drift(device.hello.dt_s, recorder.count_m, recorder.surface_counts)
     stopped, shown = (
         False,
         Monitor(bench.console, title, device.hello.dt_s, recorder.count_m, recorder.surface_counts),
     )
     with recorder, shown, no_long_pauses():
-        device.listeners += [recorder.take, shown.take]
+        device.listeners += [recorder.take, shown.take, drift.take]
         try:
             with disarmed_by_ctrl_c(device):
                 device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
-                _listen(device, seconds, lambda: bench.done(enough()), armed=gain is not None)
+
+                def ended() -> bool:
+                    if drift.moved and gain is not None and device.state in (State.ARMED, State.IDLE):
+                        _follow(drift, device, recorder, bench.console, file)
+                    return bench.done(enough())
+
+                _listen(device, seconds, ended, armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -286,7 +297,27 @@ def run(
         finally:
             device.listeners.remove(recorder.take)
             device.listeners.remove(shown.take)
+            device.listeners.remove(drift.take)
     return shown, stopped
+
+
+def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Console", file: Path | None) -> None:
+    """Move the surface to where the stylus has come to rest on it, on the device, in the recording, in the file."""
+    from controller.device.reading import restate
+
+    moved, stored = drift.moved, ""
+    drift.done()
+    device.surface(drift.surface_counts)
+    recorder.surface_counts = drift.surface_counts
+    if file is not None:
+        restate(file, "encoder.surface_counts", drift.surface_counts)
+        stored = f", stored in {file}"
+    console.print(
+        f"the counts have drifted: three rests in a row at {moved:+.0f} counts; the surface is at "
+        f"{drift.surface_counts:g} counts from here on{stored}",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 class ConsolePerson:

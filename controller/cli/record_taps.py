@@ -14,7 +14,7 @@ from controller.device.device_file import BUILT_IN, DeviceFile, Encoder
 from controller.device.stated import servo_numbers
 from controller.host.driver import Device
 from controller.host.payload import payload_of
-from controller.record.played import met_surface
+from controller.record.played import height_m, met_surface
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.record.trial_file import refuse_old, write_measurement
 from controller.servo.settings import Settings
@@ -156,7 +156,7 @@ def measured(
         "command_A": contact.command_A,
         "current_A": contact.current_A,
         "acceleration_m_s2": contact.acceleration_m_s2,
-        "position_m": (contact.counts - settings.surface_counts) * settings.count_m,
+        "position_m": height_m(contact, settings),
     }
     speed = contact.speed_m_s if np.isfinite(contact.speed_m_s) else speed_m_s
     return columns, {"grip_N": contact.grip_N, "accelerometer_Hz": accelerometer_Hz, "speed_m_s": speed}

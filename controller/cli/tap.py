@@ -89,7 +89,7 @@ def tap(
         given, bench, title = payload(library, found.device), sessions.person_at(port), f"{library} on {port}"
     if out is not None:
         make_room(out, over=simulated)
-    _play(given, bench, title, gain, taps, seconds, found.device.accelerometer.bandwidth_Hz, reset, out)
+    _play(given, bench, title, gain, taps, seconds, found, reset, out)
 
 
 def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -> tuple[float, float]:
@@ -180,7 +180,7 @@ def _play(
     gain: float | None,
     taps: int | None,
     seconds: float | None,
-    accelerometer_Hz: float,
+    found: "Described",
     reset: bool,
     out: Path | None,
 ) -> None:
@@ -202,7 +202,11 @@ def _play(
         title = f"{title}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts, over=device.harmless)
         enough = lambda: taps is not None and len(recorder.contacts) >= taps  # noqa: E731
-        shown, stopped = sessions.run(bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at)
+        file = None if device.harmless else found.path
+        shown, stopped = sessions.run(
+            bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at, file=file
+        )
+    accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
     played = [
         played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
         for contact in recorder.contacts

@@ -48,6 +48,7 @@ class Contact:
     winding_C : as the device estimates it.
     missed : records that were lost in between; with any there is no file.
     path : of its file, None without one.
+    surface_counts : of the encoder at the surface, as it was then; None for that of the settings.
     """
 
     number: int
@@ -64,6 +65,7 @@ class Contact:
     winding_C: FloatArray
     missed: int
     path: Path | None = None
+    surface_counts: float | None = None
 
 
 class Recorder:
@@ -78,7 +80,7 @@ class Recorder:
 
     Attributes
     ----------
-    count_m, surface_counts : of the encoder.
+    count_m, surface_counts : of the encoder; the surface may be moved between two taps.
     contacts : complete ones.
     records, missed : so far.
 
@@ -215,6 +217,7 @@ class Recorder:
             winding_C=column(records, "winding_C"),
             missed=missed,
             path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
+            surface_counts=self.surface_counts,
         )
         self.contacts.append(contact)
         if contact.path is not None:
