@@ -6,7 +6,8 @@ The device has equations of its own (`common.own_device`): an encoder of 10 um w
 no grip sensor, gravity along the accelerometer, another delay of the amplifier than the library's. Its device file
 says so. Then `transopt-play check`, a quiet tap and twelve taps, three at each of four speeds, by `transopt-play
 tap`; a scripted person holds the stylus at 3 N and does what is asked. All of it runs in virtual time behind the
-compiled core. Exit code 1 if the latency is above 20 us rms, or a tap's NRMSE more than 3 points above the library's floor.
+compiled core. Exit code 1 if the latency is above 20 us rms, or a tap's NRMSE more than 3 points above the library's
+floor.
 """
 
 import re

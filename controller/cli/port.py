@@ -78,9 +78,8 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("upload", total=len(given.image))
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
+    device.surface(given.settings.surface_counts)
     took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
-    if device.harmless:
-        device.checked()  # nothing is wired there that could be wired wrong
     words, named = "the device has this library already", library_names.in_words(after)
     if sent:
         words = f"uploaded {took}"
@@ -214,12 +213,13 @@ def _who(port: str, hello: "HelloReply") -> str:
     """One line about a device."""
     version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
     from controller.host.library_names import in_words
+    from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
 
     there = any(hello.configuration_sha256)
-    checked = "checked" if hello.checked_sha256 == hello.configuration_sha256 else "not checked"
+    checked = "checked" if hello.evidence == PULSE_SOUND | TRIAL_FINISHED else "not checked"
     return (
         f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
-        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_limit_A:g} A and {hello.command_limit_A:g} A, "
+        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_A:g} A and {hello.command_A:g} A, "
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
         + in_words(hello.library_sha256)
     )
@@ -387,8 +387,6 @@ def check(
         )
         results = run_steps(bench, skipped, tell, only)
         good = passed(bench, results, skipped)
-        if good and only is None:
-            opened.checked()
     console.print(check_table(results, f"{port}: bring-up check"))
     if any(result.passed is False for result in results):
         off = "; ".join(bench.off) or "see the steps that failed"

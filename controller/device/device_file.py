@@ -93,6 +93,7 @@ class Limits(Section):
 
     current_A: Positive | None = Field(None, description="most current; not stated: what the device says")
     command_A: Positive | None = Field(None, description="most command; not stated: what the device says")
+    pulse_A: Positive | None = Field(None, description="most test pulse of the check; not stated: 0.1")
 
 
 class DeviceFile(Section):

@@ -33,12 +33,21 @@ def servo_numbers(device: DeviceFile, dt_s: float) -> dict[str, Any]:
     At the turning point of a tap, with acceleration a, the stylus stays within one count for 2 sqrt(2 count / a).
     The impulse that may pass there without a count, `stuck_A_s`, therefore grows with the root of the count.
     """
-    count_m = device.encoder.count_m
+    encoder, grip, accelerometer, amplifier = device.encoder, device.grip, device.accelerometer, device.amplifier
+    count_m = encoder.count_m
     touch_m = TOUCH_COUNTS * count_m
     coarse = max(1.0, math.sqrt(count_m / USUAL_COUNT_M))
     return {
         "count_m": count_m,
-        "surface_counts": device.encoder.surface_counts,
+        "surface_counts": encoder.surface_counts,
+        "encoder_direction": encoder.direction,
+        "acceleration_scale": accelerometer.scale,
+        "acceleration_rest_m_s2": accelerometer.rest_m_s2,
+        "has_accelerometer": accelerometer.sensor,
+        "grip_scale": grip.scale,
+        "grip_zero_N": grip.zero_N,
+        "monitor_scale": amplifier.monitor_scale,
+        "amplifier_scale": amplifier.scale,
         "touch_height_m": touch_m,
         "rearm_height_m": max(REARM_M, REARM_TOUCHES * touch_m),
         "window_ticks": max(round(WINDOW_S / dt_s), LEAST_WINDOW),

@@ -66,8 +66,7 @@ LOOKS = (
 PULSES = Step(
     "polarity",
     check_drives.pulses,
-    f"pulses of ±{1e3 * check_drives.PULSE_A:g} mA, {1e3 * check_drives.PULSE_S:g} ms: current as asked and "
-    f"acceleration as the model's, {WITHIN}",
+    f"small pulses of either sign: current as asked and acceleration as the model's, {WITHIN}",
     drives=True,
 )
 STEPS = (

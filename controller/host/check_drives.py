@@ -5,14 +5,13 @@ import numpy as np
 from controller.host.check_looks import Verdict
 from controller.host.check_state import Check, FailedError
 from controller.host.diagnosis import sound
-from controller.host.pulses import FIRST_S, LATE_TICKS, pulse_model
-from controller.protocol.capacity import PULSE_LIMIT_A, TRIAL_GAIN
+from controller.host.pulses import pairs_of
+from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.events import Happened
 from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import AFTER_S, Recorder
 from controller.servo.interface import Notice
 
-PULSE_A, PULSE_S, PAIRS = PULSE_LIMIT_A, 10e-3, 8
 REST_S = 0.1  # between two pulses, for the hand to come back
 BEFORE_S = 20e-3  # of each pulse, over which what the sensors read without it is averaged
 SLACK_S = 0.2  # after a trial, for the last telemetry
@@ -22,19 +21,17 @@ def pulses(check: Check) -> Verdict:
     """Pairs of pulses of either sign, so small that they do no harm with the wrong sign either."""
     check.person.asked("hold the stylus above the surface, still: it will tremble")
     check.need_rest()
-    size_A = min(PULSE_A, check.settings.current_limit_A)
-    found = [one for _ in range(PAIRS) for sign in (1, -1) if (one := _pulsed(check, sign * size_A)) is not None]
-    if len(found) < 2 * PAIRS:
-        raise FailedError(f"{2 * PAIRS - len(found)} of {2 * PAIRS} pulses were not seen whole")
+    s, pairs = check.settings, pairs_of(check.described)
+    found = [one for _ in range(pairs) for sign in (1, -1) if (one := _pulsed(check, sign * s.pulse_A)) is not None]
+    if len(found) < 2 * pairs:
+        raise FailedError(f"{2 * pairs - len(found)} of {2 * pairs} pulses were not seen whole")
     current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
     check.note(current=current)
     seen = f"current {current:+.2f} of what was asked"
-    if not check.described.accelerometer.sensor or check.library is None:
+    if not s.has_accelerometer or not s.pulse_grip_N:
         return f"{seen}, acceleration {acceleration:+.2f} m/s² per A", sound(current)
-    assumed = check.settings.assumed_grip_N
-    grip = check.mean("grip_N") if assumed is None else assumed
-    model = pulse_model(check.library, PULSE_S, check.described.accelerometer.bandwidth_Hz)
-    expected, _ = model.at(grip)
+    grip = check.mean("grip_N") if s.assumed_grip_N is None else s.assumed_grip_N
+    expected = float(np.interp(grip, s.pulse_grip_N, s.pulse_acceleration))
     check.note(acceleration=acceleration / expected)
     seen += f", acceleration {acceleration / expected:+.2f} of the model's {expected:.1f} m/s² per A at {grip:.2f} N"
     return seen, sound(current) and sound(acceleration / expected)
@@ -42,21 +39,20 @@ def pulses(check: Check) -> Verdict:
 
 def _pulsed(check: Check, size_A: float) -> tuple[float, float] | None:
     """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
+    s, wanted = check.settings, check.settings.pulse_ticks
     check.device.listen(REST_S)
-    check.device.pulse(size_A, check.ticks(PULSE_S))
-    check.device.listen(PULSE_S + REST_S / 2)
-    records = [record for _, record in check.records]
-    driven = np.array([record.command_A != 0 for record in records])
-    wanted, before = check.ticks(PULSE_S), check.ticks(BEFORE_S)
-    latest = np.flatnonzero(driven)[-wanted:]
+    check.device.pulse(size_A, wanted)
+    check.device.listen(wanted * check.dt_s + REST_S / 2)
+    records, before = [record for _, record in check.records], check.ticks(BEFORE_S)
+    latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
     if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
         return None
     first = int(latest[0])
     current = np.array([record.measured_current_A for record in records[first - before : first + wanted + 1]])
-    felt = np.array([record.acceleration_m_s2 for record in records[first - before : first + wanted + 1]])
+    felt = np.array([record.acceleration_m_s2 for record in records[first - before :]])
     late = current[before + wanted // 2 : before + wanted].mean() - current[:before].mean()
-    begin = before + LATE_TICKS
-    pushed = felt[begin : begin + check.ticks(FIRST_S)].mean() - felt[:before].mean()
+    begin = before + s.pulse_skip_ticks
+    pushed = felt[begin : begin + s.pulse_push_ticks].mean() - felt[:before].mean()
     return float(late / size_A), float(pushed / size_A)
 
 

@@ -16,7 +16,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-TOLERANCE = 0.2  # by which a ratio may differ from 1, up and down
+from controller.protocol.capacity import EVIDENCE_LEAST, EVIDENCE_MOST
+
+TOLERANCE = EVIDENCE_MOST - 1  # by which a ratio may differ from 1, up and down; the device's own
 NOTHING = 0.05  # a ratio below this is no answer at all
 UNKNOWN = float("nan")
 
@@ -58,7 +60,7 @@ class Ratios:
 
 def sound(ratio: float) -> bool:
     """Whether a ratio is 1 within the tolerance; NaN is not."""
-    return 1 - TOLERANCE <= ratio <= 1 / (1 - TOLERANCE)
+    return EVIDENCE_LEAST <= ratio <= EVIDENCE_MOST
 
 
 def off(ratio: float) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 
 from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.device.stated import assumed_grip_N, library_numbers, servo_numbers
+from controller.host.pulses import pulse_numbers
 from controller.protocol.capacity import LONGEST_S
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
@@ -70,14 +71,15 @@ def payload_of(
     ------
     InputError : one that this device cannot play.
     """
-    stated = Settings.of(library, **{**library_numbers(device, library), **settings})
+    numbers = {**library_numbers(device, library), **pulse_numbers(device, library)}
+    stated = Settings.of(library, **{**numbers, **settings})
     tail = library.meta["hand_over_samples"]
     if table is None:
         table = bank(library, Method.BILINEAR)
     else:
         table = replace(table, command_A=np.pad(table.command_A, ((0, 0), (0, 0), (0, tail))))
     image = image_of(table, stated.dt_s, stated.lead_s, tail)
-    return Payload(stated, configuration_of(stated), image, library, device)
+    return Payload(stated, configured(stated), image, library, device)
 
 
 def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN) -> Settings:
@@ -97,13 +99,13 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
     """
     if library is not None:
         loaded = load_proven(library)
-        numbers = {**library_numbers(device, loaded), **NEVER_STUCK}
+        numbers = {**library_numbers(device, loaded), **pulse_numbers(device, loaded), **NEVER_STUCK}
         return Settings.of(loaded, **{**numbers, "lead_s": 0.0, "wall": None, "host_starts": True})
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,
-        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_limit_A),
-        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_limit_A)),
+        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A),
+        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_A)),
         coil=RE_25,
         host_starts=True,
         assumed_grip_N=assumed_grip_N(device, ()),
@@ -183,4 +185,12 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
         by_grip=False,
         nearest=False,
     )
-    return Load(s, configuration_of(s), image_of(table, s.dt_s, s.lead_s, 1))
+    return Load(s, configured(s), image_of(table, s.dt_s, s.lead_s, 1))
+
+
+def configured(settings: Settings) -> bytes:
+    """The configuration of these settings without its surface, which is sent apart.
+
+    So the surface may move, by `zero` or by drift, and what the device has seen under the configuration stands.
+    """
+    return configuration_of(replace(settings, surface_counts=0.0))

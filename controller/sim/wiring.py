@@ -1,5 +1,7 @@
 """A simulated world behind the sensors that a device file describes: what a device reads before it puts it right."""
 
+from dataclasses import replace
+
 from controller.device.device_file import DeviceFile
 from controller.servo.interface import Output, Readings
 from controller.sim.port import World
@@ -21,15 +23,17 @@ class Wired:
         self._surface = round(device.encoder.surface_counts)
 
     def readings(self, tick: int) -> Readings:
-        true = self._world.readings(tick)
+        true, device = self._world.readings(tick), self._device
+        grip, accelerometer = device.grip, device.accelerometer
+        nothing = float("nan")
         return Readings(
             tick,
-            true.encoder_counts + self._surface,
-            true.grip_N if self._device.grip.sensor else float("nan"),
-            true.current_A,
-            true.acceleration_m_s2,
+            device.encoder.direction * (true.encoder_counts + self._surface),
+            (true.grip_N + grip.zero_N) / grip.scale if grip.sensor else nothing,
+            true.current_A / device.amplifier.monitor_scale,
+            (true.acceleration_m_s2 + accelerometer.rest_m_s2) / accelerometer.scale if accelerometer.sensor else 0.0,
             true.emergency_stop,
         )
 
     def advance(self, output: Output) -> None:
-        self._world.advance(output)
+        self._world.advance(replace(output, command_A=self._device.amplifier.scale * output.command_A))
