@@ -31,10 +31,19 @@ CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
 ANSWER_S = 10.0
 UPLOAD_S = 60.0
 STOP_S = 0.5
+REST_S = 0.2  # a window of the approach's fit, with some room
 
 
 class DeviceError(InputError):
     """The device cannot do what was asked, or is gone; one line with what to do."""
+
+
+class RefusedError(DeviceError):
+    """The device has refused; `reason` says why."""
+
+    def __init__(self, message: str, reason: Reason) -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 class LinkLostError(DeviceError):
@@ -142,10 +151,12 @@ class Device:
             self.listeners.remove(watch)
 
     def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
-        """From here on `listen` or `pump` at least once per lease."""
+        """From here on `listen` or `pump` at least once per lease.
+
+        A device that has just been configured or reset knows of no rest before it has read for a while: then once more.
+        """
         self.need_no_fault()
-        self.session.arm(gain, lease_ms, trial=trial)
-        self._done(Kind.ARM)
+        self._at_rest(lambda: self.session.arm(gain, lease_ms, trial=trial), Kind.ARM)
 
     def start(self, *, negative: bool = False) -> None:
         """An excitation, if the device is still armed; returns when it has begun."""
@@ -175,8 +186,7 @@ class Device:
     def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
         """Test pulses; returns when they have begun. pairs : 0 for a single one, else the configuration's, judged."""
         self.need_no_fault()
-        self.session.pulse(current_A, ticks, pairs)
-        self._done(Kind.PULSE)
+        self._at_rest(lambda: self.session.pulse(current_A, ticks, pairs), Kind.PULSE)
 
     def evidence(self) -> EvidenceReply:
         """What the device has seen of itself, for this start and this configuration."""
@@ -192,6 +202,19 @@ class Device:
         self._done(Kind.SURFACE)
 
     # Waiting.
+
+    def _at_rest(self, ask: Callable[[], None], kind: Kind) -> None:
+        """Ask for what a device does at rest alone, again while it says that the stylus moves, `REST_S` at most."""
+        end_s = self.now_s() + REST_S
+        while True:
+            ask()
+            try:
+                self._done(kind)
+                return
+            except RefusedError as refused:
+                if refused.reason is not Reason.NOT_AT_REST or self.now_s() >= end_s:
+                    raise
+            self.listen(REST_S / 10)
 
     def listen(self, duration_s: float, until: Callable[[News], bool] = lambda news: False) -> bool:
         """Pump for so long, or until some news; whether that came.
@@ -237,7 +260,7 @@ class Device:
         while True:
             for news in self.pump(end_s):
                 if isinstance(news, Refused):
-                    raise DeviceError(f"{self.name}: {news}")
+                    raise RefusedError(f"{self.name}: {news}", news.reason)
                 if met(news):
                     return news
             if self.now_s() >= end_s:

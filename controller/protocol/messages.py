@@ -132,7 +132,7 @@ class Commit(Packed):
 
 @message(Kind.ARM)
 class Arm(Packed):
-    """trial 1: the bring-up check's own tap, at a gain of at most `capacity.TRIAL_GAIN`; it needs PULSE_SOUND alone."""
+    """trial 1: the bring-up check's own tap, gain at most `capacity.TRIAL_GAIN`; it needs PULSE_SOUND alone."""
 
     trial: U8
     lease_ms: U16
@@ -215,7 +215,7 @@ class Start(Packed):
 class Surface(Packed):
     """Where the surface is, in counts of the encoder after its direction; not while PLAYING or in FAULT.
 
-    It takes the place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT, and the evidence stays.
+    In place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence stays.
     """
 
     counts: F64

@@ -100,6 +100,7 @@ class World(Rehearsal[CoreDevice]):
         return self.until(lambda: self.session.device_state is State.ARMED, 1.0)
 
 
+REST_TICKS = 100  # after so many readings a device knows that the stylus rests
 REST = Readings(0, 200, 3.0, 0.0, 0.0)
 HASHES = sha256(CONFIGURATION), sha256(IMAGE)
 ARM = m.Arm(0, 200, 1.0, *HASHES)
@@ -152,6 +153,8 @@ class Talker:
 
     def configured(self, configuration: bytes = CONFIGURATION) -> "Talker":
         assert isinstance(self.configure(configuration), m.Done)
+        self.step(REST_TICKS)
+        self.heard()
         return self
 
     def loaded(self, image: bytes = IMAGE) -> "Talker":

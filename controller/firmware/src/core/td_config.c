@@ -6,7 +6,9 @@
 #include "td_bytes.h"
 
 #define MOST_TICKS 1e9 /* of any duration */
+#define MOST_DELAY_TICKS 1e4
 #define UPDATE_S 0.01  /* of the coil */
+#define DYING_TICKS 4  /* of the present current: until the answer is felt, and what is left then */
 #define COPPER_PER_K 0.0039
 #define RESISTANCE_REFERENCE_C 25.0
 #define PI 3.141592653589793
@@ -122,6 +124,7 @@ void td_coil_derive(td_coil *coil, const td_coil_numbers *of, double dt_s, doubl
     coil->R_ohm = of->R_ohm;
     coil->rise_K = of->R_ohm * (1 + COPPER_PER_K * (of->limit_C - RESISTANCE_REFERENCE_C)) *
                    (of->R_wh_K_W / of->tau_w_s) * dt_s;
+    coil->dying_ticks = DYING_TICKS;
     coil->from_housing = dt_s / of->tau_w_s;
     coil->limit_C = of->limit_C;
     coil->play_limit_C = of->limit_C - withhold_K;
@@ -246,7 +249,7 @@ static void unpack_pulse(td_pulse_plan *pulse, table *from)
 
     pulse->current_A = n[TD_CFG_PULSE_A];
     pulse->ticks = whole(from, n[TD_CFG_PULSE_TICKS], 1, UINT16_MAX);
-    pulse->skip_ticks = whole(from, ceil(delay_s / dt) + 1, 1, MOST_TICKS);
+    pulse->skip_ticks = whole(from, ceil(delay_s / dt) + 1, 1, MOST_DELAY_TICKS);
     pulse->push_ticks = push < pulse->ticks ? (int32_t)push : pulse->ticks;
     pulse->nodes = whole(from, n[TD_CFG_PULSE_NODES], 0, TD_PULSE_NODES);
     for (j = 0; j < TD_PULSE_NODES; j++) {

@@ -16,6 +16,7 @@ typedef struct {
     td_wide R_ohm, rise_K, from_housing;       /* rise_K: of the winding per A^2 and tick, at the limit */
     td_wide limit_C, play_limit_C;             /* no transient starts above the second */
     td_wide start_winding_C, start_housing_C;
+    td_wide dying_ticks;                       /* of the present current: until a command of zero is felt, and after */
     td_wide least_scale;                       /* a transient that has to be smaller is withheld */
 } td_coil;
 

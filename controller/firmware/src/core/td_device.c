@@ -14,6 +14,7 @@ void td_device_start(td_device *device, const td_port *port)
     td_decoder_start(&device->decoder);
     td_events_start(&device->events, td_device_ticks(device, TD_EVENT_REPEAT_MS));
     td_evidence_start(&device->evidence);
+    td_ring_start(&device->ring, &port->hardware, port->winding_C, port->housing_C);
     device->records.hold_ticks = td_device_ticks(device, TD_TELEMETRY_HOLD_MS);
 }
 
@@ -41,6 +42,11 @@ bool td_device_is_active(const td_device *device)
     const uint8_t state = td_device_state(device);
 
     return state == TD_STATE_ARMED || state == TD_STATE_PLAYING;
+}
+
+bool td_device_is_heard(const td_device *device)
+{
+    return device->open && device->silent_ticks < td_device_ticks(device, TD_LINK_SILENCE_MS);
 }
 
 /* ------------------------------------------------------------------------------------------------ bytes out */
@@ -132,16 +138,54 @@ static void write_hello_reply(td_device *device, uint32_t nonce)
     memcpy(body + TD_HELLO_REPLY_LIBRARY_SHA256, store->library_sha256, TD_HASH_BYTES);
 }
 
+void td_device_coil(const td_device *device, double *winding_C, double *housing_C)
+{
+    const bool known = device->ring.coil.present;
+
+    *winding_C = known ? device->ring.guard.winding_C : (double)NAN;
+    *housing_C = known ? device->ring.guard.housing_C : (double)NAN;
+}
+
+/* Take the next event or the next records that are due, between hold(true) and hold(false): a copy, no more. */
+static size_t take_due(td_device *device, uint8_t *kind)
+{
+    const td_told *told;
+    uint8_t *body = td_device_body(device);
+
+    if (!td_device_is_heard(device))
+        return 0;
+    told = td_events_due(&device->events);
+    if (told == NULL) {
+        *kind = TD_KIND_TELEMETRY_DATA;
+        return td_records_take(&device->records, device->tick, body);
+    }
+    *kind = TD_KIND_EVENT;
+    td_put_u32(body + TD_EVENT_NUMBER, told->number);
+    td_put_u64(body + TD_EVENT_TICK, told->event.tick);
+    body[TD_EVENT_CODE] = told->event.what;
+    td_put_u16(body + TD_EVENT_LOST, told->lost);
+    td_put_f64(body + TD_EVENT_SPEED_M_S, (double)told->event.speed_m_s);
+    td_put_f64(body + TD_EVENT_GRIP_N, (double)told->event.grip_N);
+    return TD_EVENT_BYTES;
+}
+
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
 {
-    size_t size;
+    const td_port *port = &device->port;
+    uint8_t kind = 0;
+    size_t body_size;
 
-    if (device->port.hold != NULL)
-        device->port.hold(device->port.context, true);
-    size = td_output_take(&device->output, bytes, room);
-    if (device->port.hold != NULL)
-        device->port.hold(device->port.context, false);
-    return size;
+    while (device->output.size < room && td_output_has_room(&device->output)) {
+        if (port->hold != NULL)
+            port->hold(port->context, true);
+        body_size = take_due(device, &kind);
+        if (port->hold != NULL)
+            port->hold(port->context, false);
+        if (body_size == 0)
+            break;
+        td_device_put(device, kind, 0, device->session, body_size);
+    }
+    return td_output_take(&device->output, bytes, room);
 }
 
 /* ------------------------------------------------------------------------------------------------ bytes in */

@@ -38,6 +38,7 @@ typedef struct {
 /* What the servo answers to one tick's readings. */
 typedef struct {
     td_real command_A; /* inside every limit, to be held until the next tick */
+    bool enabled;      /* whether the amplifier may be on: armed, playing or pulsing */
     uint8_t state; /* TD_STATE_... */
     td_real transient_A; /* its parts before the clamp */
     td_real feedback_A;

@@ -27,9 +27,21 @@ static td_refusal need_idle(const td_device *device)
     if (td_device_state(device) == TD_STATE_FAULT)
         return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     found = need_silent(device);
-    if (found.reason == 0 && device->pulse_left > 0)
+    if (found.reason == 0 && device->pulse.left > 0)
         return td_refuse(TD_REASON_PULSING, (double)NAN);
     return found;
+}
+
+/* Too few readings show no motion: before a whole window nobody is at rest. */
+static td_refusal need_rest(const td_device *device)
+{
+    const td_servo *servo = &device->servo;
+
+    if (device->settled_ticks < device->store.config.window_ticks)
+        return td_refuse(TD_REASON_NOT_AT_REST, (double)NAN);
+    return fabs(servo->approach.speed_m_s) <= TD_REST_SPEED_M_S
+               ? td_granted
+               : td_refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
 }
 
 static td_refusal need_gain(const td_device *device, double gain)
@@ -39,13 +51,28 @@ static td_refusal need_gain(const td_device *device, double gain)
     return gain >= 0 && gain <= most ? td_granted : td_refuse(TD_REASON_BAD_VALUE, gain);
 }
 
+/* The coil has not cooled because somebody sent numbers. */
+static void stay_warm(td_guard *guard, const td_guard *before)
+{
+    guard->winding_C = guard->winding_C > before->winding_C ? guard->winding_C : before->winding_C;
+    guard->housing_C = guard->housing_C > before->housing_C ? guard->housing_C : before->housing_C;
+}
+
+/* Nor has the current ceased to flow. */
+static void flow_on(td_device *device)
+{
+    const td_real scale = device->store.config.calibration.amplifier_scale;
+    const td_real least = device->ring.least_A * scale, most = device->ring.most_A * scale;
+
+    td_servo_flowing(&device->servo, least < most ? least : most, least < most ? most : least);
+}
+
 static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
 {
     td_refusal found = need_idle(device);
-    const bool was = device->store.configured && device->store.config.coil.present;
     const td_guard before = device->servo.guard;
+    const bool was = device->store.configured && device->store.config.coil.present;
     td_config config;
-    td_guard *guard = &device->servo.guard;
     bool fits = false;
 
     if (found.reason != 0)
@@ -61,11 +88,12 @@ static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
     td_store_configured(&device->store, sha256, &config, fits);
     td_evidence_start(&device->evidence);
     td_servo_start(&device->servo, &device->store.config, td_store_bank(&device->store));
-    if (was && config.coil.present) {
-        /* The coil has not cooled because somebody sent numbers. */
-        guard->winding_C = guard->winding_C > before.winding_C ? guard->winding_C : before.winding_C;
-        guard->housing_C = guard->housing_C > before.housing_C ? guard->housing_C : before.housing_C;
-    }
+    device->settled_ticks = 0;
+    flow_on(device);
+    if (was)
+        stay_warm(&device->servo.guard, &before);
+    if (device->ring.coil.present)
+        stay_warm(&device->servo.guard, &device->ring.guard);
     return td_granted;
 }
 
@@ -118,10 +146,13 @@ static td_refusal arm(td_device *device, const uint8_t *body)
         return found;
     if (servo->config->coil.present && !(servo->guard.winding_C <= servo->config->coil.play_limit_C))
         return td_refuse(TD_REASON_TOO_HOT, servo->guard.winding_C);
-    if (!(fabs(servo->approach.speed_m_s) <= TD_REST_SPEED_M_S))
-        return td_refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
+    found = need_rest(device);
+    if (found.reason != 0)
+        return found;
     td_servo_set_gain(servo, gain);
     td_servo_arm(servo);
+    if (device->trial)
+        td_evidence_trying(&device->evidence);
     device->lease_ticks = device->lease_left = td_device_ticks(device, lease_ms);
     return td_granted;
 }
@@ -131,9 +162,10 @@ static td_refusal reset(td_device *device)
     if (device->store.configured) {
         if (device->stop_wanted || !td_servo_reset(&device->servo))
             return td_refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
+        device->settled_ticks = 0;
         return td_granted;
     }
-    if (device->stop_pressed || device->stop_wanted)
+    if (device->stop_remains || device->stop_wanted)
         return td_refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
     device->stop_latched = TD_NO_FAULT;
     return td_granted;
@@ -170,8 +202,12 @@ static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uin
     if (pairs > 0 && (config->pulse.nodes == 0 || ticks != config->pulse.ticks ||
                       !(fabs(current_A) >= config->pulse.current_A && fabs(current_A) <= config->pulse.current_A)))
         return td_refuse(TD_REASON_OTHER_PULSE, current_A);
-    device->pulse_A = (td_real)current_A;
-    device->pulse_left = ticks;
+    found = need_rest(device);
+    if (found.reason != 0)
+        return found;
+    td_pulse_start(&device->pulse, config, (td_real)current_A, ticks, pairs);
+    if (pairs > 0)
+        td_evidence_pulsing(&device->evidence);
     return td_granted;
 }
 

@@ -352,7 +352,26 @@ static void drive(td_servo *servo, uint64_t tick, td_output *output)
     saturation(servo, output, tick, cut);
 }
 
+void td_servo_flowing(td_servo *servo, td_real least_A, td_real most_A)
+{
+    servo->least_A = least_A;
+    servo->most_A = most_A;
+    servo->expected_A = (least_A + most_A) / 2;
+}
+
+void td_servo_applied(td_servo *servo, td_real command_A)
+{
+    servo->command_A = command_A;
+    expect(servo, command_A);
+}
+
 void td_servo_step(td_servo *servo, const td_readings *readings, td_output *output)
+{
+    td_servo_answer(servo, readings, output);
+    td_servo_applied(servo, output->command_A);
+}
+
+void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *output)
 {
     const td_config *config = servo->config;
     td_watch *watch = &servo->watch;
@@ -383,8 +402,7 @@ void td_servo_step(td_servo *servo, const td_readings *readings, td_output *outp
         drive(servo, readings->tick, output);
     }
     servo->transient_A = output->transient_A;
-    servo->command_A = output->command_A;
-    expect(servo, output->command_A);
     output->state = servo->state;
+    output->enabled = servo->state == TD_STATE_ARMED || servo->state == TD_STATE_PLAYING;
     output->winding_C = config->coil.present ? (td_real)servo->guard.winding_C : (td_real)NAN;
 }

@@ -72,7 +72,14 @@ void td_servo_set_gain(td_servo *servo, td_wide gain);
  * and a wall felt no motion by it. */
 void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts);
 
-/* One servo period: the command that answers one tick's readings. */
+/* The current may already flow, somewhere in these bounds. */
+void td_servo_flowing(td_servo *servo, td_real least_A, td_real most_A);
+
+/* One servo period: the command that answers one tick's readings; behind it, what in truth went out. */
+void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *output);
+void td_servo_applied(td_servo *servo, td_real command_A);
+
+/* Both, where what was answered goes out. */
 void td_servo_step(td_servo *servo, const td_readings *readings, td_output *output);
 
 #endif
