@@ -88,7 +88,7 @@ class Desk(SimulatedPort):
 def desk(seed: int) -> Iterator[Tapping]:
     """The commands find this device behind any port, and this person at the terminal."""
     world = Tapping(seed)
-    port = Desk(CoreDevice(1), world, DT_S)
+    port = Desk(CoreDevice(1, simulated=False), world, DT_S)
     before = port_commands.open_device, port_commands.ConsolePerson
     port_commands.open_device, port_commands.ConsolePerson = port.connect, lambda: world  # type: ignore
     try:

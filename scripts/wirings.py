@@ -84,18 +84,6 @@ class Outcome:
     right: bool
 
 
-class Put:
-    def __init__(self, world, described):
-        self.world, self.rest = world, described.accelerometer.rest_m_s2
-
-    def readings(self, tick):
-        r = self.world.readings(tick)
-        return replace(r, acceleration_m_s2=r.acceleration_m_s2 - self.rest)
-
-    def advance(self, output):
-        self.world.advance(output)
-
-
 class Port(SimulatedPort):
     """A port that the host takes for one of a device that can do harm."""
 
@@ -174,7 +162,7 @@ def judged(library: Library, case: Case) -> Outcome:
         DT_S, truth=case.truth, wires=case.wires, sensing=Sensing(gravity_m_s2=gravity), seed=case.seed + 17
     )
     given = payload_of(library, device=described)
-    with Device(Port(CoreDevice(1), Put(world, described), DT_S)) as device:
+    with Device(Port(CoreDevice(1, simulated=False), world, DT_S)) as device:
         device.configure(given.configuration)
         device.upload(given.image)
         device.set_telemetry(1)

@@ -6,54 +6,43 @@ from controller.host.check_looks import Verdict
 from controller.host.check_state import Check, FailedError
 from controller.host.diagnosis import sound
 from controller.host.pulses import pairs_of
-from controller.protocol.capacity import TRIAL_GAIN
+from controller.protocol.capacity import REST_BETWEEN_PULSES_S, TRIAL_GAIN
+from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Happened
+from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
 from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import AFTER_S, Recorder
 from controller.servo.interface import Notice
 
-REST_S = 0.1  # between two pulses, for the hand to come back
-BEFORE_S = 20e-3  # of each pulse, over which what the sensors read without it is averaged
-SLACK_S = 0.2  # after a trial, for the last telemetry
+SLACK_S = 0.5  # after what the device does by itself, for the last telemetry
 
 
 def pulses(check: Check) -> Verdict:
-    """Pairs of pulses of either sign, so small that they do no harm with the wrong sign either."""
+    """Pairs of pulses of either sign, so small that they do no harm with the wrong sign either.
+
+    The device plays them and judges them itself: without its own verdict it does not arm, whatever a host says.
+    """
     check.person.asked("hold the stylus above the surface, still: it will tremble")
     check.need_rest()
     s, pairs = check.settings, pairs_of(check.described)
-    found = [one for _ in range(pairs) for sign in (1, -1) if (one := _pulsed(check, sign * s.pulse_A)) is not None]
-    if len(found) < 2 * pairs:
-        raise FailedError(f"{2 * pairs - len(found)} of {2 * pairs} pulses were not seen whole")
-    current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
-    check.note(current=current)
-    seen = f"current {current:+.2f} of what was asked"
-    if not s.has_accelerometer or not s.pulse_grip_N:
-        return f"{seen}, acceleration {acceleration:+.2f} m/s² per A", sound(current)
-    grip = check.mean("grip_N") if s.assumed_grip_N is None else s.assumed_grip_N
-    expected = float(np.interp(grip, s.pulse_grip_N, s.pulse_acceleration))
-    check.note(acceleration=acceleration / expected)
-    seen += f", acceleration {acceleration / expected:+.2f} of the model's {expected:.1f} m/s² per A at {grip:.2f} N"
-    return seen, sound(current) and sound(acceleration / expected)
+    begin = len(check.happened)
 
+    def ended() -> bool:
+        return any(event.what is LinkNotice.PULSE_ENDED for event in check.happened[begin:])
 
-def _pulsed(check: Check, size_A: float) -> tuple[float, float] | None:
-    """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
-    s, wanted = check.settings, check.settings.pulse_ticks
-    check.device.listen(REST_S)
-    check.device.pulse(size_A, wanted)
-    check.device.listen(wanted * check.dt_s + REST_S / 2)
-    records, before = [record for _, record in check.records], check.ticks(BEFORE_S)
-    latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
-    if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
-        return None
-    first = int(latest[0])
-    current = np.array([record.measured_current_A for record in records[first - before : first + wanted + 1]])
-    felt = np.array([record.acceleration_m_s2 for record in records[first - before :]])
-    late = current[before + wanted // 2 : before + wanted].mean() - current[:before].mean()
-    begin = before + s.pulse_skip_ticks
-    pushed = felt[begin : begin + s.pulse_push_ticks].mean() - felt[:before].mean()
-    return float(late / size_A), float(pushed / size_A)
+    check.device.pulse(s.pulse_A, s.pulse_ticks, pairs)
+    longest_s = 2 * pairs * (s.pulse_ticks * s.dt_s + REST_BETWEEN_PULSES_S)
+    if not check.wait(ended, longest_s + SLACK_S):
+        raise FailedError("the pulses were cut")
+    found = check.device.evidence()
+    check.note(current=found.current_ratio, acceleration=found.acceleration_ratio, path=found.path_ratio)
+    ratios = {
+        "current": found.current_ratio,
+        "acceleration": found.acceleration_ratio,
+        "path": found.path_ratio,
+    }
+    seen = ", ".join(f"{name} {ratio:+.2f}" for name, ratio in ratios.items() if not np.isnan(ratio))
+    return f"{found.pulses} pulses: {seen} of what was asked and predicted", bool(found.bits & PULSE_SOUND)
 
 
 def trial_sweep(check: Check) -> Verdict:
@@ -113,7 +102,11 @@ def trial_tap(check: Check) -> Verdict:
     if came(Notice.FINISHED) is None:
         return f"{seen}, not played to its end", False
     words, good = _as_predicted(check, recorder)
-    return f"{seen}, played to its end{words}", good
+    found = check.device.evidence()
+    check.note(speed=found.speed_ratio)
+    if not np.isnan(found.speed_ratio):
+        words += f", its speed by the encoder {found.speed_ratio:.2f} of that by the accelerometer"
+    return f"{seen}, played to its end{words}", good and bool(found.bits & TRIAL_FINISHED)
 
 
 def _as_predicted(check: Check, recorder: Recorder) -> tuple[str, bool]:

@@ -35,6 +35,7 @@ class Ratios:
     gravity : C, of what the accelerometer reads at rest over what was stated.
     grip : of a known weight.
     trial : of the trial tap over its prediction.
+    speed : s again, of the trial tap's approach.
     """
 
     current: float = UNKNOWN
@@ -45,6 +46,7 @@ class Ratios:
     gravity: float = UNKNOWN
     grip: float = UNKNOWN
     trial: float = UNKNOWN
+    speed: float = UNKNOWN
 
     @property
     def accelerometer(self) -> float:
@@ -91,6 +93,8 @@ def _sentences(r: Ratios) -> Iterator[str]:
     yield from _driven(r)
     if off(r.grip):
         yield f"the grip sensor reads {by_how_much(r.grip)} the force that there is"
+    if off(r.speed) and not off(r.ruler) and not off(accelerometer):
+        yield f"the encoder reads {by_how_much(r.speed)} the speed that the accelerometer says"
     if off(r.trial):
         yield f"the trial tap was {by_how_much(r.trial)} the one that the library's model says"
 
