@@ -33,7 +33,7 @@ Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://
 AnyPort = Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists, or socket://HOST:PORT.")]
 Gain = Annotated[
     float | None,
-    typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
+    typer.Option(help="Scale of what is played, 0 to 1; default 1."),
 ]
 Reset = Annotated[bool, with_port("Leave a latched fault first; its cause must be gone.", "--reset")]
 Seconds = Annotated[float | None, with_port("End after so many seconds; default: on Ctrl-C.", "--for")]

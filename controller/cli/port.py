@@ -348,6 +348,7 @@ def check(
     from controller.device.stated import servo_numbers
     from controller.host.bringup import Result, check_skipped, check_step, passed, run_steps
     from controller.host.check_state import Check
+    from controller.host.measured_pulse import remember
     from controller.host.payload import Payload, payload, trial_sweep
     from controller.servo.settings import Settings
     from transopt.base.signals import STANDARD_GRAVITY_M_S2
@@ -368,6 +369,13 @@ def check(
             given = trial_sweep(opened.hello, library, found.device)
         if given is not None:
             load(opened, given, terminal.console())
+
+        def take_measured(acceleration_m_s2: float) -> Settings:
+            remember(opened.hello.boot, acceleration_m_s2)
+            anew = trial_sweep(opened.hello, None, found.device)
+            load(opened, anew, terminal.console())
+            return anew.settings
+
         dt_s = opened.hello.dt_s
         settings = Settings(dt_s, 0.0, 1.0, **servo_numbers(found.device, dt_s)) if given is None else given.settings
         opened.set_telemetry(1)
@@ -383,6 +391,7 @@ def check(
             if library is None
             else load_proven(library),
             grip_weight_N=None if grip_weight_g is None else 1e-3 * grip_weight_g * STANDARD_GRAVITY_M_S2,
+            take_measured=take_measured if sweep and library is None else None,
             patience_s=patience,
         )
         results = run_steps(bench, skipped, tell, only)

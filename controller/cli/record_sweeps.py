@@ -12,7 +12,6 @@ from controller.cli.port import STOPPED, StoppedError, connected, disarmed_by_ct
 from controller.cli.tables import sweep_table
 from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.driver import LinkLostError
-from controller.host.first_run import gain_to_play_at, remember
 from controller.host.monitor import Monitor
 from controller.host.payload import excitation
 from controller.host.sweeps import AbortedError, Sweeps, Trial
@@ -37,7 +36,7 @@ class Series:
     settings : of the device, by what it says of itself.
     remedy : options of `transopt-play check` with which these settings pass the bring-up check.
     told : what is said once all trials are there.
-    gain : scale of what is played; None for 1, on a device's first run since its start 0.1.
+    gain : scale of what is played; None for 1.
     as_held : whatever the grip is.
     device : its encoder and sensors.
     patience_s : with a hand.
@@ -89,7 +88,7 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                 f"{bench.name}: sweeps under these limits have not passed the bring-up check since the device "
                 f"started: run `transopt-play check --sweep {series.remedy}`"
             )
-        played_at = gain_to_play_at(device, configuration, series.gain)
+        played_at = 1.0 if series.gain is None else series.gain
         title = (
             f"{first.low_Hz:g} to {first.high_Hz:g} Hz, {first.amplitude_A:g} A on {bench.name}, gain {played_at:g}"
         )
@@ -118,8 +117,6 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                             path = next(names)
                             taken.write(path, series.device.accelerometer.bandwidth_Hz)
                             written.append((path, taken))
-                            if not device.harmless:
-                                remember(hello.boot, configuration)
             except StoppedError:
                 stopped = True
             except AbortedError as aborted:
@@ -132,12 +129,6 @@ def record_sweeps(bench: Bench, series: Series) -> None:
     whole = len(written) == len(planned) and series.told
     files = series.told if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"
     console.print(files, highlight=False, soft_wrap=True)
-    if series.gain is None and played_at < 1:
-        console.print(
-            f"gain {played_at:g}: the first run since the device's start; the next one plays in full",
-            highlight=False,
-            soft_wrap=True,
-        )
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)

@@ -12,10 +12,8 @@ from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, load, run
 from controller.device.device_file import DeviceFile
 from controller.host.driver import Device
-from controller.host.first_run import gain_to_play_at
 from controller.host.payload import Payload, payload_of
 from controller.protocol.codes import LinkNotice
-from controller.protocol.image import sha256
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.refine.rounds import Heard, Node, hear, node_near, nodes_of
 from controller.sim.sensors import noise_seed
@@ -23,7 +21,6 @@ from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
-from transopt.base.errors import InputError
 from transopt.library.library import Library
 
 
@@ -160,17 +157,12 @@ class Taps:
         """
         Raises
         ------
-        InputError : the device has not yet played at full gain, or refuses.
+        InputError : the device refuses, as one that has not passed its check does.
         StoppedError : Ctrl-C.
         EndedError : a fault or a lost lease.
         """
         given = payload_of(library, device=self._described, amplifier_tolerance=self._hand.amplifier_tolerance)
         device = self._device
-        if gain_to_play_at(device, sha256(given.configuration)) < 1:
-            raise InputError(
-                f"refine: {device.name} has not played this configuration since its start: play its first taps "
-                "quietly with `transopt-play tap LIBRARY --port`, then refine"
-            )
         folder = None if device.harmless else self._folder / f"round_{number}"
         if folder is not None:
             make_room(folder)

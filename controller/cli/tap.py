@@ -186,19 +186,17 @@ def _play(
 ) -> None:
     """Arm, let the user tap, record, and say of each tap how well it was played."""
     from controller.cli.tables import figures_table, taps_table
-    from controller.host.first_run import gain_to_play_at, remember
     from controller.protocol.codes import LinkNotice
-    from controller.protocol.image import sha256
     from controller.record.played import played_tap
     from controller.record.recorder import Recorder
     from controller.servo.interface import Notice
 
-    settings, configuration = given.settings, sha256(given.configuration)
+    settings = given.settings
     console = terminal.console()
     with sessions.connected(bench.port, reset) as device:
         sessions.load(device, given, bench.console)
         hello = device.hello
-        played_at = gain_to_play_at(device, configuration, gain)
+        played_at = 1.0 if gain is None else gain
         title = f"{title}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts, over=device.harmless)
         enough = lambda: taps is not None and len(recorder.contacts) >= taps  # noqa: E731
@@ -220,8 +218,6 @@ def _play(
         drawn = _draw(played, title, out)
         console.print(recorder.in_words().removeprefix("; ") + drawn, highlight=False, soft_wrap=True)
     finished = shown.events[Notice.FINISHED] > 0 and played_at > 0
-    if finished and not shown.faults and not device.harmless:
-        remember(hello.boot, configuration)
     if shown.faults:
         console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
     if stopped:

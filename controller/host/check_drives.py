@@ -14,6 +14,7 @@ from controller.record.played import PlayedTap, played_tap
 from controller.record.recorder import AFTER_S, Recorder
 from controller.servo.interface import Notice
 
+MEASURED_PAIRS = 4  # of single pulses, where no library predicts them
 SLACK_S = 0.5  # after what the device does by itself, for the last telemetry
 
 
@@ -24,6 +25,8 @@ def pulses(check: Check) -> Verdict:
     """
     check.person.asked("hold the stylus above the surface, still: it will tremble")
     check.need_rest()
+    if not check.settings.pulse_grip_N:
+        _measure(check)
     s, pairs = check.settings, pairs_of(check.described)
     begin = len(check.happened)
 
@@ -43,6 +46,47 @@ def pulses(check: Check) -> Verdict:
     }
     seen = ", ".join(f"{name} {ratio:+.2f}" for name, ratio in ratios.items() if not np.isnan(ratio))
     return f"{found.pulses} pulses: {seen} of what was asked and predicted", bool(found.bits & PULSE_SOUND)
+
+
+def _measure(check: Check) -> None:
+    """Take for the prediction what a few single pulses do, where no library says it.
+
+    Raises
+    ------
+    FailedError : a current or an acceleration that no sound device has.
+    """
+    s = check.settings
+    if check.take_measured is None or not s.has_accelerometer:
+        raise FailedError("nothing predicts the pulse: give a library of this device, or one guessed from datasheets")
+    found = [one for _ in range(MEASURED_PAIRS) for sign in (1, -1) if (one := _single(check, sign * s.pulse_A))]
+    if len(found) < 2 * MEASURED_PAIRS:
+        raise FailedError("telemetry was lost while pulses were measured")
+    current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
+    check.note(current=current)
+    if not sound(current) or acceleration <= 0:
+        if sound(current):
+            check.remarks.append("the stylus goes inwards by a current outwards: exchange the motor's leads")
+        raise FailedError(f"current {current:+.2f} of what was asked, acceleration {acceleration:+.1f} m/s² per A")
+    check.settings = check.take_measured(acceleration)
+
+
+def _single(check: Check, size_A: float) -> tuple[float, float] | None:
+    """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
+    s, wanted = check.settings, check.settings.pulse_ticks
+    check.device.listen(REST_BETWEEN_PULSES_S)
+    check.device.pulse(size_A, wanted)
+    check.device.listen(wanted * check.dt_s + REST_BETWEEN_PULSES_S / 2)
+    records, before = [record for _, record in check.records], check.ticks(REST_BETWEEN_PULSES_S / 2)
+    latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
+    if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
+        return None
+    first = int(latest[0])
+    current = np.array([record.measured_current_A for record in records[first - before : first + wanted]])
+    felt = np.array([record.acceleration_m_s2 for record in records[first - before :]])
+    late = current[before + wanted // 2 :].mean() - current[:before].mean()
+    begin = before + s.pulse_skip_ticks
+    pushed = felt[begin : begin + s.pulse_push_ticks].mean() - felt[:before].mean()
+    return float(late / size_A), float(pushed / size_A)
 
 
 def trial_sweep(check: Check) -> Verdict:

@@ -8,7 +8,8 @@ import numpy as np
 
 from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.device.stated import assumed_grip_N, library_numbers, servo_numbers
-from controller.host.pulses import pulse_numbers
+from controller.host.measured_pulse import recall
+from controller.host.pulses import measured_numbers, pulse_numbers
 from controller.protocol.capacity import LONGEST_S
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
@@ -86,6 +87,7 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
     """Settings under which the host starts what plays.
 
     They say nothing of the excitation, so that a configuration that has passed the check is good for all of them.
+    Without a library the test pulse's prediction is what the check has measured since the device's start, if it has.
 
     Parameters
     ----------
@@ -101,6 +103,7 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
         loaded = load_proven(library)
         numbers = {**library_numbers(device, loaded), **pulse_numbers(device, loaded), **NEVER_STUCK}
         return Settings.of(loaded, **{**numbers, "lead_s": 0.0, "wall": None, "host_starts": True})
+    pushed = recall(hello.boot)
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,
@@ -109,6 +112,7 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
         coil=RE_25,
         host_starts=True,
         assumed_grip_N=assumed_grip_N(device, ()),
+        **({} if pushed is None else measured_numbers(device, hello.dt_s, pushed)),
         **{**servo_numbers(device, hello.dt_s), **NEVER_STUCK},
     )
 

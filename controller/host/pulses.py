@@ -56,6 +56,17 @@ def pulse_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
     }
 
 
+def measured_numbers(device: DeviceFile, dt_s: float, acceleration_m_s2: float) -> dict[str, Any]:
+    """The same for a device without a model, with the acceleration per ampere that was measured, for any grip."""
+    return {
+        "pulse_A": min(device.hardware.pulse_A or PULSE_A, PULSE_A),
+        "pulse_ticks": round(PULSE_S / dt_s),
+        "pulse_grip_N": (0.0,),
+        "pulse_acceleration": (acceleration_m_s2,),
+        "pulse_path_m": (NO_PATH_M,),
+    }
+
+
 def _pushed(library: Library, s: Settings, grip_N: float, accelerometer_Hz: float) -> tuple[float, float]:
     """Per ampere: mean acceleration over the readings that are compared, path of the encoder to the pulse's end."""
     dt_s, amplifier, duration_s = s.dt_s, s.amplifier, s.pulse_ticks * s.dt_s

@@ -136,9 +136,11 @@ class Desk(Cable):
         hardware: Hardware | None = None,
         target: SimulatedTaps | None = None,
         gravity_m_s2: float = 0.0,
+        simulated: bool = True,
     ) -> None:
         self._tokens, self._boots = tokens(), count(500)
         self._samples, self._hardware, self._gravity_m_s2 = samples, hardware, gravity_m_s2
+        self._simulated = simulated
         super().__init__(self._started(), self, DT_S)
         self.hand = Hand()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
@@ -159,7 +161,7 @@ class Desk(Cable):
         }
 
     def _started(self) -> CoreDevice:
-        return started(next(self._boots), self._hardware, self._samples)
+        return started(next(self._boots), self._hardware, self._samples, simulated=self._simulated)
 
     def _press(self, pressed: bool) -> None:
         self.hand.pressed = pressed

@@ -69,10 +69,18 @@ def checked(name: str, files: list[Path], flags: tuple[str, ...] = ()) -> Path:
         pytest.skip(f"no sanitizers here: {refused}")
 
 
-def started(boot: int, hardware: Hardware | None = None, samples: int | None = None) -> CoreDevice:
-    """The device as it is after power on; `samples`: int16 samples that its libraries may have."""
+def started(
+    boot: int, hardware: Hardware | None = None, samples: int | None = None, *, simulated: bool = True
+) -> CoreDevice:
+    """The device as it is after power on.
+
+    Parameters
+    ----------
+    samples : int16 that its libraries may have. simulated : it vouches that nothing is wired.
+    """
     need_compiler()
-    return CoreDevice(boot, hardware, () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",))
+    flags = () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",)
+    return CoreDevice(boot, hardware, flags, simulated=simulated)
 
 
 def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
@@ -85,8 +93,15 @@ def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
 class World(Rehearsal[CoreDevice]):
     """With the compiled device; the stylus hangs 5 mm above the surface, in a hand, unless `readings` says else."""
 
-    def __init__(self, trouble: Trouble | None = None, seed: int = 0, samples: int | None = None) -> None:
-        super().__init__(lambda boot: started(boot, samples=samples), DT_S, trouble, seed)
+    def __init__(
+        self,
+        trouble: Trouble | None = None,
+        seed: int = 0,
+        samples: int | None = None,
+        *,
+        simulated: bool = True,
+    ) -> None:
+        super().__init__(lambda boot: started(boot, samples=samples, simulated=simulated), DT_S, trouble, seed)
 
     def of(self, kind: type[News]) -> list[News]:
         return [news for news in self.told if isinstance(news, kind)]

@@ -17,7 +17,7 @@ def answering(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
 def test_a_device_is_asked_for_step_by_step(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     # Name, encoder, no grip sensor, accelerometer, amplifier, servo, hardware; wrong answers are asked again.
     encoder, grip = ["far", "1", "1e-5", "-1", "1234"], ["perhaps", "no", "2.5"]
-    answering(monkeypatch, "desk", *encoder, *grip, "", "", "9.81", "1600", "", "", "1e-4", "", "")
+    answering(monkeypatch, "desk", *encoder, *grip, "", "", "9.81", "1600", "", "", "1e-4", "", "", "")
     outcome = play("device", "new", "mine.toml")
     assert outcome.code == 0, outcome.out + outcome.err
     assert "count_m [m]: path of the tip per count" in outcome.out

@@ -33,8 +33,10 @@ class VirtualStream(Cable):
         self.world.step()
 
 
-def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, VirtualStream, Callable[[], Device]]:
-    world = World(trouble, seed)
+def driven(
+    trouble: Trouble | None = None, seed: int = 0, *, simulated: bool = True
+) -> tuple[World, VirtualStream, Callable[[], Device]]:
+    world = World(trouble, seed, simulated=simulated)
     stream = VirtualStream(world)
     return world, stream, lambda: Device(stream, session=world.session)
 
@@ -88,7 +90,7 @@ def test_leaving_disarms_and_an_exception_stops() -> None:
         with pytest.raises(error):
             tap()
         assert world.device.state is State.FAULT
-        assert world.device.look().fault is Fault.EMERGENCY_STOP
+        assert world.device.look().fault is Fault.HOST_STOP
         assert stream.closed == 1
 
 
@@ -125,14 +127,18 @@ def test_an_arm_without_answer_is_stopped_too() -> None:
 
 
 def test_a_refusal_is_one_line_in_words() -> None:
-    _, _, connect = driven()
+    _, _, connect = driven(simulated=False)
     with connect() as device:
         device.configure(CONFIGURATION)
         device.upload(IMAGE)
         with pytest.raises(DeviceError) as refused:
             device.arm(0.5)
-        words = "device: arm refused: this configuration has not passed the bring-up check since the device started"
+        words = "device: arm refused: no sound test pulse under this configuration since the device started"
         assert str(refused.value).startswith(words)
+    _, _, connect = driven()
+    with connect() as device:
+        device.configure(CONFIGURATION)
+        device.upload(IMAGE)
         with pytest.raises(DeviceError, match=r"outside its range \(device saw 0.5\)"):
             device.arm(0.5, trial=True)
         device.arm(0.1, trial=True)
@@ -245,7 +251,7 @@ def test_a_start_out_of_turn_is_one_line_and_no_misuse() -> None:
         device.arm(1.0, 100)
         device.start(negative=True)
         assert world.device.state is State.PLAYING
-        with pytest.raises(DeviceError, match="start refused: an excitation is playing"):
+        with pytest.raises(DeviceError, match="start refused: something is playing"):
             device.start()
         assert device.listen(1.0, until=lambda news: isinstance(news, Happened) and news.what is Notice.FINISHED)
         assert world.device.state is State.ARMED

@@ -108,7 +108,7 @@ def test_a_fault_is_told_and_needs_reset_and_a_new_arm() -> None:
     world = World().armed()
     world.readings = lambda k: Readings(k, 200, 3.0, 0.0, 0.0, emergency_stop=True)
     world.run(0.3)
-    assert (world.session.device_state, world.session.fault) == (State.FAULT, Fault.EMERGENCY_STOP)
+    assert (world.session.device_state, world.session.fault) == (State.FAULT, Fault.HOST_STOP)
     assert world.session.state is SessionState.FAULTED
     world.session.reset()
     world.until(lambda: world.session.idle, 0.1)
@@ -133,7 +133,7 @@ def test_emergency_stop_goes_past_everything(trouble: Trouble) -> None:
         assert world.device.state is State.FAULT
         assert world.output.command_A == 0.0
     world.until(lambda: world.device.state is State.FAULT, 0.5)
-    world.until(lambda: world.session.fault is Fault.EMERGENCY_STOP, 1.0)
+    world.until(lambda: world.session.fault is Fault.HOST_STOP, 1.0)
     stops = world.link.to_device.kinds[Kind.EMERGENCY_STOP]
     world.run(0.3)
     assert stops >= 3
