@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from controller.protocol.capacity import EVIDENCE_LEAST, EVIDENCE_MOST
 
 TOLERANCE = EVIDENCE_MOST - 1  # by which a ratio may differ from 1, up and down; the device's own
+GRIP_LEAST, GRIP_MOST = 0.6, 1.7  # of the model's acceleration, which another grip may explain
 NOTHING = 0.05  # a ratio below this is no answer at all
 UNKNOWN = float("nan")
 
@@ -111,7 +112,12 @@ def _driven(r: Ratios) -> Iterator[str]:
     if off(current):
         yield f"the current monitor reads {by_how_much(current)} the current that flows"
     if off(force):
-        yield f"the motor pushes with {by_how_much(force)} the force that the library's model says"
+        # The model's answer depends on the grip, by a fourth between 1 and 5 N.
+        doubt = math.isnan(r.grip) and GRIP_LEAST <= force <= GRIP_MOST
+        yield (
+            f"the motor pushes with {by_how_much(force)} the force that the library's model says"
+            + (" (or the grip is not what was taken for it: hold as always, check --grip-weight-g)" if doubt else "")
+        )
     elif off(r.path):
         yield f"the encoder reads {by_how_much(r.path)} the way that the library's model says"
 
