@@ -168,8 +168,10 @@ class Talker:
 
     def configured(self, configuration: bytes = CONFIGURATION) -> "Talker":
         assert isinstance(self.configure(configuration), m.Done)
+        # A device knows of a rest only after it has read for a while; ticks are counted from then on.
         self.step(REST_TICKS)
         self.heard()
+        self.tick = 0
         return self
 
     def loaded(self, image: bytes = IMAGE) -> "Talker":

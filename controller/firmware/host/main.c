@@ -24,8 +24,8 @@
 #define BEHIND_MOST_S 0.25 /* after a longer sleep of the machine time is not caught up */
 #define LINE 128
 #define DT_S 1e-4
-/* As controller/protocol/capacity.py has it, without a coil. */
-static const td_hardware hardware = {DT_S, 10, 10, 0.1, 0.02, 50, 20e3, 50, false, 0, 0, 0, 0, 0, 0, 0};
+/* The amplifier as controller/protocol/capacity.py has it, with the coil of a Maxon RE 25 (118743). */
+static const td_hardware hardware = {DT_S, 10, 10, 0.1, 0.02, 50, 20e3, 50, true, 2.18, 3.1, 14, 12, 612, 100, 25};
 
 typedef struct {
     const char *listen, *plant;
@@ -38,6 +38,7 @@ static td_device device;
 static plant body;
 static trouble to_device, to_host;
 static uint32_t boots;
+static double heat_C[2] = {25, 25}; /* of the coil, which begins cold and keeps its heat over a loss of power */
 static uint64_t tick;
 static volatile sig_atomic_t ended;
 
@@ -99,7 +100,7 @@ static bool parse(int argc, char **argv, options *said)
 /* Power gone and back: what it knew is lost, the hand and the stylus go on. */
 static void start_device(const options *said)
 {
-    const td_port port = {(uint32_t)said->boot + boots++, hardware, said->simulated, 25, 25, NULL, NULL, NULL};
+    const td_port port = {(uint32_t)said->boot + boots++, hardware, said->simulated, heat_C[0], heat_C[1], NULL, NULL, NULL};
 
     td_device_start(&device, &port);
     tick = 0;
@@ -112,6 +113,7 @@ static void one_tick(void)
 
     plant_read(&body, tick++, &readings);
     td_device_step(&device, &readings, &output);
+    td_device_coil(&device, &heat_C[0], &heat_C[1]);
     plant_advance(&body, (double)output.command_A);
 }
 
