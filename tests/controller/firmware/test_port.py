@@ -72,7 +72,11 @@ def build_sketch(folder: Path, by_dac: int, extra: tuple[str, ...] = ()) -> Path
     defines = (ARDUINO, "-D__IMXRT1062__", "-fPIC", f"-I{SRC}")
     subprocess.run([*cc, *defines, "-c", *map(str, sources(SRC, CORE))], cwd=folder, check=True)
     include = ("-fPIC", f"-I{STUB}", f"-I{SRC}", "-include", "Arduino.h", f"-DCOMMAND_BY_DAC={by_dac}")
-    subprocess.run(["g++", *CPP, "-DNOTHING_IS_WIRED=1", *include, *extra, "-x", "c++", "-c", str(SKETCH)], cwd=folder, check=True)
+    subprocess.run(
+        ["g++", *CPP, "-DNOTHING_IS_WIRED=1", *include, *extra, "-x", "c++", "-c", str(SKETCH)],
+        cwd=folder,
+        check=True,
+    )
     objects = sorted(map(str, folder.glob("*.o")))
     made = folder / "sketch.so"
     stub = [*CPP, "-fPIC", f"-I{STUB}", str(STUB / "stub.cpp")]

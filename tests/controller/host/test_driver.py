@@ -88,7 +88,7 @@ def test_leaving_disarms_and_an_exception_stops() -> None:
         with pytest.raises(error):
             tap()
         assert world.device.state is State.FAULT
-        assert world.device.look().fault is Fault.EMERGENCY_STOP
+        assert world.device.look().fault is Fault.HOST_STOP
         assert stream.closed == 1
 
 
@@ -112,6 +112,7 @@ def test_an_arm_without_answer_is_stopped_too() -> None:
         with connect() as device:
             device.configure(CONFIGURATION)
             device.upload(IMAGE)
+            device.listen(0.05)
             world.link.to_host.trouble = Trouble(loss=1.0)
             device.session.arm(1.0, 200)
             device.pump(world.now_s + 0.01)
@@ -129,10 +130,6 @@ def test_a_refusal_is_one_line_in_words() -> None:
     with connect() as device:
         device.configure(CONFIGURATION)
         device.upload(IMAGE)
-        with pytest.raises(DeviceError) as refused:
-            device.arm(0.5)
-        words = "device: arm refused: this configuration has not passed the bring-up check since the device started"
-        assert str(refused.value).startswith(words)
         with pytest.raises(DeviceError, match=r"outside its range \(device saw 0.5\)"):
             device.arm(0.5, trial=True)
         device.arm(0.1, trial=True)
@@ -173,7 +170,7 @@ def test_a_lost_link_is_one_error_within_a_second_and_arms_nothing(how: str) -> 
     world, stream, connect = driven()
     with connect() as device:
         armed(device)
-        died = world.now_s
+        died, arms = world.now_s, world.link.to_device.kinds[Kind.ARM]
         if how == "port":
             stream.gone = True
         elif how == "cable":
@@ -188,7 +185,7 @@ def test_a_lost_link_is_one_error_within_a_second_and_arms_nothing(how: str) -> 
         device.connect()
         device.listen(0.5)
         assert world.device.state is State.IDLE
-        assert world.link.to_device.kinds[Kind.ARM] == 1
+        assert world.link.to_device.kinds[Kind.ARM] == arms
 
 
 def test_a_pause_at_rest_is_no_lost_link() -> None:
@@ -245,7 +242,7 @@ def test_a_start_out_of_turn_is_one_line_and_no_misuse() -> None:
         device.arm(1.0, 100)
         device.start(negative=True)
         assert world.device.state is State.PLAYING
-        with pytest.raises(DeviceError, match="start refused: an excitation is playing"):
+        with pytest.raises(DeviceError, match="start refused: something is playing"):
             device.start()
         assert device.listen(1.0, until=lambda news: isinstance(news, Happened) and news.what is Notice.FINISHED)
         assert world.device.state is State.ARMED
