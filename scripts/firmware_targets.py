@@ -65,13 +65,13 @@ class Target:
     library: bool = False
 
 
-def _capacities(samples: int, speeds: int, grips: int, output_bytes: int) -> tuple[str, ...]:
+def _capacities(samples: int, speeds: int, grips: int, records: int) -> tuple[str, ...]:
     """Of src/transopt_port.h, which the hash of a conversation tells from all others."""
     return (
         f"-DTD_MAX_LIBRARY_SAMPLES={samples}",
         f"-DTD_MAX_SPEEDS={speeds}",
         f"-DTD_MAX_GRIPS={grips}",
-        f"-DTD_OUTPUT_LIMIT_BYTES={output_bytes}",
+        f"-DTD_MAX_RECORDS={records}",
     )
 
 
@@ -80,8 +80,8 @@ TEENSY = ("-D__IMXRT1062__",)
 TARGETS = (
     Target("Cortex-M4F", "mps2-an386", M4F, "single", SINGLE, SINGLE),
     Target("Cortex-M7", "mps2-an500", M7, "double"),
-    Target("Arduino, Cortex-M4F", "mps2-an386", M4F, "single", (), (*SINGLE, *_capacities(16384, 16, 8, 4096)), True),
-    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(98304, 32, 16, 16384), True),
+    Target("Arduino, Cortex-M4F", "mps2-an386", M4F, "single", (), (*SINGLE, *_capacities(16384, 16, 8, 128)), True),
+    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(98304, 32, 16, 512), True),
 )
 
 

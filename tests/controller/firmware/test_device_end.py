@@ -57,7 +57,8 @@ def test_a_hot_coil_is_not_armed_and_a_new_configuration_does_not_cool_it() -> N
     arm = replace(ARM, configuration_sha256=sha256(hot))
     assert bench.refused(arm) is Reason.TOO_HOT
     bench.configured(configuration_of(replace(SETTINGS, coil=COIL, grip_margin_N=0.2)))
-    assert (bench.device.look().winding_C, bench.device.look().housing_C) == (99.0, 70.0)
+    look = bench.device.look()
+    assert (look.winding_C, look.housing_C) == pytest.approx((99.0, 70.0), abs=0.1)
 
 
 def test_a_repeated_request_is_answered_again_and_not_carried_out_again() -> None:
@@ -123,7 +124,7 @@ def test_emergency_stop_without_configuration_latches() -> None:
     bench = Talker()
     bench.put(m.EmergencyStop(), session=12345)
     assert bench.step().state is State.FAULT
-    assert bench.device.look().fault is Fault.EMERGENCY_STOP
+    assert bench.device.look().fault is Fault.HOST_STOP
     assert bench.refused(m.ConfigureCommit(HASHES[0])) is Reason.FAULT_LATCHED
     bench.step(1, replace(REST, emergency_stop=True))
     assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
@@ -169,8 +170,11 @@ def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens(
     bench.put(m.EmergencyStop())
     bench.step()
     (first,) = (x for x in bench.heard() if isinstance(x, m.Event))
-    bench.step(2000)
-    assert [x.number for x in bench.heard() if isinstance(x, m.Event)] == [0] * 4
+    again = []
+    for _ in range(20):
+        bench.step(100)
+        again += [x.number for x in bench.heard() if isinstance(x, m.Event)]
+    assert again == [0] * 4
     bench.step(LINK_SILENCE_MS * 10)
     bench.heard()
     bench.step(5000)
@@ -196,8 +200,9 @@ def test_the_event_queue_counts_what_it_loses() -> None:
     while bench.device.look().oldest_event != 64:
         bench.step()
         sent += [x.number for x in bench.heard() if isinstance(x, m.Event)]
-        bench.put(m.EventAck(min(bench.device.look().oldest_event + 3, 64)))
-        bench.put(m.EventAck(1000))  # nobody can have seen that
+        said = bench.put(m.EventAck(min(bench.device.look().oldest_event + 3, 64)))
+        said += bench.put(m.EventAck(1000))  # nobody can have seen that
+        sent += [x.number for x in said if isinstance(x, m.Event)]
     bench.step(1, pressed)
     (last,) = (x for x in bench.heard() if isinstance(x, m.Event))
     assert (last.number, last.lost) == (64, 16)
