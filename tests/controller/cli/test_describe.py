@@ -75,3 +75,20 @@ def test_a_grip_beyond_the_library_is_moved_to_its_edge_and_said_so(play: Run) -
     Path("blind.toml").write_text("[grip]\nsensor = false\nassumed_grip_N = 20\n")
     outcome = play("record", "tap", "library.npz", "--simulate", "--out", "taps", "--device", "blind.toml")
     assert outcome.code == 0, outcome.out + outcome.err
+
+
+def test_a_simulated_device_is_wired_as_its_file_says(play: Run) -> None:
+    """Reversed, upside down, of other scales, with gravity: the device puts all of it right by the same file."""
+    Path("odd.toml").write_text(
+        "[encoder]\ndirection = -1\nsurface_counts = 700\n[grip]\nscale = -2.0\nzero_N = 0.5\n"
+        "[accelerometer]\nscale = -0.5\nrest_m_s2 = 9.81\n[amplifier]\nscale = -2.0\nmonitor_scale = 3.0\n"
+    )
+    outcome = play("tap", "library.npz", "--simulate", "--speed", 0.3, "--grip", 3, "--device", "odd.toml")
+    assert outcome.code == 0, outcome.out + outcome.err
+    plain = play("tap", "library.npz", "--simulate", "--speed", 0.3, "--grip", 3)
+    rows = [
+        next(line.split("│") for line in run.out.splitlines() if line.startswith("│   1 "))
+        for run in (outcome, plain)
+    ]
+    for odd, usual, room in zip(rows[0][2:8], rows[1][2:8], (0.002, 0.05, 3, 0.3, 0.05, 0.05), strict=True):
+        assert float(odd) == pytest.approx(float(usual), abs=room)
