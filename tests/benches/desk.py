@@ -38,6 +38,16 @@ class Hand:
         self.held_N, self.pressed = held_N, False
         self._times, self._speeds, self._places = [0.0], [0.0], [START_M]
 
+    @property
+    def place_m(self) -> float:
+        """Where it will be at rest."""
+        return self._places[-1]
+
+    @property
+    def free_s(self) -> float:
+        """When it will be."""
+        return self._times[-1]
+
     def go(self, now_s: float, *knots: tuple[float, float]) -> None:
         """(after so long, this velocity) ..., from where the hand is, at rest at the end."""
         for after_s, speed_m_s in ((1e-3, self._speeds[-1]), *knots):

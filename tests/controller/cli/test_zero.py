@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from controller.device.reading import read_device
+from controller.servo.interface import State
 from tests.benches.commands import Run, assert_refused
 from tests.benches.desk import PORT, START_M, Desk
 
@@ -46,3 +47,27 @@ def test_without_a_file_or_without_touches_nothing_is_stored(play: Run, desk: De
         play("zero", *PORT, "--device", "mine.toml", "--patience", 1), "no 3 touches at one place within 1 s"
     )
     assert read_device(Path("mine.toml")).device.encoder.surface_counts == pytest.approx(500)
+
+
+def test_drift_between_taps_moves_the_surface(play: Run, ready: Desk) -> None:
+    """After each tap the hand lays the stylus down 0.3 mm above where the file has the surface."""
+    Path("mine.toml").write_text("[encoder]\nsurface_counts = 0.0  # mine\n")
+    next_s = [0.0]
+
+    def look() -> None:
+        if ready.end.state is State.ARMED and ready.now_s() >= next_s[0]:
+            hand = ready.hand
+            hand.tap(ready.now_s() + 0.05, 0.2)
+            way = hand.place_m - 0.3e-3
+            hand.go(ready.now_s(), (0.1, -0.018), (way / 0.018 - 0.1, -0.018), (0.1, 0.0), (0.4, 0.0))
+            hand.go(ready.now_s(), (0.05, 0.2), (0.05, 0.2), (0.05, 0.0), (0.1, 0.0))
+            next_s[0] = hand.free_s
+
+    ready.each_ms = look
+    outcome = play("tap", "library.npz", *PORT, "--device", "mine.toml", "--taps", 4)
+    assert outcome.code == 0, outcome.out + outcome.err
+    assert "the counts have drifted: three rests in a row at +1" in outcome.out
+    assert "stored in mine.toml" in outcome.out
+    moved = read_device(Path("mine.toml")).device.encoder.surface_counts
+    assert moved == pytest.approx(0.3e-3 / COUNT_M, abs=3)
+    assert "# mine" in Path("mine.toml").read_text()

@@ -108,7 +108,7 @@ def test_a_fault_is_told_and_needs_reset_and_a_new_arm() -> None:
     world = World().armed()
     world.readings = lambda k: Readings(k, 200, 3.0, 0.0, 0.0, emergency_stop=True)
     world.run(0.3)
-    assert (world.session.device_state, world.session.fault) == (State.FAULT, Fault.HOST_STOP)
+    assert (world.session.device_state, world.session.fault) == (State.FAULT, Fault.EMERGENCY_STOP)
     assert world.session.state is SessionState.FAULTED
     world.session.reset()
     world.until(lambda: world.session.idle, 0.1)
