@@ -149,7 +149,11 @@ def trial_tap(check: Check) -> Verdict:
     found = check.device.evidence()
     check.note(speed=found.speed_ratio)
     if not np.isnan(found.speed_ratio):
-        words += f", its speed by the encoder {found.speed_ratio:.2f} of that by the accelerometer"
+        words += f", its motion by the encoder {found.speed_ratio:.2f} of that by the accelerometer"
+    elif check.settings.has_accelerometer:
+        words += (
+            ", encoder and accelerometer not compared: hold still for two seconds, then tap from a centimetre or more"
+        )
     return f"{seen}, played to its end{words}", good and bool(found.bits & TRIAL_FINISHED)
 
 

@@ -95,7 +95,7 @@ def _sentences(r: Ratios) -> Iterator[str]:
     if off(r.grip):
         yield f"the grip sensor reads {by_how_much(r.grip)} the force that there is"
     if off(r.speed) and not off(r.ruler) and not off(accelerometer):
-        yield f"the encoder reads {by_how_much(r.speed)} the speed that the accelerometer says"
+        yield f"the encoder reads {by_how_much(r.speed)} the motion that the accelerometer says"
     if off(r.trial):
         yield f"the trial tap was {by_how_much(r.trial)} the one that the library's model says"
 

@@ -17,8 +17,10 @@ ENCODER_MOST_COUNTS = 1 << 29  # further out the sums of the approach's fit woul
 REST_BETWEEN_PULSES_S = 0.1  # before each pulse of a pair: the second half of it says what the sensors read at rest
 PATH_LEAST_COUNTS = 5  # a shorter predicted path says nothing: the encoder rounds
 EVIDENCE_LEAST, EVIDENCE_MOST = 0.8, 1.2  # of every ratio of measured on predicted
-REST_BLOCK_S, REST_BLOCKS, REST_COUNTS = 0.02, 5, 2  # at rest: so many blocks within so many counts
-INTEGRAL_S = 2.0  # the accelerometer is integrated for no longer than that
+# How the encoder's motion is compared with the accelerometer's before a trial's contact: readings are taken together
+# over a block, filtered alike at this rate, multiplied over this time; the filter has settled after so long.
+MOTION_BLOCK_S, MOTION_RATE_1_S, MOTION_S, MOTION_SETTLED_S = 1e-3, 6.0, 0.5, 2.0
+MOTION_LEAST_M, MOTION_ALIKE = 5e-4, 0.8  # rms and correlation of what can be compared
 
 
 def checked(name: str, value: float, low: float, high: float, unit: str = "") -> float:

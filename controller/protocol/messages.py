@@ -368,8 +368,8 @@ class EvidenceReply(Packed):
 
     bits : PULSE_SOUND, TRIAL_FINISHED. stage : `codes.Stage`. pulses : judged since the last PULSE.
     Ratios, measured on predicted, 1 for a sound device and NaN where not measured: of the pulses' current, of the
-    acceleration at their beginning, of the path to their end; and, of the last trial, the encoder's speed at the
-    contact on the one that the accelerometer's integral gives.
+    acceleration at their beginning, of the path to their end; and, at the contact of the last trial, of the encoder's
+    motion on the accelerometer's, over the half second before.
     """
 
     bits: U8

@@ -68,7 +68,7 @@ def test_two_errors_never_cancel() -> None:
 
 def test_the_trial_tap_and_its_speed() -> None:
     assert "the trial tap was 1.5 times the one that" in diagnosis(Ratios(trial=1.5))[0]
-    assert "the encoder reads 2 times the speed" in diagnosis(Ratios(speed=2.0))[0]
+    assert "the encoder reads 2 times the motion" in diagnosis(Ratios(speed=2.0))[0]
     assert sound(0.8)
     assert not sound(1.25)
     assert not sound(float("nan"))

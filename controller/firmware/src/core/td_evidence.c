@@ -20,41 +20,38 @@ void td_evidence_start(td_evidence *evidence)
     evidence->path_ratio = evidence->speed_ratio = (double)NAN;
 }
 
-/* ------------------------------------------------------------------------------------------------ motion from rest */
+/* ------------------------------------------------------------------------------------------------ a hand's motion */
 
-static void close_block(td_motion *motion, td_wide dt_s, int32_t size)
+static td_wide high_pass(td_wide value, td_wide part, td_wide *low)
 {
-    const int32_t newest = motion->next;
-    int32_t least = motion->open_least, most = motion->open_most, j;
-    td_wide sum = 0;
+    *low += part * (value - *low);
+    return value - *low;
+}
 
-    motion->sum_m_s2[newest] = motion->open_m_s2;
-    motion->least[newest] = least;
-    motion->most[newest] = most;
-    motion->next = (newest + 1) % TD_REST_BLOCKS;
+static void close_block(td_motion *motion, td_wide count_m, td_wide dt_s)
+{
+    const td_wide part = TD_MOTION_RATE_1_S * dt_s, fading = 1 - dt_s / TD_MOTION_S;
+    const td_wide m_s2 = motion->open_m_s2 / motion->open;
+    td_wide encoder = motion->open_counts / motion->open * count_m, accelerometer;
+    int32_t j;
+
+    for (j = 0; j < 3; j++)
+        encoder = high_pass(encoder, part, &motion->low[j]);
+    motion->way[0] += dt_s * (m_s2 - TD_MOTION_RATE_1_S * motion->way[0]);
+    motion->way[1] += dt_s * (motion->way[0] - TD_MOTION_RATE_1_S * motion->way[1]);
+    accelerometer = high_pass(motion->way[1], part, &motion->way_low);
+    motion->by_both = fading * motion->by_both + encoder * accelerometer;
+    motion->by_encoder = fading * motion->by_encoder + encoder * encoder;
+    motion->by_accelerometer = fading * motion->by_accelerometer + accelerometer * accelerometer;
     motion->open = 0;
-    motion->open_m_s2 = 0;
-    if (motion->blocks < TD_REST_BLOCKS)
+    motion->open_counts = motion->open_m_s2 = 0;
+    if (motion->blocks < INT32_MAX)
         motion->blocks++;
-    if (motion->blocks < TD_REST_BLOCKS)
-        return;
-    for (j = 0; j < TD_REST_BLOCKS; j++) {
-        least = motion->least[j] < least ? motion->least[j] : least;
-        most = motion->most[j] > most ? motion->most[j] : most;
-        sum += j == newest ? 0 : motion->sum_m_s2[j];
-    }
-    if (most - least > TD_REST_COUNTS)
-        return;
-    /* At rest. The newest block belongs to what follows: a motion begins before it reaches a count. */
-    motion->known = true;
-    motion->rest_m_s2 = sum / ((TD_REST_BLOCKS - 1) * (td_wide)size);
-    motion->speed_m_s = (motion->sum_m_s2[newest] - motion->rest_m_s2 * size) * dt_s;
-    motion->ticks = size;
 }
 
 void td_evidence_see(td_evidence *evidence, const td_config *config, const td_readings *seen)
 {
-    const int32_t size = (int32_t)ceil(TD_REST_BLOCK_S / config->dt_s), counts = seen->encoder_counts;
+    const int32_t size = (int32_t)ceil(TD_MOTION_BLOCK_S / config->dt_s), counts = seen->encoder_counts;
     const td_wide acceleration = (td_wide)seen->acceleration_m_s2;
     td_motion *motion = &evidence->motion;
 
@@ -62,20 +59,28 @@ void td_evidence_see(td_evidence *evidence, const td_config *config, const td_re
         memset(motion, 0, sizeof *motion);
         return;
     }
-    if (motion->known) {
-        motion->speed_m_s += (acceleration - motion->rest_m_s2) * config->dt_s;
-        motion->ticks++;
-        if (motion->ticks * config->dt_s > TD_INTEGRAL_S)
-            motion->known = false;
-    }
-    if (motion->open == 0)
-        motion->open_least = motion->open_most = counts;
-    motion->open_least = counts < motion->open_least ? counts : motion->open_least;
-    motion->open_most = counts > motion->open_most ? counts : motion->open_most;
+    if (motion->blocks == 0 && motion->open == 0)
+        motion->origin = counts;
+    motion->open_counts += (td_wide)(counts - motion->origin);
     motion->open_m_s2 += acceleration;
     motion->open++;
     if (motion->open >= size)
-        close_block(motion, config->dt_s, size);
+        close_block(motion, config->count_m, size * config->dt_s);
+}
+
+/* The encoder's motion on the accelerometer's; NaN before the filter has settled, without a motion to compare, and
+ * where the two have nothing in common. */
+static double motion_ratio(const td_motion *motion, td_wide dt_s)
+{
+    const td_wide block_s = ceil(TD_MOTION_BLOCK_S / dt_s) * dt_s;
+    const td_wide least = TD_MOTION_LEAST_M * TD_MOTION_LEAST_M * TD_MOTION_S / block_s;
+    const td_wide product = motion->by_encoder * motion->by_accelerometer;
+
+    if (!(motion->blocks * block_s >= TD_MOTION_SETTLED_S && motion->by_accelerometer >= least))
+        return (double)NAN;
+    if (!(motion->by_both * motion->by_both >= TD_MOTION_ALIKE * TD_MOTION_ALIKE * product))
+        return (double)NAN;
+    return motion->by_both / motion->by_accelerometer;
 }
 
 /* ------------------------------------------------------------------------------------------------ pulses */
@@ -134,11 +139,10 @@ void td_evidence_trying(td_evidence *evidence)
     evidence->speed_ratio = (double)NAN;
 }
 
-void td_evidence_contact(td_evidence *evidence, const td_config *config, td_wide speed_m_s)
+void td_evidence_contact(td_evidence *evidence, const td_config *config)
 {
-    /* Inwards is positive for the speed of a contact, outwards for the accelerometer. */
-    if (config->calibration.has_accelerometer && evidence->motion.known)
-        evidence->speed_ratio = speed_m_s / -evidence->motion.speed_m_s;
+    if (config->calibration.has_accelerometer)
+        evidence->speed_ratio = motion_ratio(&evidence->motion, config->dt_s);
 }
 
 void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain)

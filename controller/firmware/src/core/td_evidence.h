@@ -9,17 +9,16 @@
 
 #include "td_pulse.h"
 
-/* Where the stylus last rested, and what the accelerometer's integral says since: blocks of readings, the newest of which
- * may already belong to a motion that has not reached a count. */
+/* The stylus' motion by the encoder and by the accelerometer, through one filter, and their products over the last
+ * half second: s^3 / (s + p)^3 of the position, s / (s + p)^3 of the acceleration. So neither gravity, nor an offset, nor
+ * where the encoder's zero is shows, and no rest has to be waited for, which a trembling hand never gives. */
 typedef struct {
-    td_wide sum_m_s2[TD_REST_BLOCKS]; /* ring of the last whole blocks */
-    int32_t least[TD_REST_BLOCKS], most[TD_REST_BLOCKS], blocks, next;
-    td_wide open_m_s2; /* the block under way */
-    int32_t open_least, open_most, open;
-    bool known;       /* the stylus has rested, not too long ago */
-    td_wide rest_m_s2; /* mean acceleration then */
-    td_wide speed_m_s; /* since then, outwards */
-    int32_t ticks;     /* since then */
+    int32_t open, blocks, origin; /* readings of the block under way; whole blocks so far; counts of the first reading */
+    td_wide open_counts, open_m_s2;
+    td_wide low[3];    /* of the position: what each stage takes off it [m] */
+    td_wide way[2];    /* of the acceleration: leaky integral and double integral [m/s], [m] */
+    td_wide way_low;   /* and what the third stage takes off that */
+    td_wide by_both, by_encoder, by_accelerometer; /* products of the two, fading */
 } td_motion;
 
 typedef struct {
@@ -44,8 +43,8 @@ void td_evidence_pulsed(td_evidence *evidence, const td_config *config, const td
 /* A trial begins. */
 void td_evidence_trying(td_evidence *evidence);
 
-/* In a trial a contact came, at this speed by the encoder. */
-void td_evidence_contact(td_evidence *evidence, const td_config *config, td_wide speed_m_s);
+/* In a trial a contact came. */
+void td_evidence_contact(td_evidence *evidence, const td_config *config);
 
 /* A trial was played to its end, at this gain. */
 void td_evidence_tried(td_evidence *evidence, const td_config *config, td_wide gain);

@@ -99,7 +99,7 @@ static void witness(td_device *device, const td_readings *seen, const td_output 
     td_evidence_see(&device->evidence, config, seen);
     for (j = 0; j < output->event_count && device->trial; j++) {
         if (output->events[j].what == TD_WHAT_CONTACT)
-            td_evidence_contact(&device->evidence, config, device->servo.approach.speed_m_s);
+            td_evidence_contact(&device->evidence, config);
         else if (output->events[j].what == TD_WHAT_FINISHED)
             td_evidence_tried(&device->evidence, config, device->servo.gain);
     }
