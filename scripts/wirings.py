@@ -25,7 +25,7 @@ from typer import Option
 
 from controller.device.device_file import Accelerometer, DeviceFile
 from controller.firmware.core_device import CoreDevice
-from controller.host.bringup import passed, run_steps
+from controller.host.bringup import drop_evidence, passed, run_steps
 from controller.host.check_state import Check
 from controller.host.driver import Device, DeviceError
 from controller.host.payload import payload_of
@@ -180,10 +180,13 @@ def judged(library: Library, case: Case) -> Outcome:
             described=described,
             library=library,
             grip_weight_N=None if case.weight_g is None else 1e-3 * case.weight_g * STANDARD_GRAVITY_M_S2,
+            configuration=given.configuration,
             patience_s=PATIENCE_S,
         )
         results = run_steps(check)
         good = passed(check, results)
+        if not good:
+            drop_evidence(check)
         armed = _armed(device)
     said = "; ".join(check.off)
     if good:

@@ -346,7 +346,7 @@ def check(
     from controller.cli.describe import described
     from controller.cli.tables import VERDICTS, check_table
     from controller.device.stated import servo_numbers
-    from controller.host.bringup import Result, check_skipped, check_step, passed, run_steps
+    from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
     from controller.host.check_state import Check
     from controller.host.measured_pulse import remember
     from controller.host.payload import Payload, payload, trial_sweep
@@ -391,11 +391,14 @@ def check(
             if library is None
             else load_proven(library),
             grip_weight_N=None if grip_weight_g is None else 1e-3 * grip_weight_g * STANDARD_GRAVITY_M_S2,
+            configuration=None if given is None else given.configuration,
             take_measured=take_measured if sweep and library is None else None,
             patience_s=patience,
         )
         results = run_steps(bench, skipped, tell, only)
         good = passed(bench, results, skipped)
+        if any(result.passed is False for result in results):
+            drop_evidence(bench)
     console.print(check_table(results, f"{port}: bring-up check"))
     if any(result.passed is False for result in results):
         off = "; ".join(bench.off) or "see the steps that failed"

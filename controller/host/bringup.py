@@ -170,6 +170,15 @@ def _result(check: Check, step: Step, skip: tuple[str, ...], before: list[Result
     return Result(step.name, step.expected, seen, passed)
 
 
+def drop_evidence(check: Check) -> None:
+    """Let the device forget what it has seen, after a step that the host alone found to have failed.
+
+    The grip, and whether the trial tap was the predicted one, only the host can judge.
+    """
+    if check.configuration is not None and check.device.fault is None:
+        check.device.configure(check.configuration, anew=True)
+
+
 def passed(check: Check, results: Sequence[Result], skip: tuple[str, ...] = ()) -> bool:
     """Whether the device may be armed: no step failed, and each was done or left out by the user or for its kind."""
     steps = {step.name: step for step in (*STEPS, *SWEEP_STEPS)}

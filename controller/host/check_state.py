@@ -46,6 +46,7 @@ class Check:
     described : what its owner says of it.
     library : that it holds; None without one.
     grip_weight_N : of a known weight that the grip sensor is checked with; None without one.
+    configuration : in force; None without one.
     take_measured : puts a configuration in force that predicts the test pulse as it was measured, per ampere, and
         returns its settings; None where a library predicts it.
 
@@ -65,12 +66,14 @@ class Check:
         described: DeviceFile = BUILT_IN,
         library: Library | None = None,
         grip_weight_N: float | None = None,
+        configuration: bytes | None = None,
         take_measured: Callable[[float], Settings] | None = None,
         patience_s: float = PATIENCE_S,
     ) -> None:
         self.device, self.settings, self.person, self.loaded = device, settings, person, loaded
         self.described, self.library, self.grip_weight_N = described, library, grip_weight_N
         self.take_measured, self.patience_s = take_measured, patience_s
+        self.configuration = configuration
         self.found = Ratios()
         self.remarks: list[str] = []
         self.dt_s = device.hello.dt_s

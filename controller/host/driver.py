@@ -129,10 +129,10 @@ class Device:
 
     # Requests: each returns when the device has done it.
 
-    def configure(self, configuration: bytes) -> bool:
-        """Put a configuration in force; whether anything had to be sent."""
+    def configure(self, configuration: bytes, *, anew: bool = False) -> bool:
+        """Put a configuration in force; whether anything had to be sent. anew : even if it is there already."""
         self.need_no_fault()
-        self.session.configure(configuration)
+        self.session.configure(configuration, anew=anew)
         return not self._done(Kind.CONFIGURE_COMMIT).skipped
 
     def upload(self, image: bytes, progress: Callable[[int, int], None] | None = None) -> bool:

@@ -79,12 +79,15 @@ class Session:
         self._connect_until_s = now_s + timeout_s
         self._requests.add(m.Hello(m.MAGIC, m.PROTOCOL, self._token()))
 
-    def configure(self, configuration: bytes) -> None:
-        """Put a configuration (`configuration.configuration_of`) in force, unless it is there already."""
+    def configure(self, configuration: bytes, *, anew: bool = False) -> None:
+        """Put a configuration (`configuration.configuration_of`) in force, unless it is there already.
+
+        anew : also then, so that the device forgets its evidence.
+        """
         self._go(Trigger.PREPARE)
         device = self._known()
         self._configuration_sha256 = sha256(configuration)
-        if self._configuration_there == self._configuration_sha256:
+        if self._configuration_there == self._configuration_sha256 and not anew:
             self._news.append(t.Completed(Kind.CONFIGURE_COMMIT, skipped=True))
             return
         # Nothing is certain until it is done; and the device drops a library that does not fit.

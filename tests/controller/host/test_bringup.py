@@ -6,10 +6,20 @@ from dataclasses import replace
 
 import pytest
 
-from controller.host.bringup import SKIPPABLE, STEPS, Result, check_skipped, check_step, passed, run_steps
+from controller.host.bringup import (
+    SKIPPABLE,
+    STEPS,
+    Result,
+    check_skipped,
+    check_step,
+    drop_evidence,
+    passed,
+    run_steps,
+)
 from controller.host.check_state import Check
 from controller.host.driver import Device, DeviceError, LinkLostError
 from controller.host.payload import payload_of
+from controller.protocol.messages import PULSE_SOUND
 from controller.servo.interface import Readings, State
 from controller.servo.settings import Settings
 from controller.sim.virtual_link import Trouble
@@ -37,7 +47,15 @@ def check(desk: Desk, device: Device, library: Library) -> Check:
     device.configure(given.configuration)
     device.upload(given.image)
     device.set_telemetry(1)
-    return Check(device, given.settings, desk, loaded=True, library=library, patience_s=2.0)
+    return Check(
+        device,
+        given.settings,
+        desk,
+        loaded=True,
+        library=library,
+        configuration=given.configuration,
+        patience_s=2.0,
+    )
 
 
 def result(check: Check, name: str) -> Result:
@@ -211,3 +229,12 @@ def test_what_drives_may_not_be_left_out() -> None:
     for name in ("polarity", "trial-tap", "link", "nonsense"):
         with pytest.raises(InputError, match=f"--skip {name}: must be one of emergency-stop, "):
             check_skipped([name])
+
+
+def test_what_the_host_alone_finds_wrong_takes_the_devices_evidence(desk: Desk, check: Check) -> None:
+    assert result(check, "polarity").passed
+    assert check.device.evidence().bits == PULSE_SOUND
+    drop_evidence(check)
+    assert check.device.evidence().bits == 0
+    with pytest.raises(DeviceError, match="no sound test pulse"):
+        check.device.arm(0.1, trial=True)
