@@ -69,10 +69,18 @@ def checked(name: str, files: list[Path], flags: tuple[str, ...] = ()) -> Path:
         pytest.skip(f"no sanitizers here: {refused}")
 
 
-def started(boot: int, hardware: Hardware | None = None, samples: int | None = None) -> CoreDevice:
-    """The device as it is after power on; `samples`: int16 samples that its libraries may have."""
+def started(
+    boot: int, hardware: Hardware | None = None, samples: int | None = None, *, simulated: bool = True
+) -> CoreDevice:
+    """The device as it is after power on.
+
+    Parameters
+    ----------
+    samples : int16 samples that its libraries may have. simulated : it vouches that nothing is wired wrong.
+    """
     need_compiler()
-    return CoreDevice(boot, hardware, () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",))
+    flags = () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",)
+    return CoreDevice(boot, hardware, flags, simulated=simulated)
 
 
 def reframed(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
@@ -109,8 +117,9 @@ ARM = m.Arm(0, 200, 1.0, *HASHES)
 class Talker:
     """A device and whoever speaks to it, frame by frame."""
 
-    def __init__(self) -> None:
-        self.device, self.decoder, self.sequence, self.tick = started(7), Decoder(), 1, 0
+    def __init__(self, device: CoreDevice | None = None) -> None:
+        self.device = started(7) if device is None else device
+        self.decoder, self.sequence, self.tick = Decoder(), 1, 0
         self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
 
     def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:
