@@ -134,6 +134,8 @@ def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
     library.td_probe_look.argtypes = [pointer, pointer]
     library.td_probe_image.argtypes = [pointer, pointer]
     library.td_probe_image.restype = pointer
+    library.td_probe_enabled.argtypes, library.td_probe_enabled.restype = [pointer], ctypes.c_bool
+    library.td_probe_coil.argtypes = [pointer, pointer]
     library.td_probe_heat.argtypes = [pointer, number, number]
     library.td_device_state.argtypes = [pointer]
     library.td_device_receive.argtypes = [pointer, ctypes.c_char_p, size]
@@ -258,6 +260,17 @@ class CoreDevice:
     @property
     def state(self) -> State:
         return STATES[int(self._library.td_device_state(self._device.at))]
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the amplifier may be on since the last step."""
+        return bool(self._library.td_probe_enabled(self._device.at))
+
+    def coil_C(self) -> tuple[float, float]:
+        """Winding and housing as a port keeps them over a restart; NaN where the motor's coil is not known."""
+        heat = (ctypes.c_double * 2)()
+        self._library.td_probe_coil(self._device.at, heat)
+        return heat[0], heat[1]
 
     def look(self) -> Look:
         """What is in it now."""

@@ -153,8 +153,7 @@ class Device:
     def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
         """From here on `listen` or `pump` at least once per lease.
 
-        A device that has just been configured or reset knows of no rest before it has read for a while: then once
-        more.
+        A device that has just been configured or reset knows of no rest before it has read for a while.
         """
         self.need_no_fault()
         self._at_rest(lambda: self.session.arm(gain, lease_ms, trial=trial), Kind.ARM)

@@ -174,7 +174,9 @@ class Host:
         """All that leads to ARMED."""
         evidence = self.frame(m.Evidence())
         start = [*self.hello(), *self.configure(self.configuration), *self.upload(self.image)]
-        return [*start, self.frame(m.Surface(0.0)), evidence, *self.arm()]
+        # Time passes between them: a device knows of a rest only after it has read for a while.
+        meanwhile = [self.frame(m.Lease(0), sequence=0) for _ in range(60)]
+        return [*start, self.frame(m.Surface(0.0)), evidence, *meanwhile, *self.arm()]
 
     def odd_arm(self) -> list[bytes]:
         random = self.random

@@ -76,7 +76,7 @@ def started(
 
     Parameters
     ----------
-    samples : int16 that its libraries may have. simulated : it vouches that nothing is wired.
+    samples : int16 samples that its libraries may have. simulated : it vouches that nothing is wired wrong.
     """
     need_compiler()
     flags = () if samples is None else (f"-DTD_MAX_LIBRARY_SAMPLES={samples}",)
@@ -124,8 +124,9 @@ ARM = m.Arm(0, 200, 1.0, *HASHES)
 class Talker:
     """A device and whoever speaks to it, frame by frame."""
 
-    def __init__(self) -> None:
-        self.device, self.decoder, self.sequence, self.tick = started(7), Decoder(), 1, 0
+    def __init__(self, device: CoreDevice | None = None) -> None:
+        self.device = started(7) if device is None else device
+        self.decoder, self.sequence, self.tick = Decoder(), 1, 0
         self.put(m.Hello(m.MAGIC, m.PROTOCOL, 5))
 
     def put(self, message: Packed, *, sequence: int | None = None, session: int = 9) -> list[Packed]:

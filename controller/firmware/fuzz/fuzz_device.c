@@ -157,11 +157,9 @@ static void sound_configuration(void)
     number(TD_CFG_AMPLIFIER_COMMAND_LIMIT_A, hardware.command_A);
 }
 
-static void configure(void)
+static void configure(uint8_t how, int changes)
 {
     uint8_t body[4 + TD_CONFIGURATION_BYTES];
-    const uint8_t how = byte();
-    int changes = how & 7;
 
     sound_configuration();
     if (how & 8) {
@@ -194,15 +192,15 @@ static void configure(void)
     say(TD_KIND_CONFIGURE_COMMIT, configuration_sha256, TD_HASH_BYTES);
 }
 
-static void upload(void)
+static void upload(uint8_t how, int changes)
 {
-    const uint8_t how = byte();
     const uint32_t speeds = how & 1 ? 2 : 1, grips = how & 2 ? 2 : 1, samples = 20 + 4 * (uint32_t)byte(), nodes = speeds * grips;
-    const double scale_A = hardware.command_A / 32767 * (1 + byte()) / 256;
-    const uint8_t shape = byte();
+    const uint8_t size = byte(), shape = byte();
+    /* What stands for long keeps the current limit, a single sample may be as large as the command's. */
+    const double most_A = shape & 64 || hardware.current_A > hardware.command_A ? hardware.command_A : hardware.current_A;
+    const double scale_A = most_A / 32767 * (size & 1 ? 1 : (1 + size) / 256.0);
     uint8_t body[TD_DATA_BYTES + TD_DATA_LIMIT], *at = image + TD_IMAGE_BYTES;
     uint32_t j, k, offset;
-    int changes = how >> 5;
 
     memset(image, 0, sizeof image);
     td_put_u32(image + TD_IMAGE_MAGIC, TD_IMAGE_MAGIC_VALUE);
@@ -224,8 +222,9 @@ static void upload(void)
         td_put_f64(at, how & 16 ? odd() : 0);
     for (k = 0; k < nodes; k++) {
         for (j = 0; j < samples; j++, at += 2) {
-            const uint32_t period = 1 + (shape & 63u);
-            const int16_t count = j + 2 >= samples ? 0 : (j / period & 1 && !(shape & 128) ? -32767 : 32767);
+            const uint32_t period = 1 + (shape & 31u);
+            const bool on = j + 2 < samples && (!(shape & 64) || j % (4 * period) < period);
+            const int16_t count = !on ? 0 : (j / period & 1 && !(shape & 128) ? -32767 : 32767);
 
             td_put_u16(at, (uint16_t)count);
         }
@@ -383,6 +382,38 @@ static void move(void)
     grip_N = byte() & 3 ? 3 : (double)byte() / 16;
 }
 
+/* All that leads to waveforms in one breath, and some of them: started by the host, or by a contact. */
+static void play(void)
+{
+    const uint8_t how = byte(), shape = byte();
+    int32_t j, count;
+
+    hello();
+    say(TD_KIND_DISARM, &how, 0);
+    say(TD_KIND_RESET, &how, 0);
+    configure((uint8_t)((how & 0xe8) | (how & 8 ? 0 : 16)), how & 1);
+    upload(shape & 16, shape & 1);
+    speed_counts = 0;
+    for (j = 0; j < 30; j++, spent++)
+        step(0);
+    arm();
+    for (count = byte() & 15; count > 0 && spent < MOST_TICKS; count--) {
+        const uint8_t sign = byte() & 1, mode = how & 2 ? 0 : 2;
+
+        say(TD_KIND_START, &sign, 1);
+        lease();
+        speed_counts = how & 8 ? (count & 1 ? -1.2 : 1.2) : 0;
+        for (j = 4 * byte(); j > 0 && spent < MOST_TICKS; j--, spent++)
+            step(mode);
+        drain();
+        if (how & 4) {
+            say(TD_KIND_DISARM, &how, 0);
+            configure((uint8_t)((how & 0xe8) | 16), 0);
+            arm();
+        }
+    }
+}
+
 static void restart(bool kept)
 {
     td_port port;
@@ -442,8 +473,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     while (left > 0 && spent < MOST_TICKS) {
         switch (byte() & 31) {
         case 0: hello(); break;
-        case 1: configure(); break;
-        case 2: upload(); break;
+        case 1: how = byte(); configure(how, how & 7); break;
+        case 2: how = byte(); upload(how, how >> 5); break;
         case 3: arm(); break;
         case 4: { const uint8_t body = byte() & 1; say(TD_KIND_START, &body, 1); break; }
         case 5: say(TD_KIND_DISARM, data, 0); break;
@@ -458,24 +489,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         case 14: anything(); break;
         case 15: restart((byte() & 1) != 0 || hardware.has_coil); break;
         case 16: move(); break;
-        case 17: /* all that leads to a waveform, in one breath */
-            hello();
-            configure();
-            upload();
-            speed_counts = 0;
-            for (how = 0; how < 30; how++, spent++)
-                step(0);
-            arm();
-            break;
-        case 18: /* a loop of waveforms that the host starts */
-            for (how = byte() & 31; how > 0 && spent < MOST_TICKS; how--) {
-                const uint8_t body = byte() & 1;
-
-                say(TD_KIND_START, &body, 1);
-                lease();
-                steps();
-            }
-            break;
+        case 17: case 18: case 19: case 20: case 21: case 22: play(); break;
         default: steps(); break;
         }
     }

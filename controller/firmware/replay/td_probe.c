@@ -23,6 +23,24 @@ static void hold(void *context, bool held)
         abort();
 }
 
+static void put(void *context, td_real command_A, bool enabled)
+{
+    td_probe *probe = context;
+
+    (void)command_A;
+    probe->enabled = enabled;
+}
+
+bool td_probe_enabled(const td_probe *probe)
+{
+    return probe->enabled;
+}
+
+void td_probe_coil(const td_device *device, double *heat_C)
+{
+    td_device_coil(device, &heat_C[0], &heat_C[1]);
+}
+
 void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, const double *heat_C, bool simulated)
 {
     const double *h = hardware;
@@ -33,11 +51,12 @@ void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, cons
         heat_C[0],
         heat_C[1],
         hold,
-        NULL,
+        put,
         probe,
     };
 
     probe->held = 0;
+    probe->enabled = false;
     td_device_start(&probe->device, &port);
 }
 

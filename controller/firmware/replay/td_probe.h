@@ -8,6 +8,7 @@
 typedef struct {
     td_device device;
     int32_t held;
+    bool enabled; /* of the amplifier, as it was last put out */
 } td_probe;
 
 size_t td_probe_device_size(void);
@@ -36,6 +37,10 @@ typedef struct {
     uint8_t state, fault, evidence; /* TD_STATE_..., TD_WHAT_..., bits */
     uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES];
 } td_probe_view;
+
+/* Whether the amplifier may be on; winding and housing as a port keeps them. */
+bool td_probe_enabled(const td_probe *probe);
+void td_probe_coil(const td_device *device, double *heat_C);
 
 void td_probe_look(const td_device *device, td_probe_view *view);
 
