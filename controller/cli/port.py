@@ -342,15 +342,11 @@ def check(
     ] = None,
     reset: Reset = False,
 ) -> None:
-<<<<<<< HEAD
-    """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
-    from controller.cli.describe import described
-=======
     """Go through a device step by step before it is armed; it asks you to do things and sees whether you did.
 
     Exit 1: a step failed.
     """
->>>>>>> main
+    from controller.cli.describe import described
     from controller.cli.tables import VERDICTS, check_table
     from controller.device.stated import servo_numbers
     from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
