@@ -1,4 +1,4 @@
-"""The page of the protocol, generated: `python docs/protocol_pages.py` writes reference/protocol.md and its vectors."""
+"""The page of the protocol, generated: this script writes reference/protocol.md and the vectors beside it."""
 
 import inspect
 import json
@@ -21,48 +21,68 @@ What a host and a device say to each other, complete enough to write another hos
 
 ## Framing
 
-A frame on the line is `COBS(payload + CRC-32) + 0x00`: the CRC is zlib's (IEEE 802.3), 4 bytes, little-endian, of the
-payload; COBS replaces every zero (Cheshire and Baker 1999), so that 0x00 ends a frame and nothing else. What does not decode
-is dropped in silence. A payload is a header of {messages.HEADER.size} bytes (kind u8, flags u8 = 0, sequence u16, session u32) and a body
+A frame on the line is `COBS(payload + CRC-32) + 0x00`: the CRC is zlib's (IEEE 802.3), 4 bytes, little-endian,
+of the
+payload; COBS replaces every zero (Cheshire and Baker 1999), so that 0x00 ends a frame and nothing else. What
+does not decode
+is dropped in silence. A payload is a header of {messages.HEADER.size} bytes (kind u8, flags u8 = 0, sequence
+u16, session u32) and a body
 of at most {messages.BODY_LIMIT} bytes. All numbers are little-endian without padding, floating point is IEEE 754.
 `protocol_vectors.json` has one frame of every kind, byte for byte.
 
 ## A session
 
-The host chooses a session number (not 0) and says HELLO with magic 0x{messages.MAGIC:08X}; HELLO_REPLY tells the device. Of
-another version of the protocol a device answers with its own, and the remedy is to bring host and firmware to one version.
-Each request has the sequence of the one before plus 1, modulo 2^16, and one is open at a time: it is answered with the same
-sequence, by DONE, by REFUSED with a reason, or as the table says. The same sequence again gets the same answer and is not
+The host chooses a session number (not 0) and says HELLO with magic 0x{messages.MAGIC:08X}; HELLO_REPLY tells the
+device. Of
+another version of the protocol a device answers with its own, and the remedy is to bring host and firmware to
+one version.
+Each request has the sequence of the one before plus 1, modulo 2^16, and one is open at a time: it is answered
+with the same
+sequence, by DONE, by REFUSED with a reason, or as the table says. The same sequence again gets the same answer
+and is not
 carried out twice. LEASE, DATA and EVENT_ACK stand beside that: their sequence is not looked at.
 
-To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last ACK),
-COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence of its own:
+To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the
+last ACK),
+COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence of
+its own:
 PULSE with pairs, ARM with trial 1 and a tap.
 
 ## Timing
 
-- The lease is {capacity.LEASE_LEAST_MS} to {capacity.LEASE_MOST_MS} ms; without a LEASE for so long the device disarms.
+- The lease is {capacity.LEASE_LEAST_MS} to {capacity.LEASE_MOST_MS} ms; without a LEASE for so long the device
+  disarms.
 - A host that was silent for {capacity.LINK_SILENCE_MS} ms gets neither telemetry nor events until it speaks.
-- An event is sent again every {capacity.EVENT_REPEAT_MS} ms until EVENT_ACK names a larger number; {capacity.EVENT_WINDOW} are in flight, {capacity.EVENT_QUEUE} kept.
+- An event is sent again every {capacity.EVENT_REPEAT_MS} ms until EVENT_ACK names a larger number;
+  {capacity.EVENT_WINDOW} are in flight, {capacity.EVENT_QUEUE} kept.
 - A telemetry record waits {capacity.TELEMETRY_HOLD_MS} ms for its frame at most.
-- ARM and PULSE want rest: a whole window of readings since CONFIGURE_COMMIT or RESET, and at most {capacity.REST_SPEED_M_S} m/s.
-- Before each pulse of a pair lie {1e3 * capacity.REST_BETWEEN_PULSES_S:g} ms; evidence is sound from {capacity.EVIDENCE_LEAST:g} to {capacity.EVIDENCE_MOST:g}.
+- ARM and PULSE want rest: a whole window of readings since CONFIGURE_COMMIT or RESET, and at most
+  {capacity.REST_SPEED_M_S} m/s.
+- Before each pulse of a pair lie {1e3 * capacity.REST_BETWEEN_PULSES_S:g} ms; evidence is sound from
+  {capacity.EVIDENCE_LEAST:g} to {capacity.EVIDENCE_MOST:g}.
 
 """
 IMAGE = f"""## Image of a library, version {image.IMAGE_VERSION}
 
-Magic 0x{image.IMAGE_MAGIC:08X}. Header, then speeds [m/s] and grips [N] as f64, the feedback's norms [A] f64 by speed and grip, and
-the waveforms as i16 counts of `scale_A`. The device computes the transients' norms itself: `scale_A sqrt(sum count^2)`.
+Magic 0x{image.IMAGE_MAGIC:08X}. Header, then speeds [m/s] and grips [N] as f64, the feedback's norms [A] f64 by
+speed and grip, and
+the waveforms as i16 counts of `scale_A`. The device computes the transients' norms itself: `scale_A sqrt(sum
+count^2)`.
 """
 CONFIGURATION = f"""## Configuration, version {configuration.CONFIGURATION_VERSION}
 
-Magic u32 0x{configuration.CONFIGURATION_MAGIC:08X}, version u16, count u16 = {len(configuration.NAMES)}, then these numbers as f64, in order; their
-unit ends their name. Flags are 0 or 1, what is not there is 0. Only stated numbers travel. From them follow, with dt the
+Magic u32 0x{configuration.CONFIGURATION_MAGIC:08X}, version u16, count u16 = {len(configuration.NAMES)}, then
+these numbers as f64, in order; their
+unit ends their name. Flags are 0 or 1, what is not there is 0. Only stated numbers travel. From them follow,
+with dt the
 servo period and w = 2 pi pole_Hz: decay exp(-w dt) of the amplifier, exp(-w dt (1 + tolerance)) of the fastest and
-exp(-w dt (1 - tolerance)) of the slowest, prefilter 1 / (1 - decay) and -decay / (1 - decay), durations in whole periods (halves to the
+exp(-w dt (1 - tolerance)) of the slowest, prefilter 1 / (1 - decay) and -decay / (1 - decay), durations in whole
+periods (halves to the
 even neighbour, one at least), skip = ceil(delay / dt) + 1 periods and push = min(5 ms, pulse) of a test pulse.
-Readings are corrected before anything looks at them: counts times `encoder_direction`, acceleration times scale less
-`acceleration_rest_m_s2`, grip times scale less `grip_zero_N`, current times `monitor_scale`; the amplifier is asked for the
+Readings are corrected before anything looks at them: counts times `encoder_direction`, acceleration times scale
+less
+`acceleration_rest_m_s2`, grip times scale less `grip_zero_N`, current times `monitor_scale`; the amplifier is
+asked for the
 command over `amplifier_scale`.
 
 """

@@ -1,4 +1,4 @@
-"""What each request of a host is answered with, and why a device refuses it: one table, for the manual and for tests."""
+"""What each request of a host is answered with, and why a device refuses it: for the manual and for tests."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from controller.protocol.codes import Kind, Reason
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """answer : kind of the answer where it is granted. asks : states in which it is. reasons : of a refusal."""
+    """answer : kind of the answer where it is granted. states : in which it is. reasons : of a refusal."""
 
     answer: Kind | None
     states: str

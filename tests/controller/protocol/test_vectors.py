@@ -1,6 +1,7 @@
 """The manual's byte-exact frames, against both ends; and the table of requests."""
 
 import json
+import runpy
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,8 @@ from controller.protocol.codes import Kind
 from controller.protocol.requests_table import REQUESTS
 from controller.protocol.wire import Decoder, encode
 
-VECTORS = Path(__file__).parents[3] / "docs" / "reference" / "protocol_vectors.json"
+DOCS = Path(__file__).parents[3] / "docs"
+VECTORS = DOCS / "reference" / "protocol_vectors.json"
 FRAMES = json.loads(VECTORS.read_text(encoding="ascii"))
 
 
@@ -29,3 +31,9 @@ def test_both_ends_read_and_write_the_frames_of_the_manual(kind: Kind) -> None:
 
 def test_every_kind_of_a_host_stands_in_the_table_of_requests() -> None:
     assert set(REQUESTS) == {kind for kind in Kind if kind < 64}
+
+
+def test_the_page_is_what_the_code_says() -> None:
+    pages = runpy.run_path(str(DOCS / "protocol_pages.py"))
+    assert (DOCS / "reference" / "protocol.md").read_text(encoding="utf-8") == pages["protocol_page"]()
+    assert pages["vectors"]() == FRAMES
