@@ -1,19 +1,32 @@
 """The parts of the reference that the code states: written anew at every build, so that no page can drift from it."""
 
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
+from typing import get_args
 
 import click
 import typer
 
 from controller.protocol import codes, messages
 from controller.protocol.packed import OPEN_END, Packed
+from controller.servo.faults import FAULTS, SEEN_WHEN
+from controller.servo.interface import Notice, State
+from controller.servo.settings import Settings
+from transopt.base import sizes
+from transopt.base.section import Section
+from transopt.base.units import LARGEST, unit_of
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.library import ARRAYS
+from transopt.library.meta import META
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
+from transopt.scene.fitted import Source
 from transopt.scene.keys import keys
+from transopt.scene.model_file import ModelFile
+from transopt.scene.model_parts import ChainHand, ModelParts
 
 PROGRAMS = {
     "transopt": "transopt.cli.main",
@@ -76,6 +89,118 @@ def library_arrays() -> str:
     rows.append([code("meta"), "", "text", "", "JSON: time axis, limits, weights, scene, recordings, versions", ""])
     rows.append([code(HASH_FIELD), "", "text", "", "SHA-256 over names, types, shapes and bytes of all others", ""])
     return table(["array", "shape", "type", "unit", "meaning", "only where stated"], rows)
+
+
+def library_meta() -> str:
+    """What `meta` of a library states."""
+    rows = []
+    for path, stated in META.items():
+        kept = f"{stated.meaning} (kept whole)" if stated.whole else stated.meaning
+        since = f"schema {stated.since}" if stated.needed and stated.since > 1 else ""
+        rows.append([code(path), unit_of(path), kept, stated.null, since or ("always" if stated.needed else "")])
+    return table(["key", "unit", "meaning", "null", "has to be there"], rows)
+
+
+def meanings(section: type) -> dict[str, str]:
+    """Field -> what the docstring of its class, or of one that it is made of, says below Attributes."""
+    said: dict[str, str] = {}
+    for owner in reversed(section.__mro__):
+        _, _, listed = (owner.__doc__ or "").partition("Attributes\n    ----------\n")
+        for found in re.finditer(r"^ {4}(\w+) : (.+?)(?=^ {4}\w|\Z)", listed, re.DOTALL | re.MULTILINE):
+            said[found[1]] = " ".join(found[2].split())
+    return said
+
+
+def _model_part(name: str, section: type[Section]) -> str:
+    """A table of the fields of a part.
+
+    Raises
+    ------
+    KeyError : a field of which its class does not say what it is.
+    """
+    said, rows = meanings(section), []
+    for field_name, field in section.model_fields.items():
+        label = field.alias or field_name
+        needed = "" if field.is_required() else "may be missing"
+        rows.append([code(label), unit_of(label), said[field_name], needed])
+    return f"### {name}\n\n{table(['field', 'unit', 'meaning', ''], rows)}"
+
+
+def model_file() -> str:
+    """Every field of a model file, a section for each of its parts."""
+    sections = [_model_part("The file", ModelFile)]
+    for name, field in ModelParts.model_fields.items():
+        for part in get_args(field.annotation):
+            for kind in get_args(part) or [part]:
+                for section in get_args(kind) or [kind]:
+                    if isinstance(section, type) and issubclass(section, Section):
+                        sections.append(_model_part(f"`{name}`, {section.__name__}", section))
+    sections.append(_model_part("`hand` of a `drive` device", ChainHand))
+    return "\n\n".join([*sections, _model_part("One of `sources`", Source)])
+
+
+def faults() -> str:
+    """What makes a device give up, in the order in which it is looked for."""
+    numbers = {field.name: field.default for field in fields(Settings)}
+    rows = [[code(rule.fault.name), SEEN_WHEN[rule.fault].format_map(numbers), rule.fault.value] for rule in FAULTS]
+    return table(["fault", "seen when", "what it says"], rows)
+
+
+def states() -> str:
+    return ", ".join(state.name for state in State)
+
+
+def notices() -> str:
+    """What a device tells and counts, and goes on."""
+    return table(["notice", "what it says"], [[code(notice.name), notice.value] for notice in Notice])
+
+
+def bounds() -> str:
+    """How large inputs may be: of each unit, and in all."""
+    by_unit = table(["unit", "largest size of a number"], [[unit, f"{most:g}"] for unit, most in LARGEST.items()])
+    inputs = [
+        ["servo period", f"{sizes.SHORTEST_DT_S:g} to {sizes.LONGEST_DT_S:g} s"],
+        ["waveform", f"{sizes.MOST_STAGES} commands and {sizes.LONGEST_HORIZON_S:g} s"],
+        ["delay of an amplifier", f"{sizes.LONGEST_DELAY_S:g} s"],
+        ["lead", f"{sizes.LONGEST_LEAD_S:g} s"],
+        ["what is looked at after the waveform", f"{sizes.MOST_AFTER} samples and {sizes.LONGEST_AFTER_S:g} s"],
+        ["speeds, and grips, of a library", f"{sizes.MOST_NODES} each"],
+        ["commands of a library", f"{sizes.MOST_COMMANDS}"],
+        ["states of a device", f"{sizes.MOST_STATES}"],
+        ["devices that a robust entry serves besides its own", f"{sizes.MOST_DEVICES}"],
+        ["recordings of a scene", f"{sizes.MOST_FILES}"],
+        ["a recording", f"{sizes.MOST_SAMPLES} samples, {sizes.MOST_COLUMNS} columns"],
+        ["file of a scene, a motor or a device", sizes.megabytes(sizes.MOST_TEXT_BYTES)],
+        ["model file", sizes.megabytes(sizes.MOST_MODEL_BYTES)],
+        ["file of a recording or a library", sizes.megabytes(sizes.MOST_FILE_BYTES)],
+        ["the same, unpacked", sizes.megabytes(sizes.MOST_UNPACKED_BYTES)],
+        ["tables in tables, of TOML and JSON", f"{sizes.DEEPEST} deep"],
+    ]
+    return f"{table(['input', 'at most'], inputs)}\n\n{by_unit}"
+
+
+def exit_codes() -> str:
+    """What exit code 1 of every command means, as its help says it."""
+    rows = []
+    for words, command in leaves():
+        _, said, meaning = _prose(command.help).partition("Exit 1: ")
+        if said:
+            rows.append([code(words), meaning.rstrip(".")])
+    return table(["command", "exit code 1"], rows)
+
+
+def leaves() -> Iterator[tuple[str, click.Command]]:
+    """Every command that does something, by the words that call it."""
+    for program, module in PROGRAMS.items():
+        yield from _leaves(typer.main.get_command(import_module(module).app), program)
+
+
+def _leaves(command: click.Command, words: str) -> Iterator[tuple[str, click.Command]]:
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield words, command
+    for name, one in (inner or {}).items():
+        yield from _leaves(one, f"{words} {name}")
 
 
 def statuses() -> str:
@@ -151,6 +276,13 @@ PARTS: dict[str, Callable[[], str]] = {
     "commands": commands,
     "scene_keys": scene_keys,
     "library_arrays": library_arrays,
+    "library_meta": library_meta,
+    "model_file": model_file,
+    "bounds": bounds,
+    "exit_codes": exit_codes,
+    "faults": faults,
+    "notices": notices,
+    "states": states,
     "statuses": statuses,
     "messages": protocol_messages,
     "reasons": refusals,

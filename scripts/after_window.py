@@ -1,6 +1,6 @@
 """What a tap does when its waveform is over, by several ways to end it, played on devices that are not the model.
 
-    python scripts/after_window.py [SCENE...] [--devices 20] [--wrong 0.1] [--seed N] [--json FILE]
+    python scripts/after_window.py [SCENE...] [--devices 20] [--wrong 0.1] [--seed N] [--json FILE] [--page PAGE.md]
 
 Every way is a library of the scene: as if the window were all (`window`), with 30 samples of hand-over in place of 10
 (`long`), with the error after the window in the problem (`tail`), and with both. Every entry is played by the servo
@@ -17,6 +17,7 @@ import numpy as np
 import typer
 from common.command import JsonFile, Seed, at_least, run, write_json
 from common.experiment import play_tap
+from common.page import PageFile, write_part
 
 import problems
 from controller.servo.servo import Servo
@@ -26,6 +27,7 @@ from controller.sim.true_device import device_of
 from controller.waveforms.bank import bank
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
+from transopt.base.writing import table
 from transopt.design.build import build_library
 from transopt.library.library import Library
 from transopt.problem.objective.target import Target
@@ -36,6 +38,22 @@ from transopt.scene.scene import Scene
 LAST_S = 5e-3  # of the window, in which the kick is looked for
 AFTER_S = 30e-3  # that is looked at, whatever the problem looks at
 LOOKED_S = AFTER_S + 2e-3  # that is simulated, with room for what is played late
+WORDS = {
+    "window": "as if it were all",
+    "long": "30 samples of hand-over",
+    "tail": "the term",
+    "both": "both",
+}
+HEAD = (
+    "scene",
+    "way",
+    "NRMSE by the model %",
+    "NRMSE played %",
+    "error after %",
+    "peak error after, model g",
+    "played g",
+    "kick A",
+)
 WAYS = {"window": (0.0, 10), "long": (0.0, 30), "tail": (AFTER_S, 10), "both": (AFTER_S, 30)}
 
 
@@ -119,8 +137,8 @@ def played(
     return found
 
 
-def table_row(name: str, way: str, taps: list[Ended]) -> str:
-    """Means and worst of one way in one scene."""
+def figures_of(taps: list[Ended]) -> tuple[float, ...]:
+    """Of one way in one scene: mean errors in % by the model, played and after; worst peaks in g, worst kick in A."""
     mean = [
         100 * float(np.mean([getattr(tap, key) for tap in taps])) for key in ("nrmse", "after", "predicted_nrmse")
     ]
@@ -128,11 +146,12 @@ def table_row(name: str, way: str, taps: list[Ended]) -> str:
         max(getattr(tap, key) for tap in taps) / STANDARD_GRAVITY_M_S2
         for key in ("peak_after_m_s2", "predicted_peak_m_s2")
     )
-    kick = max(tap.kick_A for tap in taps)
-    return (
-        f"{name:16s} {way:7s} {len(taps):5d} {mean[2]:8.2f} {mean[0]:8.2f} {mean[1]:8.2f} {of_model:8.3f} "
-        f"{peak:8.3f} {kick:8.2f}"
-    )
+    return mean[2], mean[0], mean[1], of_model, peak, max(tap.kick_A for tap in taps)
+
+
+def in_cells(figures: tuple[float, ...]) -> list[str]:
+    """As they are printed: percent and amperes with two decimals, g with three."""
+    return [f"{value:.{digits}f}" for value, digits in zip(figures, (2, 2, 2, 3, 3, 2), strict=True)]
 
 
 def main(
@@ -143,8 +162,10 @@ def main(
     wrong: Annotated[float, at_least(0, "share by which every parameter of the others may be off")] = 0.1,
     seed: Seed = 1,
     json: JsonFile = None,
+    page: PageFile = None,
 ) -> int:
     found: list[Ended] = []
+    rows: list[list[str]] = []
     print("                                model   played    after    model     peak     kick")
     print("scene            way      taps NRMSE %  NRMSE %        %   peak g        g        A")
     for name in scenes or problems.scene_names():
@@ -167,10 +188,13 @@ def main(
             if not taps:
                 print(f"{name:16s} {way:7s} the servo plays none of it: the coil is too warm to begin with")
                 continue
-            print(table_row(name, way, taps), flush=True)
+            cells = in_cells(figures_of(taps))
+            print(f"{name:16s} {way:7s} {len(taps):5d} {' '.join(f'{cell:>8s}' for cell in cells)}", flush=True)
+            rows.append([name if not rows or name not in (row[0] for row in rows) else "", WORDS[way], *cells])
             found += taps
     if json is not None:
         write_json([asdict(tap) for tap in found], json)
+    write_part(page, table(HEAD, rows))
     return 0
 
 

@@ -33,6 +33,7 @@ from common.benchmark_cases import (
 )
 from common.command import JsonFile, at_least, run, write_json
 from common.measuring import on_one_thread
+from common.page import PageFile, write_part
 
 import problems
 from transopt.base.files import without_nan
@@ -162,7 +163,9 @@ def cells(rows: list[Row]) -> list[list[str]]:
 HEAD = ("case", "method", "median ms", "quartiles ms", "set-up ms", "gap / max(J, 1e-3)", "violation A, V or K")
 
 
-def main(runs: Annotated[int, at_least(1, "timed runs of each method")] = 15, json: JsonFile = None) -> None:
+def main(
+    runs: Annotated[int, at_least(1, "timed runs of each method")] = 15, json: JsonFile = None, page: PageFile = None
+) -> None:
     rows, taken, memory_MB = measure(runs)
     about = {
         "machine": machine(),
@@ -170,7 +173,9 @@ def main(runs: Annotated[int, at_least(1, "timed runs of each method")] = 15, js
         "default_solver": SolverOptions().solver,
         "peak_memory_MB": round(memory_MB, 1),
     }
-    print(about, "", *ratios(rows, taken), "", *table(HEAD, cells(rows)), sep="\n")
+    text = [*table(HEAD, cells(rows)), *(f"- {ratio}" for ratio in ratios(rows, taken))]
+    print(about, "", *text, sep="\n")
+    write_part(page, text)
     if json is not None:
         write_json(without_nan({**about, "rows": [asdict(r) for r in rows]}), json)
 

@@ -17,6 +17,7 @@ from typing import Annotated
 
 from common.command import run
 from common.measuring import elapsed_ms, on_one_thread
+from common.page import PageFile, write_part
 from precision.cases import SCENES, Case, DisagreementError, case_of_scene, check_name
 from precision.figure import save_small, work_precision
 from precision.methods import Level, Method, baselines, discretisations, opti_ipopt, project_methods
@@ -108,6 +109,7 @@ def compared(
         Path | None, Option(metavar="FILE.png", help="also write the figure here, in few colours")
     ] = None,
     dump: Annotated[Path | None, Option(metavar="DIR", help="write the QPs here as NPZ")] = None,
+    page: PageFile = None,
 ) -> int:
     if out is None and dump is None:
         raise InputError("nothing to do: state --out DIR, --dump DIR or both")
@@ -155,6 +157,9 @@ def compared(
         save_small(drawn, figure)
     write_text(text, out / REPORT)
     print("\n".join(summaries_of(cases, rows)))
+    summaries = summaries_of(cases, rows)
+    # On the page they stand in the middle of a section.
+    write_part(page, [f"**{line[4:]}**" if line.startswith("### ") else line for line in summaries])
     print(f"{out}: {REPORT}, {FIGURE}, {ROWS}; {time.perf_counter() - started:.0f} s in all")
     return 0
 

@@ -14,11 +14,13 @@ from typing import Annotated
 
 import numpy as np
 from common.command import at_least, run
+from common.page import PageFile, write_part
 from typer import Option
 
 import problems
 from transopt.base.plotting import save_figure
 from transopt.base.signals import FloatArray
+from transopt.base.writing import table
 from transopt.design.build import build_library
 from transopt.design.entry import entry_problem
 from transopt.design.intensity import best
@@ -27,7 +29,6 @@ from transopt.library.library import Library
 from transopt.plant.discretise import discretise
 from transopt.proof.replay import replayed_errors
 from transopt.recordings.reference import Reference, between, build_references
-from transopt.report.grid_figure import grid_figure
 from transopt.scene.scene import Scene
 from transopt.scene.strikes import recordings
 from transopt.solvers.options import SolverOptions
@@ -58,8 +59,10 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
     return np.array(found)
 
 
-def demonstrate(name: str, scene: Scene, points: int, tolerance: float, cap: int, out: Path | None) -> bool:
-    """One device: refined, built both ways, compared; whether the tolerance holds at every point."""
+def demonstrate(
+    name: str, scene: Scene, points: int, tolerance: float, cap: int, out: Path | None
+) -> tuple[bool, list[list[object]]]:
+    """One device: refined, built both ways, compared; whether the tolerance holds at every point, and its rows."""
     taps = recordings(scene)
     refinement = refine_grid(scene, taps, tolerance, cap=cap)
     if refinement.shortfall:
@@ -72,7 +75,7 @@ def demonstrate(name: str, scene: Scene, points: int, tolerance: float, cap: int
     found = 100 * excess(scene, references, places, *(library for library in libraries if library is not None))
     if found.shape[1] != 2:
         print(f"{name}: entries refused, no library to compare")
-        return False
+        return False, []
     print(f"{name}: {points} random points, tolerance {100 * tolerance:g} %")
     entries = (refinement.recorded_entries, refinement.entries)
     for text, count, errors in zip(("without refinement", "with refinement"), entries, found.T, strict=True):
@@ -86,8 +89,15 @@ def demonstrate(name: str, scene: Scene, points: int, tolerance: float, cap: int
     print(f"  {refinement.elapsed_s:.1f} s for {refinement.rounds} rounds, {built_s:.1f} s for both libraries")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        save_figure(grid_figure(refinement), out / f"grid_error_{name}.png")
-    return bool(found[:, 1].max() <= 100 * tolerance)
+        save_figure(refinement.plot(), out / f"grid_error_{name}.png")
+    sizes = f"refined, {len(grid.speeds_m_s)} speeds x {len(grid.grips_N)} grips"
+    rows: list[list[object]] = [
+        [device, words, count, f"{errors.max():.2f}", f"{np.median(errors):.2f}"]
+        for device, words, count, errors in zip(
+            (f"`{name}`", ""), ("of the scene", sizes), entries, found.T, strict=True
+        )
+    ]
+    return bool(found[:, 1].max() <= 100 * tolerance), rows
 
 
 def main(
@@ -95,11 +105,14 @@ def main(
     tolerance: Annotated[float, Option(help="largest excess, absolute in NRMSE")] = 0.02,
     cap: Annotated[int, Option(help="most entries")] = DEFAULT_CAP,
     out: Annotated[Path | None, Option(help="folder for the figures")] = None,
+    page: PageFile = None,
 ) -> int:
     scene = problems.load("wood_on_foam")
     devices = {"wood_on_foam": scene, "soft_hand": soft_hand(scene)}
-    held = [demonstrate(name, device, points, tolerance, cap, out) for name, device in devices.items()]
-    return 0 if all(held) else 1
+    shown = [demonstrate(name, device, points, tolerance, cap, out) for name, device in devices.items()]
+    head = ("device", "grid", "entries", "worst excess %", "median excess %")
+    write_part(page, table(head, [row for _, rows in shown for row in rows]))
+    return 0 if all(held for held, _ in shown) else 1
 
 
 if __name__ == "__main__":

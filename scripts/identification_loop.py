@@ -28,6 +28,7 @@ from pathlib import Path
 
 import numpy as np
 from common.experiment import play_tap
+from common.page import write_part
 from matplotlib.figure import Figure
 from rich.table import Table
 
@@ -48,6 +49,7 @@ from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT, save_figure
+from transopt.base.writing import table as markdown_table
 from transopt.design.optimum import optimum
 from transopt.library.file import load_library
 from transopt.library.library import Library
@@ -259,6 +261,19 @@ def table(mismatch: float, stages: Sequence[Stage], library: Library) -> Table:
     return shown
 
 
+def in_markdown(results: dict[float, list[Stage]]) -> list[str]:
+    """Mean and worst in % of every library, a column for each mismatch, with the largest current in A."""
+    head = ["library", *(f"mismatch {mismatch:g}: mean (worst), at most" for mismatch in results)]
+    rows = [
+        [
+            stages[0].name,
+            *(f"{100 * s.mean:.2f} ({100 * s.worst:.1f}), {s.peak_current_A:.3f} A" for s in stages),
+        ]
+        for stages in zip(*results.values(), strict=True)
+    ]
+    return markdown_table(head, rows)
+
+
 def figure(results: dict[float, list[Stage]]) -> Figure:
     """Mean and worst by stage, one line per mismatch, the known truth as a level."""
     drawn = Figure(figsize=(8.0, 3.6), layout="constrained")
@@ -313,6 +328,7 @@ def main() -> None:
     parser.add_argument("--grips", default="1,2,3,4,5", help="at which sweeps are recorded, in N")
     parser.add_argument("--without-identification", action="store_true", help="refine the nominal library")
     parser.add_argument("--out", type=Path, default=Path("out/identification_loop"))
+    parser.add_argument("--page", type=Path, help="page of results whose marked part is written anew")
     arguments = parser.parse_args()
     console, began_s = terminal.console(), time.monotonic()
     try:
@@ -328,6 +344,7 @@ def main() -> None:
         console.print(table(mismatch, stages, library))
         failed += shortfalls(mismatch, stages, float(library.meta["limits"]["current_A"]))
     save_figure(figure(results), arguments.out / "loop.png")
+    write_part(arguments.page, in_markdown(results))
     told = {f"{mismatch:g}": [asdict(stage) for stage in stages] for mismatch, stages in results.items()}
     with whole_file(arguments.out / "loop.json") as file:
         file.write(json.dumps(told, indent=1).encode("ascii"))

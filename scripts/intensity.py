@@ -1,6 +1,6 @@
 """What the search for intensity costs and what its answers are worth, on the default scene.
 
-    python scripts/intensity.py [SCENE] [--currents 4,2.5,1.25] [--starts 0] [--seed 1] [--json FILE] [--out FILE.md]
+    python scripts/intensity.py [SCENE] [--currents 4,2.5,1.25] [--starts 0] [--seed 1] [--json FILE] [--page PAGE.md]
 
 Every entry of the scene is solved for the energy of the recorded tap under each current limit. Printed per limit: how
 many entries are asked for more than the nearest waveform has, the price lam, what is left of the energy in dB, the
@@ -10,18 +10,18 @@ starts per entry, and no command that it finds may have a smaller J. Exit code 1
 """
 
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import casadi as ca
 import numpy as np
 from common.command import JsonFile, Seed, at_least, run, write_json
+from common.page import PageFile, write_part
 from typer import Argument, Option
 
 import problems
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
-from transopt.base.writing import table, write_text
+from transopt.base.writing import table
 from transopt.design.attained import TOLERANCE_dB
 from transopt.design.entry import entry_problem, scene_stage, spread_stages
 from transopt.design.intensity import MOST, intense
@@ -255,7 +255,7 @@ def main(
     starts: Annotated[int, at_least(0, "random starts of IPOPT per entry that is searched for")] = 0,
     seed: Seed = 1,
     json: JsonFile = None,
-    out: Annotated[Path | None, Option(help="also write the tables here, as Markdown")] = None,
+    page: PageFile = None,
 ) -> int:
     try:
         limits = [float(text) for text in currents.split(",")]
@@ -271,8 +271,7 @@ def main(
     print("\n".join(short) or f"nothing falls short; tolerance of the search {TOLERANCE_dB:g} dB")
     if json is not None:
         write_json([asdict(each) for each in found], json)
-    if out is not None:
-        write_text("\n".join(text), out)
+    write_part(page, text)
     return 1 if short else 0
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import seed.device as seed_device
 from common.command import at_least, run
 from common.experiment import Played
+from common.page import PageFile, write_part
 from seed.comparison import NOMINAL, Condition, Kit, compare, kit, midpoints, nodes, result, summarise
 from seed.plots import Series, blind_line, method_figure, optimum_line, steady_line, tap_grid
 from seed.report import (
@@ -270,12 +271,17 @@ def method_comparison(experiment: Experiment, out: Path) -> list[str]:
     ]
 
 
-def write_all(experiment: Experiment, out: Path, command: str, *, sweep_s: float = SWEEP_S) -> None:
-    """Every file of the command into the folder `out`, each whole."""
+def write_all(
+    experiment: Experiment, out: Path, command: str, *, sweep_s: float = SWEEP_S, page: Path | None = None
+) -> None:
+    """Every file of the command into the folder `out`, each whole, and what was found by the methods into a page."""
     started = time.perf_counter()
+    methods, played = method_comparison(experiment, out), played_figures(experiment, out)
+    figures = [line for line in methods if not line.startswith(("## ", "!["))]
+    write_part(page, [*figures, *(line for line in played if line.startswith("- "))])
     parts = [
-        *method_comparison(experiment, out),
-        *played_figures(experiment, out),
+        *methods,
+        *played,
         *device_figures(experiment.scene, experiment.conditions, sweep_s, out),
     ]
     computer, installed = machine(), versions("transopt", "numpy", "scipy", "casadi", "matplotlib")
@@ -296,11 +302,14 @@ def main(
     out: Annotated[Path, Option(help="folder for everything that is written")],
     devices: Annotated[int, at_least(1, "random mismatched devices")] = 20,
     jobs: Annotated[int, at_least(1, "processes")] = min(os.cpu_count() or 1, 2),
+    page: PageFile = None,
 ) -> None:
     make_folder(out)
     library, steady = libraries(problems.load(SCENE))
     experiment = Experiment(library, steady, nodes(library), METHODS, devices, jobs)
-    write_all(experiment, out, f"python scripts/seed_figures.py --out DIR --devices {devices} --jobs {jobs}")
+    write_all(
+        experiment, out, f"python scripts/seed_figures.py --out DIR --devices {devices} --jobs {jobs}", page=page
+    )
     print(out / "seed.md")
 
 

@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from transopt.recordings.tap import prepare, read_recordings
     from transopt.report.write import write_report
     from transopt.scene.builtin import load_scene, scene_names
+    from transopt.scene.file import with_model
+    from transopt.scene.keys import with_values
     from transopt.scene.recordings import recordings_of
     from transopt.scene.scene import Scene
     from transopt.solvers.choose import solve as solve_problem
@@ -81,6 +83,8 @@ __all__ = [
     "solve",
     "solve_problem",
     "verify",
+    "with_model",
+    "with_values",
     "write_report",
 ]
 
@@ -119,6 +123,8 @@ _HOME = {
     "solve": "design.solve",
     "solve_problem": "solvers.choose:solve",
     "verify": "design.verify:verify_library",
+    "with_model": "scene.file",
+    "with_values": "scene.keys",
     "write_report": "report.write",
 }
 

@@ -296,7 +296,10 @@ def check(
     ] = False,
     reset: Reset = False,
 ) -> None:
-    """Go through a device step by step before it is armed; it asks you to do things and sees whether you did."""
+    """Go through a device step by step before it is armed; it asks you to do things and sees whether you did.
+
+    Exit 1: a step failed.
+    """
     from controller.cli.tables import VERDICTS, check_table
     from controller.host.bringup import Check, Result, check_skipped, passed, run_steps
     from controller.host.payload import payload, trial_sweep

@@ -83,7 +83,10 @@ def record_sweep(
     seed: Seed = 0,
     crossover: Crossover = 0.01,
 ) -> None:
-    """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads."""
+    """Swept sines on a stylus held still: one NPZ per trial, which `transopt identify amplifier|device` reads.
+
+    Exit 1: a trial could not be recorded whole.
+    """
     from controller.record.sweep_plan import Purpose, sweep_plan
 
     simulated = is_simulated(context, "record sweep", simulate, port)
@@ -169,7 +172,10 @@ def record_tap(
     seed: Seed = 0,
     crossover: Crossover = 0.01,
 ) -> None:
-    """Record taps: on a real object, device idle, or simulated those of a library."""
+    """Record taps: on a real object, device idle, or simulated those of a library.
+
+    Exit 1: a fault or a lost lease, or no tap was heard.
+    """
     within("trigger", trigger, 0.05, 100.0, " g")
     within("count-um", count_um, 1e-3, 1e4, " um")
     within("taps", taps, 1, 1_000_000)

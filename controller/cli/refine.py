@@ -53,7 +53,10 @@ def refine(
     accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:
-    """Refine a library on its device: taps are repeated, measured, learnt from; the result is certified as before."""
+    """Refine a library on its device: taps are repeated, measured, learnt from; the result is certified again.
+
+    Exit 1: nothing became better, a limit was left, or a fault or a lost lease ended it.
+    """
     simulated = is_simulated(context, "refine", simulate, port)
     within("rounds", rounds, 1, 20)
     within("taps", taps, 2, 100)

@@ -68,7 +68,10 @@ def tap(
     accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:
-    """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature."""
+    """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature.
+
+    Exit 1: a fault, a lost lease, or no tap that was played to its end.
+    """
     simulated = is_simulated(context, "tap", simulate, port)
     within("gain", gain, 0.0, 1.0)
     within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")

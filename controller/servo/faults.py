@@ -125,3 +125,25 @@ FAULTS = (
     _rule(Fault.GRIP_SHORT, lambda w: w.has_grip and w.raw_grip_N > w.settings.grip_short_N),
     _rule(Fault.GRIP_LOST, lambda w: w.playing and _loose(w), _loose),
 )
+
+
+# What each is seen by, for the manual; in braces the settings that decide.
+SEEN_WHEN = {
+    Fault.EMERGENCY_STOP: "it is pressed",
+    Fault.BAD_SENSOR: (
+        "encoder or current give no number, or more than {encoder_limit_counts} counts or {current_range_A} A"
+    ),
+    Fault.OVER_CURRENT: "the measured current is above {over_current} times the limit",
+    Fault.OVER_TEMPERATURE: "the estimated winding is above its limit, or no number",
+    Fault.ENCODER_JUMP: "the encoder moves faster than {fastest_m_s} m/s",
+    Fault.ENCODER_STUCK: (
+        "{stuck_A_s} A s of a transient, or {stuck_s} s above {stuck_A} A, pass without a count of the encoder"
+    ),
+    Fault.NO_CURRENT: (
+        "for {no_current_s} s less than {no_current_part} of the expected current flows, where that is "
+        "{no_current_A} A or more"
+    ),
+    Fault.GRIP_OPEN: "the grip reads below {grip_open_N} N, or no number",
+    Fault.GRIP_SHORT: "the grip reads above {grip_short_N} N",
+    Fault.GRIP_LOST: "while a transient plays the grip falls below the library's least",
+}

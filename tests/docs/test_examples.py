@@ -2,12 +2,14 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import transopt as to
-from tests.docs.pages import blocks, text
+from tests.docs.pages import blocks, fenced, text
 from transopt.library.library import Library
+from transopt.solvers import choose
 from transopt.solvers.native import extension
 
 [README] = blocks("README.md", "python")
@@ -38,6 +40,19 @@ def test_online(
     assert re.search(r"J = 0\.\d+, gap \de-\d+, ", capsys.readouterr().out)
 
 
+def test_a_solver_from_outside_the_package_designs_a_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's own file, entered by its steps."""
+    method, use = fenced("docs/develop/add_solver.md")
+    assert method.file == "my_solver.py"
+    (tmp_path / method.file).write_text(method.code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(choose, "SOLVERS", dict(choose.SOLVERS))
+    names: dict[str, Any] = {}
+    exec(use.code, names)
+    [own] = to.build(names["scene"]).all_entries()
+    assert names["entry"].certificate.objective == pytest.approx(own.certificate.objective, rel=1e-7)
+
+
 def test_python_api(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     exec(API, {})  # the block is this repository's own text
@@ -49,13 +64,6 @@ def test_the_page_on_python_names_the_whole_interface() -> None:
     page = text("docs/reference/python.md")
     table = page[page.index("| for |") : page.index("These names")]
     assert set(re.findall(r"`(\w+)", table)) == set(to.__all__)
-
-
-def test_limits_of_your_own() -> None:
-    names: dict[str, object] = {}
-    for block in blocks("docs/limits/own.md", "python"):
-        exec(block, names)
-    assert names["LIMITS"]
 
 
 class TestNumpyAlone:

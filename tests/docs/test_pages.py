@@ -14,14 +14,19 @@ import pytest
 import typer
 
 from controller.protocol.codes import Kind, Reason
+from controller.servo.interface import Fault, Notice
 from tests.benches.places import ROOT
-from tests.docs.pages import DOCS, PAGES, blocks, text
+from tests.docs.pages import DOCS, FENCED, PAGES, blocks, fenced, named, text
 from transopt.library.library import ARRAYS
+from transopt.library.meta import META
 from transopt.problem.answer import Status
 from transopt.scene.builtin import load_scene
 from transopt.scene.keys import keys
+from transopt.scene.model_parts import CoilPart, DriveDevice, HandPart
 
-LANGUAGES = {"sh", "python", "toml", "text", "bibtex", "{toctree}", "{include}", "{code-cell}"}
+OUTPUT = {"text", "bibtex"}
+RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
+BUILT = {"{toctree}", "{include}", "{code-cell}"}  # by Sphinx, which executes the cells
 COMMANDS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
@@ -32,7 +37,9 @@ COMMANDS = {
 # Page of the reference -> the words that the code has for it to name.
 STATED: dict[str, Callable[[], Iterable[str]]] = {
     "scene_keys": lambda: [key.path for key in keys(load_scene("wood_on_foam"))],
-    "library_file": lambda: ARRAYS,
+    "library_file": lambda: [*ARRAYS, *META],
+    "model_file": lambda: [name for part in (DriveDevice, HandPart, CoilPart) for name in part.model_fields],
+    "faults": lambda: [*(fault.name for fault in Fault), *(notice.name for notice in Notice)],
     "messages": lambda: [*(kind.name for kind in Kind), *(reason.name for reason in Reason)],
     "exit_codes": lambda: [status.name for status in Status],
     "commands": lambda: [
@@ -44,19 +51,13 @@ STATED: dict[str, Callable[[], Iterable[str]]] = {
 }
 
 
-def named(page: Path) -> str:
-    return str(page.relative_to(ROOT))
-
-
 @pytest.mark.parametrize("page", PAGES, ids=named)
 class TestPage:
     def test_every_block_says_what_it_is(self, page: Path) -> None:
-        opened = re.findall(r"^```(.*)$", text(page), flags=re.MULTILINE)[::2]
-        assert {first.split(" ")[0] for first in opened} <= LANGUAGES
-
-    def test_links_lead_somewhere(self, page: Path) -> None:
-        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text(page)):
-            assert target.startswith("https://") or (page.parent / target).exists(), target
+        assert {block.language for block in fenced(page)} <= OUTPUT | RUN | BUILT
+        assert len(fenced(page)) == len(re.findall(r"^```", text(page), flags=re.MULTILINE)) / 2
+        indented = re.findall(r"\n\n( {4}\S.*)", FENCED.sub("", text(page)))
+        assert not indented, "a block without a fence cannot say what it is"
 
     def test_python_compiles_and_toml_parses(self, page: Path) -> None:
         for block in blocks(page, "python"):
@@ -71,6 +72,33 @@ class TestPage:
                 if words and words[0] in COMMANDS:
                     _check(words)
 
+    def test_commands_in_the_text_exist(self, page: Path) -> None:
+        for span in re.findall(r"`([^`]+)`", FENCED.sub("", text(page))):
+            words = span.split()
+            if words[0] in COMMANDS:
+                _check(words)
+
+    def test_places_in_the_code_exist(self, page: Path) -> None:
+        for file, name in re.findall(r"`((?:\w+/)+\w+\.\w+)(?::(\w+))?`", FENCED.sub("", text(page))):
+            if file.split("/")[0] not in ("transopt", "controller", "problems", "scripts", "tests", "docs"):
+                continue
+            assert (ROOT / file).exists(), file
+            stated = rf"^\s*(?:def|class|async def) {name}\b|^\s*{name}\b[^=\n]*=|^[\w *]+\b{name}\("
+            if name:
+                assert re.search(stated, text(file), re.MULTILINE), f"{file}:{name}"
+
+    def test_scripts_and_their_options_exist(self, page: Path) -> None:
+        for name, options in re.findall(r"python (scripts/[a-z_]+\.py)([^`|\n]*)", text(page)):
+            assert (ROOT / name).exists(), name
+            for option in re.findall(r"--[\w-]+", options):
+                assert option in sources(ROOT / name), f"{name} {option}"
+
+
+def sources(script: Path) -> str:
+    """Of a script and of its helpers, some of which read its command line."""
+    helpers = [path for path in (ROOT / "scripts").glob("*/*.py") if path.parent.stem in script.read_text()]
+    return "\n".join(path.read_text(encoding="utf-8") for path in (script, *helpers))
+
 
 def _check(words: list[str]) -> None:
     from importlib import import_module
@@ -78,7 +106,7 @@ def _check(words: list[str]) -> None:
     app = import_module(COMMANDS[words[0]]).app
     command: click.Command = typer.main.get_command(app)
     rest = words[1:]
-    while isinstance(command, click.Group) or hasattr(command, "commands"):
+    while rest and (isinstance(command, click.Group) or hasattr(command, "commands")):
         assert rest[0] in command.commands, " ".join(words)  # type: ignore[union-attr]
         command, rest = command.commands[rest[0]], rest[1:]  # type: ignore[union-attr]
     known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
@@ -99,9 +127,10 @@ def test_readme_is_one_page_with_a_figure_at_its_top() -> None:
     any(util.find_spec(name) is None for name in ("sphinx", "myst_nb", "furo")),
     reason="the extra docs is not installed: pip install -e '.[docs]'",
 )
+@pytest.mark.timeout(300)  # eight pages are run, and the suite may have the processor
 def test_the_manual_builds_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", str(DOCS), str(tmp_path)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=110)
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280)
     assert ended.returncode == 0, ended.stderr
     for name, stated in STATED.items():
         page = re.sub("<[^>]*>", "", (tmp_path / f"reference/{name}.html").read_text(encoding="utf-8"))

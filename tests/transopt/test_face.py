@@ -226,6 +226,9 @@ class TestInANotebook:
 
 
 class TestFigures:
+    def test_a_notebook_shows_what_plot_returns(self, library: to.Library) -> None:
+        assert library.plot()._repr_png_()[:4] == b"\x89PNG"
+
     def test_a_library_and_its_build_draw_the_same_curves(self, build: to.Build) -> None:
         one, other = build.library.plot(), build.plot()
         for mine, its in zip(one.axes, other.axes, strict=True):

@@ -1,5 +1,6 @@
 """What all figures share: sizes, colours, and writing them whole."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,18 @@ LABEL_PT, SMALL_PT = 9.0, 8.0
 OPTIMUM, SEED, CLIPPED = "#0072B2", "#D55E00", "#009E73"  # Okabe and Ito's blue, vermilion and green
 DARK = "0.15"
 VIRIDIS_RANGE = (0.12, 0.8)  # darker hides a reference drawn over it, lighter fades on white paper
+
+
+class Drawing(Figure):
+    """A figure that a notebook shows by itself.
+
+    A notebook knows how to show figures of pyplot, and only once pyplot has been loaded, which nothing here does.
+    """
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png", dpi=DPI)
+        return file.getvalue()
 
 
 def save_figure(figure: Figure, path: Path) -> None:

@@ -1,5 +1,6 @@
 """What the command lines share: the console, folders that can be written, errors in one line."""
 
+import _thread
 import faulthandler
 import io
 import os
@@ -21,6 +22,7 @@ from transopt.base import apart
 from transopt.base.errors import InputError
 from transopt.base.nearest import did_you_mean
 
+AGAIN_S = 0.01  # between a signal that Python ignored and the next try
 LAST_S = 0.6  # between a signal and the end of the process, whatever it is doing
 WIDTH = 160  # of tables without a terminal, so that logs and pipes keep whole lines
 
@@ -133,10 +135,19 @@ def _leave(code: int) -> NoReturn:
     os._exit(code)
 
 
+def _signal_again(number: int) -> None:
+    """To the main thread, out of its sleep where the platform can."""
+    if sys.platform == "win32":
+        _thread.interrupt_main(number)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, number)
+
+
 @contextmanager
 def _signals_end_it() -> Iterator[list[int]]:
     """SIGINT, SIGTERM and SIGHUP raise an exception, so that all that is open is tidied up on the way out.
 
+    Where Python ignores exceptions, in a destructor or the callback of a weak reference, the signal comes once more.
     If the process has not ended `LAST_S` after the first of them, because a library has swallowed the exception or
     does not come back, it ends at once, unless the command `takes_its_time`. Yields the signals that came.
     """
@@ -154,10 +165,20 @@ def _signals_end_it() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield came
         return
+    said_before = sys.unraisablehook
+
+    def ignored(what: "sys.UnraisableHookArgs") -> None:
+        if came and issubclass(what.exc_type, KeyboardInterrupt | SystemExit):
+            # From a thread of its own, so that it comes when this place is left.
+            threading.Timer(AGAIN_S, _signal_again, (came[0],)).start()
+        else:
+            said_before(what)
+
     asked = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in asked}
     with Path(os.devnull).open("w") as nothing:
         try:
+            sys.unraisablehook = ignored
             for number, answer in before.items():
                 if answer is not signal.SIG_IGN:  # as in the background of a shell
                     signal.signal(number, end)
@@ -165,6 +186,7 @@ def _signals_end_it() -> Iterator[list[int]]:
         finally:
             for number, answer in before.items():
                 signal.signal(number, answer)
+            sys.unraisablehook = said_before
             if came:
                 faulthandler.cancel_dump_traceback_later()
 

@@ -24,7 +24,10 @@ def identify_amplifier(
     files: Annotated[list[Path], typer.Argument(help="Sweeps with command_A and current_A: CSV, NPZ or MAT.")],
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
 ) -> None:
-    """Pole and delay of the current amplifier from swept sines; exit 1 if they are not fit to design with."""
+    """Pole and delay of the current amplifier from swept sines.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from transopt.base.plotting import save_figure
     from transopt.identify.amplifier import fit_amplifier
     from transopt.identify.figures.amplifier import amplifier_figure

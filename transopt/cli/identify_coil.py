@@ -35,7 +35,10 @@ def identify_coil(
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
     ] = None,
 ) -> None:
-    """Thermal resistances and time constants of the coil; exit 1 if they are not fit to design with."""
+    """Thermal resistances and time constants of the coil.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from dataclasses import replace
 
     from transopt.base.plotting import save_figure

@@ -43,7 +43,10 @@ def identify_device(
         ),
     ] = None,
 ) -> None:
-    """Identify drive and hand from swept sines, all grips together, and say what the model is good for."""
+    """Identify drive and hand from swept sines, all grips together, and say what the model is good for.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from transopt.base.plotting import save_figure
     from transopt.identify.device.identify import Kind, device_part, identify
     from transopt.identify.figures.device import device_figure

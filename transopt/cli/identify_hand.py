@@ -28,7 +28,10 @@ def identify_hand(
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
     window: Annotated[float, typer.Option(help="From contact on, in s; the hand answers after 0.03.")] = 0.03,
 ) -> None:
-    """Mass, damping and stiffness of the hand over grip from taps; exit 1 if they are not fit to design with."""
+    """Mass, damping and stiffness of the hand over grip from taps.
+
+    Exit 1: what was found is not fit to design with.
+    """
     from pydantic import ValidationError
 
     from transopt.base.plotting import save_figure

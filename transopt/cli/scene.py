@@ -50,10 +50,20 @@ def scene_new(
     """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
     from transopt.scene import builtin
 
+    # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
+    write_new(file, builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"'))
+    typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
+
+
+def write_new(file: Path, text: str) -> None:
+    """Write a scene file that is not there.
+
+    Raises
+    ------
+    InputError : it is, has another suffix than .toml, or cannot be written.
+    """
     if file.suffix != ".toml":
         raise InputError(f"{file}: a scene file ends in .toml")
-    # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
-    text = builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')
     try:
         with file.open("x", encoding="utf-8") as new:
             new.write(text)
@@ -61,7 +71,6 @@ def scene_new(
         raise InputError(f"{file}: exists already; choose another name") from None
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror}); choose another place") from None
-    typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
 
 
 @app.command("keys", epilog="Example: transopt scene keys mine.toml")

@@ -56,7 +56,10 @@ def solve(
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
     figures: Annotated[bool, typer.Option(help="Draw transients, methods and Bode plots into the folder.")] = True,
 ) -> None:
-    """Solve a scene: certified library of current transients, report, figures; the last line sums up."""
+    """Solve a scene: certified library of current transients, report, figures; the last line sums up.
+
+    Exit 1: an entry was refused, or --grid-cap ended the refinement before its tolerance was met.
+    """
     try:
         from transopt.design.refine_grid import check_tolerance
         from transopt.solvers.choose import check_name

@@ -79,8 +79,10 @@ def study(
 ) -> None:
     """What constraints cost: certified optima over any keys of a scene; stopped, the same command goes on.
 
-    One row per solve in rows.csv, report.md and a figure beside it. Exit 1: nothing certified, a row that is neither
-    certified nor refused for a stated cause, or no value that meets --require.
+    One row per solve in rows.csv, report.md and a figure beside it.
+
+    Exit 1: nothing certified, a row that is neither certified nor refused for a stated cause, or no value that meets
+    --require.
     """
     from transopt.scene import builtin
 

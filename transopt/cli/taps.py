@@ -1,5 +1,6 @@
 """`transopt taps`: what recordings hold, before anything is solved from them."""
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,13 +23,19 @@ def taps(
     full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale, in m/s^2.")] = None,
     time_scale: Annotated[float, typer.Option(help="Similarity: time is stretched by this.")] = 1.0,
     amplitude_scale: Annotated[float, typer.Option(help="Similarity: acceleration is multiplied by this.")] = 1.0,
+    scene: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Write a scene of these recordings and the built-in device."),
+    ] = None,
 ) -> None:
     """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping."""
     from pydantic import ValidationError
 
+    from transopt.cli.scene import write_new
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import prepare, read_recordings
-    from transopt.report.taps import scene_lines, taps_table
+    from transopt.report.taps import scene_lines, scene_of_taps, taps_table
+    from transopt.scene.builtin import scene_path
 
     try:
         settings = Recordings(
@@ -51,6 +58,11 @@ def taps(
         terminal.make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
+    if scene is not None:
+        template = scene_path("own_taps").read_text(encoding="utf-8")
+        write_new(scene, scene_of_taps(template, prepared, files, settings, scene.parent))
+        typer.echo(f"{scene} written; next: transopt solve {shlex.quote(str(scene))}")
+        return
     console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
     typer.echo(scene_lines(prepared, files, settings))
 

@@ -9,7 +9,10 @@ from transopt.base import terminal
 
 
 def verify(library: Annotated[Path, typer.Argument(help="library.npz")]) -> None:
-    """Certify and replay every entry again, from the file alone; exit 1 if one fails."""
+    """Certify and replay every entry again, from the file alone.
+
+    Exit 1: an entry fails, or the file states of one what its arrays do not bear out.
+    """
     import numpy as np
 
     from transopt.base.errors import InputError

@@ -2,7 +2,7 @@
 
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import metadata
@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from transopt.base.errors import InputError
 from transopt.base.shown import cut, html_figure, html_table, span, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
-from transopt.design.refine_grid import Refinement
+from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
 from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, own_arrays
@@ -108,6 +109,37 @@ class Build:
         """Waveform against intensity of every entry that a limit cuts; solved when it is first asked for."""
         options = SolverOptions(self.solver)
         return [found for entry in self.all_entries() if (found := trade_off(entry, options)) is not None]
+
+    def between_nodes(self, points: Iterable[Point]) -> list[OffNode]:
+        """What blends of the nodes' commands are worth at any speeds and grips, beside the optima solved there.
+
+        Parameters
+        ----------
+        points : each a speed [m/s] and a grip [N] within the grid.
+
+        Returns
+        -------
+        One for each point, sorted by grip: `optimum`, the NRMSE of the optimum there, and `after`, that of the
+        blend, both replayed. `before` is the same as `after`, since there is one grid.
+
+        Raises
+        ------
+        InputError : a point outside of the grid, or one without a proven optimum.
+        """
+        grid = self.scene.grid
+        asked = list(points)
+        for name, values, nodes, unit in (
+            ("speed", [speed for speed, _ in asked], grid.speeds_m_s, "m/s"),
+            ("grip", [grip for _, grip in asked], grid.grips_N, "N"),
+        ):
+            for value in values:
+                if not nodes[0] <= value <= nodes[-1]:
+                    raise InputError(
+                        f"between_nodes: {name} {value:g} {unit}: outside of the nodes, {nodes[0]:g} to "
+                        f"{nodes[-1]:g} {unit}: ask for points within them"
+                    )
+        own = Nodes(tuple(grid.speeds_m_s), tuple(grid.grips_N))
+        return Errors(self.scene, self.references, SolverOptions(self.solver)).replayed(asked, own, own)
 
     @property
     def refused(self) -> list[Entry]:

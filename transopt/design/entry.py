@@ -14,17 +14,17 @@ from transopt.design.attained import Attained
 from transopt.design.explain import Remedy
 from transopt.design.intensity import best
 from transopt.design.optimum import Designed
-from transopt.design.price import Price, prices
+from transopt.design.price import Price, binding, prices
 from transopt.design.verify import admit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, acting_states
-from transopt.problem.answer import Certificate, Solution, Status, verdict
+from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.baselines import clipped_optimum, seed_inversion
 from transopt.problem.limits import KINDS
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.posing import Wanted
 from transopt.problem.problem import TransientProblem
-from transopt.proof.certify import binding_limits
+from transopt.proof.certify import Box, binding_limits, boxes
 from transopt.proof.replay import Replay, replay, replayed_errors
 from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
@@ -159,6 +159,29 @@ class Entry:
     def weighted_nrmse(self) -> float:
         """NRMSE as the scene's error filter hears it; the plain one without a filter."""
         return self.nrmse if self.problem.reference_is_zero else self.problem.tracking.nrmse(self.predicted_m_s2)
+
+    @property
+    def slopes(self) -> dict[str, float]:
+        """Limit that binds -> by how much J falls per unit by which it is raised, from the multipliers alone.
+
+        It is the slope at the limit as it stands. What a step buys is less, since the slope flattens on the way: see
+        `prices`, which are solved for.
+        """
+        if self.problem.reference_is_zero:
+            return {}
+        return binding(self.problem, self.solution.command_A, self.solution.multipliers)
+
+    def boxes(self, command_A: FloatArray | None = None) -> list[Box]:
+        """Every limit along a command, with its bounds.
+
+        Parameters
+        ----------
+        command_A : (N,) another command in this entry's problem, without multipliers; by default the entry's own.
+        """
+        problem = self.problem
+        command = self.solution.command_A if command_A is None else command_A
+        multipliers = self.solution.multipliers if command_A is None else Multipliers.zero(problem)
+        return boxes(problem, command, problem.stage.motion(command), multipliers)
 
     @cached_property
     def levels(self) -> Levels:

@@ -13,6 +13,7 @@ import itertools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from transopt.recordings.reference import Reference, between, build_references
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Grid
 from transopt.solvers.options import SolverOptions
+
+if TYPE_CHECKING:  # nothing is drawn while a grid is refined
+    from matplotlib.figure import Figure
 
 DEFAULT_CAP = 400  # entries
 # Where a limit begins to bind, the optimum has a kink, and the worst point of an interval lies there. Interpolation
@@ -99,6 +103,15 @@ class Refinement:
     elapsed_s: float
 
     __repr__ = brief
+
+    def plot(self) -> "Figure":
+        """Excess of the blend over speed and grip, on the grid of the scene and on the refined one.
+
+        The figure is matplotlib's; `savefig` writes it to a file.
+        """
+        from transopt.design.grid_figure import grid_figure
+
+        return grid_figure(self)
 
     @property
     def entries(self) -> int:

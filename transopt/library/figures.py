@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, colours, plain, style
+from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
 from transopt.plant.discretise import TimeGrid
@@ -190,7 +190,7 @@ def transients_figure(drawn: Transients) -> Figure:
     hand_over_ms = (grid.issue_times_s[-drawn.hand_over_samples] + grid.delay_s) * 1e3
     shades = colours(len(shown_speeds))
 
-    figure = Figure(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0), layout="constrained")
+    figure = Drawing(figsize=(max(1.0 + 2.1 * len(shown_grips), 4.4), 5.0), layout="constrained")
     rows = figure.subplots(2, len(shown_grips), sharex=True, sharey="row", squeeze=False)
     binds = False
     for column, ig in enumerate(shown_grips):

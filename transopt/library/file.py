@@ -33,7 +33,7 @@ from transopt.base.sizes import (
 from transopt.base.units import beyond, largest
 from transopt.library.arrays import HASH_FIELD, absent, content_hash
 from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
-from transopt.library.meta import META_KEYS, WEIGHTS_OF_2
+from transopt.library.meta import lacking
 from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
@@ -65,14 +65,7 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
     if not isinstance(meta, dict) or isinstance(schema, bool) or schema not in SCHEMAS:
         known = " and ".join(map(str, SCHEMAS))
         raise InputError(f"{path}: schema {cut(repr(schema))}, this version reads {known}; solve the scene again")
-    missing = [key for key in META_KEYS if key not in meta]
-    read = {**META_KEYS, "weights": (*META_KEYS["weights"], *(() if schema == 1 else WEIGHTS_OF_2))}
-    for key, inner in read.items():
-        # null: the scene has no such part; anything else holds the keys that are read from it.
-        table = meta.get(key)
-        if inner and table is not None:
-            missing += [f"{key}.{name}" for name in inner if not isinstance(table, dict) or name not in table]
-    if missing:
+    if missing := lacking(meta, int(schema)):
         raise InputError(f"{path}: meta lacks {', '.join(missing)}; solve the scene again")
     for place, value in _leaves({key: value for key, value in meta.items() if key not in TABLES_OF_WORDS}):
         if said := beyond(place, value):

@@ -1,35 +1,119 @@
-"""What a library's `meta` holds: the keys that are read from it, and which parts a problem was solved without."""
+"""What a library's `meta` holds, declared once, and which parts a problem was solved without.
+
+The reader of a library refuses files by these declarations, and the manual's table is made of them.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-# Key -> the keys of its table that are read, where it is a table. A table may be null: the scene has no such part.
-META_KEYS = {
-    "dt_s": (),
-    "lead_s": (),
-    "grip_min_N": (),
-    "amplifier": ("pole_Hz", "delay_s", "command_limit_A"),
-    "limits": ("current_A", "steady_current_A", "temperature_C"),
-    "thermal": ("coil", "budget"),
-    "circuit": ("R_ohm", "L_H", "emf_V_s_m"),
-    "feedback": (
-        "stiffness_N_m",
-        "damping_N_s_m",
-        "force_per_current_N_A",
-        "latency_ticks",
-        "derivative_filter_Hz",
-    ),
-    "weights": ("rho", "tracking", "error_filter", "spread"),
-    "hand_over_samples": (),
-    "left_out": (),
-    "repeatability": (),
-    "scene": ("name", "description"),
-    "sources": (),
-    "versions": (),
+
+@dataclass(frozen=True)
+class Stated:
+    """Declaration of one thing that `meta` states.
+
+    Attributes
+    ----------
+    meaning : what it says.
+    null : what null stands for; empty where it is never null.
+    since : schema of the first files that have it.
+    needed : a file that lacks it is refused, unless the table that it stands in is null.
+    whole : a table or a list that is kept as it came, whose keys are not declared one by one.
+    """
+
+    meaning: str
+    null: str = ""
+    since: int = 1
+    needed: bool = False
+    whole: bool = False
+
+
+def _needed(meaning: str, null: str = "", *, since: int = 1, whole: bool = False) -> Stated:
+    return Stated(meaning, null, since, True, whole)
+
+
+# Dotted path -> what stands there. What a name ends in is its unit (`transopt.base.units`).
+META = {
+    "schema": _needed("which of the forms of this file it is"),
+    "dt_s": _needed("servo period"),
+    "lead_s": _needed("how long before contact a waveform starts"),
+    "grip_min_N": _needed("below this grip nothing is played"),
+    "hand_over_samples": _needed("so many commands at the end are the wall's own, zero without one"),
+    "amplifier": _needed("between command and current", "ideal: the current is the command"),
+    "amplifier.pole_Hz": _needed("where its low-pass has lost 3 dB", "no pole"),
+    "amplifier.delay_s": _needed("pure delay, beyond the hold of the command"),
+    "amplifier.command_limit_A": _needed("largest command", "no limit"),
+    "limits": _needed("what the tap has to keep; one that is null is not asked for"),
+    "limits.current_A": _needed("largest current at any time"),
+    "limits.steady_current_A": _needed("what the motor stands for ever, for the baselines"),
+    "limits.temperature_C": _needed("largest temperature of the winding", "shown not to matter to any entry"),
+    "limits.slew_A_per_s": Stated("fastest change of the command", "not asked for"),
+    "limits.supply_V": Stated("largest voltage of the motor", "not asked for"),
+    "limits.supply_copper_C": Stated("(2,) coldest and hottest copper at which the rail is kept"),
+    "limits.stroke_m": Stated("largest displacement of the motor mass", "not asked for"),
+    "limits.velocity_m_s": Stated("largest velocity of the motor mass", "not asked for"),
+    "limits.own": Stated("limits of the user's: name, unit, bounds, expression", "none", whole=True),
+    "thermal": _needed("the coil", "nothing is known of it"),
+    "thermal.coil": _needed("its numbers"),
+    "thermal.coil.R_ohm": Stated("resistance at 25 C"),
+    "thermal.coil.R_wh_K_W": Stated("thermal resistance from winding to housing"),
+    "thermal.coil.R_ha_K_W": Stated("thermal resistance from housing to ambient"),
+    "thermal.coil.tau_w_s": Stated("time constant of the winding"),
+    "thermal.coil.tau_h_s": Stated("time constant of the housing"),
+    "thermal.coil.limit_C": Stated("largest temperature of the winding"),
+    "thermal.coil.ambient_C": Stated("of the air"),
+    "thermal.coil.start_winding_C": Stated("of the winding when a tap starts"),
+    "thermal.coil.start_housing_C": Stated("of the housing when a tap starts"),
+    "thermal.coil.nodes": Stated("2: winding and housing; 1: the housing stays as it is"),
+    "thermal.budget": _needed("what the taps may make of it"),
+    "thermal.budget.headroom_K": Stated("rise of the winding that one tap may cause", "up to the limit"),
+    "thermal.budget.tap_rate_Hz": Stated("taps repeated for ever", "a single tap"),
+    "thermal.budget.idle_A": Stated("current in the pauses", "what the wall asks for at the end"),
+    "circuit": _needed("the motor's", "no motor is stated"),
+    "circuit.R_ohm": _needed("resistance at 25 C"),
+    "circuit.L_H": _needed("inductance"),
+    "circuit.emf_V_s_m": _needed("back-EMF over the velocity of the motor mass"),
+    "feedback": _needed("the virtual wall", "none"),
+    "feedback.stiffness_N_m": _needed("of the wall"),
+    "feedback.damping_N_s_m": _needed("of the wall"),
+    "feedback.force_per_current_N_A": _needed("by which a force becomes a current"),
+    "feedback.latency_ticks": _needed("whole servo periods from reading to command"),
+    "feedback.derivative_filter_Hz": _needed("low-pass of the velocity", "none"),
+    "weights": _needed("of the objective"),
+    "weights.rho": _needed("of the command's movement"),
+    "weights.tracking": _needed("(N,) of the squared errors"),
+    "weights.error_filter": _needed("`none` or `pacinian`: by what the error is filtered"),
+    "weights.spread": _needed("devices that each command serves besides the node's own", "none", whole=True),
+    "weights.after_s": _needed("for so long after the waveform the error counts", since=2),
+    "weights.objective": _needed("`waveform` or `intensity`", since=2),
+    "weights.intensity_dB": _needed("energy asked for, over the recorded tap's", since=2),
+    "weights.error_filter_b": _needed("numerator of the filter in 1/z, 1 without", since=2),
+    "weights.error_filter_a": _needed("denominator of the filter in 1/z, 1 without", since=2),
+    "left_out": _needed("part of the problem -> why it cannot matter, or a table of reasons by entry", whole=True),
+    "repeatability": _needed("by speed: NRMSE of single recordings about their mean; null where there is one"),
+    "scene": _needed("the scene as it was read, every key; `transopt scene keys` says what they are", whole=True),
+    "sources": _needed("recordings and model files by name and SHA-256, and how they were prepared", whole=True),
+    "versions": _needed("of this project and of what it computed with", whole=True),
+    "solver": Stated("method and its options", whole=True),
+    "outputs": Stated("outputs of the plant that limits bound, by grip", whole=True),
+    "grid_refinement": Stated("what `--grid-tolerance` reached", "the grid was taken as it stood", whole=True),
+    "refinement": Stated("what `transopt-play refine` learnt on the device, by round", whole=True),
 }
 
-# Of its weights, from schema 2 on.
-WEIGHTS_OF_2 = ("after_s", "objective", "intensity_dB", "error_filter_b", "error_filter_a")
+
+def lacking(meta: dict[str, Any], schema: int) -> list[str]:
+    """Paths of what a file of this schema has to state and does not; what a table that is null would hold is not."""
+    found = []
+    for path, stated in META.items():
+        if not stated.needed or stated.since > schema:
+            continue
+        table: Any = meta
+        *tables, name = path.split(".")
+        for key in tables:
+            table = table.get(key) if isinstance(table, dict) else {}
+        if table is not None and (not isinstance(table, dict) or name not in table):
+            found.append(path)
+    return found
 
 
 def temperature_is_in(left_out: dict[str, str]) -> bool:

@@ -70,7 +70,6 @@ def files_of(build: Build, *, figures: bool = True) -> Files:
     # matplotlib takes longer to load than a small library to solve: it is loaded only where something is drawn.
     from transopt.base.plotting import save_figure
     from transopt.report import figures as drawing
-    from transopt.report.grid_figure import grid_figure
     from transopt.report.trade_off_figure import trade_off_figure
 
     files["transients.png"] = lambda path: save_figure(library.plot(), path)
@@ -80,5 +79,5 @@ def files_of(build: Build, *, figures: bool = True) -> Files:
         files["trade_off.png"] = lambda path: save_figure(trade_off_figure(build), path)
     refinement = build.refinement
     if refinement is not None and refinement.entries > 1:
-        files["grid_error.png"] = lambda path: save_figure(grid_figure(refinement), path)
+        files["grid_error.png"] = lambda path: save_figure(refinement.plot(), path)
     return files

@@ -1,8 +1,10 @@
-"""A look at recordings before anything is solved, for `transopt taps`: a table, and lines for a scene file."""
+"""A look at recordings before anything is solved, for `transopt taps`: a table, and a scene file or lines for one."""
 
 import json
 import os
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -61,18 +63,50 @@ def _grid_speeds(speeds_m_s: Sequence[float]) -> list[float]:
     return [float(f"{np.mean(cluster):.3g}") for cluster in clusters]
 
 
-def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:
-    """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
+def _lines(
+    taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings, home: Path | None
+) -> tuple[list[str], list[str]]:
+    """TOML lines for the [grid] and the [recordings] table of a scene.
+
+    Parameters
+    ----------
+    home : folder of the scene, from which the recordings' folder counts; None names it whole.
+    """
     speeds = _grid_speeds([tap.speed_m_s for tap in taps if not np.isnan(tap.speed_m_s)])
     stated = settings.model_dump(exclude_defaults=True, exclude={"folder", "files", "simulated"})
     folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     files = [path.resolve().relative_to(folder).as_posix() for path in paths]
-    lines = [
-        "# in [grid]",
-        f"speeds_m_s = {speeds}",
-        "",
-        "# in [recordings], in place of folder, files and simulated",
-    ]
+    if home is not None:
+        with suppress(ValueError):  # another drive of Windows has no relative path
+            folder = Path(os.path.relpath(folder, home.resolve()))
     # Strings, numbers and lists are spelt alike in JSON and TOML.
-    lines += [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
-    return "\n".join(lines + [f"{key} = {json.dumps(value)}" for key, value in stated.items()])
+    lines = [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
+    return [f"speeds_m_s = {speeds}"], [*lines, *(f"{key} = {json.dumps(value)}" for key, value in stated.items())]
+
+
+def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:
+    """TOML lines for the [grid] and [recordings] tables of a scene: speeds that serve these taps, and the files."""
+    grid, recordings = _lines(taps, paths, settings, None)
+    replaced = "# in [recordings], in place of folder, files and simulated"
+    return "\n".join(["# in [grid]", *grid, "", replaced, *recordings])
+
+
+def scene_of_taps(
+    template: str, taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings, home: Path
+) -> str:
+    """A whole scene file: these recordings on the device of a template.
+
+    Parameters
+    ----------
+    template : text of the built-in scene `own_taps`.
+    home : folder that the file is for.
+    """
+    grid, recordings = ("\n".join(lines) for lines in _lines(taps, paths, settings, home))
+    device = template[template.index("motor = ") :]
+    text, speeds = re.subn(r"(?m)^speeds_m_s = .*$", lambda _: grid, device)
+    text, files = re.subn(r"(?ms)^# Three recordings.*?^files = .*?$", lambda _: recordings, text)
+    assert (speeds, files) == (1, 1)
+    about = "taps of one's own on the built-in device"
+    return (
+        f'# Written by `transopt taps`: {about}; change what is not as yours is.\ndescription = "{about}"\n\n{text}'
+    )

@@ -119,14 +119,46 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     return f"{source}: {text}{more}"
 
 
-def _identified(scene: Path, named: str) -> dict[str, Any]:
+def _identified(file: Path, named: str) -> dict[str, Any]:
     """The table that stands for a model file: all that it holds, so that a library does not need the file."""
+    raw = read_model(file)
+    found = parse_model(file, raw).model_dump(include=set(MODEL_PARTS), exclude_none=True)
+    return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
+
+
+def _identified_in(scene: Path, named: str) -> dict[str, Any]:
+    """The same of a file that a scene names."""
     try:
-        raw = read_model(scene.parent / named)
+        read_model(scene.parent / named)
     except InputError as error:
         raise InputError(f"{scene}: model = {named!r}: {error}") from None
-    found = parse_model(scene.parent / named, raw).model_dump(include=set(MODEL_PARTS), exclude_none=True)
-    return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
+    return _identified(scene.parent / named, named)
+
+
+def with_model(scene: Scene, file: str | Path) -> Scene:
+    """The scene with what has been identified in place of what it states of the device, checked as a whole.
+
+    The model takes the place of `[model]` and, as far as the file has these parts, of the tip and of the amplifier's
+    pole and delay; the command's range stays.
+
+    Parameters
+    ----------
+    file : model file, as `transopt identify` writes it.
+
+    Raises
+    ------
+    InputError : one line: file, key, value, what is wrong.
+    """
+    model, content = _identified(Path(file), str(file)), scene.model_dump()
+    if "device" in model:
+        content["tip"] = None
+    if "amplifier" in model and isinstance(content["amplifier"], dict):
+        content["amplifier"].update(pole_Hz=None, delay_s=None)
+    content["model"] = model
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(scene.name, error, content)) from None
 
 
 def _resolved(scene: Path, folder: str) -> str:
@@ -161,7 +193,7 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
             raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
         content[table] = read_toml(found)
     if isinstance(content.get("model"), str):
-        content["model"] = _identified(path, content["model"])
+        content["model"] = _identified_in(path, content["model"])
     limits, time = content.get("limits"), content.get("time", {})
     if isinstance(limits, dict) and "own" in limits:
         stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0

@@ -21,14 +21,26 @@ Interval = tuple[Finite, Finite]
 
 
 class Source(Section):
-    """A file that a part was fitted to."""
+    """A file that a part was fitted to.
+
+    Attributes
+    ----------
+    file : its name.
+    sha256 : of its bytes.
+    """
 
     file: Words
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
 class ModelPart(Section):
-    """What every part states besides its values."""
+    """What every part states besides its values.
+
+    Attributes
+    ----------
+    verdict : what it is good for, in plain words.
+    sources : files that it was fitted to.
+    """
 
     verdict: Words
     sources: list[Source]

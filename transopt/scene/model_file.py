@@ -33,7 +33,13 @@ SCHEMA = 1
 
 
 class ModelFile(ModelParts):
-    """The content of a model file: its parts, and what they were written with."""
+    """The content of a model file: its parts, and what they were written with.
+
+    Attributes
+    ----------
+    schema_ : which of the forms of this file it is.
+    versions : of this project and of what it computed with.
+    """
 
     # The field is called `schema` in the file, but pydantic has a deprecated method of that name.
     schema_: Annotated[Literal[1], Field(alias="schema")]

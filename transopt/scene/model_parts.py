@@ -28,7 +28,15 @@ Matrix = Annotated[list[list[Finite]], Field(min_length=1, max_length=MOST_STATE
 
 
 class AmplifierPart(FittedPart):
-    """Current amplifier: one pole and a pure delay, without the hold's half sample and with it."""
+    """Current amplifier: one pole and a pure delay.
+
+    Attributes
+    ----------
+    pole_Hz : where the low-pass has lost 3 dB.
+    delay_s : beyond the hold of the command, which delays by half a period itself.
+    delay_with_hold_s : the two together.
+    gain : of the current over the command, at low frequency.
+    """
 
     pole_Hz: Positive
     delay_s: NonNegative
@@ -37,7 +45,16 @@ class AmplifierPart(FittedPart):
 
 
 class ChainHand(Section):
-    """Skin and arm of the `drive` chain, linear in grip."""
+    """Skin and arm of the `drive` chain, linear in grip.
+
+    Attributes
+    ----------
+    mass_kg : of the hand.
+    skin_stiffness_N_m : between stylus and hand.
+    skin_damping_N_s_m : between stylus and hand.
+    arm_stiffness_N_m : between hand and intention.
+    arm_damping_N_s_m : between hand and intention.
+    """
 
     mass_kg: LinearParameter
     skin_stiffness_N_m: LinearParameter
@@ -111,11 +128,13 @@ class DriveDevice(FittedPart):
 
     Attributes
     ----------
+    kind : that it is this one.
     force_per_current_N_A : known, not fitted: the response does not change if it and all masses, stiffnesses and
         dampings are scaled alike.
     moving_mass_kg : of the motor, at the tip.
     stylus_mass_kg : of the stylus.
-    transmission_stiffness_N_m, transmission_damping_N_s_m : between the two.
+    transmission_stiffness_N_m : between the two.
+    transmission_damping_N_s_m : between the two.
     hand : skin, hand mass and arm.
     grips_N : recorded, 0 for the free device.
     nrmse : grip -> held-out NRMSE on trials outside the fit.
@@ -171,9 +190,13 @@ class StateSpaceDevice(ModelPart):
 
     Attributes
     ----------
+    kind : that it is this one.
     order : n, number of states.
     grips_N : (ng,) recorded, increasing; 0 for the free device.
-    A, B, C, D : (ng, n, n), (ng, n, 1), (ng, 1, n), (ng, 1, 1), real and stable.
+    A : (ng, n, n), real and stable.
+    B : (ng, n, 1).
+    C : (ng, 1, n).
+    D : (ng, 1, 1).
     nrmse : grip -> held-out NRMSE on trials outside the fit.
     """
 
@@ -239,7 +262,13 @@ class StateSpaceDevice(ModelPart):
 class HandPart(FittedPart):
     """The whole hand as one mass, spring and damper, linear in grip (seed Eqs. 3-5).
 
-    `fourth_order` is the other fit, with the hand's unmeasured state (seed Fig. 4b), as its author found it.
+    Attributes
+    ----------
+    mass_kg : of stylus and hand.
+    damping_N_s_m : to the hand's intention.
+    stiffness_N_m : to the hand's intention.
+    grips_N : recorded.
+    fourth_order : the other fit, with the hand's unmeasured state (seed Fig. 4b), as far as the taps determine it.
     """
 
     mass_kg: LinearParameter
@@ -279,7 +308,15 @@ class HandPart(FittedPart):
 
 
 class CoilPart(FittedPart):
-    """Thermal resistances winding to housing to ambient, and the time constants of both."""
+    """Thermal resistances winding to housing to ambient, and the time constants of both.
+
+    Attributes
+    ----------
+    R_wh_K_W : from winding to housing.
+    R_ha_K_W : from housing to ambient.
+    tau_w_s : of the winding.
+    tau_h_s : of the housing.
+    """
 
     R_wh_K_W: Positive
     R_ha_K_W: Positive
@@ -292,7 +329,15 @@ AnyModelPart = AmplifierPart | DriveDevice | StateSpaceDevice | HandPart | CoilP
 
 
 class ModelParts(Section):
-    """What was identified; None for what was not."""
+    """What was identified; None for what was not.
+
+    Attributes
+    ----------
+    amplifier : between command and current.
+    device : from current to acceleration.
+    hand : that holds the stylus.
+    coil : that the current heats.
+    """
 
     amplifier: AmplifierPart | None = None
     device: DevicePart | None = None

@@ -1,7 +1,7 @@
 """Solvers behind one function: `solve(problem, options) -> Solution`. One file per solver."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from transopt.solvers.options import SolverOptions, default_solver, most_time_s
 
 __all__ = [
     "SOLVERS",
+    "Solver",
     "SolverOptions",
     "check_name",
     "default_solver",
@@ -50,10 +51,23 @@ def _apart(name: str, method: Method) -> Method:
     return solve
 
 
-SOLVERS: dict[str, Method] = {
-    "riccati": riccati.solve,
-    "casadi-piqp": _apart("casadi-piqp", casadi_piqp.solve),
-    "casadi-ipopt": _apart("casadi-ipopt", casadi_ipopt.solve),
+@dataclass(frozen=True)
+class Solver:
+    """A method, and which problems it takes."""
+
+    method: Method
+    takes: Callable[[TransientProblem], bool]
+
+    def __call__(self, problem: TransientProblem, options: SolverOptions) -> Solution:
+        return self.method(problem, options)
+
+
+# The first that takes a problem is the first choice for it: the project's own method where it is built, then PIQP
+# where the problem is a QP, then IPOPT, which takes all.
+SOLVERS: dict[str, Solver] = {
+    "riccati": Solver(riccati.solve, riccati.can_solve),
+    "casadi-piqp": Solver(_apart("casadi-piqp", casadi_piqp.solve), lambda problem: not problem.nonlinear),
+    "casadi-ipopt": Solver(_apart("casadi-ipopt", casadi_ipopt.solve), lambda problem: True),
 }
 
 
@@ -75,13 +89,8 @@ def check_name(solver: str) -> None:
 
 
 def capable(problem: TransientProblem) -> list[str]:
-    """Names of the solvers that can take this problem, the first choice first.
-
-    The project's own method where it is built, then PIQP where the problem is a QP, then IPOPT, which takes all.
-    """
-    own = ["riccati"] if riccati.can_solve(problem) else []
-    quadratic = [] if problem.nonlinear else ["casadi-piqp"]
-    return [*own, *quadratic, "casadi-ipopt"]
+    """Names of the solvers that can take this problem, the first choice first."""
+    return [name for name, solver in SOLVERS.items() if solver.takes(problem)]
 
 
 def solve(problem: TransientProblem, options: SolverOptions | None = None) -> Solution:

@@ -72,6 +72,26 @@ def test_asked_to_end_it_ends(number: signal.Signals, code: int, swallowed: bool
     assert "Traceback" not in done.stderr
 
 
+def test_a_signal_that_python_ignores_comes_again() -> None:
+    """What is raised in the callback of a weak reference goes nowhere."""
+    program = (
+        "import os, signal, time, weakref\n"
+        "from transopt.base.terminal import run\n"
+        "class Thing: pass\n"
+        "def work():\n"
+        "    thing = Thing()\n"
+        "    reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGINT))\n"
+        "    del thing\n"
+        "    try:\n"
+        "        time.sleep(600)\n"
+        "    finally:\n"
+        "        print('tidied up')\n"
+        "run(work)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "tidied up\n", "")
+
+
 def test_without_a_signal_the_answers_to_signals_stay() -> None:
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(SystemExit) as ended:

@@ -30,6 +30,21 @@ class TestTaps:
         Path("pasted.toml").write_text(text)
         assert run("solve", "pasted.toml").code == 0
 
+    def test_a_scene_that_solves(self, run: Run) -> None:
+        Path("rig").mkdir()
+        for file in sorted(EXAMPLES.glob("*.csv"))[:2]:
+            Path("rig", file.name).write_bytes(file.read_bytes())
+        files = sorted(Path("rig").iterdir())
+        outcome = run("taps", *files, "--scene", "mine.toml")
+        assert "transopt solve mine.toml" in outcome.out
+        text = Path("mine.toml").read_text()
+        assert 'folder = "rig"' in text
+        assert "speeds_m_s = [0.209, 0.31]" in text
+        Path("mine.toml").write_text(text.replace("[1.0, 3.0, 5.0]", "[3.0]"))
+        assert run("solve", "mine.toml").code == 0
+        assert_refused(run("taps", *files, "--scene", "mine.toml"), "mine.toml: exists already")
+        assert_refused(run("taps", *files, "--scene", "mine.txt"), "mine.txt", ".toml")
+
     def test_a_pattern_and_a_name_with_brackets(self, run: Run) -> None:
         Path("a [1]").mkdir()
         Path("a [1]/tap[1].csv").write_bytes((EXAMPLES / "tap_0.2_m_s.csv").read_bytes())

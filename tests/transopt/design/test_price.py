@@ -12,6 +12,7 @@ from tests.benches.limits import numbers_of, supply_of, with_limit, with_numbers
 from tests.benches.tails import without_tail
 from transopt.base.signals import nrmse
 from transopt.base.writing import rounded_up
+from transopt.design.build import Build, build_library
 from transopt.design.entry import entry_problem, scene_stage
 from transopt.design.optimum import Designed, optimum
 from transopt.design.price import Price, binding, price_step, prices
@@ -24,7 +25,9 @@ from transopt.problem.limits.temperature import temperature_limit
 from transopt.problem.objective.target import Target
 from transopt.problem.objective.weighting import pacinian
 from transopt.problem.problem import TransientProblem
+from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference
+from transopt.scene.keys import with_values
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -151,6 +154,28 @@ def test_it_buys_no_more_than_the_multipliers_promise(cases: dict[str, Case], na
         slope += problem.movement.relief(command)
     had = price.nrmse**2 - price.then**2
     assert 0 < had <= slope * price.step * (1 + 1e-6)
+
+
+def test_the_slope_of_an_entry_is_what_a_small_step_buys(build: Build, taps: list[Recording]) -> None:
+    """J falls along the multipliers; the second order of so small a step is below 1 % of it."""
+    hardest, step_A = build.entries[3][2], 0.02
+    alone = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0], "limits.current_A": 4.0 + step_A}
+    fast = [tap for tap in taps if abs(tap.speed_m_s / 0.4 - 1) < 0.1]
+    [[wider]] = build_library(with_values(build.scene, alone), fast).entries
+    bought = hardest.certificate.objective - wider.certificate.objective
+    assert set(hardest.slopes) == {"current", "command"}
+    assert bought == pytest.approx(hardest.slopes["current"] * step_A, rel=0.01)
+    assert build.entries[0][0].slopes == {}
+
+
+def test_limits_along_a_command(build: Build) -> None:
+    hardest = build.entries[3][2]
+    own = {box.limit.name: box for box in hardest.boxes()}
+    assert own["current"].peak == pytest.approx(4.0, abs=1e-6)
+    assert own["current"].by_upper.sum() > 0
+    doubled = {box.limit.name: box for box in hardest.boxes(2 * hardest.solution.command_A)}
+    assert doubled["current"].excess.max() == pytest.approx(4.0, abs=1e-6)
+    assert not doubled["current"].by_upper.any()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -18,7 +18,6 @@ from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.recordings.recording import Recording
 from transopt.recordings.reference import Reference, between, build_references
-from transopt.report.grid_figure import grid_figure
 from transopt.report.markdown import build_json, build_markdown
 from transopt.report.tables import refinement_summary
 from transopt.scene.keys import with_values
@@ -154,13 +153,32 @@ class TestTolerance:
         assert max(abs(p.excess_after) for p in nodes) <= rounding
 
 
+class TestBetweenTheNodes:
+    def test_optimum_and_blend_are_what_a_build_and_the_library_say(
+        self, scene: Scene, taps: list[Recording], build: Build, library: Library
+    ) -> None:
+        """At a grip between the nodes: the optimum as an entry of its own, the blend through its device."""
+        [point] = build.between_nodes([(0.4, 4.0)])
+        own = [tap for tap in taps if abs(tap.speed_m_s / 0.4 - 1) < 0.1]
+        [[exact]] = build_library(with_grid(scene, [0.4], [4.0]), own).entries
+        assert point.optimum == pytest.approx(exact.nrmse, abs=1e-6)
+        played, _ = exact.problem.stage.rollout(library.at(0.4, 4.0).command_A)
+        assert point.after == pytest.approx(exact.problem.target.nrmse(played), abs=1e-6)
+        assert point.after > point.optimum
+
+    @pytest.mark.parametrize("point", [(0.05, 3.0), (0.5, 3.0), (0.2, 0.9), (0.2, float("nan"))])
+    def test_a_point_outside_is_refused(self, build: Build, point: tuple[float, float]) -> None:
+        with pytest.raises(InputError, match=r"between_nodes: .* outside of the nodes"):
+            build.between_nodes([point])
+
+
 class TestSmallGrids:
     def test_one_grip(self, scene: Scene, taps: list[Recording]) -> None:
         found = refine_grid(with_grid(scene, scene.grid.speeds_m_s, [3.0]), taps, 0.02)
         assert not found.shortfall
         assert found.grid.grips_N == [3.0]
         assert len(found.grid.speeds_m_s) > 4
-        figure = grid_figure(found)
+        figure = found.plot()
         assert figure.axes[0].get_xlabel() == "speed [m/s]"
 
     def test_one_speed(self, scene: Scene) -> None:
@@ -169,7 +187,7 @@ class TestSmallGrids:
         assert not found.shortfall
         assert found.grid.speeds_m_s == [0.2]
         assert len(found.grid.grips_N) > 2
-        assert grid_figure(found).axes[0].get_xlabel() == "grip [N]"
+        assert found.plot().axes[0].get_xlabel() == "grip [N]"
 
     def test_one_entry_has_nothing_to_refine(self, scene: Scene) -> None:
         single = with_grid(scene, [0.2], [3.0])
@@ -244,7 +262,7 @@ class TestWhatIsWritten:
         assert '"between_m_s": [' in build_json(refined)
 
     def test_figure(self, refinement: Refinement) -> None:
-        before, after, bar = grid_figure(refinement).axes
+        before, after, bar = refinement.plot().axes
         assert "grid of the scene, 12 entries" in before.get_title()
         assert f"refined, {refinement.entries} entries" in after.get_title()
         assert before.collections[0].get_clim() == after.collections[0].get_clim()

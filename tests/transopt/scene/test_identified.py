@@ -36,6 +36,7 @@ from transopt.plant.second_order import second_order
 from transopt.recordings.recording import Recording
 from transopt.report.identified import below_the_model, model_warning
 from transopt.report.markdown import build_json, build_markdown
+from transopt.scene.file import with_model
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.keys import find_key, keys, with_values
 from transopt.scene.model_file import load_model
@@ -65,6 +66,16 @@ class TestTheSameDevice:
         own.save(tmp_path / "library.npz")
         (tmp_path / "MODEL.json").unlink()  # the library needs it no more
         assert_clean(load_library(tmp_path / "library.npz"))
+
+    def test_put_into_a_scene_is_the_scene_that_names_it(self, make: Make, scene: Scene, tmp_path: Path) -> None:
+        named = make(ON_FILE, {"device": drive_device(), "amplifier": amplifier_part()}, (POLE, ""))
+        put = with_model(scene, tmp_path / "MODEL.json")
+        assert put.amplifier_model() == named.amplifier_model()
+        assert put.model.model_copy(update={"file": named.model.file}) == named.model
+        with pytest.raises(InputError, match=r"grid\.grips_N: 9 N"):
+            with_model(with_values(scene, {"grid.grips_N": [9.0]}), tmp_path / "MODEL.json")
+        with pytest.raises(InputError, match=r"absent\.json"):
+            with_model(scene, tmp_path / "absent.json")
 
     def test_as_a_black_box_gives_the_same_at_the_nodes(
         self, make: Make, library: Library, taps: list[Recording]

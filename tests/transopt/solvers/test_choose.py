@@ -54,7 +54,9 @@ def test_one_that_does_not_return_is_ended(
 
 
 def test_the_next_method_is_asked(saturated: TransientProblem, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(choose.SOLVERS, "riccati", choose._apart("riccati", dies))
+    monkeypatch.setitem(
+        choose.SOLVERS, "riccati", choose.Solver(choose._apart("riccati", dies), lambda problem: True)
+    )
     answer, proof = choose.solve_certified(saturated, SolverOptions("riccati"))
     assert answer.solver == "casadi-piqp"
     assert proof.is_stationary

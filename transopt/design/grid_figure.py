@@ -5,14 +5,16 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import Triangulation
 
-from transopt.base.plotting import LABEL_PT, SMALL_PT
+from transopt.base.plotting import LABEL_PT, SMALL_PT, Drawing
 from transopt.base.signals import FloatArray
 from transopt.design.refine_grid import Refinement
 from transopt.scene.sections import Grid
 
 SHADES = "YlGnBu"  # light is good, dark is bad, in grey print too
+SHADE_LEVELS = 41
 TOLERANCE = "#D55E00"  # Okabe and Ito's vermilion, on light and on dark
 NODE: dict[str, Any] = {"marker": "o", "linestyle": "", "markerfacecolor": "white", "markeredgecolor": "0.15"}
 WORST: dict[str, Any] = {"marker": "x", "linestyle": "", "color": TOLERANCE, "markersize": 8, "markeredgewidth": 1.8}
@@ -32,7 +34,7 @@ def grid_figure(refinement: Refinement) -> Figure:
     excess = 100 * np.array([(p.excess_before, p.excess_after) for p in points])  # (n, 2) [%]
     tolerance = 100 * refinement.tolerance
     top = float(max(excess.max(), tolerance))
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    figure = Drawing(figsize=(8.0, 3.8), layout="constrained")
     panels = list(figure.subplots(1, 2, sharex=True, sharey=True))
     single = [axis for axis in (0, 1) if np.ptp(at[:, axis]) == 0]
     names = ("speed [m/s]", "grip [N]")
@@ -55,7 +57,7 @@ def grid_figure(refinement: Refinement) -> Figure:
         panels[0].set_ylabel(label, fontsize=LABEL_PT)
     else:
         panels[0].set_ylabel(names[1], fontsize=LABEL_PT)
-        bar = figure.colorbar(image, ax=panels, pad=0.02)
+        bar = figure.colorbar(image, ax=panels, pad=0.02, ticks=MaxNLocator(5))
         bar.set_label(label, fontsize=LABEL_PT)
         bar.ax.tick_params(labelsize=SMALL_PT)
         bar.ax.axhline(tolerance, color=TOLERANCE, linewidth=1.5)
@@ -74,7 +76,8 @@ def _map(axes: Axes, at: FloatArray, excess: FloatArray, grid: Grid, top: float,
     # Triangles in units of the axes' ranges: metres per second and newtons have no common length.
     unit = (at - at.min(axis=0)) / np.ptp(at, axis=0)
     mesh = Triangulation(at[:, 0], at[:, 1], Triangulation(unit[:, 0], unit[:, 1]).triangles)
-    image = axes.tripcolor(mesh, excess, shading="gouraud", cmap=SHADES, vmin=0.0, vmax=top, rasterized=True)
+    levels = np.linspace(0.0, top, SHADE_LEVELS)
+    image = axes.tricontourf(mesh, np.clip(excess, 0.0, top), levels=levels, cmap=SHADES, antialiased=False)
     if excess.max() > tolerance:
         axes.tricontour(mesh, excess, levels=[tolerance], colors=TOLERANCE, linewidths=1.5)
     nodes = np.array([(v, F) for v in grid.speeds_m_s for F in grid.grips_N])

@@ -1,0 +1,40 @@
+"""What the named studies find, all of them, on the default scene.
+
+    python scripts/findings.py --out DIR [--figures DIR] [--page PAGE.md]
+
+The same as `transopt study --study all`, and the findings as the table of a page of results.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+from common.command import run
+from common.page import PageFile, write_part
+from typer import Option
+
+import problems
+from transopt.base.writing import table
+from transopt.study import named
+from transopt.study.executors import processes
+
+
+def main(
+    out: Annotated[Path, Option(help="folder for everything that is written")],
+    figures: Annotated[Path | None, Option(help="folder for copies of the figures")] = None,
+    page: PageFile = None,
+) -> int:
+    scene, found = problems.load("wood_on_foam"), []
+    pool = processes(2)
+    try:
+        for name in named.STUDIES:
+            code, finding = named.write(name, scene, out, pool, search=[problems.FOLDER], figures=figures)
+            print(f"{name}: {finding}", flush=True)
+            found.append((name, code, finding))
+    finally:
+        pool.close()
+    write_part(page, table(("study", "finding"), [(f"`{name}`", finding) for name, _, finding in found]))
+    return max(code for _, code, _ in found)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,60 @@
+"""Run the commands that a page of results shows the output of, and put what they print back on the page.
+
+    python scripts/results.py docs/results/PAGE.md [--only WORD]
+
+Scripts that only print have their place on a page between two marks, the first of which has the whole command:
+
+    <!-- output of: python scripts/NAME.py ... -->
+    <!-- end -->
+
+Between them stands what the command printed, with a stamp below. Scripts that make tables of their own write them
+themselves, by `--page`.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from common.command import run
+from common.page import END, ROOT, stamp
+from typer import Argument, Option
+
+from transopt.base.files import read_file
+from transopt.base.sizes import MOST_TEXT_BYTES
+from transopt.base.writing import write_text
+
+PART = re.compile(rf"(<!-- output of: (python [^\n]+) -->\n).*?({END})", re.DOTALL)
+
+
+def printed(command: str) -> tuple[str, int]:
+    """What a command prints in the checkout, without control sequences, and its exit code."""
+    _, *words = shlex.split(command)
+    ended = subprocess.run([sys.executable, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    return re.sub(r"\x1b\[[0-9;]*m", "", ended.stdout).strip("\n"), ended.returncode
+
+
+def main(
+    page: Annotated[Path, Argument(help="page of docs/results")],
+    only: Annotated[str, Option(help="commands with this word in them")] = "",
+) -> int:
+    text = read_file(page, MOST_TEXT_BYTES, "a page of docs/results").decode()
+    worst = 0
+    for _, command, _ in PART.findall(text):
+        if only not in command:
+            continue
+        print(command, flush=True)
+        output, code = printed(command)
+        part = f"\n```text\n{output}\n```\n\n{stamp(command)}\n\n"
+        # Read anew: a command may take long, and somebody may have edited the page meanwhile.
+        whole = read_file(page, MOST_TEXT_BYTES, "a page of docs/results").decode()
+        mark = re.compile(rf"({re.escape(f'<!-- output of: {command} -->')}\n).*?({END})", re.DOTALL)
+        write_text(mark.sub(lambda found, part=part: found[1] + part + found[2], whole), page)
+        worst = max(worst, abs(code))
+    return min(worst, 1)
+
+
+if __name__ == "__main__":
+    run(main)

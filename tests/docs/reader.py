@@ -1,0 +1,141 @@
+"""A reader who does what a page says: saves its files, types its commands, and has a device on the port it names."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.benches.places import ROOT
+from tests.docs.pages import Block
+from transopt.scene.builtin import load_scene
+
+DEFAULT_SCENE = ROOT / "problems/scenes/wood_on_foam.toml"
+PORT = "/dev/ttyACM0"
+STILL = "the stylus is moving"  # a device in a hand that taps refuses to be armed in the middle of a tap
+
+# Beginning of a command on a port -> the options that stand for the person at the device, who stops it when it has
+# been seen, and for what only a real device has: a stop to press, a stylus to move, a hand that lets go.
+PERSON = {
+    "transopt-play monitor": "--for 1",
+    "transopt-play check": "--rest-g 0 --skip emergency-stop --skip encoder --skip grip-zero",
+    "transopt-play tap": "--taps 2",
+    "transopt-play record tap": "--taps 2",
+    "transopt-play record sweep": "--seconds 1 --trials 2",
+}
+
+
+class Reader:
+    """Works through the blocks of one page in one folder.
+
+    Parameters
+    ----------
+    folder : where everything is saved and run; what it holds before is what the page assumes.
+    home : of programs that keep something there.
+    """
+
+    def __init__(self, folder: Path, home: Path) -> None:
+        self.folder, self.home, self._names = folder, home, dict[str, object]()
+
+    def do(self, block: Block) -> None:
+        """Save it or run it, as its language asks for."""
+        {"sh": self._type, "python": self._python, "toml": self._scene, "c": self._compile}[block.language](block)
+
+    def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
+        """Without input from a terminal, in the environment of the tests."""
+        environment = {**os.environ, "HOME": str(self.home), "XDG_CACHE_HOME": str(self.home / "cache")}
+        environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment["PATH"]])
+        return subprocess.run(
+            command,
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
+
+    def _type(self, block: Block) -> None:
+        if PORT in block.code:
+            self._type_at_a_device(block.code)
+        else:
+            self._succeeds(block.code)
+
+    def _succeeds(self, lines: str) -> None:
+        ended = self.run("bash", "-euc", lines)
+        assert ended.returncode == 0, f"{lines}\n{ended.stdout[-2000:]}\n{ended.stderr[-2000:]}"
+
+    def _type_at_a_device(self, lines: str) -> None:
+        """Each line at a simulated device: sweeps at one that is held still, the rest at one that taps."""
+        whole = [line.partition("#")[0].strip() for line in lines.splitlines()]
+        for sweeps in (False, True):
+            of_this = [line for line in whole if line and ("sweep" in line) == sweeps]
+            if of_this:
+                with self._device("--hold=3" if sweeps else "--rest=2") as port:
+                    for line in of_this:
+                        self._type_until_still(line, port)
+
+    def _type_until_still(self, line: str, port: str) -> None:
+        """A hand that taps by itself does not wait for the command, as a person would: the command is typed again."""
+        stands_for = next((options for begin, options in PERSON.items() if line.startswith(begin)), "")
+        command = f"{line.replace(PORT, port)} {stands_for}"
+        for _ in range(5):
+            ended = self.run("bash", "-euc", command)
+            if STILL not in ended.stderr:
+                break
+        assert ended.returncode == 0, f"{command}\n{ended.stdout[-2000:]}\n{ended.stderr[-2000:]}"
+
+    @contextmanager
+    def _device(self, option: str) -> Iterator[str]:
+        """A device that runs, by the name of its pseudo-terminal."""
+        program = Path(sys.executable).parent / "transopt-device"
+        command = [str(program), option, "--like", "wood_on_foam"]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as device:
+            assert device.stdout is not None
+            try:
+                yield device.stdout.readline().strip()
+            finally:
+                device.terminate()
+
+    def _python(self, block: Block) -> None:
+        """In one interpreter's names from block to block of the page."""
+        if block.file:
+            (self.folder / block.file).write_text(block.code, encoding="utf-8")
+        there = Path.cwd()
+        os.chdir(self.folder)
+        sys.path.insert(0, str(self.folder))  # where `python` started in this folder looks for what it imports
+        try:
+            exec(compile(block.code, f"<{self.folder.name}>", "exec"), self._names)
+        finally:
+            sys.path.remove(str(self.folder))
+            os.chdir(there)
+
+    def _scene(self, block: Block) -> None:
+        """A whole scene if it has a file's name, else tables that a reader puts into a copy of the default scene."""
+        path = self.folder / (block.file or "fragment.toml")
+        path.write_text(block.code if block.file else put_into_a_scene(block.code), encoding="utf-8")
+        load_scene(path)
+
+    def _compile(self, block: Block) -> None:
+        compiler = shutil.which("cc") or shutil.which("gcc")
+        if compiler is not None:
+            source = self.folder / "block.c"
+            source.write_text(block.code, encoding="utf-8")
+            ended = self.run(
+                compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", f"-I{self.folder}", str(source)
+            )
+            assert ended.returncode == 0, ended.stderr
+
+
+def put_into_a_scene(fragment: str) -> str:
+    """The default scene with the keys and tables of a fragment in place of its own of the same name."""
+    stated = tomllib.loads(fragment)
+    first, *tables = re.split(r"^(?=\[)", DEFAULT_SCENE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    lines = [line for line in first.splitlines() if line.partition("=")[0].strip() not in stated]
+    own_keys, *own_tables = re.split(r"^(?=\[)", fragment, flags=re.MULTILINE)
+    kept = [table for table in tables if re.split(r"[].[]+", table)[1] not in stated]
+    return "\n".join([*lines, own_keys, *kept, *own_tables])

@@ -1,0 +1,56 @@
+"""Links lead somewhere: files, images and headings in the checkout; addresses are well formed.
+
+Whether an address answers is asked where there is a network: `.ci/run --links`.
+"""
+
+import re
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from tests.docs.pages import FENCED, PAGES, named, text
+
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
+INCLUDED = re.compile(r"^```\{include\} (\S+)$", re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """Names of the headings of a page and of what it includes, as links into it spell them."""
+    prose = FENCED.sub("", text(page))
+    headings = re.findall(r"^#{1,6} +(.+?) *$", prose, flags=re.MULTILINE)
+    found = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    included = [(page.parent / name).resolve() for name in INCLUDED.findall(text(page))]
+    return found.union(*(anchors(one) for one in included if one.exists()))
+
+
+def links(page: Path) -> list[str]:
+    return LINK.findall(re.sub(r"`[^`\n]*`", "", FENCED.sub("", text(page))))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in links(page):
+        path, _, anchor = link.partition("#")
+        if urlsplit(link).scheme:
+            continue
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), link
+        if anchor:
+            assert target.suffix == ".md", link
+            assert anchor in anchors(target), f"{link}: {sorted(anchors(target))}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_addresses_are_well_formed(page: Path) -> None:
+    for link in links(page):
+        parts = urlsplit(link)
+        if parts.scheme:
+            assert parts.scheme == "https", link
+            assert re.fullmatch(r"[\w-]+(\.[\w-]+)+", parts.netloc), link
+
+
+def test_a_heading_is_found_by_its_name(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# What `a_b` is, in %\n\n```sh\n# no heading\n```\n\n## A second-hand *one*\n")
+    assert anchors(page) == {"what-a_b-is-in-", "a-second-hand-one"}

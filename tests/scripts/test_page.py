@@ -1,0 +1,69 @@
+"""Parts of pages that scripts write, and the stamps below them."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+from common.page import END, begin, write_part
+
+from tests.benches.places import ROOT
+from transopt.base.errors import InputError
+
+STAMP = re.compile(
+    r"^\*`python (?:-m )?([\w./]+)[^`]*`, \d{4}-\d\d-\d\d, .+, \d+ cores, Python 3\.[\d.]+, "
+    r"commit \w+(, with changes)?\.\*$",
+    re.MULTILINE,
+)
+PART = re.compile(
+    r"^<!-- (?:written by|output of: python(?: -m)?) ([\w./]+)[^\n]* -->$(.*?)^<!-- end -->$",
+    re.DOTALL | re.MULTILINE,
+)
+RESULTS = ROOT / "docs/results"
+PARTS = [
+    (path, *found.groups()) for path in sorted(RESULTS.glob("*.md")) for found in PART.finditer(path.read_text())
+]
+TIMED = (
+    "scripts/benchmark.py",
+    "scripts/error_against_runtime.py",
+)  # worth a run on a machine that does nothing else
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(sys, "argv", ["scripts/after_window.py", "wood", "--page", "p.md", "--out", "/tmp/x"])
+    path = tmp_path / "p.md"
+    path.write_text(f"before\n\n{begin('after_window.py')}\nold\n{END}\n\nafter\n")
+    return path
+
+
+def test_the_part_is_replaced_and_stamped_and_the_rest_stays(page: Path) -> None:
+    write_part(page, ["| a |", "|---|", "| \\1 |"])
+    text = page.read_text()
+    assert text.startswith("before\n\n<!-- written")
+    assert text.endswith("<!-- end -->\n\nafter\n")
+    assert "old" not in text
+    assert "| \\1 |\n\n*`python scripts/after_window.py wood --out DIR`, " in text
+    [found] = STAMP.findall(text)
+    assert found[0] == "scripts/after_window.py"
+    write_part(page, ["| a |", "|---|", "| \\1 |"])
+    assert page.read_text() == text
+
+
+def test_without_a_page_nothing_is_written(page: Path) -> None:
+    before = page.read_text()
+    write_part(None, ["| a |"])
+    assert page.read_text() == before
+
+
+def test_a_page_of_another_script_is_refused(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["scripts/soak.py"])
+    with pytest.raises(InputError, match=r"no part of this script; mark one by two lines: <!-- written by"):
+        write_part(page, [])
+
+
+@pytest.mark.parametrize(("path", "script", "part"), PARTS, ids=[f"{p.stem}-{Path(s).stem}" for p, s, _ in PARTS])
+def test_every_part_says_when_where_and_by_what(path: Path, script: str, part: str) -> None:
+    assert (ROOT / script).exists() or (ROOT / script.replace(".", "/")).exists()
+    found = STAMP.findall(part)
+    assert [name for name, _ in found] == [script] or (script in TIMED and not found)
