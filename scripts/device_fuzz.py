@@ -1,9 +1,10 @@
-"""Fuzz the device's core by libFuzzer, in double and in single precision, under address and undefined-behaviour sanitizers.
+"""Fuzz the device's core by libFuzzer, in double and in single precision, under sanitizers.
 
     python scripts/device_fuzz.py [--seconds 30] [--keep FOLDER]
 
 The harness and what it asks of the device stand in `controller/firmware/fuzz/fuzz_device.c`. Both precisions run at
-once, each for so long. Exit code 1 if something was found: the inputs that show it are kept in FOLDER; 3 without clang.
+once, each for so long. Exit code 1 if something was found: the inputs that show it are kept in FOLDER;
+3 without clang.
 """
 
 import shutil

@@ -206,10 +206,11 @@ def record(folder: Path, seed: int, library: Path | None, *, runs: int = 6, tick
 def rows(found: dict[Target, Found]) -> list[str]:
     """Markdown, one row a target."""
     head = ["target", "precision", "text B", "td_device B", "stack B", "servo tick: mean / worst"]
-    head += ["device tick: mean / worst", "interrupt held", "hash equal"]
+    head += ["command out: mean / worst", "device tick: mean / worst", "interrupt held", "hash equal"]
     cells = []
     for target, f in found.items():
-        ticks = (f"{mean:.0f} / {most}" for _, mean, most in (f.counts["runs servo"], f.counts["talks device"]))
+        counted = (f.counts[name] for name in ("runs servo", "talks command", "talks device"))
+        ticks = (f"{mean:.0f} / {most}" for _, mean, most in counted)
         sizes = (f.text_bytes, f.device_bytes, f.stack_bytes)
         equal = "yes" if f.alike() else "NO"
         cells.append([target.name, target.precision, *sizes, *ticks, f.counts["talks held"][2], equal])

@@ -262,8 +262,7 @@ class Served:
     """A device on the master's side of a pseudo-terminal; ticks as fast as it can."""
 
     def __init__(self, master: int) -> None:
-        self.device = started(7, simulated=False)
-        self._master, self._stop = master, threading.Event()
+        self.device, self._master, self._stop = started(7), master, threading.Event()
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
