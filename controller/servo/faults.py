@@ -130,6 +130,8 @@ FAULTS = (
 # What each is seen by, for the manual; in braces the settings that decide.
 SEEN_WHEN = {
     Fault.EMERGENCY_STOP: "it is pressed",
+    Fault.HOST_STOP: "a host asks for it over the link",
+    Fault.LATE_TICK: "the port says that a servo period came late",
     Fault.BAD_SENSOR: (
         "encoder or current give no number, or more than {encoder_limit_counts} counts or {current_range_A} A"
     ),
