@@ -77,8 +77,6 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
         task = bar.add_task("upload", total=len(given.image))
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
     took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
-    if device.harmless:
-        device.checked()  # nothing is wired there that could be wired wrong
     words, named = "the device has this library already", library_names.in_words(after)
     if sent:
         words = f"uploaded {took}"
@@ -206,12 +204,13 @@ def _who(port: str, hello: "HelloReply") -> str:
     """One line about a device."""
     version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
     from controller.host.library_names import in_words
+    from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
 
     there = any(hello.configuration_sha256)
-    checked = "checked" if hello.checked_sha256 == hello.configuration_sha256 else "not checked"
+    checked = "checked" if hello.evidence == PULSE_SOUND | TRIAL_FINISHED else "not checked"
     return (
         f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
-        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_limit_A:g} A and {hello.command_limit_A:g} A, "
+        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_A:g} A and {hello.command_A:g} A, "
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
         + in_words(hello.library_sha256)
     )
@@ -322,8 +321,6 @@ def check(
         bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
         results = run_steps(bench, skipped, tell)
         good = passed(results, skipped)
-        if good:
-            device.checked()
     console.print(check_table(results, f"{port}: bring-up check"))
     if any(result.passed is False for result in results):
         words = "failed: put right what is wrong, then check again; until then the device does not arm"

@@ -16,7 +16,7 @@ from controller.host.monitor import Monitor
 from controller.host.payload import excitation
 from controller.host.sweeps import AbortedError, Sweeps, Trial
 from controller.protocol.image import sha256
-from controller.protocol.messages import HelloReply
+from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED, HelloReply
 from controller.record.sweep_plan import PlannedSweep
 from controller.record.trial_file import refuse_old
 from controller.servo.settings import Settings
@@ -84,7 +84,8 @@ def record_sweeps(bench: Bench, series: Series) -> None:
         # All of them are tried before any of them is played.
         loads = {alike: excitation(settings, command, hello) for alike, command in commands.items()}
         configuration = sha256(next(iter(loads.values())).configuration)
-        if not device.harmless and hello.checked_sha256 != configuration:
+        checked = hello.configuration_sha256 == configuration and hello.evidence == PULSE_SOUND | TRIAL_FINISHED
+        if not device.harmless and not checked:
             raise InputError(
                 f"{bench.name}: sweeps under these limits have not passed the bring-up check since the device "
                 f"started: run `transopt-play check --sweep {series.remedy}`"

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from controller.host.driver import Device, DeviceError, LinkLostError
-from controller.protocol.capacity import PULSE_LIMIT_A, PULSE_LIMIT_S, TRIAL_GAIN
+from controller.protocol.capacity import TRIAL_GAIN
 from controller.protocol.events import Changed, Happened, News, Samples
 from controller.protocol.messages import STOP_PRESSED, Record, column
 from controller.servo.interface import Fault, Notice, State
@@ -206,8 +206,9 @@ class Check:
         """
         seen, sound, furthest = self._pulsed(PULSE_A, PULSE_S)
         if sound and furthest == 0:
-            more, sound, furthest = self._pulsed(PULSE_LIMIT_A, PULSE_LIMIT_S)
-            seen += f"; at {1e3 * PULSE_LIMIT_A:g} mA, {1e3 * PULSE_LIMIT_S:g} ms: {more}"
+            most_A, most_s = self.device.hello.pulse_A, self.device.hello.pulse_s
+            more, sound, furthest = self._pulsed(most_A, most_s)
+            seen += f"; at {1e3 * most_A:g} mA, {1e3 * most_s:g} ms: {more}"
         return seen, sound and furthest >= 1
 
     def _pulsed(self, pulse_A: float, duration_s: float) -> tuple[str, bool, int]:

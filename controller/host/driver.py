@@ -22,8 +22,8 @@ from controller.host.session import Session
 from controller.host.session_states import OPEN, SessionState
 from controller.protocol.capacity import LEASE_DEFAULT_MS
 from controller.protocol.codes import Kind, Reason
-from controller.protocol.events import Completed, Connected, Ended, News, Progress, Refused
-from controller.protocol.messages import HelloReply
+from controller.protocol.events import Completed, Connected, Ended, News, Progress, Refused, Witnessed
+from controller.protocol.messages import EvidenceReply, HelloReply
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
 
@@ -172,16 +172,24 @@ class Device:
         self.session.set_telemetry(every)
         self._done(Kind.TELEMETRY)
 
-    def pulse(self, current_A: float, ticks: int) -> None:
-        """For the polarity test; returns when it has begun."""
+    def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
+        """Test pulses; returns when they have begun. pairs : 0 for a single one, else the configuration's, judged."""
         self.need_no_fault()
-        self.session.pulse(current_A, ticks)
+        self.session.pulse(current_A, ticks, pairs)
         self._done(Kind.PULSE)
 
-    def checked(self) -> None:
+    def evidence(self) -> EvidenceReply:
+        """What the device has seen of itself, for this start and this configuration."""
+        self.session.evidence()
+        found = self._wait(lambda news: isinstance(news, Witnessed), ANSWER_S, "evidence")
+        assert isinstance(found, Witnessed)
+        return found.evidence
+
+    def surface(self, counts: float) -> None:
+        """Where the surface is, in counts after the encoder's direction."""
         self.need_no_fault()
-        self.session.checked()
-        self._done(Kind.CHECKED)
+        self.session.surface(counts)
+        self._done(Kind.SURFACE)
 
     # Waiting.
 

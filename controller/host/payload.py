@@ -93,8 +93,8 @@ def excitation_settings(hello: HelloReply, library: Path | None) -> Settings:
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,
-        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_limit_A),
-        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_limit_A)),
+        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A),
+        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_A)),
         coil=RE_25,
         host_starts=True,
         **NEVER_STUCK,

@@ -15,7 +15,7 @@ is exact and costs the same for every window.
 
 from enum import IntEnum
 
-import numpy as np
+from controller.servo.parabola import fit_rows
 
 NEVER = -1e9  # phase of a stylus that does not come in
 
@@ -39,13 +39,7 @@ class Approach:
         window_ticks: int,
         least_speed_m_s: float,
     ) -> None:
-        ages = np.arange(window_ticks, dtype=float)
-        powers = np.vander(-ages, 3, increasing=True)
-        # Coefficients by the three sums of counts, counts * age and counts * age^2: (V'V)^-1 V' has no other terms.
-        normal = np.linalg.inv(powers.T @ powers) * np.array([1.0, -1.0, 1.0])
-        ahead = lead_s / dt_s
-        self._value = [float(x) for x in np.array([1.0, ahead, ahead**2]) @ normal]
-        self._slope = [float(x) for x in np.array([0.0, 1.0, 2 * ahead]) @ normal]
+        self._value, self._slope = fit_rows(window_ticks, lead_s / dt_s)
         self._m_s = count_m / dt_s
         self._surface_counts, self._least_speed_m_s = surface_counts, least_speed_m_s
         self._window = window_ticks

@@ -103,7 +103,6 @@ class Rehearsal(Generic[End]):
         self.connected()
         self.session.configure(configuration)
         self.session.upload(image)
-        self.session.checked()
         return self.until(lambda: self.session.idle, 10.0)
 
     def restart_host(self) -> None:

@@ -187,7 +187,6 @@ class Desk(Cable):
         """As if this configuration, which comes into force, had passed the bring-up check."""
         with self.connect() as device:
             device.configure(configuration)
-            device.checked()
 
     def put(self, monkeypatch: pytest.MonkeyPatch) -> "Desk":
         """Where the commands find it, under any name of a port."""

@@ -23,13 +23,15 @@
 #define CHUNK 8192
 #define BEHIND_MOST_S 0.25 /* after a longer sleep of the machine time is not caught up */
 #define LINE 128
-#define MOST_A 10.0 /* of the amplifier, current and command */
 #define DT_S 1e-4
+/* As controller/protocol/capacity.py has it, without a coil. */
+static const td_hardware hardware = {DT_S, 10, 10, 0.1, 0.02, 50, 20e3, 50, false, 0, 0, 0, 0, 0, 0, 0};
 
 typedef struct {
     const char *listen, *plant;
     double delay_ms, loss, corruption, reset_s;
     long seed, boot;
+    bool simulated;
 } options;
 
 static td_device device;
@@ -67,7 +69,7 @@ static bool number_of(const char *name, const char *given, const char *text, dou
 
 static bool parse(int argc, char **argv, options *said)
 {
-    double seed = 0, boot = 1;
+    double seed = 0, boot = 1, simulated = 0;
     int j;
 
     for (j = 1; j < argc; j++) {
@@ -82,20 +84,22 @@ static bool parse(int argc, char **argv, options *said)
                  !number_of(name, "--loss", text, &said->loss) &&
                  !number_of(name, "--corruption", text, &said->corruption) &&
                  !number_of(name, "--reset-every", text, &said->reset_s) && !number_of(name, "--seed", text, &seed) &&
-                 !number_of(name, "--boot", text, &boot)) {
+                 !number_of(name, "--boot", text, &boot) &&
+                 !number_of(name, "--simulated", text, &simulated)) {
             fail(name, "no such option");
             return false;
         }
     }
     said->seed = (long)seed;
     said->boot = (long)boot;
+    said->simulated = simulated > 0;
     return true;
 }
 
 /* Power gone and back: what it knew is lost, the hand and the stylus go on. */
 static void start_device(const options *said)
 {
-    const td_port port = {(uint32_t)said->boot + boots++, {MOST_A, MOST_A, DT_S}, NULL, NULL};
+    const td_port port = {(uint32_t)said->boot + boots++, hardware, said->simulated, 25, 25, NULL, NULL, NULL};
 
     td_device_start(&device, &port);
     tick = 0;
@@ -195,7 +199,7 @@ static int run_real_time(const options *said, port_link *link)
 
 int main(int argc, char **argv)
 {
-    options said = {NULL, NULL, 0, 0, 0, 0, 0, 1};
+    options said = {NULL, NULL, 0, 0, 0, 0, 0, 1, false};
     static port_link link = {-1, -1, -1, false};
     char name[LINK_NAME], where[LINK_NAME] = "pseudo-terminal";
     const char *wrong;

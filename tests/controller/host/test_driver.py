@@ -42,7 +42,6 @@ def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, Virtua
 def armed(device: Device) -> None:
     device.configure(CONFIGURATION)
     device.upload(IMAGE)
-    device.checked()
     device.arm(1.0, 100)
 
 
@@ -58,7 +57,6 @@ def test_one_session_from_end_to_end(trouble: Trouble) -> None:
         assert not device.configure(CONFIGURATION)
         assert not device.upload(IMAGE)
         assert device.listeners == []
-        device.checked()
         device.set_telemetry(10)
         device.arm(0.5, 200)
         assert device.state is State.ARMED
@@ -114,7 +112,6 @@ def test_an_arm_without_answer_is_stopped_too() -> None:
         with connect() as device:
             device.configure(CONFIGURATION)
             device.upload(IMAGE)
-            device.checked()
             world.link.to_host.trouble = Trouble(loss=1.0)
             device.session.arm(1.0, 200)
             device.pump(world.now_s + 0.01)
@@ -160,7 +157,7 @@ def test_a_fault_meanwhile_is_told_and_no_misuse() -> None:
             lambda: device.upload(IMAGE),
             lambda: device.arm(0.1, trial=True),
             lambda: device.pulse(0.05, 50),
-            device.checked,
+            lambda: device.surface(0.0),
         )
         for request in requests:
             with pytest.raises(DeviceError, match=r"device: a fault is latched: emergency stop: .* \(--reset\)"):
@@ -245,7 +242,6 @@ def test_a_start_out_of_turn_is_one_line_and_no_misuse() -> None:
         device.disarm()
         device.configure(EXCITED)
         device.upload(ONE_WAVEFORM)
-        device.checked()
         device.arm(1.0, 100)
         device.start(negative=True)
         assert world.device.state is State.PLAYING
@@ -303,7 +299,6 @@ def test_over_a_pseudo_terminal(served: tuple[Served, str]) -> None:
         device.configure(CONFIGURATION)
         device.upload(big)
         assert server.device.look().library_sha256 == sha256(big)
-        device.checked()
         device.arm(1.0, 1000)
         device.listen(0.05)
         assert server.device.state is State.ARMED

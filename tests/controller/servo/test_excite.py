@@ -171,7 +171,6 @@ ARM = m.Arm(0, 200, 0.5, sha256(CONFIGURATION), sha256(IMAGE))
 
 def ready(configuration: bytes = CONFIGURATION) -> Talker:
     bench = Talker().configured(configuration).loaded(IMAGE)
-    bench.done(m.Checked(sha256(configuration)))
     return bench
 
 

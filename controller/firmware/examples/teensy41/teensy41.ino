@@ -23,9 +23,27 @@
 
 const double PERIOD_S = 1e-4; /* servo period; a library of another is refused */
 
-/* What amplifier and motor are good for: no host can ask for more. */
-const double MOST_CURRENT_A = 4.0;
+/* What amplifier and motor are good for: a host may only ask for less. The poles are the slowest and the fastest that the
+ * amplifier may have; current and command limits hold for every one between them. */
 const double MOST_COMMAND_A = 6.0;
+const td_hardware HARDWARE = {
+    PERIOD_S,
+    4.5, /* true current [A] */
+    MOST_COMMAND_A,
+    0.1,   /* test pulse [A] */
+    0.02,  /* and its length [s] */
+    700.0, /* slowest and fastest pole [Hz] */
+    1600.0,
+    6.0, /* measured current that is a fault [A] */
+    true, /* the motor's coil is known: Maxon RE 25, 118743 */
+    2.18, /* winding at 25 C [ohm] */
+    3.1,  /* thermal resistance winding to housing, housing to ambient [K/W] */
+    14.0,
+    12.0, /* their time constants [s] */
+    612.0,
+    100.0, /* limit of the winding, warmest surroundings [C] */
+    35.0,
+};
 
 /* Digital pins. */
 const uint8_t PIN_ENCODER_A = 0; /* of the hardware decoder: 0 to 5, 7, 30, 31, 33 */
@@ -198,7 +216,7 @@ void setup()
     encoder.setInitConfig();
     encoder.init();
 
-    const td_port port = {next_boot(), {MOST_CURRENT_A, MOST_COMMAND_A, PERIOD_S}, hold, nullptr};
+    const td_port port = {next_boot(), HARDWARE, false, NAN, NAN, hold, nullptr, nullptr};
 
     td_device_start(&device, &port);
     Serial.begin(115200); /* USB: as fast as it goes, whatever is asked for */

@@ -12,18 +12,24 @@
 #ifndef TD_DEVICE_H
 #define TD_DEVICE_H
 
+#include "td_evidence.h"
 #include "td_outbox.h"
 #include "td_servo.h"
 #include "td_store.h"
 #include "td_wire.h"
 
-#define TD_FIRMWARE (1u << 16 | 1u << 8) /* major, minor, patch: 16, 8, 8 bits */
+#define TD_FIRMWARE (2u << 16) /* major, minor, patch: 16, 8, 8 bits */
 #define TD_REPLY_LIMIT (TD_HEADER_BYTES + TD_HELLO_REPLY_BYTES + 4 + 2 + 1) /* the longest answer as a frame */
 
 typedef struct {
     uint32_t boot; /* another number at every start */
     td_hardware hardware;
+    bool simulated;             /* compiled in: nothing is wired that could be wired wrong, and evidence is given */
+    double winding_C, housing_C; /* of the coil, kept over the restart (td_device_coil); NaN: not known, so hottest */
     void (*hold)(void *context, bool held); /* NULL where nothing interrupts */
+    /* The command goes out; NULL where the caller takes it from what td_device_step answers. `enabled`: whether the
+     * amplifier may be on at all. */
+    void (*put)(void *context, td_real command_A, bool enabled);
     void *context;
 } td_port;
 
@@ -39,8 +45,10 @@ typedef struct {
     size_t reply_size;
     td_store store;
     td_servo servo; /* once the store is configured */
-    uint8_t checked_sha256[TD_HASH_BYTES];
-    bool stop_wanted, stop_latched, stop_pressed; /* the last two before there is a servo */
+    td_evidence evidence;
+    bool stop_wanted; /* over the link */
+    bool stop_pressed; /* before there is a servo, as the next */
+    uint8_t stop_latched; /* TD_WHAT_..., 0 without */
     bool trial;                                   /* armed for the tap of the bring-up check */
     int32_t lease_ticks, lease_left, silent_ticks;
     int32_t pulse_left;
@@ -65,6 +73,9 @@ uint8_t td_device_state(const td_device *device); /* TD_STATE_... */
 uint8_t td_device_fault(const td_device *device); /* TD_WHAT_..., 0 without */
 
 /* For the core itself, between hold(true) and hold(false). */
+
+/* Bits of evidence; all of them where nothing is wired. */
+uint8_t td_device_evidence(const td_device *device);
 
 /* Where the body of the next frame is written. */
 static inline uint8_t *td_device_body(td_device *device)

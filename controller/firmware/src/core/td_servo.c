@@ -70,6 +70,19 @@ void td_servo_set_gain(td_servo *servo, td_wide gain)
     servo->wanted_gain = gain > 0 ? (gain > 1 ? 1 : gain) : 0;
 }
 
+void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
+{
+    const td_wide by_m = (config->surface_counts - counts) * config->count_m;
+    int32_t j;
+
+    config->surface_counts = counts;
+    if (!servo->read)
+        return;
+    servo->z_m += by_m;
+    for (j = 0; j <= config->wall.latency_ticks; j++)
+        servo->ring_z[j] = (td_real)((td_wide)servo->ring_z[j] + by_m);
+}
+
 static void tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
 {
     td_event *event;
@@ -93,9 +106,9 @@ static void note(td_servo *servo, td_output *output, uint64_t tick, int notice, 
 static void latch(td_servo *servo, td_output *output, uint64_t tick, uint32_t faults)
 {
     static const uint8_t order[TD_FAULTS] = {
-        TD_WHAT_EMERGENCY_STOP, TD_WHAT_BAD_SENSOR, TD_WHAT_OVER_CURRENT, TD_WHAT_OVER_TEMPERATURE,
-        TD_WHAT_ENCODER_JUMP,   TD_WHAT_ENCODER_STUCK, TD_WHAT_NO_CURRENT, TD_WHAT_GRIP_OPEN,
-        TD_WHAT_GRIP_SHORT,     TD_WHAT_GRIP_LOST,
+        TD_WHAT_EMERGENCY_STOP, TD_WHAT_HOST_STOP,        TD_WHAT_LATE_TICK,    TD_WHAT_BAD_SENSOR,
+        TD_WHAT_OVER_CURRENT,   TD_WHAT_OVER_TEMPERATURE, TD_WHAT_ENCODER_JUMP, TD_WHAT_ENCODER_STUCK,
+        TD_WHAT_NO_CURRENT,     TD_WHAT_GRIP_OPEN,        TD_WHAT_GRIP_SHORT,   TD_WHAT_GRIP_LOST,
     };
     int j;
 

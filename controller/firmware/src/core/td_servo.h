@@ -68,6 +68,10 @@ bool td_servo_reset(td_servo *servo);
 /* Scale of transient and feedback together, 0 to 1; anything else goes to the nearer end, NaN to 0. */
 void td_servo_set_gain(td_servo *servo, td_wide gain);
 
+/* Another place of the surface from here on, in the configuration that the servo runs by; the stylus stays where it is,
+ * and a wall felt no motion by it. */
+void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts);
+
 /* One servo period: the command that answers one tick's readings. */
 void td_servo_step(td_servo *servo, const td_readings *readings, td_output *output);
 

@@ -31,13 +31,13 @@ void td_device_give_up(td_device *device)
     }
 }
 
-/* Before there is a configuration: an emergency stop is latched, nothing else is looked at. */
-static void step_unconfigured(td_device *device, bool emergency_stop, td_output *output)
+/* Before there is a configuration: a stop is latched, nothing else is looked at. */
+static void step_unconfigured(td_device *device, const td_readings *readings, td_output *output)
 {
-    device->stop_pressed = emergency_stop;
-    if (emergency_stop && !device->stop_latched) {
-        device->stop_latched = true;
-        tell(device, TD_WHAT_EMERGENCY_STOP);
+    device->stop_pressed = readings->emergency_stop;
+    if ((readings->emergency_stop || readings->host_stop) && device->stop_latched == TD_NO_FAULT) {
+        device->stop_latched = readings->emergency_stop ? TD_WHAT_EMERGENCY_STOP : TD_WHAT_HOST_STOP;
+        tell(device, device->stop_latched);
     }
     output->command_A = output->transient_A = output->feedback_A = 0;
     output->winding_C = (td_real)NAN;
@@ -107,8 +107,8 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
     int32_t j;
 
     device->tick = seen.tick;
-    /* A stop over the link is as if it had been pressed for one tick: latched like any other fault. */
-    seen.emergency_stop = seen.emergency_stop || device->stop_wanted;
+    /* A stop over the link is there for one tick: latched like any other fault. */
+    seen.host_stop = device->stop_wanted;
     device->stop_wanted = false;
     if (device->silent_ticks < INT32_MAX)
         device->silent_ticks++;
@@ -121,7 +121,7 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
     if (device->store.configured)
         td_servo_step(&device->servo, &seen, output);
     else
-        step_unconfigured(device, seen.emergency_stop, output);
+        step_unconfigured(device, &seen, output);
     for (j = 0; j < output->event_count; j++)
         td_events_put(&device->events, &output->events[j]);
     if (device->pulse_left > 0)

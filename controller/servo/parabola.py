@@ -1,0 +1,27 @@
+"""Rows of a parabola's least-squares fit, worked out in the order of operations that the C core has too."""
+
+
+def fit_rows(window_ticks: int, ahead_ticks: float) -> tuple[list[float], list[float]]:
+    """What the fit through the readings of the ages 0 to window - 1 [ticks] gives, ahead of the newest.
+
+    The normal equations of c_0 - c_1 age + c_2 age^2 are solved by the adjugate of their matrix.
+
+    Returns
+    -------
+    value, slope : (3,) weights of sum counts, sum counts * age, sum counts * age^2 for the value and for the slope
+        per tick, `ahead_ticks` after the newest reading.
+    """
+    s = [0.0] * 5
+    for age in range(window_ticks):
+        power = 1.0
+        for j in range(5):
+            s[j] += power
+            power *= age
+    c00, c01, c02 = s[2] * s[4] - s[3] * s[3], s[2] * s[3] - s[1] * s[4], s[1] * s[3] - s[2] * s[2]
+    c11, c12, c22 = s[0] * s[4] - s[2] * s[2], s[1] * s[2] - s[0] * s[3], s[0] * s[2] - s[1] * s[1]
+    rows = ((c00, c01, c02), (c01, c11, c12), (c02, c12, c22))
+    determinant = s[0] * c00 + s[1] * c01 + s[2] * c02
+    ahead = ahead_ticks
+    value = [(rows[0][j] - ahead * rows[1][j] + ahead * ahead * rows[2][j]) / determinant for j in range(3)]
+    slope = [(2 * ahead * rows[2][j] - rows[1][j]) / determinant for j in range(3)]
+    return value, slope
