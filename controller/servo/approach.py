@@ -14,8 +14,8 @@ Longer windows would ask for more than 10 ms of undisturbed approach.
 A tap from rest close above the surface begins within the window, or its acceleration changes there, and a parabola is
 then no more what the readings follow. That shows in them as a part of the cubic that is orthogonal to every parabola
 (`parabola.bend_row`). Where it is more than twice what rounding alone makes of it, the newer half of the window is
-taken. Rms errors of the
-contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2 (`scripts/from_rest.py`, 24.5 um):
+taken. Rms errors of the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2
+(`scripts/from_rest.py`, 24.5 um):
 
                     10 ms alone     5 ms alone      10 or 5 ms
     constant force  9 us            14 us           10 us
