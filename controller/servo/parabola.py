@@ -1,5 +1,7 @@
 """Rows of a parabola's least-squares fit, worked out in the order of operations that the C core has too."""
 
+import math
+
 
 def fit_rows(window_ticks: int, ahead_ticks: float) -> tuple[list[float], list[float]]:
     """What the fit through the readings of the ages 0 to window - 1 [ticks] gives, ahead of the newest.
@@ -25,3 +27,22 @@ def fit_rows(window_ticks: int, ahead_ticks: float) -> tuple[list[float], list[f
     value = [(rows[0][j] - ahead * rows[1][j] + ahead * ahead * rows[2][j]) / determinant for j in range(3)]
     slope = [(2 * ahead * rows[2][j] - rows[1][j]) / determinant for j in range(3)]
     return value, slope
+
+
+def bend_row(window_ticks: int) -> list[float]:
+    """(4,) weights of the sums of counts times age^0 to age^3: how much of a cubic is in the readings, in counts.
+
+    The cubic that is orthogonal to every parabola over n ages is P(u) = u^3 - u (3 n^2 - 7) / 20 about their middle,
+    with sum P^2 = n (n^2 - 1) (n^2 - 4) (n^2 - 9) / 2800 (Gram's polynomials). The answer is sum y P / sqrt(sum P^2):
+    readings that differ from a parabola by independent errors of one size have that size there.
+    """
+    n = float(window_ticks)
+    middle = (n - 1) / 2
+    g = (3 * n * n - 7) / 20
+    size = math.sqrt(n * (n * n - 1) * (n * n - 4) * (n * n - 9) / 2800)
+    return [
+        (g * middle - middle * middle * middle) / size,
+        (3 * middle * middle - g) / size,
+        -3 * middle / size,
+        1 / size,
+    ]

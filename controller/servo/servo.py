@@ -60,7 +60,7 @@ class Servo:
             window_ticks=s.window_ticks,
             least_speed_m_s=s.least_speed_m_s,
         )
-        self._trigger = Trigger(s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s))
+        self._trigger = Trigger(s.count_m, s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s))
         amplifier, wall = s.amplifier, s.wall
         rate = math.inf if amplifier is None else amplifier.rate_rad_s * s.dt_s
         self._decay = math.exp(-rate)

@@ -65,27 +65,22 @@ static double periods(double duration_s, double dt_s)
     return nearest > 1 ? nearest : 1;
 }
 
-/* Rows of the parabola's fit over the ages 0 .. window - 1, from the adjugate of its normal matrix
- * (controller/servo/parabola.py). */
-static void fit(table *from, double window, double ahead, td_wide *value, td_wide *slope)
+/* The approach's fits, over the whole window and over its newer half if that holds readings enough. */
+static void fits(td_config *config, table *from, double ahead)
 {
-    double s[5] = {0, 0, 0, 0, 0}, age, power, determinant, c[3][3];
     int j;
 
-    for (age = 0; age < window; age++) {
-        for (power = 1, j = 0; j < 5; power *= age, j++)
-            s[j] += power;
+    config->half_ticks = config->window_ticks / 2;
+    config->whole = config->half = td_parabola_fit(config->window_ticks, ahead);
+    memset(config->bend, 0, sizeof config->bend);
+    if (config->half_ticks >= TD_LEAST_READINGS) {
+        config->half = td_parabola_fit(config->half_ticks, ahead);
+        td_parabola_bend(config->window_ticks, config->bend);
     }
-    c[0][0] = s[2] * s[4] - s[3] * s[3];
-    c[0][1] = c[1][0] = s[2] * s[3] - s[1] * s[4];
-    c[0][2] = c[2][0] = s[1] * s[3] - s[2] * s[2];
-    c[1][1] = s[0] * s[4] - s[2] * s[2];
-    c[1][2] = c[2][1] = s[1] * s[2] - s[0] * s[3];
-    c[2][2] = s[0] * s[2] - s[1] * s[1];
-    determinant = s[0] * c[0][0] + s[1] * c[0][1] + s[2] * c[0][2];
     for (j = 0; j < 3; j++) {
-        value[j] = wide(from, (c[0][j] - ahead * c[1][j] + ahead * ahead * c[2][j]) / determinant);
-        slope[j] = wide(from, (2 * ahead * c[2][j] - c[1][j]) / determinant);
+        wide(from, config->whole.value[j] + config->whole.slope[j]);
+        wide(from, config->half.value[j] + config->half.slope[j]);
+        wide(from, config->bend[j] + config->bend[3]);
     }
 }
 
@@ -166,7 +161,7 @@ static void unpack_motion(td_config *config, table *from)
     config->encoder_m_s = config->approach_m_s = wide(from, n[TD_CFG_COUNT_M] / n[TD_CFG_DT_S]);
     config->encoder_limit_counts = whole(from, n[TD_CFG_ENCODER_LIMIT_COUNTS], 1, TD_ENCODER_MOST_COUNTS);
     config->window_ticks = whole(from, n[TD_CFG_WINDOW_TICKS], 4, TD_MAX_WINDOW_TICKS);
-    fit(from, config->window_ticks, n[TD_CFG_LEAD_S] / n[TD_CFG_DT_S], config->value, config->slope);
+    fits(config, from, n[TD_CFG_LEAD_S] / n[TD_CFG_DT_S]);
     config->least_speed_m_s = wide(from, n[TD_CFG_LEAST_SPEED_M_S]);
     config->touch_height_m = wide(from, n[TD_CFG_TOUCH_HEIGHT_M]);
     config->rearm_height_m = wide(from, n[TD_CFG_REARM_HEIGHT_M]);

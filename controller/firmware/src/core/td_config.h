@@ -4,7 +4,10 @@
 #define TD_CONFIG_H
 
 #include "td_messages.h"
+#include "td_parabola.h"
 #include "td_real.h"
+
+#define TD_LEAST_READINGS 4 /* that a parabola is fitted to */
 
 /* Coil, one implicit midpoint step of its two nodes per update (controller/servo/guard.py). */
 typedef struct {
@@ -60,8 +63,9 @@ typedef struct {
     /* encoder, approach, contact */
     td_wide count_m, surface_counts;
     td_wide encoder_m_s, approach_m_s; /* one count per tick, as the faults and as the fit have it */
-    int32_t encoder_limit_counts, window_ticks;
-    td_wide value[3], slope[3]; /* rows of the fit, evaluated the lead ahead of the newest reading */
+    int32_t encoder_limit_counts, window_ticks, half_ticks;
+    td_parabola whole, half; /* fits over so many ticks, evaluated the lead ahead of the newest reading */
+    td_wide bend[4];         /* how much of a cubic is in the readings */
     td_wide least_speed_m_s, touch_height_m, rearm_height_m;
     int32_t rearm_ticks;
     /* amplifier and limits */
