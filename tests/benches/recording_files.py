@@ -10,6 +10,7 @@ from scipy.io import savemat, wavfile
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.recordings.names import Layout
 from transopt.recordings.recording import Recording, load_recording
 
 DT_S = 1e-4
@@ -61,7 +62,7 @@ VALID: dict[str, bytes] = {
 def load(folder: Path, content: bytes | str, suffix: str = ".csv", **options: Any) -> Recording:
     path = folder / f"tap{suffix}"
     path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return load_recording(path, **options)
+    return load_recording(path, Layout(**options))
 
 
 def load_any(folder: Path, content: bytes, suffix: str) -> Recording:

@@ -22,13 +22,15 @@ MOST_DEVICES = 50  # that a robust entry serves besides its own
 
 # Recordings.
 MOST_FILES = 1000  # that a scene names, or a pattern in it
-MOST_SAMPLES = 4_000_000  # of one recording: 40 s at 100 kHz
+MOST_SAMPLES = 4_000_000  # of all taps that a scene simulates
+MOST_ROWS = 11_000_000  # of one recorded file: 10 s at 1 MHz, and some more
 MOST_COLUMNS = 1000
 
 # Files, in bytes.
 MOST_TEXT_BYTES = 1 << 20  # of a scene, a motor or a device
 MOST_MODEL_BYTES = 1 << 24
-MOST_FILE_BYTES = 1 << 26  # of a recording or a library
+MOST_FILE_BYTES = 1 << 26  # of a library
+MOST_RECORD_BYTES = 1 << 28  # of a recording
 MOST_UNPACKED_BYTES = 1 << 28  # of all arrays of one file
 DEEPEST = 40  # nesting of tables and lists in TOML and JSON
 

@@ -1,5 +1,6 @@
 """The model file that every `transopt identify` writes its part into."""
 
+import shlex
 from pathlib import Path
 
 from transopt.base import terminal
@@ -18,22 +19,26 @@ def check_place(out: Path) -> None:
     terminal.make_folder(out.parent)
 
 
-def next_step(out: Path) -> str:
-    """One line: the next command, and the keys that a scene leaves out once it names the file.
+def next_step(out: Path, scene: str | None = None) -> str:
+    """The next command, and the line by which a scene of the user's own names the file.
+
+    Parameters
+    ----------
+    scene : that the model was identified for; None for the default one.
 
     Raises
     ------
     InputError : the file cannot be read.
     """
     from transopt.scene.model_file import load_model
+    from transopt.scene.model_place import model_line
 
     model = load_model(out)
     if model.device is None and model.hand is None:
         return f"next: transopt identify device SWEEPS --out {out} (a scene needs a device or a hand)"
-    given = ["[model] with its tables"]
-    if model.amplifier is not None:
-        given.append("pole_Hz and delay_s of [amplifier]")
+    words = ["transopt", "solve", *([] if scene is None else [scene]), "--model", str(out)]
     return (
-        f'next: transopt scene new mine.toml; in it the line model = "{out}" above the first [table] takes the '
-        f"place of {' and of '.join(given)}"
+        f"next: {shlex.join(words)}\n"
+        "or in a scene of your own, above its first [table] (all that it states may stay):\n"
+        f"{model_line(out, Path())}"
     )

@@ -9,6 +9,7 @@ import typer
 
 from transopt.base import terminal
 from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 def identify_amplifier(
     files: Annotated[list[Path], typer.Argument(help="Sweeps with command_A and current_A: CSV, NPZ or MAT.")],
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
+    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
     """Pole and delay of the current amplifier from swept sines.
 
@@ -36,7 +39,7 @@ def identify_amplifier(
 
     check_place(out)
     with terminal.console().status("fitting"):
-        runs = load_measurements(files)
+        runs = load_measurements(files, layout(columns, units))
         trials, findings = prepare(runs)
         fit = fit_amplifier(trials)
     part = amplifier_part(fit, runs)
@@ -109,6 +112,7 @@ def amplifier_part(fit: "AmplifierFit", runs: "Sequence[Measurement]") -> "Ampli
         parameters=["pole_Hz", "delay_s"],
         covariance=fit.covariance[:2, :2].tolist(),
         verdict=fit.verdict(),
+        shortfalls=fit.shortcomings(),
         sources=[Source(file=run.source, sha256=run.sha256) for run in runs],
     )
 

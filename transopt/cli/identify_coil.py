@@ -8,6 +8,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ def identify_coil(
     resistance_ohm: Annotated[
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
     ] = None,
+    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
     """Thermal resistances and time constants of the coil.
 
@@ -49,7 +52,7 @@ def identify_coil(
 
     check_place(out)
     nominal = _coil_of(scene)
-    run = load_measurement(file)
+    run = load_measurement(file, layout(columns, units))
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
     fit = fit_coil(heat_record(run, R_ohm), limit_C=nominal.limit_C)
     # Of the identified coil in the scene's surroundings, to be compared with the datasheet.
@@ -63,12 +66,14 @@ def identify_coil(
     channels = "the winding" if fit.record.housing is None else "winding and housing"
     noise = f"noise of the winding {fit.record.winding.noise_K:.2g} K, residuals {fit.misfit:.2f} times the noise"
     console.print(f"from {channels}, {noise}", highlight=False, soft_wrap=True)
+    if run.missing:
+        console.print(f"note: {run.missing}", highlight=False, soft_wrap=True)
     console.print(f"{out}, {figure.name}", highlight=False, soft_wrap=True)
     short = fit.shortfalls()
     console.print(f"coil: {part.verdict}", style="red" if short else None, highlight=False, soft_wrap=True)
     if short:
         raise typer.Exit(1)
-    console.print(next_step(out), highlight=False, soft_wrap=True)
+    console.print(next_step(out, None if scene == DEFAULT_SCENE else scene), highlight=False, soft_wrap=True)
 
 
 def _coil_of(scene: str) -> "CoilModel":
@@ -104,6 +109,7 @@ def coil_part(fit: "CoilFit", run: "Measurement", nominal: "CoilModel", continuo
             "parameters": list(NAMES),
             "covariance": fit.covariance.tolist(),
             "verdict": verdict(fit, nominal, continuous_A),
+            "shortfalls": fit.shortfalls(),
             "sources": [Source(file=run.source, sha256=run.sha256).model_dump()],
         }
     )

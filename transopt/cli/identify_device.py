@@ -10,6 +10,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
 from transopt.cli.scene import DEFAULT_SCENE
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ def identify_device(
             help="Transients to judge the model by; may be repeated. Default: the last of 3 or more trials."
         ),
     ] = None,
+    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
     """Identify drive and hand from swept sines, all grips together, and say what the model is good for.
 
@@ -57,7 +60,7 @@ def identify_device(
     check_place(out)
     settings = _settings(out, scene, force_per_current, order, kind)
     with _progress(console) as step:
-        read = load_measurements((*files, *(validate or [])), read=lambda: step("reading"))
+        read = load_measurements((*files, *(validate or [])), layout(columns, units), read=lambda: step("reading"))
         runs, transients = read[: len(files)], read[len(files) :]
         result = identify(runs, transients, settings, tick=step)
         part = device_part(result)
@@ -77,7 +80,7 @@ def identify_device(
         )
     if result.short:
         raise typer.Exit(1)
-    console.print(next_step(out), highlight=False, soft_wrap=True)
+    console.print(next_step(out, scene), highlight=False, soft_wrap=True)
 
 
 @contextmanager

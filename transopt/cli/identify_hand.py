@@ -9,6 +9,7 @@ import typer
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.cli.identified_file import check_place, next_step
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, layout
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,6 +28,11 @@ def identify_hand(
     ],
     out: Annotated[Path, typer.Option(help="Model file; its other parts stay.")],
     window: Annotated[float, typer.Option(help="From contact on, in s; the hand answers after 0.03.")] = 0.03,
+    tap: Annotated[
+        list[int] | None, typer.Option(help="Of files with several taps: which one, counted from 1; may be repeated.")
+    ] = None,
+    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
     """Mass, damping and stiffness of the hand over grip from taps.
 
@@ -39,7 +45,7 @@ def identify_hand(
     from transopt.identify.hand.chain import fit_chain
     from transopt.identify.hand.lines import fit_hand
     from transopt.identify.hand.tap import usable_taps
-    from transopt.identify.measurement import load_measurements
+    from transopt.identify.measurement import load_measurements, split_taps
     from transopt.scene.fitted import complaint
     from transopt.scene.model_file import save_part
 
@@ -47,7 +53,7 @@ def identify_hand(
         raise InputError(f"--window {window:g} s: must be 0.01 to 0.1 s")
     check_place(out)
     with terminal.console().status("fitting"):
-        runs = load_measurements(files)
+        runs = split_taps(load_measurements(files, layout(columns, units)), tap or ())
         taps, left_out = usable_taps(runs, window)
         fit = fit_hand(taps)
         chain = fit_chain(taps, fit)
@@ -56,6 +62,9 @@ def identify_hand(
     console = terminal.console()
     console.print(line_table(fit))
     console.print(chain_table(chain))
+    for one in taps:
+        if one.note:
+            console.print(f"{one.name}: {one.note}", highlight=False, soft_wrap=True)
     for line in left_out:
         console.print(f"left out: {line}", style="yellow", highlight=False, soft_wrap=True)
     console.print(f"fourth order: {chain.word()}", highlight=False, soft_wrap=True)
@@ -112,7 +121,12 @@ def hand_part(fit: "HandFit", chain: "ChainFit", runs: "Sequence[Measurement]") 
             "covariance": fit.covariance.tolist(),
             "grips_N": grips,
             "verdict": verdict(fit),
-            "sources": [Source(file=run.source, sha256=run.sha256).model_dump() for run in runs],
+            "shortfalls": fit.shortfalls(),
+            # A file with several taps is one source.
+            "sources": [
+                Source(file=source, sha256=sha256).model_dump()
+                for source, sha256 in dict.fromkeys((run.source, run.sha256) for run in runs)
+            ],
             "fourth_order": chain_content(chain),
         }
     )

@@ -45,13 +45,22 @@ def scene_show(name: str) -> None:
 
 @app.command("new", epilog="Example: transopt scene new mine.toml --from own_taps")
 def scene_new(
-    file: Path, source: Annotated[str, typer.Option("--from", help="Built-in scene to copy.")] = DEFAULT_SCENE
+    file: Path,
+    source: Annotated[str, typer.Option("--from", help="Built-in scene to copy.")] = DEFAULT_SCENE,
+    model: Annotated[
+        Path | None, typer.Option(help="Model file of transopt identify, which the scene shall be solved with.")
+    ] = None,
 ) -> None:
     """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
     from transopt.scene import builtin
+    from transopt.scene.model_place import on_model
 
     # Relative paths of a scene count from its own folder, those of a copy from that of the copy.
-    write_new(file, builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"'))
+    text = builtin.scene_path(source).read_text(encoding="utf-8").replace('"../', '"')
+    if model is not None:
+        # What the scene would be refused for is said before there is a file.
+        text = on_model(text, model, file.parent, builtin.load_scene(source, model=model).grid.grips_N)
+    write_new(file, text)
     typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
 
 

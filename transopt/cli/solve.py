@@ -44,6 +44,13 @@ def solve(
     scene: Annotated[str, typer.Argument(help="Built-in name or path of a .toml file.")] = DEFAULT_SCENE,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default out/SCENE.")] = None,
     recordings: Annotated[Path | None, typer.Option(help="Folder of the scene's recordings.")] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="Model file of transopt identify, in the place of the scene's own device."),
+    ] = None,
+    accept_unfit_model: Annotated[
+        bool, typer.Option("--accept-unfit-model", help="Solve although the model file is not fit to design with.")
+    ] = False,
     solver: Annotated[
         str | None,
         typer.Option(help="riccati, the default where it is built, casadi-piqp or casadi-ipopt."),
@@ -68,7 +75,8 @@ def solve(
         name = default_solver() if solver is None else solver
         check_name(name)
         options = SolverOptions(name, solver_tolerance)
-        loaded = _load(scene, recordings)
+        loaded = _load(scene, recordings, model)
+        unfit = _unfit(loaded, accept_unfit_model)
         if grid_tolerance is not None:
             check_tolerance(loaded, grid_tolerance, grid_cap)
         folder = Path("out") / loaded.name if out is None else out
@@ -83,22 +91,42 @@ def solve(
     except KeyboardInterrupt:
         typer.echo("stopped; earlier results are untouched", err=True)
         raise typer.Exit(130) from None
-    _print(terminal.console(), build, f"{folder}: {', '.join(names)}")
+    _print(terminal.console(), build, f"{folder}: {', '.join(names)}", unfit)
     if build.refused or (build.refinement is not None and build.refinement.shortfall):
         raise typer.Exit(1)
 
 
-def _load(scene: str, recordings: Path | None) -> "Scene":
-    """A scene by built-in name or by path, with the recordings folder replaced if one is given."""
+def _load(scene: str, recordings: Path | None, model: Path | None) -> "Scene":
+    """A scene by built-in name or by path, with device and recordings folder replaced if one is given."""
     from transopt.scene import builtin
 
-    loaded = builtin.load_scene(scene)
+    loaded = builtin.load_scene(scene, model=model)
+    if model is not None and not scene.lower().endswith(".toml"):
+        own = builtin.load_scene(scene).grid.grips_N
+        if loaded.grid.grips_N != own:
+            ours, theirs = (", ".join(f"{grip:g}" for grip in grips) for grips in (loaded.grid.grips_N, own))
+            typer.echo(f"grips {ours} N: those of {model}, which does not know all of the scene's, {theirs} N")
     if recordings is None:
         return loaded
     if not recordings.is_dir():
         raise InputError(f"--recordings {recordings}: no such folder")
     settings = loaded.recordings.model_copy(update={"folder": str(recordings.resolve())})
     return loaded.model_copy(update={"recordings": settings})
+
+
+def _unfit(scene: "Scene", accepted: bool) -> str:
+    """Why the scene's model file is not fit to design with, in one line; empty if it is, or there is none.
+
+    Raises
+    ------
+    InputError : it is not, and that is not accepted.
+    """
+    from transopt.report.identified import unfit_model
+
+    said = unfit_model(scene)
+    if said and not accepted:
+        raise InputError(f"{said}; identify it again, or solve with it as it is by --accept-unfit-model")
+    return said
 
 
 def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
@@ -149,9 +177,9 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
     return build, [path.name for path in written]
 
 
-def _print(console: "Console", build: "Build", written: str) -> None:
+def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
-    from transopt.report.identified import model_warning
+    from transopt.report.identified import model_warning, moving_target
     from transopt.report.tables import LEGEND, build_table, refinement_summary, refusal, summary, warnings
 
     def line(text: str, style: str | None = None) -> None:
@@ -162,11 +190,13 @@ def _print(console: "Console", build: "Build", written: str) -> None:
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
-    for warning in (*warnings(build), *filter(None, [model_warning(build)])):
+    for warning in (*warnings(build), *filter(None, [model_warning(build), moving_target(build.scene)])):
         line(warning, "yellow")
     for entry in build.refused:
         line(f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}", "red")
     if build.refinement is not None:
         line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
     line(written)
+    if unfit:
+        line(f"{unfit} (--accept-unfit-model)", "red")
     line(summary(build), "red" if build.refused else None)

@@ -8,17 +8,27 @@ import typer
 
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP, split_columns
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-OPTIONS = {"speed_m_s": "speed", "full_scale_m_s2": "full-scale"}  # where the option's name is not the setting's
+OPTIONS = {
+    "speed_m_s": "speed",
+    "full_scale_m_s2": "full-scale",
+    "taps_by_file": "tap",
+}  # where the option's name is not the setting's
 
 
 def taps(
     files: Annotated[list[Path], typer.Argument(help="Recordings: CSV, TXT, MAT, NPZ, WAV.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the overlay figure.")] = None,
-    columns: Annotated[str, typer.Option(help="Column names of TXT files: time_s,acceleration_g")] = "",
+    columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
+    units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
+    tap: Annotated[
+        list[int] | None, typer.Option(help="Of files with several taps: which one, counted from 1; may be repeated.")
+    ] = None,
+    channel: Annotated[int | None, typer.Option(help="Channel of WAV files with several, counted from 1.")] = None,
     speed: Annotated[float | None, typer.Option(help="Incoming speed where the files state none, in m/s.")] = None,
     full_scale: Annotated[float | None, typer.Option(help="Acceleration of WAV full scale, in m/s^2.")] = None,
     time_scale: Annotated[float, typer.Option(help="Similarity: time is stretched by this.")] = 1.0,
@@ -32,6 +42,7 @@ def taps(
     from pydantic import ValidationError
 
     from transopt.cli.scene import write_new
+    from transopt.recordings.names import stated_units
     from transopt.recordings.settings import Recordings
     from transopt.recordings.tap import prepare, read_recordings
     from transopt.report.taps import scene_lines, scene_of_taps, taps_table
@@ -40,7 +51,10 @@ def taps(
     try:
         settings = Recordings(
             files=[str(file.absolute()) for file in files],
-            columns=[name.strip() for name in columns.split(",") if name.strip()],
+            columns=split_columns(columns),
+            units=stated_units(units),
+            channel=channel,
+            taps_by_file={"*": tap} if tap else {},
             speed_m_s=speed,
             full_scale_m_s2=full_scale,
             time_scale=time_scale,
@@ -48,7 +62,8 @@ def taps(
         )
     except ValidationError as error:
         raise InputError(_refusal(error)) from None
-    prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
+    recordings = read_recordings(settings)
+    prepared = [prepare(recording, settings, speed_needed=False) for recording in recordings]
     console = terminal.console()
     console.print(taps_table(prepared))
     if out is not None:
@@ -58,6 +73,8 @@ def taps(
         terminal.make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
+    for recording in recordings:
+        prepare(recording, settings)  # refuses one without a speed, which a scene needs
     if scene is not None:
         template = scene_path("own_taps").read_text(encoding="utf-8")
         write_new(scene, scene_of_taps(template, prepared, files, settings, scene.parent))

@@ -21,7 +21,7 @@ from transopt.identify.spectrum import TransferEstimate, Trial
 LEAST_CYCLES = 1.0  # per octave, in all trials together
 LEAST_WORTH = 0.05  # of a cycle: with fewer, no sweep that somebody waits for is long enough
 LEAST_TRIALS = 2
-JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid
+JITTER_NOTED, JITTER_LIMIT = 0.01, 0.2  # steps off the uniform grid, rms
 FLAT_RUN, FLAT_COUNT = 3, 6  # samples in a row, and in all, at the very extreme of a sensor
 CROWD = 0.02  # of the amplitude below the extreme: an unclipped sine is there more often than at the extreme itself
 END_SAMPLES, END_PART = 3, 0.1  # the last samples, and how large they may be against the peak
@@ -43,6 +43,7 @@ class Fault(StrEnum):
     NO_EXCITATION = "no excitation"
     CUT_SHORT = "not at rest at the end"
     JITTER = "jittered sampling"
+    MISSING = "samples missing"
     RATES = "rates that differ"
     POLARITY = "wrong polarity"
     UNITS = "units off by 9.81"
@@ -99,6 +100,8 @@ def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Findi
     found = []
     if run.off_grid > JITTER_NOTED:
         found.append(_jitter(run, quantities))
+    if run.missing:
+        found.append(Finding(Fault.MISSING, run.name, run.missing, False))
     for quantity in quantities:
         x = getattr(run, quantity)
         if x is not None:
@@ -111,9 +114,9 @@ def _jitter(run: Measurement, quantities: Sequence[str]) -> Finding:
     dt_s = next(x.dt_s for q in quantities if (x := getattr(run, q)) is not None)
     late_us = 1e6 * run.off_grid * dt_s
     fatal = run.off_grid > JITTER_LIMIT
-    effect = f"phases are off by up to {360e-6 * late_us * 1000:.2g} deg at 1 kHz, delays by {late_us:.2g} us"
+    effect = f"phases are off by {360e-6 * late_us * 1000:.2g} deg at 1 kHz, delays by {late_us:.2g} us"
     remedy = f"must be at most {JITTER_LIMIT:g}; sample by the servo's timer and record again"
-    text = f"time stamps up to {run.off_grid:.2g} steps off the uniform grid, resampled to it: {effect}"
+    text = f"time stamps {run.off_grid:.2g} steps (rms) off the uniform grid, resampled to it: {effect}"
     return Finding(Fault.JITTER, run.name, f"{text}; {remedy}" if fatal else text, fatal)
 
 

@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
-from transopt.recordings.formats import Scalar, Vocabulary
+from transopt.recordings.names import Layout, Scalar, Vocabulary
+from transopt.recordings.split import bounds, chosen, peak_times
 from transopt.recordings.table import read_table
 
 WORDS = Vocabulary(
@@ -32,8 +34,6 @@ WORDS = Vocabulary(
         "accelerometer_Hz": Scalar("accelerometer", 1.0, "Hz"),
     },
     required=("time",),
-    how_to_name="begin with a row of names like time_s,command_A,current_A",
-    rename="rename it",
     step_s=(1e-7, 60.0),  # up to a logger's one reading a minute: heating takes half an hour
     unit_suffix=re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s|m?V|C|k?Hz)$", re.IGNORECASE),
 )
@@ -60,7 +60,8 @@ class Measurement:
     grip_N : >= 0, 0 for a device that nobody holds; None if the file does not state it.
     speed_m_s : incoming speed of a tap.
     accelerometer_Hz : bandwidth of the accelerometer; None for one to be taken as ideal.
-    off_grid : how far time stamps lay off the uniform grid at most, in steps; resampled where above 0.01.
+    off_grid : how far time stamps lay off the uniform grid, rms, in steps; resampled to it.
+    missing : which samples were interpolated, in one sentence; empty where none was missing.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Measurement:
     speed_m_s: float | None = None
     accelerometer_Hz: float | None = None
     off_grid: float = 0.0
+    missing: str = ""
 
     def require(self, quantity: str, column: str) -> Signal:
         """The signal of that name.
@@ -94,11 +96,14 @@ class Measurement:
         return found
 
 
-def load_measurements(paths: Sequence[Path], *, read: Callable[[], None] = lambda: None) -> list[Measurement]:
+def load_measurements(
+    paths: Sequence[Path], layout: Layout | None = None, *, read: Callable[[], None] = lambda: None
+) -> list[Measurement]:
     """Several runs. One given twice would count twice, and one kept for validation would be no validation.
 
     Parameters
     ----------
+    layout : see `load_measurement`.
     read : called after each file.
 
     Raises
@@ -107,7 +112,7 @@ def load_measurements(paths: Sequence[Path], *, read: Callable[[], None] = lambd
     """
     runs, sources = [], dict[str, str]()
     for path in paths:
-        run = load_measurement(path)
+        run = load_measurement(path, layout)
         if run.sha256 in sources:
             same = f"the same record as {sources[run.sha256]}" if str(path) != sources[run.sha256] else "given twice"
             raise InputError(f"{path}: {same}; give every record once, and none of the fit to validate with")
@@ -117,10 +122,41 @@ def load_measurements(paths: Sequence[Path], *, read: Callable[[], None] = lambd
     return runs
 
 
-def load_measurement(path: Path) -> Measurement:
-    """Read one run: CSV with a row of column names, NPZ or MAT.
+def split_taps(runs: Sequence[Measurement], wanted: Sequence[int] = ()) -> list[Measurement]:
+    """The taps of runs whose surface force was recorded: one run each, also where a file holds several in a row.
+
+    Parameters
+    ----------
+    wanted : which taps of a file with several to take, counted from 1; all if empty.
+
+    Raises
+    ------
+    InputError : a tap that a file does not have, or a file without force.
+    """
+    found = []
+    for run in runs:
+        force = run.require("force", "force_N")
+        pieces = bounds(force)
+        times_s = peak_times(force, pieces)
+        for number in chosen(run.name, len(pieces), times_s, {"*": wanted} if wanted else {}):
+            first, end = pieces[number - 1]
+            cut: dict[str, Any] = {
+                quantity: Signal(x.start_s + first * x.dt_s, x.dt_s, x.values[first:end])
+                for quantity in WORDS.quantities
+                if quantity != "time" and (x := getattr(run, quantity)) is not None
+            }
+            found.append(run if len(pieces) == 1 else replace(run, name=f"{run.name}#{number}", **cut))
+    return found
+
+
+def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
+    """Read one run: CSV, TXT, NPZ or MAT.
 
     Columns: `WORDS.columns`; scalars as comment lines `# grip_N: 3` or as variables of one number.
+
+    Parameters
+    ----------
+    layout : what the user states about the file.
 
     Raises
     ------
@@ -130,7 +166,7 @@ def load_measurement(path: Path) -> Measurement:
         raise InputError(
             f"{path}: a WAV file holds one signal; record command, current and acceleration as CSV or NPZ"
         )
-    table = read_table(path, WORDS)
+    table = read_table(path, WORDS, layout)
     if not table.signals:
         raise InputError(f"{path}: no column but time; known: {', '.join(WORDS.columns)}")
     return Measurement(
@@ -141,5 +177,6 @@ def load_measurement(path: Path) -> Measurement:
         speed_m_s=table.scalars.get("speed"),
         accelerometer_Hz=table.scalars.get("accelerometer"),
         off_grid=table.off_grid,
+        missing=table.missing,
         **table.signals,
     )

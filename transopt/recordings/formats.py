@@ -1,8 +1,8 @@
 """The file formats of signals: CSV, text, NPZ, MAT and WAV, each read as it stands in the file.
 
 Each format has one function that returns the file's columns in the file's own units; nothing is checked but the
-columns' names, for which the reader has a `Vocabulary`. `transopt.recordings.table` checks and converts all of them
-alike.
+columns' names (`transopt.recordings.names`), for which the reader has a `Vocabulary`. `transopt.recordings.table`
+checks and converts all of them alike.
 """
 
 import io
@@ -20,60 +20,26 @@ from transopt.base import mat5
 from transopt.base.errors import InputError
 from transopt.base.npz import Archive
 from transopt.base.signals import FloatArray
-from transopt.base.sizes import MOST_COLUMNS, MOST_SAMPLES
+from transopt.base.sizes import MOST_COLUMNS, MOST_ROWS
+from transopt.recordings.names import (
+    SKIPPED,
+    Layout,
+    Vocabulary,
+    looks_known,
+    meanings,
+    quote,
+    split_names,
+    stated_for,
+)
 
 LARGEST = 1e12  # in any SI unit: beyond every instrument, yet its square and its slope still fit a float
 MIN_SAMPLES = 8
-_SKIPPED = "-"
 _SAVE_NPZ = "save real numeric arrays with numpy.savez (no objects, no pickles)"
 _SAVE_MAT = "save it in MATLAB with -v7"
 _HEADER_LINE = re.compile(r"#\s*([A-Za-z]\w*)\s*[:=]\s*(.*)")
-# An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
-UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
+_UNIT_CELL = re.compile(r"[\[(]([^\[\]()]+)[\])]")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # no other comma stands in a single number
 _NUMBER_START = re.compile(r"[-+.]*\d|[-+]?(nan|inf)", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Scalar:
-    """A number in the file's head.
-
-    Attributes
-    ----------
-    quantity : what it is, "speed" for example.
-    factor : from the file's unit to SI.
-    unit : the file's unit, as messages write it.
-    zero : whether it may be zero.
-    """
-
-    quantity: str
-    factor: float
-    unit: str
-    zero: bool = False
-
-
-@dataclass(frozen=True)
-class Vocabulary:
-    """What a reader's files may hold.
-
-    Attributes
-    ----------
-    columns : name in the file -> (quantity, factor to SI); "time" is one of the quantities.
-    header : name in the file -> scalar.
-    required : quantities that every file has.
-    how_to_name : what to do where columns have no names.
-    rename : what to do where a name is unknown.
-    step_s : shortest and longest median time step [s].
-    unit_suffix : how names end that are meant for a quantity, known or misspelt; others are the user's own.
-    """
-
-    columns: Mapping[str, tuple[str, float]]
-    header: Mapping[str, Scalar]
-    required: tuple[str, ...]
-    how_to_name: str
-    rename: str
-    step_s: tuple[float, float]
-    unit_suffix: re.Pattern[str] = UNIT_SUFFIX
 
 
 @dataclass(frozen=True)
@@ -83,25 +49,25 @@ class RawTable:
     Attributes
     ----------
     columns : name in the file -> (n,) numbers.
+    meanings : name in the file -> quantity and factor to SI.
     header : name in the file -> what stands there, unchecked.
     place : where in the file a user finds the sample of an index, for messages.
     """
 
     columns: Mapping[str, FloatArray]
+    meanings: Mapping[str, tuple[str, float]]
     header: Mapping[str, object]
     place: Callable[[int], str]
 
 
-def read_raw(
-    suffix: str, data: bytes, columns: Sequence[str], full_scale_m_s2: float | None, words: Vocabulary
-) -> RawTable:
+def read_raw(suffix: str, data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     """Read the bytes of a file in the format that its suffix names.
 
     Parameters
     ----------
     suffix : with its dot, in any case.
     data : the file's bytes.
-    columns, full_scale_m_s2 : see `transopt.recordings.table.read_table`.
+    layout : what the user states about the file.
     words : names of columns and scalars.
 
     Raises
@@ -109,23 +75,22 @@ def read_raw(
     InputError : an unknown format or column, or content that is not of the format.
     """
     match suffix.lower():
-        case ".txt" | ".dat" if not columns:
-            raise InputError(f"columns have no names; {words.how_to_name}")
         case ".csv" | ".txt" | ".dat":
-            return _read_text(data, columns, words)
+            return _read_text(data, layout, words)
         case ".npz":
-            return _read_npz(data, columns, words)
+            return _read_npz(data, layout, words)
         case ".mat":
-            return _read_mat(data, columns, words)
+            return _read_mat(data, layout, words)
         case ".wav":
-            return _read_wav(data, full_scale_m_s2)
+            return _read_wav(data, layout)
     known = ".csv, .txt, .dat, .npz, .mat, .wav"
     raise InputError(f"unknown format {quote(suffix)}; known: {known}; export it as CSV")
 
 
-def _read_text(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
-    """Comment lines, at most one header row, rows of numbers; rows are counted as an editor counts them."""
+def _read_text(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
+    """Comment lines, at most one row of names and one of units, rows of numbers; counted as an editor counts them."""
     header: dict[str, object] = {}
+    remark, columns = "", layout.columns
     rows, numbers = list[str](), array("l")  # by the million: no object more than there must be
     _check_size(max(data.count(b"\n"), data.count(b"\r")))
     _check_text(data)
@@ -135,23 +100,38 @@ def _read_text(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTab
             continue  # a spreadsheet's own note about its delimiter
         if content.startswith("#"):
             _read_header_line(number, content, header, words)
+            remark = remark if rows else content
         elif content:
             rows.append(content)
             numbers.append(number)
     if not rows:
         raise InputError(f"no rows of numbers, at least {MIN_SAMPLES} are needed; record or export it again")
     number, first = numbers[0], rows[0]
-    cells = [cell.strip() for cell in first.rstrip(";,").split(_delimiter(first), MOST_COLUMNS)]
-    if max(len(cells), len(columns)) > MOST_COLUMNS:
+    cells = first.rstrip(";,").split(_delimiter(first), MOST_COLUMNS)
+    if max(len(cells), len(columns), first.count("\t")) > MOST_COLUMNS:
         raise InputError(f"row {number}: more than {MOST_COLUMNS} columns; export the ones that are needed")
-    if not any(_NUMBER_START.match(cell) for cell in cells):
-        del rows[0], numbers[0]
-    elif not columns:
-        begin = "begin with a row like time_s, acceleration_m_s2 (without #)"
-        raise InputError(f"row {number}: {quote(first)} has no header row above; {begin} or {words.how_to_name}")
-    names = columns or cells
-    _check_names(names, words)
-    return RawTable(_parse(rows, numbers, names), header, lambda k: f"row {numbers[k]}")
+    if not any(_NUMBER_START.match(cell.strip()) for cell in cells):
+        found, above = split_names(first), 1
+        if units := _unit_row(rows[1:2], len(found)):
+            found, above = [f"{name} [{unit}]" for name, unit in zip(found, units, strict=True)], 2
+        del rows[:above], numbers[:above]
+    else:
+        found = split_names(remark.lstrip("# "))
+        if len(found) != len(cells) or not all(looks_known(name, words) for name in found):
+            found = []
+    if not (columns or found):
+        need = 'name them: --columns time_s,acceleration_g (in a scene recordings.columns), "-" skips one'
+        raise InputError(f"row {number}: {quote(first)} has no row of names above it; {need}")
+    names = columns or found
+    known = meanings(names, words, layout.units or {})
+    return RawTable(_parse(rows, numbers, names), known, header, lambda k: f"row {numbers[k]}")
+
+
+def _unit_row(rows: Sequence[str], columns: int) -> list[str]:
+    """The units of a row below the names, as oscilloscopes write it: every cell one in brackets. Else nothing."""
+    cells = [cell for row in rows for cell in split_names(row)]
+    inside = [found[1] for cell in cells if (found := _UNIT_CELL.fullmatch(cell))]
+    return inside if len(inside) == len(cells) == columns else []
 
 
 def _check_text(data: bytes) -> None:
@@ -193,7 +173,7 @@ def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) ->
     ----------
     numbers : of the rows in the file, for messages.
     """
-    used = {name: at for at, name in enumerate(names) if name != _SKIPPED}
+    used = {name: at for at, name in enumerate(names) if name != SKIPPED}
     delimiter = _delimiter(rows[0]) if rows else None
     columns = {name: array("d") for name in used}
     for number, line in zip(numbers, rows, strict=True):
@@ -216,16 +196,16 @@ def _parse(rows: Sequence[str], numbers: Sequence[int], names: Sequence[str]) ->
     return {name: np.array(values, dtype=float) for name, values in columns.items()}
 
 
-def _read_npz(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
+def _read_npz(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     with guarded("not a readable NPZ file", _SAVE_NPZ):
         archive = Archive(data)
-    return _from_variables(archive, columns, words, lambda k: f"element [{k}]")
+    return _from_variables(archive, layout, words, lambda k: f"element [{k}]")
 
 
-def _read_mat(data: bytes, columns: Sequence[str], words: Vocabulary) -> RawTable:
+def _read_mat(data: bytes, layout: Layout, words: Vocabulary) -> RawTable:
     with guarded("not a readable MAT file", _SAVE_MAT):
         variables = mat5.variables(data)
-    return _from_variables(variables, columns, words, lambda k: f"element ({k + 1})")
+    return _from_variables(variables, layout, words, lambda k: f"element ({k + 1})")
 
 
 @contextmanager
@@ -241,15 +221,18 @@ def guarded(what: str, remedy: str) -> Iterator[None]:
 
 
 def _from_variables(
-    named: Mapping[str, object], columns: Sequence[str], words: Vocabulary, place: Callable[[int], str]
+    named: Mapping[str, object], layout: Layout, words: Vocabulary, place: Callable[[int], str]
 ) -> RawTable:
-    """The chosen columns among the named variables; without `columns`, all whose names end in a unit."""
-    wanted = [name for name in columns if name != _SKIPPED] or [
-        name for name in named if name not in words.header and words.unit_suffix.search(name)
+    """The chosen columns among the variables; without a choice, all whose names end in a unit or are given one."""
+    units = layout.units or {}
+    wanted = [name for name in layout.columns if name != SKIPPED] or [
+        name
+        for name in named
+        if name not in words.header and (words.unit_suffix.search(name) or stated_for(name, words, units))
     ]
-    _check_names(wanted, words, list(named))
+    known = meanings(wanted, words, units, list(named))
     header = {name: _column(named, name) for name in words.header if name in named}
-    return RawTable({name: _column(named, name) for name in wanted}, header, place)
+    return RawTable({name: _column(named, name) for name in wanted}, known, header, place)
 
 
 def _column(named: Mapping[str, object], name: str) -> FloatArray:
@@ -262,14 +245,20 @@ def _column(named: Mapping[str, object], name: str) -> FloatArray:
     return np.asarray(values.ravel(), dtype=float)
 
 
-def _read_wav(data: bytes, full_scale_m_s2: float | None) -> RawTable:
+def _read_wav(data: bytes, layout: Layout) -> RawTable:
+    full_scale_m_s2, channel = layout.full_scale_m_s2, layout.channel
     if full_scale_m_s2 is None or not 0 < full_scale_m_s2 <= LARGEST:
-        need = "WAV needs the acceleration of full scale, > 0 m/s^2; state it in the scene, for example 490.3"
+        need = "WAV needs the acceleration of full scale, > 0 m/s^2; state it, here or by --full-scale 490.3"
         raise InputError(f"recordings.full_scale_m_s2 = {full_scale_m_s2}: {need}")
     with guarded("not a readable WAV file", "export it again as PCM or float WAV"):
         rate_Hz, samples = scipy.io.wavfile.read(io.BytesIO(data))
-    if samples.ndim != 1:
-        raise InputError(f"{samples.shape[1]} channels, must be 1; export the accelerometer's as mono")
+    count = 1 if samples.ndim == 1 else samples.shape[1]
+    if channel is None and count > 1:
+        choice = "--channel 1 (in a scene recordings.channel = 1)"
+        raise InputError(f"{count} channels, and which is the accelerometer's is not stated; choose one: {choice}")
+    if channel is not None and not 1 <= channel <= count:
+        raise InputError(f"--channel {channel}: the file has {count}; choose 1 to {count}")
+    samples = samples.reshape(-1, count)[:, (channel or 1) - 1]
     _check_size(samples.size)
     values = np.asarray(samples, dtype=float)
     if samples.dtype.kind == "u":  # 8 bits and less are stored with an offset
@@ -277,32 +266,10 @@ def _read_wav(data: bytes, full_scale_m_s2: float | None) -> RawTable:
     elif samples.dtype.kind == "i":
         values = values / 2.0 ** (8 * samples.dtype.itemsize - 1)
     columns = {"time_s": np.arange(values.size) / rate_Hz, "acceleration_m_s2": full_scale_m_s2 * values}
-    return RawTable(columns, {}, lambda k: f"sample {k}")
-
-
-def _check_names(names: Sequence[str], words: Vocabulary, found: Sequence[str] = ()) -> None:
-    """Known names (of the variables `found`), each quantity at most once, the required ones exactly once."""
-    present = quote(", ".join(found or names))
-    used = [name for name in names if name != _SKIPPED]
-    for name in used:
-        if name not in words.columns:
-            known = ", ".join(words.columns)
-            raise InputError(f"unknown column {quote(name)}; known: {known}; {words.rename}")
-        if found and name not in found:
-            raise InputError(f"no variable {name}; found: {present}; correct the name")
-    for quantity in dict.fromkeys(of for of, _ in words.columns.values()):
-        count = sum(words.columns[name][0] == quantity for name in used)
-        if count > 1 or (count == 0 and quantity in words.required):
-            choice = " or ".join(name for name, (of, _) in words.columns.items() if of == quantity)
-            raise InputError(f"{count} {quantity} columns in {present}: must be 1; name one {choice}")
+    known = {"time_s": ("time", 1.0), "acceleration_m_s2": ("acceleration", 1.0)}
+    return RawTable(columns, known, {}, lambda k: f"sample {k}")
 
 
 def _check_size(samples: int) -> None:
-    if samples > MOST_SAMPLES:
-        raise InputError(f"{samples} samples, at most {MOST_SAMPLES}; cut the taps out of it")
-
-
-def quote(text: str) -> str:
-    """The text in quotes, on one line, at most 120 characters of it."""
-    line = " ".join(text.split())
-    return repr(line if len(line) <= 120 else line[:117] + "...")
+    if samples > MOST_ROWS:
+        raise InputError(f"{samples} samples, at most {MOST_ROWS}; cut the taps out of it")

@@ -5,7 +5,6 @@ SI signals on one uniform time grid, and `load_recording` makes a `Recording` of
 vocabularies of readers and on the axes of figures, and nowhere else in the project.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
-from transopt.recordings.formats import Scalar, Vocabulary
+from transopt.recordings.names import Layout, Scalar, Vocabulary
 from transopt.recordings.table import read_table
 
 VOCABULARY = Vocabulary(
@@ -35,8 +34,6 @@ VOCABULARY = Vocabulary(
         "grip_N": Scalar("grip", 1.0, "N", zero=True),
     },
     required=("time", "acceleration"),
-    how_to_name='name them in the scene: recordings.columns = ["time_s", "acceleration_g"] ("-" skips one)',
-    rename="rename it, or list what to read in recordings.columns",
     step_s=(1e-9, 0.05),  # slower than 20 Hz nothing of a tap's band (10 Hz to 1 kHz) is left
 )
 
@@ -58,6 +55,7 @@ class Recording:
     current : motor current [A].
     speed_m_s : incoming speed if the recording states it, > 0.
     grip_N : grip force if the recording states it, >= 0.
+    notes : what a user should know about how it was read, one sentence each.
 
     Raises
     ------
@@ -73,6 +71,7 @@ class Recording:
     current: Signal | None = None
     speed_m_s: float | None = None
     grip_N: float | None = None
+    notes: tuple[str, ...] = ()
 
     __repr__ = brief
 
@@ -83,31 +82,24 @@ class Recording:
             raise InputError(f"{self.name}: grip_N = {self.grip_N:g} N: must be >= 0 and finite")
 
 
-def load_recording(
-    path: Path,
-    *,
-    columns: Sequence[str] = (),
-    full_scale_m_s2: float | None = None,
-) -> Recording:
-    """Read one recorded tap; the format follows from the suffix.
+def load_recording(path: Path, layout: Layout | None = None) -> Recording:
+    """Read one file of a recorded tap, or of several in a row; the format follows from the suffix.
 
     Parameters
     ----------
     path : .csv, .txt, .dat, .npz, .mat (-v6 or -v7) or .wav.
-    columns : names of the file's columns, "-" for one to skip. Text needs them, in CSV they replace the
-        header row, in NPZ and MAT they choose the variables; WAV ignores them.
-    full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
+    layout : what the user states about the file.
 
     Returns
     -------
     The recording on the uniform grid of the mean time step, resampled to it by a cubic spline if a time stamp lies
-    off that grid by more than 1 % of a step.
+    off that grid by more than 1 % of a step or a sample is missing.
 
     Raises
     ------
     InputError : one line, whatever is wrong with the file.
     """
-    table = read_table(path, VOCABULARY, columns=columns, full_scale_m_s2=full_scale_m_s2)
+    table = read_table(path, VOCABULARY, layout)
     acceleration = table.signals["acceleration"].values
     if np.all(acceleration == acceleration[0]):
         raise InputError(
@@ -119,6 +111,7 @@ def load_recording(
         sha256=table.sha256,
         speed_m_s=table.scalars.get("speed"),
         grip_N=table.scalars.get("grip"),
+        notes=tuple(filter(None, [table.missing])),
         # A command, which a simulated tap may have, is not part of a recording: nobody drives a real object.
         **{name: signal for name, signal in table.signals.items() if name != "command"},
     )

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from transopt.base.section import Finite, NonNegative, Positive, Section, Speed, Words
 from transopt.base.sizes import MOST_COLUMNS, MOST_FILES
+from transopt.recordings.names import Layout
 
 
 class SimulatedTaps(Section):
@@ -35,7 +36,12 @@ class Recordings(Section):
     files: Annotated[list[str], Field(max_length=MOST_FILES)] = Field(default_factory=list)
     folder: str = "."
     columns: Annotated[list[Words], Field(max_length=MOST_COLUMNS)] = Field(default_factory=list)
+    units: Annotated[dict[str, Words], Field(max_length=MOST_COLUMNS)] = Field(default_factory=dict)
     full_scale_m_s2: Positive | None = None
+    channel: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = None
+    taps_by_file: Annotated[dict[str, list[Annotated[int, Field(ge=1)]]], Field(max_length=MOST_FILES)] = Field(
+        default_factory=dict
+    )
     speed_m_s: Speed | None = None
     speed_by_file_m_s: dict[str, Speed] = Field(default_factory=dict)
     grip_N: NonNegative | None = None
@@ -49,6 +55,10 @@ class Recordings(Section):
     time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
     amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
     simulated: SimulatedTaps | None = None
+
+    def layout(self) -> Layout:
+        """How the files are to be read."""
+        return Layout(self.columns, self.units, self.full_scale_m_s2, self.channel)
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:

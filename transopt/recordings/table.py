@@ -6,30 +6,28 @@ front of all of them.
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.files import read_file
 from transopt.base.signals import FloatArray, Signal
-from transopt.base.sizes import MOST_FILE_BYTES
-from transopt.recordings.formats import (
-    LARGEST,
-    MIN_SAMPLES,
-    RawTable,
-    Vocabulary,
-    guarded,
-    quote,
-    read_raw,
-)
+from transopt.base.sizes import MOST_RECORD_BYTES
+from transopt.recordings.formats import LARGEST, MIN_SAMPLES, RawTable, guarded, read_raw
+from transopt.recordings.names import Layout, Vocabulary, quote
 
-_UNIFORM = 0.01  # of the median step: how far a time stamp may lie from the uniform grid
-# Of the median step. Above: a sample is missing. Below: an interpolating spline amplifies noise tenfold.
-_BUNCHED, _GAP = 0.1, 1.5
+_UNIFORM = 0.01  # steps: stamps nearer than that to the uniform grid are taken as on it
+_ASTRAY = 0.45  # steps: a stamp farther off the grid than this says nothing; its sample counts as missing
+_MISSING = 0.01  # of all samples: so many may be missing and are interpolated
+_IN_A_ROW = 1  # missing samples, beyond which a spline invents what it should interpolate
+_JITTER = 0.35  # steps, rms: beyond it nobody knows when the samples were taken
+_BESIDE = 8  # stamps on either side of a long step that say whether a row was lost
+_NEIGHBOURS = 21  # stamps that a stamp is compared with
 
 
 @dataclass(frozen=True)
@@ -39,46 +37,61 @@ class Table:
     Attributes
     ----------
     signals : quantity -> signal in SI, all on the uniform grid of the mean time step, resampled to it by a cubic
-        spline if a time stamp lay off that grid by more than 1 % of a step.
+        spline if a time stamp lay off that grid by more than 1 % of a step or a sample was missing.
     scalars : quantity -> SI value, of those that the file states.
     sha256 : of the file's bytes.
-    off_grid : how far a time stamp lay off the uniform grid at most, in steps.
+    off_grid : how far time stamps lay off the uniform grid, rms, in steps.
+    missing : what was interpolated, in one sentence; empty where no sample was missing.
     """
 
     signals: Mapping[str, Signal]
     scalars: Mapping[str, float]
     sha256: str
     off_grid: float
+    missing: str = ""
 
 
-def read_table(
-    path: Path,
-    words: Vocabulary,
-    *,
-    columns: Sequence[str] = (),
-    full_scale_m_s2: float | None = None,
-) -> Table:
+@dataclass(frozen=True)
+class _Clock:
+    """The uniform grid of a file's time stamps.
+
+    Attributes
+    ----------
+    step_s : mean step.
+    kept : (n,) rows of the file whose samples are kept.
+    size : of the grid.
+    off_grid, missing : see `Table`.
+    uniform : whether every stamp is on the grid and none is missing.
+    """
+
+    step_s: float
+    kept: NDArray[np.intp]
+    size: int
+    off_grid: float
+    missing: str
+    uniform: bool
+
+
+def read_table(path: Path, words: Vocabulary, layout: Layout | None = None) -> Table:
     """Read one file; the format follows from the suffix.
 
     Parameters
     ----------
     path : .csv, .txt, .dat, .npz, .mat (-v6 or -v7) or .wav.
     words : names of columns and scalars.
-    columns : names of the file's columns, "-" for one to skip. Text needs them, in CSV they replace the
-        header row, in NPZ and MAT they choose the variables; WAV ignores them.
-    full_scale_m_s2 : acceleration of full scale [m/s^2], needed by WAV and ignored by the others.
+    layout : what the user states about the file.
 
     Raises
     ------
     InputError : one line, file first, whatever is wrong.
     """
-    data = read_file(path, MOST_FILE_BYTES, "name a recording; a long one cut into its taps")
+    data = read_file(path, MOST_RECORD_BYTES, "name a recording; a long one cut into its taps")
     try:
         if not data:
             raise InputError("is empty (0 bytes); record or export it again")
         with np.errstate(all="ignore"):  # overflow in absurd values: found as inf by the checks
-            raw = read_raw(path.suffix, data, columns, full_scale_m_s2, words)
-            signals, off_grid = _signals(raw, words)
+            raw = read_raw(path.suffix, data, Layout() if layout is None else layout, words)
+            signals, clock = _signals(raw, words)
             scalars = {}
             for quantity in dict.fromkeys(scalar.quantity for scalar in words.header.values()):
                 value = _stated(raw.header, quantity, words)
@@ -88,11 +101,11 @@ def read_table(
         # A message is one line, a file's name need not be.
         file = str(path) if str(path).isprintable() else repr(str(path))
         raise InputError(f"{file}: {error}") from error
-    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), off_grid)
+    return Table(signals, scalars, hashlib.sha256(data).hexdigest(), clock.off_grid, clock.missing)
 
 
-def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], float]:
-    """Every quantity of the table but time, in SI, on one uniform grid; and how far stamps lay off it, in steps."""
+def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Clock]:
+    """Every quantity of the table but time, in SI, on one uniform grid; and that grid."""
     sizes = {name: values.size for name, values in table.columns.items()}
     size = min(sizes.values())
     if max(sizes.values()) != size:
@@ -100,32 +113,35 @@ def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], flo
         raise InputError(f"columns differ in length ({listed} samples); save them equally long")
     if size < MIN_SAMPLES:
         raise InputError(f"{size} samples, at least {MIN_SAMPLES} are needed; record a longer piece")
-    si = {words.columns[name][0]: _to_si(name, values, table.place, words) for name, values in table.columns.items()}
+    si = {table.meanings[name][0]: _to_si(name, values, table) for name, values in table.columns.items()}
     times = si.pop("time")
-    step_s, off_grid = _time_grid(times, table.place, words.step_s)
-    if off_grid > _UNIFORM:
-        grid = times[0] + step_s * np.arange(size)
+    clock = _clock(times, table.place, words.step_s)
+    if not clock.uniform:
+        grid = times[0] + clock.step_s * np.arange(clock.size)
         si = {
-            quantity: np.asarray(scipy.interpolate.CubicSpline(times, values)(grid))
+            quantity: np.asarray(scipy.interpolate.CubicSpline(times[clock.kept], values[clock.kept])(grid))
             for quantity, values in si.items()
         }
-    return {quantity: Signal(float(times[0]), step_s, values) for quantity, values in si.items()}, off_grid
+    return {quantity: Signal(float(times[0]), clock.step_s, values) for quantity, values in si.items()}, clock
 
 
-def _to_si(name: str, values: FloatArray, place: Callable[[int], str], words: Vocabulary) -> FloatArray:
-    converted = words.columns[name][1] * values
+def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
+    converted = table.meanings[name][1] * values
     bad = np.flatnonzero(~(np.abs(converted) <= LARGEST))
     if bad.size:
         at = int(bad[0])
         limit = f"must be finite and at most {LARGEST:g} in SI units"
-        raise InputError(f"{place(at)}, column {name}: {values[at]:g}: {limit}; correct it or cut the file")
+        raise InputError(f"{table.place(at)}, column {name}: {values[at]:g}: {limit}; correct it or cut the file")
     return converted
 
 
-def _time_grid(
-    times: FloatArray, place: Callable[[int], str], step_range_s: tuple[float, float]
-) -> tuple[float, float]:
-    """Mean step [s] of the times (n,) [s], and how far off the grid of that step they lie, in median steps."""
+def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[float, float]) -> _Clock:
+    """The uniform grid that the stamps (n,) [s] were taken on.
+
+    Stamps are judged by their rms distance from the grid: the largest of 20 000 harmless ones is four times as large.
+    A stamp far off its place, late by most of a step for example, is no time for its sample, which is then missing
+    like that of a lost row.
+    """
     steps = np.diff(times)
     median = float(np.median(steps))
     at = int(np.argmax(steps <= 0))
@@ -136,18 +152,63 @@ def _time_grid(
     if not low <= median <= high:
         limit = f"must be {low:g} to {high:g} s; is time in the unit its name states?"
         raise InputError(f"median time step {median:g} s: {limit}")
-    irregular = (steps < _BUNCHED * median) | (steps > _GAP * median)
-    at = int(np.argmax(irregular))
-    if irregular[at]:
-        what = "sample dropped" if steps[at] > median else "samples bunched"
-        found = f"step {1e3 * steps[at]:.4g} ms, median {1e3 * median:.4g} ms"
-        remedy = f"must be {_BUNCHED:g} to {_GAP:g} medians; cut the file there or record again"
-        raise InputError(f"{what} after {place(at)} ({times[at]:.15g} s): {found}; {remedy}")
-    mean = float(times[-1] - times[0]) / steps.size
-    # The stamps are compared, not the steps: steps 1 % too long and later 1 % too short would each pass, yet
-    # shift the middle of 1000 samples by five.
-    off_grid_s = np.abs(times - (times[0] + mean * np.arange(times.size)))
-    return mean, float(off_grid_s.max()) / median
+    periods = _periods(times, median)
+    at = int(np.argmax(periods > 1 + _IN_A_ROW))
+    if periods[at] > 1 + _IN_A_ROW:
+        found = f"step {1e3 * steps[at]:.4g} ms, median {1e3 * median:.4g} ms: {periods[at] - 1:.0f} samples dropped"
+        remedy = f"at most {_IN_A_ROW} in a row is interpolated; keep the rows before or behind it, or record again"
+        raise InputError(f"after {place(at)} ({times[at]:.15g} s): {found}; {remedy}")
+    index = np.concatenate([[0.0], np.cumsum(periods)])
+    mean, late, jitter = _against_grid(times, index)
+    good = np.abs(jitter) <= _ASTRAY
+    size = int(index[-1] - index[0]) + 1
+    lost = size - int(np.count_nonzero(good))
+    missing = ""
+    if lost:
+        gaps = np.flatnonzero((np.diff(index) > 1) | ~good[1:])
+        where = f"first after {place(int(gaps[0]))} ({times[gaps[0]]:.6g} s)" if gaps.size else "at its end"
+        missing = f"{lost} of {size} samples lost or without a time, {where}"
+        if lost > max(_MISSING * size, 1):
+            limit = f"at most {100 * _MISSING:g} % are interpolated; record again, or keep the rows of one stretch"
+            raise InputError(f"{missing}: {limit}")
+        missing += ": interpolated"
+    rms = float(np.sqrt(np.mean(jitter[good] ** 2)))
+    if rms > _JITTER:
+        limit = f"at most {_JITTER:g}; sample by a timer and record again"
+        raise InputError(f"time stamps lie {rms:.2g} steps (rms) off a uniform grid: {limit}")
+    uniform = not lost and float(np.abs(late).max()) <= _UNIFORM
+    off_grid = float(np.sqrt(np.mean(late[good] ** 2)))
+    return _Clock(mean, np.flatnonzero(good), size, off_grid, missing, uniform)
+
+
+def _periods(times: FloatArray, median_s: float) -> FloatArray:
+    """(n - 1,) periods between stamps (n,): one, but where a step is long and the stamps behind it stay behind.
+
+    Behind a lost row all stamps are late by a period; behind a stamp that is late itself they are not.
+    """
+    periods = np.ones(times.size - 1)
+    long = np.flatnonzero(np.diff(times) > 1.5 * median_s)
+    if long.size:
+        late = times / median_s - np.arange(times.size)
+        near = np.arange(_BESIDE)
+        before = np.median(late[np.maximum(long[:, None] - near, 0)], axis=1)
+        behind = np.median(late[np.minimum(long[:, None] + 1 + near, times.size - 1)], axis=1)
+        most = np.maximum(np.rint(np.diff(times)[long] / median_s), 1)
+        periods[long] = np.clip(1 + np.rint(behind - before), 1, most)
+    return periods
+
+
+def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Mean step [s] of stamps (n,) at places (n,) of a grid; how late each is, and how late against its neighbours.
+
+    Both in steps. The stamps are compared, not the steps: steps 1 % too long and later 1 % too short would each pass,
+    yet shift the middle of 1000 samples by five. A clock may well run fast and then slow; a single stamp that is late
+    shows against the median of its neighbours.
+    """
+    mean = float((times[-1] - times[0]) / (index[-1] - index[0]))
+    late = (times - times[0]) / mean - (index - index[0])
+    usual = scipy.ndimage.median_filter(late, _NEIGHBOURS, mode="nearest")
+    return mean, late, late - scipy.ndimage.uniform_filter(usual, 3 * _NEIGHBOURS, mode="nearest")
 
 
 def _stated(header: Mapping[str, object], quantity: str, words: Vocabulary) -> float | None:

@@ -7,6 +7,7 @@ All of it is found in the recording, unless the scene states it.
 import glob
 import itertools
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,11 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, hig
 from transopt.base.sizes import MOST_FILES
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
+from transopt.recordings.split import split
 
+UNKNOWN = "unknown"  # source of a speed that nobody knows
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
+AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
 BASELINE_SAMPLES = 8  # fewer are no baseline
 SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
@@ -54,27 +58,37 @@ def _paths(settings: Recordings) -> list[Path]:
 
 
 def read_recordings(settings: Recordings) -> list[Recording]:
-    """Load the files that a scene names.
+    """Load the files that a scene names; one that holds several taps gives a recording of each.
 
-    `speed_by_file_m_s` overrides what a file states; `speed_m_s` and `grip_N` serve files that state none.
+    `speed_by_file_m_s` overrides what a file states, for all its taps by the file's name or for one by `FILE#2`;
+    `speed_m_s` and `grip_N` serve files that state none. `taps_by_file` says which taps of a file to take. Where the
+    scene states the onset, that is in a file's own time, and no file is split.
 
     Raises
     ------
-    InputError : a pattern that matches nothing, a file name in `speed_by_file_m_s` that is not among the files, or
-        whatever a file itself is refused for.
+    InputError : a pattern that matches nothing, a file name in `speed_by_file_m_s` or `taps_by_file` that is not
+        among the files, or whatever a file itself is refused for.
     """
-    paths = _paths(settings)
-    stray = set(settings.speed_by_file_m_s) - {path.name for path in paths}
+    paths, by_file = _paths(settings), settings.speed_by_file_m_s
+    for pattern in settings.taps_by_file:
+        if not any(fnmatchcase(path.name, pattern) for path in paths):
+            raise InputError(f"recordings.taps_by_file: {pattern!r} is not among the files; correct the name")
+    found = []
+    for path in paths:
+        whole = load_recording(path, settings.layout())
+        for recording in [whole] if settings.onset_s != "auto" else split(whole, settings.taps_by_file):
+            stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
+            grip = settings.grip_N if recording.grip_N is None else recording.grip_N
+            speed = by_file.get(recording.name, by_file.get(path.name, stated))
+            notes = recording.notes
+            if recording.name != path.name and speed is not None and recording.name not in by_file:
+                notes = (*notes, f"its speed is the one that is stated for all taps of {path.name}")
+            found.append(replace(recording, speed_m_s=speed, grip_N=grip, notes=notes))
+    stray = set(by_file) - {path.name for path in paths} - {recording.name for recording in found}
     if stray:
         raise InputError(
             f"recordings.speed_by_file_m_s: {sorted(stray)[0]!r} is not among the files; correct the name"
         )
-    found = []
-    for path in paths:
-        recording = load_recording(path, columns=settings.columns, full_scale_m_s2=settings.full_scale_m_s2)
-        stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
-        grip = settings.grip_N if recording.grip_N is None else recording.grip_N
-        found.append(replace(recording, speed_m_s=settings.speed_by_file_m_s.get(path.name, stated), grip_N=grip))
     return found
 
 
@@ -206,14 +220,17 @@ def _clipped(values: FloatArray, offset: float) -> int:
     return count
 
 
-def _speed(recording: Recording, onset_s: float) -> tuple[float, str]:
+def _speed(recording: Recording, onset_s: float, *, needed: bool) -> tuple[float, str]:
     """Incoming speed [m/s] and its source."""
     if recording.speed_m_s is not None:
         return recording.speed_m_s, "stated"
+    if recording.position is None and not needed:
+        return float("nan"), UNKNOWN
     if recording.position is None:
         raise InputError(
             f"{recording.name}: no incoming speed: state it in the file (`# speed_m_s: ...`), record a position_m "
-            "column, or name it in recordings.speed_by_file_m_s (`transopt taps`: --speed)"
+            f'column, or name it: recordings.speed_by_file_m_s = {{ "{recording.name}" = 0.2 }} (`transopt taps`: '
+            "--speed 0.2)"
         )
     t, z = recording.position.times_s, recording.position.values
     before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
@@ -251,8 +268,12 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
     return notes
 
 
-def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
+def prepare(recording: Recording, settings: Recordings, *, speed_needed: bool = True) -> PreparedTap:
     """Offset, polarity, onset, speed, similarity scaling and low-pass of one recording.
+
+    Parameters
+    ----------
+    speed_needed : whether a recording of unknown speed is refused; else its speed is NaN and its source `UNKNOWN`.
 
     Raises
     ------
@@ -283,7 +304,9 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
             onset = begins
         else:
             more.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
-    speed, source = _speed(recording, onset)
+    if settings.onset_s == "auto" and onset - upright.start_s < AT_THE_START_S:
+        more.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
+    speed, source = _speed(recording, onset, needed=speed_needed)
     clipped = _clipped(raw.values, offset)
     if clipped:
         more.append(f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range")
@@ -302,5 +325,15 @@ def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     peak = float(np.abs(upright.values if np.isnan(speed) else filtered.values).max())
     more += _doubts(raw, speed, peak, noise if np.isnan(speed) else factor * noise)
     return PreparedTap(
-        recording, filtered, speed, source, offset, polarity, onset, peak, factor, clipped, (*notes, *more)
+        recording,
+        filtered,
+        speed,
+        source,
+        offset,
+        polarity,
+        onset,
+        peak,
+        factor,
+        clipped,
+        (*recording.notes, *notes, *more),
     )

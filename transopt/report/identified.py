@@ -88,6 +88,26 @@ def model_warning(build: Build) -> str:
     )
 
 
+def unfit_model(scene: Scene) -> str:
+    """One line: which parts of the scene's model file are not fit to design with, and why; empty if there is none."""
+    if not isinstance(scene.model, IdentifiedModel):
+        return ""
+    parts = scene.model.unfit(coil=scene.motor is not None)
+    said = "; ".join(f"{name}: {'; '.join(reasons)}" for name, reasons in parts.items())
+    return f"{scene.model.file} is not fit to design with: {said}" if said else ""
+
+
+def moving_target(scene: Scene) -> str:
+    """One line where the taps to be reproduced are made with the identified device; empty if they are not."""
+    model = scene.model
+    if scene.recordings.simulated is None or scene.striker is not None or not isinstance(model, IdentifiedModel):
+        return ""
+    return (
+        f"the simulated taps are struck by the device of {model.file} and change with it: state [model] in the "
+        "scene, and the file by model_file, to keep them"
+    )
+
+
 def _outside(scene: Scene, model: IdentifiedModel) -> list[str]:
     """A note on grips that the scene plays outside the recorded ones."""
     recorded = [grip for grip in model.moving.grips_N if grip > 0]
@@ -126,6 +146,8 @@ def identified_lines(build: Build) -> list[str]:
     if model.device is not None and model.device.nrmse:
         errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
         lines += ["", f"Held-out NRMSE of the model on trials outside its fit: {errors}."]
+    if said := unfit_model(scene):
+        lines += ["", f"**{said}.** It was accepted by the one who solved."]
     warning = model_warning(build)
     return [*lines, *(["", f"**{warning[0].upper()}{warning[1:]}.**"] if warning else []), *_spread_words(scene)]
 

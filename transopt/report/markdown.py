@@ -101,8 +101,10 @@ def _origin(build: Build) -> str:
     """Where the recordings come from, in words."""
     simulated = build.scene.recordings.simulated
     if simulated is not None:
+        whose = "" if build.scene.striker is None else " (the scene's own device, not that of the model file)"
+        striking = f"the undriven device{whose}"
         return (
-            f"The recordings are **simulated**: the undriven device at {simulated.grip_N:g} N strikes the object of "
+            f"The recordings are **simulated**: {striking} at {simulated.grip_N:g} N strikes the object of "
             f"the scene, {simulated.repeats} repeats per speed, accelerometer noise "
             f"{simulated.noise_g_rtHz * 1e6:g} ug/sqrt(Hz), range +-{simulated.range_g:g} g."
         )

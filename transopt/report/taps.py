@@ -12,7 +12,7 @@ from rich.table import Table
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import PreparedTap
+from transopt.recordings.tap import UNKNOWN, PreparedTap
 
 CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
 
@@ -43,13 +43,19 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
             f"{tap.onset_s * 1e3:.3f}",
             f"{tap.offset_m_s2 / STANDARD_GRAVITY_M_S2:.3f}",
             "+" if tap.polarity > 0 else "-",
-            "any" if np.isnan(tap.speed_m_s) else f"{tap.speed_m_s:.4g}",
+            _speed_cell(tap),
             tap.speed_source,
             f"{tap.peak_m_s2 / STANDARD_GRAVITY_M_S2:.3g}",
             str(tap.clipped_samples) if tap.clipped_samples else "no",
             "; ".join(tap.notes) or "-",
         )
     return table
+
+
+def _speed_cell(tap: PreparedTap) -> str:
+    if not np.isnan(tap.speed_m_s):
+        return f"{tap.speed_m_s:.4g}"
+    return "?" if tap.speed_source == UNKNOWN else "any"
 
 
 def _grid_speeds(speeds_m_s: Sequence[float]) -> list[float]:
@@ -81,7 +87,14 @@ def _lines(
             folder = Path(os.path.relpath(folder, home.resolve()))
     # Strings, numbers and lists are spelt alike in JSON and TOML.
     lines = [f"folder = {json.dumps(folder.as_posix())}", f"files = {json.dumps(files)}"]
-    return [f"speeds_m_s = {speeds}"], [*lines, *(f"{key} = {json.dumps(value)}" for key, value in stated.items())]
+    return [f"speeds_m_s = {speeds}"], [*lines, *(f"{key} = {_toml(value)}" for key, value in stated.items())]
+
+
+def _toml(value: object) -> str:
+    """A value as TOML spells it: as JSON, but for the pairs of a table."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{json.dumps(key)} = {_toml(one)}' for key, one in value.items())} }}"
+    return json.dumps(value)
 
 
 def scene_lines(taps: Sequence[PreparedTap], paths: Sequence[Path], settings: Recordings) -> str:

@@ -1,6 +1,5 @@
 """Reading scene files, with errors in the words of the file: table, key, value, limit."""
 
-import hashlib
 import re
 import tomllib
 from collections.abc import Sequence
@@ -16,8 +15,7 @@ from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_STAGES, MOST_TEXT_BYTES
-from transopt.scene.model_file import parse_model, read_model
-from transopt.scene.model_parts import MODEL_PARTS
+from transopt.scene.model_place import identified_table, put_model, served_grips
 from transopt.scene.own_file import own_tables
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Time
@@ -49,9 +47,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ) from None
     except ValueError as error:  # a number of a million digits is one as well
         if _MODEL_LINE.search(text) and _MODEL_TABLE.search(text):
-            clash = (
-                "states a model file (model = ...) and [model] tables: delete [model] and [model.hand], or the line"
-            )
+            clash = "states a model file (model = ...) and [model] tables: write model_file = ... in that line"
             raise InputError(f"{path}: {clash}") from None
         raise InputError(f"{path}: not valid TOML: {error}") from None
 
@@ -119,27 +115,29 @@ def explain(source: Path | str, error: ValidationError, content: dict[str, Any])
     return f"{source}: {text}{more}"
 
 
-def _identified(file: Path, named: str) -> dict[str, Any]:
+def _identified(scene: Path, line: str, named: str) -> dict[str, Any]:
     """The table that stands for a model file: all that it holds, so that a library does not need the file."""
-    raw = read_model(file)
-    found = parse_model(file, raw).model_dump(include=set(MODEL_PARTS), exclude_none=True)
-    return {"kind": "identified", "file": named, "sha256": hashlib.sha256(raw).hexdigest(), **found}
-
-
-def _identified_in(scene: Path, named: str) -> dict[str, Any]:
-    """The same of a file that a scene names."""
     try:
-        read_model(scene.parent / named)
+        return identified_table(scene.parent / named, named)
     except InputError as error:
-        raise InputError(f"{scene}: model = {named!r}: {error}") from None
-    return _identified(scene.parent / named, named)
+        raise InputError(f"{scene}: {line} = {named!r}: {error}") from None
+
+
+def _take_model_file(scene: Path, content: dict[str, Any]) -> None:
+    """Put the file that `model_file` names in the place of the scene's own device, which stays as the striker."""
+    named = content.pop("model_file")
+    if not isinstance(named, str):
+        raise InputError(f'{scene}: model_file = {cut(repr(named))}: must be the path of a file, "MODEL.json"')
+    if isinstance(content.get("model"), str):
+        raise InputError(f"{scene}: model and model_file both name a model file: delete one of the lines")
+    put_model(content, _identified(scene, "model_file", named))
 
 
 def with_model(scene: Scene, file: str | Path) -> Scene:
     """The scene with what has been identified in place of what it states of the device, checked as a whole.
 
     The model takes the place of `[model]` and, as far as the file has these parts, of the tip and of the amplifier's
-    pole and delay; the command's range stays.
+    pole and delay; the command's range stays. Simulated taps are struck by the scene's own device.
 
     Parameters
     ----------
@@ -149,12 +147,8 @@ def with_model(scene: Scene, file: str | Path) -> Scene:
     ------
     InputError : one line: file, key, value, what is wrong.
     """
-    model, content = _identified(Path(file), str(file)), scene.model_dump()
-    if "device" in model:
-        content["tip"] = None
-    if "amplifier" in model and isinstance(content["amplifier"], dict):
-        content["amplifier"].update(pole_Hz=None, delay_s=None)
-    content["model"] = model
+    content = scene.model_dump()
+    put_model(content, identified_table(Path(file), str(file)))
     try:
         return Scene.model_validate(content)
     except ValidationError as error:
@@ -169,12 +163,19 @@ def _resolved(scene: Path, folder: str) -> str:
         raise InputError(f"{scene}: recordings.folder = {cut(repr(folder))}: no folder ({error})") from None
 
 
-def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
+def read_scene(
+    path: Path, *, search: Sequence[Path] = (), model: Path | None = None, model_grips: bool = False
+) -> Scene:
     """Read and check a scene file.
 
     Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
-    not tables, are also looked for in the `search` folders. A model that is a file name is a model file. The files
-    below `limits.own` are run.
+    not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which takes
+    the place of the [model] table; `model_file` names one beside that table. The files below `limits.own` are run.
+
+    Parameters
+    ----------
+    model : a model file in place of any that the scene names; its path counts from the working folder.
+    model_grips : whether the grid takes the grips that `model` was identified at, if it does not know the scene's.
 
     Raises
     ------
@@ -192,8 +193,16 @@ def read_scene(path: Path, *, search: Sequence[Path] = ()) -> Scene:
             folders = ", ".join(str(place.parent) for place in places)
             raise InputError(f"{path}: {table} = {named!r}: no such file in {folders}")
         content[table] = read_toml(found)
-    if isinstance(content.get("model"), str):
-        content["model"] = _identified_in(path, content["model"])
+    if model is not None:
+        content.pop("model_file", None)
+        identified = identified_table(model, model.as_posix())
+        put_model(content, identified)
+        if model_grips:
+            content["grid"]["grips_N"] = served_grips(identified, content["grid"]["grips_N"])
+    elif "model_file" in content:
+        _take_model_file(path, content)
+    elif isinstance(content.get("model"), str):
+        content["model"] = _identified(path, "model", content["model"])
     limits, time = content.get("limits"), content.get("time", {})
     if isinstance(limits, dict) and "own" in limits:
         stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0

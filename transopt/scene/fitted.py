@@ -38,11 +38,13 @@ class ModelPart(Section):
 
     Attributes
     ----------
-    verdict : what it is good for, in plain words.
-    sources : files that it was fitted to.
+    verdict : in plain words, what designs the part supports.
+    shortfalls : why it is not fit to design with, one sentence each; none for a part that is.
+    sources : what it was fitted to.
     """
 
     verdict: Words
+    shortfalls: list[Words] = Field(default_factory=list)
     sources: list[Source]
 
 

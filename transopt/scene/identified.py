@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from transopt.base.errors import InputError
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import StateSpace
-from transopt.scene.fitted import FittedPart
+from transopt.scene.fitted import FittedPart, ModelPart
 from transopt.scene.model_parts import DriveDevice, HandPart, ModelParts, StateSpaceDevice, check_grip
 
 SEED = 7  # of the draws, always the same, so that a library can be made again
@@ -38,6 +38,18 @@ class IdentifiedModel(ModelParts):
         part = self.hand if self.device is None else self.device
         assert part is not None
         return part
+
+    def unfit(self, *, coil: bool) -> dict[str, list[str]]:
+        """Why the parts that a design takes are not fit to design with, by part; empty where all are.
+
+        Parameters
+        ----------
+        coil : whether the design has a motor, and with it a coil that gets warm.
+        """
+        moving = "device" if self.device is not None else "hand"
+        used: dict[str, ModelPart | None] = {"amplifier": self.amplifier, moving: self.moving}
+        used["coil"] = self.coil if coil else None
+        return {name: part.shortfalls for name, part in used.items() if part is not None and part.shortfalls}
 
     def tip(self) -> Tip | None:
         """The drive at the tip; None where the file has no drive chain."""

@@ -96,6 +96,8 @@ def _walk(table: type[Section], value: Section | None, prefix: str) -> Iterator[
         path, stated = f"{prefix}{name}", getattr(value, name, None)
         parts = [*_flat(field.annotation), *field.metadata]
         parts += [bound for part in parts if isinstance(part, FieldInfo) for bound in part.metadata]
+        if path == "striker":
+            continue  # what simulated taps are made with is not what is designed, and stays when that is varied
         inner = [part for part in parts if isinstance(part, type) and issubclass(part, Section)]
         if path == "motor":
             yield Key(

@@ -37,6 +37,7 @@ from transopt.scene.sections import (
     Grid,
     LimitsSection,
     Robust,
+    Striker,
     Thermal,
     Time,
     Weights,
@@ -66,6 +67,7 @@ class Scene(Section):
     weights: Weights = Weights()
     robust: Robust | None = None
     hand_over_samples: Annotated[int, Field(ge=1)] = 10
+    striker: Striker | None = None
 
     def __repr__(self) -> str:
         grid, time = self.grid, self.time
@@ -181,10 +183,10 @@ class Scene(Section):
                         f"{key}: needs the motor's motion, and the device in {model.file} is a state space, which "
                         "knows none: identify a drive chain, or leave it out"
                     )
-            if self.recordings.simulated is not None:
+            if self.recordings.simulated is not None and self.striker is None:
                 raise ValueError(
                     f"recordings.simulated: the device in {model.file} is a state space, which has no stylus to "
-                    "strike with: give recorded files"
+                    "strike with: give recorded files, or a [model] that strikes and the file as model_file"
                 )
         if self.robust is not None and self.robust.model_uncertainty:
             try:
@@ -226,6 +228,13 @@ class Scene(Section):
                 f"weights.after_s = {self.weights.after_s:g} s: {after} samples of {self.time.dt_s:g} s, at most "
                 f"{MOST_AFTER}: lower weights.after_s"
             )
+
+    def striking(self) -> Self:
+        """The scene whose device strikes the object of simulated recordings: this one, unless it states a striker."""
+        if self.striker is None:
+            return self
+        stated = {"model": self.striker.model, "tip": self.striker.tip, "amplifier": self.striker.amplifier}
+        return self.model_copy(update={**stated, "striker": None})
 
     def drive_at_tip(self) -> Tip:
         """What the stylus feels of the drive: as identified, as motor and transmission make it, or as stated."""

@@ -21,6 +21,8 @@ from transopt.base.sizes import (
     SHORTEST_DT_S,
 )
 from transopt.plant.discretise import WHOLE
+from transopt.plant.kinds import Model
+from transopt.plant.motor import Tip
 
 
 def _increasing(values: list[float]) -> list[float]:
@@ -90,6 +92,17 @@ class AmplifierSection(Section):
     pole_Hz: Positive | None = None
     delay_s: Annotated[float, Field(ge=0, le=LONGEST_DELAY_S)] | None = None
     command_limit_A: Positive = 6.0
+
+
+class Striker(Section):
+    """The device that strikes the object of simulated recordings, where the design is for that of a model file.
+
+    It is what the scene states beside its model file, so that the taps to be reproduced stay when the model changes.
+    """
+
+    model: Annotated[Model, Field(discriminator="kind")]
+    tip: Tip | None = None
+    amplifier: AmplifierSection | Literal["ideal"]
 
 
 class OwnLimitTable(Section):

@@ -143,6 +143,7 @@ def recordings(scene: Scene) -> list[Recording]:
     target = scene.recordings.simulated
     if target is None:
         raise InputError(f"{scene.name}: recordings.simulated: missing; this scene reads files")
+    scene = scene.striking()
     random = np.random.default_rng(target.seed)
     nodes = np.repeat(scene.grid.speeds_m_s, target.repeats)
     speeds = nodes * (1 + target.speed_spread * random.uniform(-1, 1, nodes.size))

@@ -35,7 +35,7 @@ def test_taps_are_met_once_by_any_encoder_on_any_servo(count_m: float, dt_s: flo
         window_ticks=s.window_ticks,
         least_speed_m_s=s.least_speed_m_s,
     )
-    trigger, met = Trigger(s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s)), []
+    trigger, met = Trigger(s.count_m, s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s)), []
     for tick in range(round(0.045 / dt_s)):
         z = 8e-3 - 0.2 * tick * dt_s
         counts = int(np.floor(z / count_m + 0.5)) + 1234

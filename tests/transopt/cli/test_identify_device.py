@@ -56,7 +56,8 @@ def test_the_command_writes_model_and_figure(folder: Path, tmp_path: Path) -> No
     assert (tmp_path / "MODEL_device.png").read_bytes()[:4] == b"\x89PNG"
     code, output, _ = call(*sorted(folder.glob("sweep_*")), "--out", out, "--kind", "drive")
     assert code == 0, output
-    assert f'model = "{out}" above the first [table] takes the place of [model]' in output
+    assert f"next: transopt solve --model {out}\n" in output
+    assert output.rstrip().endswith(f'above its first [table] (all that it states may stay):\nmodel_file = "{out}"')
 
 
 def test_a_force_per_ampere_scales_the_masses(folder: Path, tmp_path: Path) -> None:

@@ -169,14 +169,41 @@ def test_dropped_sample(tmp_path: Path) -> None:
     lost = [101, 102, 103]
     message = refusal(tmp_path, csv(np.delete(TIMES_S, lost), np.delete(TAP_M_S2, lost)))
     # Sample 100 stands in row 102: below the header row, and rows count from 1.
-    assert message.startswith("sample dropped after row 102 (0.01 s): step 0.4 ms, median 0.1 ms; must be 0.1 to 1.5")
+    assert message.startswith(
+        "after row 102 (0.01 s): step 0.4 ms, median 0.1 ms: 3 samples dropped; at most 1 in a row"
+    )
 
 
-def test_bunched_samples(tmp_path: Path) -> None:
+def test_single_lost_rows_are_interpolated_and_said_so(tmp_path: Path) -> None:
+    lost = [40, 101]
+    recording = load(tmp_path, csv(np.delete(TIMES_S, lost), np.delete(smooth(TIMES_S), lost)))
+    np.testing.assert_allclose(recording.acceleration.values, smooth(TIMES_S), atol=1e-5)
+    found = "2 of 200 samples lost or without a time, first after row 41 (0.0039 s): interpolated"
+    assert recording.notes == (found,)
+    many = list(range(40, 60, 2))
+    message = refusal(tmp_path, csv(np.delete(TIMES_S, many), np.delete(TAP_M_S2, many)))
+    assert message.startswith("10 of 200 samples lost or without a time, first after row 41 (0.0039 s): at most 1 %")
+
+
+def test_a_stamp_far_off_its_place_is_none(tmp_path: Path) -> None:
     times_s = TIMES_S.copy()
     times_s[51] = times_s[50] + 5e-6
-    message = refusal(tmp_path, csv(times_s))
-    assert message.startswith("samples bunched after row 52 (0.005 s): step 0.005 ms, median 0.1 ms; must be 0.1")
+    recording = load(tmp_path, csv(times_s, smooth(TIMES_S)))
+    assert "1 of 200 samples lost or without a time" in recording.notes[0]
+    np.testing.assert_allclose(recording.acceleration.values, smooth(TIMES_S), atol=1e-5)
+
+
+def test_stamps_are_judged_by_their_rms(tmp_path: Path) -> None:
+    """One of 2000 stamps is late by most of a step; the others shake by 3 % of one."""
+    times_s = DT_S * (np.arange(2000) + 0.03 * np.random.default_rng(4).standard_normal(2000))
+    times_s[700] += 0.85 * DT_S
+    recording = load_smooth(tmp_path, times_s)
+    np.testing.assert_allclose(
+        recording.acceleration.values[9:-9], smooth(recording.acceleration.times_s)[9:-9], atol=1e-4
+    )
+    shaken = DT_S * (np.arange(2000) + 0.49 * np.random.default_rng(4).uniform(-1, 1, 2000))
+    message = refusal(tmp_path, npz(time_s=shaken, acceleration_m_s2=smooth(shaken)), ".npz")
+    assert "steps (rms) off a uniform grid" in message or "without a time" in message
 
 
 def test_time_that_does_not_increase(tmp_path: Path) -> None:

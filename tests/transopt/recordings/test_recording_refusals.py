@@ -72,11 +72,11 @@ def test_unknown_format(tmp_path: Path, suffix: str) -> None:
 
 
 def test_unnamed_columns(tmp_path: Path) -> None:
-    how = 'recordings.columns = ["time_s", "acceleration_g"]'
+    how = "name them: --columns time_s,acceleration_g (in a scene recordings.columns)"
     assert how in refusal(tmp_path, VALID[".txt"], ".txt")
     assert how in refusal(tmp_path, VALID[".dat"], ".dat")
     message = refusal(tmp_path, "# only a remark\n" + text(TIMES_S, TAP_M_S2))
-    assert message.startswith("row 2: '0,0' has no header row above; begin with")
+    assert message.startswith("row 2: '0,0' has no row of names above it; name them")
     assert how in message
 
 
@@ -226,7 +226,9 @@ def test_bad_wav(tmp_path: Path) -> None:
         message = wav_refusal(VALID[".wav"], scale)
         assert message.startswith(f"recordings.full_scale_m_s2 = {scale}: WAV needs the acceleration of full scale")
     stereo = np.stack([TAP_M_S2, TAP_M_S2], axis=1)
-    assert wav_refusal(wav(stereo)).startswith("2 channels, must be 1; export the accelerometer's as mono")
+    assert "choose one: --channel 1 (in a scene recordings.channel = 1)" in wav_refusal(wav(stereo))
+    options = {"full_scale_m_s2": 10.0, "channel": 3}
+    assert refusal(tmp_path, wav(stereo), ".wav", **options).startswith("--channel 3: the file has 2; choose 1 to 2")
     assert wav_refusal(b"not a wave file").startswith("not a readable WAV file (")
     assert "Reached EOF prematurely" in wav_refusal(VALID[".wav"][:-80])
     assert "column time_s: nan: must be finite" in wav_refusal(wav(TAP_M_S2, rate_Hz=0))

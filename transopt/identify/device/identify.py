@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Finding, by_grip
+from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import HAND, SHARED, DriveChain
 from transopt.identify.device.chain_fit import (
@@ -20,10 +20,20 @@ from transopt.identify.device.chain_fit import (
     fit_per_grip,
     refit,
 )
+from transopt.identify.device.delay import delay_samples, finding, without_delay
 from transopt.identify.device.response import Instrument, sampled_response
-from transopt.identify.device.trials import BAND_HZ, Grip, Records, low_coherence, runs_of, sort_trials
+from transopt.identify.device.trials import (
+    BAND_HZ,
+    Grip,
+    Records,
+    instrument_of,
+    low_coherence,
+    runs_of,
+    sort_trials,
+)
 from transopt.identify.device.validation import Model, Transient, called, compare, short_of, together, verdict
 from transopt.identify.measurement import Measurement
+from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
@@ -164,6 +174,7 @@ def identify(
     ------
     InputError : records that cannot be used, an order that cannot be.
     """
+    runs, transients, late = _on_one_clock(runs, transients, settings)
     records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
     grips, instrument = records.grips, records.instrument
     responses = [grip.response for grip in grips]
@@ -202,10 +213,27 @@ def identify(
         chain=chain,
         own_hands=own_hands,
         black_box=box,
-        findings=records.findings,
+        findings=[*late, *records.findings],
         advice=advice,
         short=short_of(chosen.recorded, chosen.between),
     )
+
+
+def _on_one_clock(
+    runs: Sequence[Measurement], transients: Sequence[Measurement], settings: Settings
+) -> tuple[Sequence[Measurement], Sequence[Measurement], list[Finding]]:
+    """Runs and transients without a pure delay of the acceleration's channel, and what was done."""
+    together = [*runs, *transients]
+    instrument = instrument_of(together, settings.amplifier)
+    if any(run.grip_N is None for run in together) or check_rates(
+        [Trial(run.name, x, x) for run in together if (x := run.acceleration) is not None]
+    ):
+        return runs, transients, []  # refused by name when they are sorted
+    samples = delay_samples(runs, settings.amplifier, settings.nominal.plant, instrument)
+    if samples == 0:
+        return runs, transients, []
+    moved = without_delay(together, samples)
+    return moved[: len(runs)], moved[len(runs) :], [finding(samples, instrument.dt_s)]
 
 
 def _validated(kind: Kind, model: Model, without: Callable[[float], Model], records: Records) -> Candidate:
@@ -324,6 +352,7 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
     nrmse = {f"{grip:.6g}": error for grip, error in result.chosen.recorded.items() if np.isfinite(error)}
     common = {"grips_N": [grip.grip_N for grip in result.grips], "nrmse": nrmse, "sources": sources}
     common["verdict"] = "; ".join([result.verdict, *result.short])
+    common["shortfalls"] = list(result.short)
     if result.chosen.kind is Kind.STATE_SPACE:
         assert result.black_box is not None
         matrices = {

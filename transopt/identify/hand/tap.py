@@ -15,10 +15,10 @@ What biases such a fit, and what is done about it:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, signal
+from scipy import optimize, signal, stats
 
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
@@ -30,8 +30,11 @@ _BASELINE_S = 5e-3  # least record before contact
 _GUARD_S = 0.5e-3  # before the force is seen to rise
 _RISE = 0.02  # of its peak, at which a force is no noise
 _NOISE = 6.0  # standard deviations
+_STANDS_OUT = 10.0  # times the noise of a sample: no noise is as high
+_FEWEST = 4  # samples that an offset is taken from
+_IN_PULSE = 0.1  # of the peak: a record that begins higher begins in the pulse
 _STUCK = 4  # samples at one extreme value: an end stop
-_JITTER = 0.2  # steps off the uniform grid
+_JITTER = 0.2  # steps off the uniform grid, rms
 _CALIBRATION = 0.2  # relative difference of displacements by encoder and by accelerometer
 MOST_LEFT_OUT = 0.2  # of the trials
 _NEAR_G = 1.3  # a ratio within this factor of 9.81 is taken for 9.81
@@ -48,6 +51,7 @@ class HandTap:
     speed_m_s : incoming speed as stated; None if the file has none.
     dt_s : sampling period.
     force_N, acceleration_m_s2 : (n,) without offsets, alike delayed and low-passed.
+    note : what a user should know about how it was cut; empty if nothing.
     """
 
     name: str
@@ -56,6 +60,7 @@ class HandTap:
     dt_s: float
     force_N: FloatArray
     acceleration_m_s2: FloatArray
+    note: str = ""
 
     @property
     def velocity_m_s(self) -> FloatArray:
@@ -115,26 +120,28 @@ def cut_tap(
 
     Raises
     ------
-    InputError : no contact, no rest before it, or a record that ends too early; without the trial's name.
+    InputError : no contact, or a record that ends too early; without the trial's name.
     """
     contact = onset(force_N, dt_s)
-    begin = contact - int(np.ceil(_GUARD_S / dt_s))
+    begin = max(contact - int(np.ceil(_GUARD_S / dt_s)), 0)
     count = round(window_s / dt_s) + contact - begin
+    rest, note = slice(0, begin), ""
     if begin < _BASELINE_S / dt_s:
-        before = f"contact {1e3 * contact * dt_s:.3g} ms after the record's begin"
-        raise InputError(f"{before}: at least {1e3 * (_BASELINE_S + _GUARD_S):g} ms are needed; begin earlier")
+        offsets = f"from the {begin} samples before it" if begin >= _FEWEST else "taken as 0"
+        rest = rest if begin >= _FEWEST else slice(0, 0)
+        early = f"contact at the start, {1e3 * contact * dt_s:.3g} ms into the record"
+        note = f"{early} (a trigger without pre-roll): offsets {offsets}"
     if begin + count > force_N.size:
         after = f"the record ends {1e3 * (force_N.size - contact) * dt_s:.3g} ms after contact"
         raise InputError(f"{after}: {1e3 * window_s:g} ms are needed; record longer")
-    force = force_N - force_N[:begin].mean()
-    acceleration = acceleration_m_s2 - acceleration_m_s2[:begin].mean()
+    force, acceleration = (x - (x[rest].mean() if x[rest].size else 0.0) for x in (force_N, acceleration_m_s2))
     if accelerometer_Hz is not None:
         force = _one_pole(force, 2 * np.pi * accelerometer_Hz * dt_s)
     if 0.45 / dt_s > LOWPASS_HZ:
         sos = signal.butter(2, LOWPASS_HZ, fs=1 / dt_s, output="sos")
         force, acceleration = signal.sosfilt(sos, np.stack([force, acceleration]), axis=1)
     kept = slice(begin, begin + count)
-    return HandTap(name, grip_N, speed_m_s, dt_s, np.asarray(force[kept]), np.asarray(acceleration[kept]))
+    return HandTap(name, grip_N, speed_m_s, dt_s, np.asarray(force[kept]), np.asarray(acceleration[kept]), note)
 
 
 def _one_pole(x: FloatArray, rate: float) -> FloatArray:
@@ -145,19 +152,32 @@ def _one_pole(x: FloatArray, rate: float) -> FloatArray:
 
 
 def onset(force_N: FloatArray, dt_s: float) -> int:
-    """Sample at which the surface force rises out of the noise it begins with.
+    """Sample at which the surface force rises out of the noise: the first one, if the record begins in the pulse.
+
+    A trigger without pre-roll, as of an instrumented hammer, leaves no rest to know offset and noise from. The noise
+    is then taken from the steps between samples, and the offset from the first of them, or as 0 if they are in the
+    pulse.
 
     Raises
     ------
     InputError : it never does.
     """
-    quiet = force_N[: max(int(_BASELINE_S / dt_s), 4)]
-    away = np.abs(force_N - np.median(quiet))
-    threshold = max(_NOISE * float(quiet.std()), _RISE * float(away.max()))
-    at = int(np.argmax(away > threshold))
-    if not away[at] > threshold:
-        raise InputError(f"no contact after the first {1e3 * _BASELINE_S:g} ms; begin earlier and record a whole tap")
-    return at
+    quiet = force_N[: max(int(_BASELINE_S / dt_s), _FEWEST)]
+    noise = float(stats.median_abs_deviation(np.diff(force_N), scale="normal")) / np.sqrt(2)
+    highest = float(np.abs(force_N - np.median(force_N)).max())
+    if highest <= _STANDS_OUT * noise:
+        found = f"highest {highest:.3g} N off its middle, noise {noise:.3g} N rms"
+        raise InputError(
+            f"no contact: {found}, must be {_STANDS_OUT:g} times as high; tap harder, or check the sensor"
+        )
+    rest = float(np.median(quiet))
+    if np.ptp(quiet) > max(_STANDS_OUT * noise, _RISE * highest):  # the pulse is in it
+        rest = float(np.median(force_N[:_FEWEST]))
+        rest = rest if abs(rest) < _IN_PULSE * float(np.abs(force_N).max()) else 0.0
+    else:
+        noise = max(noise, float(quiet.std()))
+    away = np.abs(force_N - rest)
+    return int(np.argmax(away > max(_NOISE * noise, _RISE * float(away.max()))))
 
 
 def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
@@ -188,7 +208,7 @@ def tap_of(trial: Measurement, window_s: float = REACTION_S) -> HandTap:
         _check_signs_and_units(trial, tap)
     except InputError as error:
         raise InputError(f"{trial.name}: {error}") from None
-    return tap
+    return replace(tap, note="; ".join(filter(None, [trial.missing, tap.note])))
 
 
 def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> tuple[list[HandTap], list[str]]:
@@ -213,7 +233,7 @@ def usable_taps(trials: Sequence[Measurement], window_s: float = REACTION_S) -> 
 def _check_recording(trial: Measurement) -> None:
     """Refuse a trial with jittered time stamps or a sensor at its end stop."""
     if trial.off_grid > _JITTER:
-        found = f"time stamps lie up to {trial.off_grid:.2g} steps off a uniform grid"
+        found = f"time stamps lie {trial.off_grid:.2g} steps (rms) off a uniform grid"
         raise InputError(f"{found}: at most {_JITTER:g}; sample by a timer and record again")
     for quantity, unit in (("force", "N"), ("acceleration", "m/s^2")):
         values = trial.require(quantity, "").values
@@ -227,7 +247,7 @@ def _check_recording(trial: Measurement) -> None:
 
 def _check_signs_and_units(trial: Measurement, tap: HandTap) -> None:
     """Force against acceleration, and acceleration against position where there is one."""
-    ratio = None if trial.position is None else _displacement_ratio(trial, tap)
+    ratio = None if trial.position is None or tap.note else _displacement_ratio(trial, tap)
     opposite = float(tap.force_N @ tap.acceleration_m_s2) < 0
     if ratio is not None and ratio < 0:
         wrong = "acceleration" if opposite else "position, or both force and acceleration,"

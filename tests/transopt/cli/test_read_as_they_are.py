@@ -1,0 +1,94 @@
+"""Commands on files as instruments write them: --columns, --units, --tap, --channel; and lines that work pasted."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import problems
+from tests.benches.commands import Run, assert_refused
+from tests.benches.recording_files import text, wav
+from tests.transopt.recordings.test_as_they_are import SPEEDS, STARTS, session
+from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
+from transopt.identify.measurement import load_measurements, split_taps
+from transopt.recordings.names import Layout
+
+
+@pytest.fixture
+def three(run: Run) -> Path:
+    path = Path("session.csv")
+    path.write_text(session(STARTS, SPEEDS))
+    return path
+
+
+class TestTaps:
+    @pytest.mark.usefixtures("three")
+    def test_lists_every_tap_of_a_file_and_one_that_is_chosen(self, run: Run) -> None:
+        outcome = run("taps", "session.csv")
+        assert outcome.code == 0, outcome.err
+        assert all(f"session.csv#{k}" in outcome.out for k in (1, 2, 3))
+        assert "speeds_m_s = [0.1, 0.2, 0.4]" in outcome.out
+        outcome = run("taps", "session.csv", "--tap", 2)
+        assert 'taps_by_file = { "*" = [2] }' in outcome.out
+        assert_refused(run("taps", "session.csv", "--tap", 7), "tap 7 is not there", "choose 1 to 3")
+
+    def test_taps_of_unknown_speed_are_listed_before_they_are_refused(self, run: Run) -> None:
+        Path("a.csv").write_text(re.sub(r"(?m),[^,\n]*$", "", session(STARTS, SPEEDS)))
+        outcome = run("taps", "a.csv")
+        assert_refused(outcome, 'recordings.speed_by_file_m_s = { "a.csv#1" = 0.2 }')
+        assert "peak at 0.902" in " ".join(outcome.out.split())
+
+    @pytest.mark.usefixtures("three")
+    def test_the_lines_of_one_tap_make_a_scene_that_solves(self, run: Run) -> None:
+        numbers = "\n".join(Path("session.csv").read_text().splitlines()[1:])
+        Path("bare.txt").write_text(numbers)
+        options = ("--columns", "time,acc,pos", "--units", "time=s,acc=g,pos=m", "--tap", 2)
+        outcome = run("taps", "bare.txt", *options)
+        assert outcome.code == 0, outcome.err
+        grid, recordings = outcome.out[outcome.out.index("# in [grid]") :].split("\n\n")
+        scene = problems.scene_path("own_taps").read_text()
+        scene = scene.replace("speeds_m_s = [0.2, 0.3, 0.4]", grid).replace("[1.0, 3.0, 5.0]", "[3.0]")
+        scene = scene.replace('folder = "../recordings"\nfiles = ["tap_*.csv"]', recordings)
+        Path("pasted.toml").write_text(scene)
+        outcome = run("solve", "pasted.toml", "--no-figures")
+        assert outcome.code == 0, outcome.err
+
+    def test_a_channel_of_a_stereo_file(self, run: Run) -> None:
+        times = np.arange(3000) * 1e-4
+        pulse = 60 * np.sin(np.pi * np.clip(times - 0.1, 0, 4e-3) / 4e-3)
+        Path("two.wav").write_bytes(wav(np.stack([0 * pulse, pulse / 100], axis=1)))
+        options = ("--full-scale", 100, "--speed", 0.2)
+        assert_refused(run("taps", "two.wav", *options), "2 channels", "--channel 1")
+        assert run("taps", "two.wav", *options, "--channel", 2).code == 0
+        assert_refused(run("taps", "two.wav", *options, "--channel", 3), "choose 1 to 2")
+
+
+@pytest.mark.parametrize("command", ["amplifier", "device", "hand", "coil"])
+def test_identify_takes_columns_and_units(run: Run, command: str) -> None:
+    Path("run.txt").write_text(
+        "time force acc\n" + text(np.arange(9.0) * 1e-4, np.ones(9), np.ones(9), delimiter=" ")
+    )
+    first = run("identify", command, "run.txt", "--out", "M.json")
+    assert_refused(first, "run.txt", "no unit stated in the columns 'time, force, acc'", "--units time=s,force=N")
+    outcome = run("identify", command, "run.txt", "--out", "M.json", "--units", "time=s,force=N,acc=g")
+    assert outcome.code == 2  # read, and then refused for what a sweep or a tap has to be
+    assert "unit" not in outcome.err
+    outcome = run("identify", command, "run.txt", "--out", "M.json", "--columns", "time_s,-,acceleration_g")
+    assert outcome.code == 2
+    assert "unit" not in outcome.err
+
+
+def test_a_hammers_session_gives_each_of_its_taps(tmp_path: Path) -> None:
+    t = np.arange(20000) * 1e-4
+    hits = [np.sin(np.pi * np.clip(t - at, 0, 3e-3) / 3e-3) for at in (0.3, 0.9, 1.4)]
+    force = 40 * np.sum(hits, axis=0) + 0.01 * np.random.default_rng(3).standard_normal(t.size)
+    (tmp_path / "hammer.txt").write_text("# grip_N: 3\ntime force acc\n" + text(t, force, 2 * force, delimiter="\t"))
+    runs = load_measurements([tmp_path / "hammer.txt"], Layout(units={"time": "s", "force": "N", "acc": "g"}))
+    taps = split_taps(runs)
+    assert [tap.name for tap in taps] == [f"hammer.txt#{k}" for k in (1, 2, 3)]
+    assert all(tap.grip_N == 3 for tap in taps)
+    np.testing.assert_allclose(
+        taps[1].require("acceleration", "").values, 2 * G * taps[1].require("force", "").values, rtol=1e-6, atol=1e-9
+    )
+    assert [tap.name for tap in split_taps(runs, [2])] == ["hammer.txt#2"]
