@@ -14,13 +14,14 @@ Longer windows would ask for more than 10 ms of undisturbed approach.
 A tap from rest close above the surface begins within the window, or its acceleration changes there, and a parabola is
 then no more what the readings follow. That shows in them as a part of the cubic that is orthogonal to every parabola
 (`parabola.bend_row`). Where it is more than twice what rounding alone makes of it, the newer half of the window is
-taken. Rms errors of the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2
-(`scripts/from_rest.py`, 24.5 um):
+taken. At a steady speed near a whole number of counts per tick rounding is a slow sawtooth, and makes more of it:
+where the paths of the two halves differ by no more than an eighth and two counts, more is asked for. Rms errors of
+the contact time of taps from rest, 1 to 5 mm above the surface at 5 to 30 m/s^2 (`scripts/from_rest.py`, 24.5 um):
 
                     10 ms alone     5 ms alone      10 or 5 ms
-    constant force  9 us            14 us           10 us
-    minimum jerk    19 us           15 us           13 us
-    half sine       64 us           22 us           21 us
+    constant force  9 us            14 us           9 us
+    minimum jerk    19 us           15 us           12 us
+    half sine       64 us           22 us           28 us
     0.1 m/s         13 us           21 us           13 us
 
 Steady approaches keep the whole window, and with it the errors above. The sums are of integers, so a sliding update
@@ -34,6 +35,7 @@ from controller.servo.parabola import bend_row, fit_rows
 NEVER = -1e9  # phase of a stylus that does not come in
 LEAST_READINGS = 4  # that a parabola is fitted to
 BEND_COUNTS = 0.6  # of a cubic in the readings: twice what rounding makes of it (1 / sqrt(12) each reading)
+STEADY_BEND_COUNTS = 2.0  # the same at a steady speed, where that may be a slow sawtooth
 
 
 class Approach:
@@ -98,7 +100,9 @@ class Approach:
                 return
         b = self._bend
         bend = b[0] * self._sum0 + b[1] * self._sum1 + b[2] * self._sum2 + b[3] * self._sum3
-        if -BEND_COUNTS <= bend <= BEND_COUNTS:
+        now, before = newest - middle, middle - oldest
+        most = BEND_COUNTS if abs(now - before) * 8 > abs(now) + 16 else STEADY_BEND_COUNTS
+        if -most <= bend <= most:
             (value, slope), s0, s1, s2 = self._whole_rows, self._sum0, self._sum1, self._sum2
         else:
             (value, slope), s0, s1, s2 = self._half_rows, self._new0, self._new1, self._new2

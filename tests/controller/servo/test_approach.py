@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from controller.servo.approach import BEND_COUNTS, NEVER, Approach, Touch, Trigger
+from controller.servo.approach import BEND_COUNTS, NEVER, STEADY_BEND_COUNTS, Approach, Touch, Trigger
 from controller.servo.settings import Settings
 from transopt.base.signals import FloatArray
 
@@ -42,8 +42,10 @@ def test_sliding_sums_are_the_least_squares_fit(counts: list[int]) -> None:
     t = np.arange(-29, 1)
     cubic, parabola = (np.polyval(np.polyfit(t, counts[-30:], degree), t) for degree in (3, 2))
     bend = float(np.linalg.norm(cubic - parabola))
-    assume(abs(bend - BEND_COUNTS) > 1e-6)
-    kept = 30 if bend < BEND_COUNTS else 15
+    now, before = counts[-1] - counts[-16], counts[-16] - (counts[-31] if len(counts) > 30 else counts[0])
+    most = BEND_COUNTS if abs(now - before) * 8 > abs(now) + 16 else STEADY_BEND_COUNTS
+    assume(abs(bend - most) > 1e-6)
+    kept = 15 if bend > most else 30
     slope = np.polyval(np.polyder(np.polyfit(t[-kept:], counts[-kept:], 2)), 3.0)
     assert fit.speed_m_s == pytest.approx(-slope * COUNT_M / DT_S, rel=1e-6, abs=1e-3)
 

@@ -1,6 +1,7 @@
 #include "td_approach.h"
 
 #define BEND_COUNTS 0.6 /* of a cubic in the readings: twice what rounding makes of it */
+#define STEADY_BEND_COUNTS 2.0 /* the same at a steady speed, where that may be a slow sawtooth */
 
 void td_approach_restart(td_approach *approach)
 {
@@ -21,12 +22,13 @@ static int64_t middle_of(const td_approach *approach, const td_config *config)
     return approach->counts[at >= 0 ? at : at + config->window_ticks];
 }
 
-/* One reading more in the sums: every one ages by a tick, and the oldest leaves at the window's age. */
-static void slide(td_approach *approach, const td_config *config, int64_t newest)
+/* One reading more in the sums: every one ages by a tick, and the oldest leaves at the window's age. Whether the path of
+ * the newer half differs from that of the older one by more than an eighth and two counts. */
+static bool slide(td_approach *approach, const td_config *config, int64_t newest)
 {
     const int64_t W = config->window_ticks, H = config->half_ticks;
     const int64_t oldest = approach->read >= config->window_ticks ? approach->counts[approach->next] : 0;
-    const int64_t middle = middle_of(approach, config);
+    const int64_t middle = middle_of(approach, config), now = newest - middle, change = now - (middle - oldest);
 
     approach->sum3 += 3 * approach->sum2 + 3 * approach->sum1 + approach->sum0 - W * W * W * oldest;
     approach->sum2 += 2 * approach->sum1 + approach->sum0 - W * W * oldest;
@@ -37,18 +39,20 @@ static void slide(td_approach *approach, const td_config *config, int64_t newest
     approach->new0 += newest - middle;
     approach->counts[approach->next] = (int32_t)newest;
     approach->next = approach->next + 1 < config->window_ticks ? approach->next + 1 : 0;
+    return (change < 0 ? -change : change) * 8 > (now < 0 ? -now : now) + 16;
 }
 
 void td_approach_step(td_approach *approach, const td_config *config, int32_t counts)
 {
     const td_wide *bend = config->bend;
     const td_parabola *fit = &config->whole;
-    td_wide s0, s1, s2, bent, ahead, rate;
+    td_wide s0, s1, s2, bent, most, ahead, rate;
+    bool changes;
 
     if (approach->read == 0)
         approach->origin = counts;
     /* Relative to the first reading, so that far from zero the sums stay small. */
-    slide(approach, config, (int64_t)counts - approach->origin);
+    changes = slide(approach, config, (int64_t)counts - approach->origin);
     if (approach->read < config->window_ticks) {
         approach->read++;
         if (approach->read < config->window_ticks)
@@ -58,7 +62,8 @@ void td_approach_step(td_approach *approach, const td_config *config, int32_t co
     s1 = (td_wide)approach->sum1;
     s2 = (td_wide)approach->sum2;
     bent = bend[0] * s0 + bend[1] * s1 + bend[2] * s2 + bend[3] * (td_wide)approach->sum3;
-    if (!(-BEND_COUNTS <= bent && bent <= BEND_COUNTS)) {
+    most = changes ? BEND_COUNTS : STEADY_BEND_COUNTS;
+    if (!(-most <= bent && bent <= most)) {
         fit = &config->half;
         s0 = (td_wide)approach->new0;
         s1 = (td_wide)approach->new1;
