@@ -63,7 +63,7 @@ class Table(Rehearsal[Overheard]):
         return super().ready(configuration, image)
 
     def armed(self, lease_ms: int = 200) -> "Table":
-        self.until(lambda: self.session.state is SessionState.READY, 1.0)
+        self.until(lambda: self.session.state is SessionState.READY, 1.0).run(0.02)
         self.session.arm(1.0, lease_ms)
         return self.until(lambda: self.session.state is SessionState.ARMED, 1.0)
 
@@ -150,13 +150,14 @@ def excitation(table: Table) -> None:
 
 
 def bring_up(table: Table) -> None:
-    """As in the check: pulses, a trial arm with its own limit of the gain, no arm in earnest before it has passed."""
+    """As in the check: pulses alone and in pairs, evidence, a surface, a trial arm with its own limit of the gain."""
     table.connected().session.configure(CONFIGURATION)
     table.session.upload(IMAGE)
-    table.asked().session.arm(1.0)
-    table.asked().session.pulse(0.05, 50)
+    table.asked().run(0.02).session.pulse(0.05, 50)
     table.asked().run(0.01).session.pulse(-0.1, 200)
-    table.asked().session.arm(0.1, trial=True)
+    table.asked().run(0.03).session.pulse(0.1, 50, pairs=1)
+    table.asked().run(0.3).session.evidence()
+    table.asked().session.surface(3.5)
     table.asked().run(0.02).session.arm(0.1, trial=True)
     table.until(lambda: table.session.state is SessionState.ARMED, 1.0).session.set_gain(0.5)
     table.asked().session.disarm()

@@ -159,7 +159,6 @@ def recorded(
         device.configure(configuration_of(settings))
         device.upload(image_of(bank(library), dt_s, settings.lead_s, library.meta["hand_over_samples"]))
         # What `transopt-play check` finds out by hand needs no finding out here.
-        device.checked()
         device.set_telemetry(1)
         arm_at_rest(device, LEASE_MS, hand.period_s)
         for _ in range(MOST_ROUNDS * rounds + 1):

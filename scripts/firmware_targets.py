@@ -65,13 +65,13 @@ class Target:
     library: bool = False
 
 
-def _capacities(samples: int, speeds: int, grips: int, output_bytes: int) -> tuple[str, ...]:
+def _capacities(samples: int, speeds: int, grips: int, records: int) -> tuple[str, ...]:
     """Of src/transopt_port.h, which the hash of a conversation tells from all others."""
     return (
         f"-DTD_MAX_LIBRARY_SAMPLES={samples}",
         f"-DTD_MAX_SPEEDS={speeds}",
         f"-DTD_MAX_GRIPS={grips}",
-        f"-DTD_OUTPUT_LIMIT_BYTES={output_bytes}",
+        f"-DTD_MAX_RECORDS={records}",
     )
 
 
@@ -80,8 +80,8 @@ TEENSY = ("-D__IMXRT1062__",)
 TARGETS = (
     Target("Cortex-M4F", "mps2-an386", M4F, "single", SINGLE, SINGLE),
     Target("Cortex-M7", "mps2-an500", M7, "double"),
-    Target("Arduino, Cortex-M4F", "mps2-an386", M4F, "single", (), (*SINGLE, *_capacities(16384, 16, 8, 4096)), True),
-    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(98304, 32, 16, 16384), True),
+    Target("Arduino, Cortex-M4F", "mps2-an386", M4F, "single", (), (*SINGLE, *_capacities(16384, 16, 8, 128)), True),
+    Target("Arduino, Teensy 4.1", "mps2-an500", M7, "double", TEENSY, _capacities(98304, 32, 16, 512), True),
 )
 
 
@@ -206,10 +206,11 @@ def record(folder: Path, seed: int, library: Path | None, *, runs: int = 6, tick
 def rows(found: dict[Target, Found]) -> list[str]:
     """Markdown, one row a target."""
     head = ["target", "precision", "text B", "td_device B", "stack B", "servo tick: mean / worst"]
-    head += ["device tick: mean / worst", "interrupt held", "hash equal"]
+    head += ["command out: mean / worst", "device tick: mean / worst", "interrupt held", "hash equal"]
     cells = []
     for target, f in found.items():
-        ticks = (f"{mean:.0f} / {most}" for _, mean, most in (f.counts["runs servo"], f.counts["talks device"]))
+        counted = (f.counts[name] for name in ("runs servo", "talks command", "talks device"))
+        ticks = (f"{mean:.0f} / {most}" for _, mean, most in counted)
         sizes = (f.text_bytes, f.device_bytes, f.stack_bytes)
         equal = "yes" if f.alike() else "NO"
         cells.append([target.name, target.precision, *sizes, *ticks, f.counts["talks held"][2], equal])

@@ -187,7 +187,7 @@ def known_truth(library: Library, device: TrueDevice) -> Stage:
 def identified(scene: Path, arguments: argparse.Namespace, mismatch: float, folder: Path) -> Path:
     """Record on the true device and identify; the scene with that model."""
     model = scene.with_name(f"identified_{mismatch:g}.json")
-    truth = ("--device", scene, "--mismatch", mismatch, "--seed", arguments.seed)
+    truth = ("--true-device", scene, "--mismatch", mismatch, "--seed", arguments.seed)
     for purpose, more in (("amplifier", ()), ("device", ("--grips", arguments.grips))):
         sweeps = folder / f"sweeps_{purpose}"
         for old in sweeps.glob("*.npz"):
@@ -218,7 +218,7 @@ def run_one(scene: Path, arguments: argparse.Namespace, mismatch: float) -> list
         begun = folder / "identified" / "library.npz"
         stages.append(play("identified model", solved(model_scene, begun.parent)))
     out = folder / "refined"
-    truth = ("--device", scene, "--mismatch", mismatch, "--seed", arguments.seed)
+    truth = ("--true-device", scene, "--mismatch", mismatch, "--seed", arguments.seed)
     how = ("--simulate", *truth, "--rounds", arguments.rounds, "--taps", arguments.taps)
     command("transopt-play", "refine", begun, *how, "--out", out)
     command("transopt", "verify", out / "library.npz")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from rich.console import Console
 
+from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.connection import Connection
 from controller.host.payload import Payload, excitation_settings_of
 from controller.servo.interface import State
@@ -21,6 +22,7 @@ from controller.sim.simulator import Imperfections
 from controller.sim.tapping import SETTLE_S, TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
 from controller.sim.user import Habit
+from controller.sim.wiring import Wired
 from transopt.scene.scene import Scene
 
 
@@ -61,6 +63,7 @@ def simulated_bench(
     device: TrueDevice,
     taps: Iterable[SimulatedTap],
     *,
+    described: DeviceFile = BUILT_IN,
     clock: Clock | None = None,
     tapped: Callable[[], None] = lambda: None,
 ) -> tuple[Bench, TappingHand]:
@@ -70,6 +73,7 @@ def simulated_bench(
     ----------
     given : what the device shall play; others of its size and settings may follow.
     device : the true one, before the imperfections of the taps.
+    described : how its sensors and its amplifier are wired.
     clock : paces the run; without one it takes no longer than it has to.
     tapped : called after each tap.
 
@@ -79,7 +83,8 @@ def simulated_bench(
     """
     dt_s, taps = given.settings.dt_s, list(taps)
     hand = TappingHand(dt_s, (tap_of(given.library, device, tap) for tap in taps), tapped=tapped)
-    port = SimulatedPort(core_end(given.settings, len(given.image) // 2), hand, dt_s, clock=clock)
+    end = core_end(given.settings, len(given.image) // 2)
+    port = SimulatedPort(end, Wired(hand, described), dt_s, clock=clock)
 
     def fell_behind() -> str:
         return "" if clock is None else f"fell behind the clock by {port.behind_s * 1e3:.1f} ms at most"
@@ -89,7 +94,7 @@ def simulated_bench(
     return bench, hand
 
 
-def striking_bench(dt_s: float) -> tuple[Bench, TappingHand]:
+def striking_bench(dt_s: float, described: DeviceFile = BUILT_IN) -> tuple[Bench, TappingHand]:
     """The compiled core, which is never armed, in a hand that strikes real objects.
 
     Raises
@@ -97,24 +102,27 @@ def striking_bench(dt_s: float) -> tuple[Bench, TappingHand]:
     InputError : there is no C compiler.
     """
     hand = TappingHand(dt_s, when=State.IDLE, pause_s=SETTLE_S)
-    port = SimulatedPort(core_end(Settings(dt_s, 0.0, 1.0)), hand, dt_s)
+    port = SimulatedPort(core_end(Settings(dt_s, 0.0, 1.0)), Wired(hand, described), dt_s)
     return Bench(port, Console(quiet=True), done=lambda _: hand.done), hand
 
 
-def holding_bench(scene: Scene, wrong: Imperfections, seed: int, longest_s: float) -> tuple[Bench, Settings]:
+def holding_bench(
+    scene: Scene, wrong: Imperfections, seed: int, longest_s: float, described: DeviceFile = BUILT_IN
+) -> tuple[Bench, Settings]:
     """The compiled core on a scene's device, which is held still, and its settings for excitations.
 
     Parameters
     ----------
     wrong : with the true device.
     longest_s : of the excitations.
+    described : how its sensors and its amplifier are wired.
 
     Raises
     ------
     InputError : there is no C compiler.
     """
     dt_s = scene.time.dt_s
-    settings = excitation_settings_of(scene, wrong.mismatch)
+    settings = excitation_settings_of(scene, wrong.mismatch, described)
     hand = HoldingHand(device_in(scene, wrong, seed), dt_s, replace(wrong, mismatch=0.0), seed)
-    port = SimulatedPort(core_end(settings, longest=round(longest_s / dt_s)), hand, dt_s)
+    port = SimulatedPort(core_end(settings, longest=round(longest_s / dt_s)), Wired(hand, described), dt_s)
     return Bench(port, Console(quiet=True), hold=lambda grip_N: hand.hold(grip_N or 0.0)), settings

@@ -116,6 +116,9 @@ def device(
     loss: Annotated[float, typer.Option(help="Part of the frames that get lost.")] = 0.0,
     corruption: Annotated[float, typer.Option(help="Part of the frames that get damaged.")] = 0.0,
     reset_every: Annotated[float, typer.Option(help="Power off and on so often, in s; 0 never.")] = 0.0,
+    vouches: Annotated[
+        bool, typer.Option("--vouches", help="It arms without a check: nothing is wired that could be wired wrong.")
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of noise, mismatch and the line's troubles.")] = 0,
 ) -> None:
     """Serve a simulated device; the first line says where. While it runs: reset, quit."""
@@ -141,6 +144,7 @@ def device(
         "--reset-every": reset_every,
         "--seed": seed,
         "--boot": _boot(),
+        "--simulated": float(vouches),
     }
     options = [word for name, value in numbers.items() for word in (name, repr(value))]
     done = _run_compiled(

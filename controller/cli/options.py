@@ -33,19 +33,25 @@ Port = Annotated[str, typer.Option(help="A name that `ports` lists, or socket://
 AnyPort = Annotated[str | None, typer.Option(help="On a device: a name that `ports` lists, or socket://HOST:PORT.")]
 Gain = Annotated[
     float | None,
-    typer.Option(help="Scale of what is played, 0 to 1; default 1, on a device's first run since its start 0.1."),
+    typer.Option(help="Scale of what is played, 0 to 1; default 1."),
 ]
 Reset = Annotated[bool, with_port("Leave a latched fault first; its cause must be gone.", "--reset")]
 Seconds = Annotated[float | None, with_port("End after so many seconds; default: on Ctrl-C.", "--for")]
 TapCount = Annotated[int | None, with_port("End after so many; default: on Ctrl-C.")]
-AccelerometerHz = Annotated[float, with_port("Bandwidth of its accelerometer.")]
-CountUm = Annotated[float, with_port("One encoder count at the tip, in um.")]
+DeviceName = Annotated[
+    str | None,
+    typer.Option(
+        "--device",
+        help="What the device is: a device file or a built-in example; default device.toml beside the library, else "
+        "the built-in device.",
+    ),
+]
 TrueDeviceName = Annotated[
     str | None,
     with_simulate(
         "Whose device it is, before --mismatch: built-in scene, .toml or library.npz; default the library's own, "
         "without one wood_on_foam.",
-        "--device",
+        "--true-device",
     ),
 ]
 Mismatch = Annotated[float, with_simulate("Every parameter is off by up to this part; 0.1: 10 %.")]

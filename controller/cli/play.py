@@ -8,8 +8,10 @@ import typer
 
 from controller.cli import port as port_commands
 from controller.cli import record as record_commands
+from controller.cli.describe import device_app
 from controller.cli.refine import refine
 from controller.cli.tap import tap
+from controller.cli.zero import zero
 from transopt.base import terminal
 
 LIBRARY = "out/wood_on_foam/library.npz"  # of the examples: where `transopt solve` writes
@@ -29,9 +31,11 @@ app.command(epilog="Example: transopt-play ports")(port_commands.ports)
 app.command(epilog=f"Example: transopt-play upload {LIBRARY} --port {PORT}")(port_commands.upload)
 app.command(epilog=f"Example: transopt-play monitor --port {PORT} --for 10")(port_commands.monitor)
 app.command(epilog=f"Example: transopt-play check {LIBRARY} --port {PORT}")(port_commands.check)
+app.command(epilog=f"Example: transopt-play zero --device device.toml --port {PORT}")(zero)
 app.command(epilog=f"Example: transopt-play refine {LIBRARY} --simulate --out refined")(refine)
 app.command(epilog=f"Example: transopt-play tap {LIBRARY} --simulate --speed 0.2 --out played")(tap)
 app.add_typer(record_commands.record_app, name="record")
+app.add_typer(device_app, name="device")
 
 
 @app.callback(invoke_without_command=True)

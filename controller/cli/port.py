@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from controller.cli.options import SIMULATED, LibraryFile, Port, Reset, Seconds, within
+from controller.cli.options import SIMULATED, DeviceName, LibraryFile, Port, Reset, Seconds, within
 from transopt.base import terminal
 from transopt.base.errors import InputError
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from controller.host.driver import Device
     from controller.host.monitor import Monitor
     from controller.host.payload import Load
+    from controller.host.surface import Drift
     from controller.protocol.messages import HelloReply
     from controller.record.recorder import Recorder
 
@@ -63,6 +64,7 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     """
     from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
+    from controller.device.stated import grip_in_words
     from controller.host import library_names
     from controller.host.payload import Payload
     from controller.protocol.image import sha256
@@ -76,15 +78,17 @@ def load(device: "Device", given: "Load", console: "Console") -> None:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("upload", total=len(given.image))
         sent = device.upload(given.image, lambda done, total: bar.update(task, completed=done, total=total))
+    device.surface(given.settings.surface_counts)
     took = f"{len(given.image) / 1e3:.1f} kB in {time.monotonic() - began_s:.3f} s"
-    if device.harmless:
-        device.checked()  # nothing is wired there that could be wired wrong
     words, named = "the device has this library already", library_names.in_words(after)
     if sent:
         words = f"uploaded {took}"
         named += f", in place of {library_names.in_words(before)}" if any(before) else ""
     words = f"{words}: {named}"
     console.print(f"{device.name}: {words}", highlight=False, soft_wrap=True)
+    assumed = grip_in_words(given.device, given.library) if isinstance(given, Payload) else ""
+    if assumed:
+        console.print(assumed, highlight=False, soft_wrap=True)
 
 
 class StoppedError(Exception):
@@ -167,37 +171,40 @@ def ports() -> None:
         console.print("no serial port: plug the device in, or give --port socket://HOST:PORT", highlight=False)
 
 
-def upload(library: LibraryFile, port: Port, reset: Reset = False) -> None:
+def upload(library: LibraryFile, port: Port, device: DeviceName = None, reset: Reset = False) -> None:
     """Put a library into a device, in place of the one it holds; whole or not at all, going on where it was cut."""
+    from controller.cli.describe import described
     from controller.host.payload import payload
 
-    given = payload(library)
-    with connected(port, reset) as device:
-        load(device, given, terminal.console())
+    given = payload(library, described(device, library).device)
+    with connected(port, reset) as opened:
+        load(opened, given, terminal.console())
 
 
 def monitor(
     port: Port,
+    device: DeviceName = None,
     every: Annotated[int, typer.Option(help="One record every so many ticks.")] = 100,
     seconds: Seconds = None,
 ) -> None:
     """Watch a device; it is neither configured nor armed."""
+    from controller.cli.describe import described
     from controller.host.monitor import Monitor
     from controller.protocol.events import Changed
-    from controller.servo.settings import Settings
 
     within("every", every, 1, 65535, " ticks")
     within("for", seconds, 0.0, 1e9, " s")
     console = terminal.console()
-    with connected(port) as device:
-        hello = device.hello
+    encoder = described(device).device.encoder
+    with connected(port) as opened:
+        hello = opened.hello
         console.print(_who(port, hello), highlight=False, soft_wrap=True)
-        with Monitor(console, port, hello.dt_s, Settings.count_m) as shown:
-            shown.take(Changed(device.state, device.fault))
-            device.listeners.append(shown.take)
-            device.set_telemetry(every)
+        with Monitor(console, port, hello.dt_s, encoder.count_m, encoder.surface_counts) as shown:
+            shown.take(Changed(opened.state, opened.fault))
+            opened.listeners.append(shown.take)
+            opened.set_telemetry(every)
             try:
-                _listen(device, seconds, lambda: False, armed=None)
+                _listen(opened, seconds, lambda: False, armed=None)
             finally:
                 console.print(shown.table())
 
@@ -206,12 +213,13 @@ def _who(port: str, hello: "HelloReply") -> str:
     """One line about a device."""
     version = f"{hello.firmware >> 16}.{hello.firmware >> 8 & 255}.{hello.firmware & 255}"
     from controller.host.library_names import in_words
+    from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
 
     there = any(hello.configuration_sha256)
-    checked = "checked" if hello.checked_sha256 == hello.configuration_sha256 else "not checked"
+    checked = "checked" if hello.evidence == PULSE_SOUND | TRIAL_FINISHED else "not checked"
     return (
         f"{port}: firmware {version} ({'double' if hello.real_bytes == 8 else 'float'}), boot {hello.boot:08x}, "
-        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_limit_A:g} A and {hello.command_limit_A:g} A, "
+        f"period {hello.dt_s * 1e6:g} us, limits {hello.current_A:g} A and {hello.command_A:g} A, "
         + (f"configuration {hello.configuration_sha256.hex()[:8]} {checked}, " if there else "no configuration, ")
         + in_words(hello.library_sha256)
     )
@@ -237,6 +245,7 @@ def run(
     enough: Callable[[], bool] = lambda: False,
     seconds: float | None = None,
     gain: float | None = None,
+    file: Path | None = None,
 ) -> "tuple[Monitor, bool]":
     """Take telemetry of every tick to screen and files until whoever holds the device has tapped.
 
@@ -245,6 +254,7 @@ def run(
     enough : asked again and again; a person's run ends with it.
     seconds : after which it ends at the latest.
     gain : to arm with; None leaves the device idle.
+    file : of the device, in which the surface is stored when the counts have drifted; None without one.
 
     Returns
     -------
@@ -256,17 +266,28 @@ def run(
     """
     from controller.host.driver import LinkLostError
     from controller.host.monitor import Monitor
+    from controller.host.surface import Drift
     from controller.servo.interface import State
 
-    stopped, shown = False, Monitor(bench.console, title, device.hello.dt_s, recorder.count_m)
+    drift = Drift(device.hello.dt_s, recorder.count_m, recorder.surface_counts)
+    stopped, shown = (
+        False,
+        Monitor(bench.console, title, device.hello.dt_s, recorder.count_m, recorder.surface_counts),
+    )
     with recorder, shown, no_long_pauses():
-        device.listeners += [recorder.take, shown.take]
+        device.listeners += [recorder.take, shown.take, drift.take]
         try:
             with disarmed_by_ctrl_c(device):
                 device.set_telemetry(1)
                 if gain is not None:
                     device.arm(gain)
-                _listen(device, seconds, lambda: bench.done(enough()), armed=gain is not None)
+
+                def ended() -> bool:
+                    if drift.moved and gain is not None and device.state in (State.ARMED, State.IDLE):
+                        _follow(drift, device, recorder, bench.console, file)
+                    return bench.done(enough())
+
+                _listen(device, seconds, ended, armed=gain is not None)
                 if device.state is not State.FAULT:
                     device.disarm()
         except StoppedError:
@@ -276,7 +297,27 @@ def run(
         finally:
             device.listeners.remove(recorder.take)
             device.listeners.remove(shown.take)
+            device.listeners.remove(drift.take)
     return shown, stopped
+
+
+def _follow(drift: "Drift", device: "Device", recorder: "Recorder", console: "Console", file: Path | None) -> None:
+    """Move the surface to where the stylus has come to rest on it, on the device, in the recording, in the file."""
+    from controller.device.reading import restate
+
+    moved, stored = drift.moved, ""
+    drift.done()
+    device.surface(drift.surface_counts)
+    recorder.surface_counts = drift.surface_counts
+    if file is not None:
+        restate(file, "encoder.surface_counts", drift.surface_counts)
+        stored = f", stored in {file}"
+    console.print(
+        f"the counts have drifted: three rests in a row at {moved:+.0f} counts; the surface is at "
+        f"{drift.surface_counts:g} counts from here on{stored}",
+        highlight=False,
+        soft_wrap=True,
+    )
 
 
 class ConsolePerson:
@@ -289,49 +330,87 @@ class ConsolePerson:
 def check(
     port: Port,
     library: Annotated[Path | None, typer.Argument(help="library.npz; without it only the sensors.")] = None,
-    rest_g: Annotated[float, typer.Option(help="Accelerometer at rest in g: 1 level, 0 upright surface.")] = 1.0,
+    device: DeviceName = None,
     skip: Annotated[list[str] | None, typer.Option(help="A step that this device cannot pass.")] = None,
     patience: Annotated[float, typer.Option(help="How long to wait for you at each step, in s.")] = 30.0,
     sweep: Annotated[
         bool, typer.Option("--sweep", help="For `record sweep`, with the library's limits or the built-in ones.")
     ] = False,
+    step: Annotated[str | None, typer.Option(help="Do this step alone, once more.")] = None,
+    grip_weight_g: Annotated[
+        float | None, typer.Option(help="A known weight to check the grip sensor's scale with.")
+    ] = None,
     reset: Reset = False,
 ) -> None:
     """Go through a device step by step before it is armed; it asks you to do things and sees whether you did.
 
     Exit 1: a step failed.
     """
+    from controller.cli.describe import described
     from controller.cli.tables import VERDICTS, check_table
-    from controller.host.bringup import Check, Result, check_skipped, passed, run_steps
-    from controller.host.payload import payload, trial_sweep
+    from controller.device.stated import servo_numbers
+    from controller.host.bringup import Result, check_skipped, check_step, drop_evidence, passed, run_steps
+    from controller.host.check_state import Check
+    from controller.host.measured_pulse import remember
+    from controller.host.payload import Payload, payload, trial_sweep
     from controller.servo.settings import Settings
+    from transopt.base.signals import STANDARD_GRAVITY_M_S2
+    from transopt.library.proven import load_proven
 
-    within("rest-g", rest_g, -1.0, 1.0, " g")
+    within("grip-weight-g", grip_weight_g, 10.0, 5000.0, " g")
     within("patience", patience, 0.1, 3600.0, " s")
-    skipped = check_skipped(skip or ())
-    given: Load | None = None if library is None else payload(library)
+    skipped, only = check_skipped(skip or ()), None if step is None else check_step(step)
+    found = described(device, library)
+    given: Load | None = None if library is None else payload(library, found.device)
     console = terminal.console()
 
     def tell(result: Result) -> None:
         console.print(f"{result.name}: {VERDICTS[result.passed]}: {result.seen}", highlight=False, soft_wrap=True)
 
-    with connected(port, reset) as device:
+    with connected(port, reset) as opened:
         if sweep:
-            given = trial_sweep(device.hello, library)
+            given = trial_sweep(opened.hello, library, found.device)
         if given is not None:
-            load(device, given, terminal.console())
-        settings = Settings(device.hello.dt_s, 0.0, 1.0) if given is None else given.settings
-        device.set_telemetry(1)
-        bench = Check(device, settings, ConsolePerson(), loaded=given is not None, rest_g=rest_g, patience_s=patience)
-        results = run_steps(bench, skipped, tell)
-        good = passed(results, skipped)
-        if good:
-            device.checked()
+            load(opened, given, terminal.console())
+
+        def take_measured(acceleration_m_s2: float) -> Settings:
+            remember(opened.hello.boot, acceleration_m_s2)
+            anew = trial_sweep(opened.hello, None, found.device)
+            load(opened, anew, terminal.console())
+            return anew.settings
+
+        dt_s = opened.hello.dt_s
+        settings = Settings(dt_s, 0.0, 1.0, **servo_numbers(found.device, dt_s)) if given is None else given.settings
+        opened.set_telemetry(1)
+        bench = Check(
+            opened,
+            settings,
+            ConsolePerson(),
+            loaded=given is not None,
+            described=found.device,
+            library=given.library
+            if isinstance(given, Payload)
+            else None
+            if library is None
+            else load_proven(library),
+            grip_weight_N=None if grip_weight_g is None else 1e-3 * grip_weight_g * STANDARD_GRAVITY_M_S2,
+            configuration=None if given is None else given.configuration,
+            take_measured=take_measured if sweep and library is None else None,
+            patience_s=patience,
+        )
+        results = run_steps(bench, skipped, tell, only)
+        good = passed(bench, results, skipped)
+        if any(result.passed is False for result in results):
+            drop_evidence(bench)
     console.print(check_table(results, f"{port}: bring-up check"))
     if any(result.passed is False for result in results):
-        words = "failed: put right what is wrong, then check again; until then the device does not arm"
-        console.print(words, style="red", highlight=False)
+        off = "; ".join(bench.off) or "see the steps that failed"
+        words = f"failed: {off}; put it right, or state it in the device file, then check again"
+        console.print(words, style="red", highlight=False, soft_wrap=True)
         raise typer.Exit(1)
+    if only is not None:
+        console.print(f"{only}: as it should be; the whole check goes through all steps", highlight=False)
+        return
     without = f" without {', '.join(skipped)}" if skipped else ""
     console.print(
         f"passed{without}: this configuration may be armed until the device starts anew"

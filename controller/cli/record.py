@@ -10,10 +10,9 @@ import typer
 
 from controller.cli.options import (
     ON_THE_SIMULATOR,
-    AccelerometerHz,
     AnyPort,
-    CountUm,
     Crossover,
+    DeviceName,
     Gain,
     Mismatch,
     Reset,
@@ -75,8 +74,7 @@ def record_sweep(
     library: Annotated[
         Path | None, with_port("Whose limits, amplifier and coil hold; else the built-in ones.")
     ] = None,
-    accelerometer_hz: AccelerometerHz = 2500.0,
-    count_um: CountUm = 24.5,
+    device: DeviceName = None,
     reset: Reset = False,
     scene: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
@@ -101,15 +99,16 @@ def record_sweep(
         offset_A=offset,
         seconds=seconds,
     )
-    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
-    within("count-um", count_um, 1e-3, 1e4, " um")
     within("patience", patience, 0.1, 3600.0, " s")
     within("gain", gain, 1e-3, 1.0)
+    from controller.cli.describe import described, sensing
     from controller.cli.record_sweeps import Series, record_sweeps, simulated_series
 
+    found = described(device, library, quiet=simulated)
     if simulated:
+        wrong = sensing(found, imperfect(mismatch, seed, crossover))
         bench, series = simulated_series(
-            out, planned, scene or DEFAULT_SCENE, imperfect(mismatch, seed, crossover), seed, gain, patience
+            out, planned, scene or DEFAULT_SCENE, wrong, seed, gain, patience, found.device
         )
         record_sweeps(bench, series)
         return
@@ -126,12 +125,13 @@ def record_sweep(
     series = Series(
         planned,
         free_numbers(out, len(planned)),
-        lambda hello: excitation_settings(hello, library),
-        remedy=f"--port {port}" + ("" if library is None else f" {library}"),
+        lambda hello: excitation_settings(hello, library, found.device),
+        remedy=f"--port {port}"
+        + ("" if library is None else f" {library}")
+        + ("" if device is None else f" --device {device}"),
         gain=gain,
         as_held=grips is None,
-        accelerometer_Hz=accelerometer_hz,
-        count_m=1e-6 * count_um,
+        device=found.device,
         patience_s=patience,
         reset=reset,
     )
@@ -155,7 +155,7 @@ def record_tap(
     ] = 1.0,
     taps: TapCount = None,
     seconds: Seconds = None,
-    count_um: CountUm = 24.5,
+    device: DeviceName = None,
     real_object: Annotated[
         bool, with_simulate("The undriven device on the scene's object, with force_N.", "--object")
     ] = False,
@@ -177,26 +177,29 @@ def record_tap(
     Exit 1: a fault or a lost lease, or no tap was heard.
     """
     within("trigger", trigger, 0.05, 100.0, " g")
-    within("count-um", count_um, 1e-3, 1e4, " um")
     within("taps", taps, 1, 1_000_000)
     within("for", seconds, 0.0, 1e9, " s")
     if not is_simulated(context, "record tap", simulate, port):
+        from controller.cli.describe import described
         from controller.cli.port import person_at
         from controller.cli.record_taps import taps_by_a_person
         from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
         assert port is not None
-        taps_by_a_person(person_at(port), out, trigger * STANDARD_GRAVITY_M_S2, 1e-6 * count_um, taps, seconds)
+        encoder = described(device).device.encoder
+        taps_by_a_person(person_at(port), out, trigger * STANDARD_GRAVITY_M_S2, encoder, taps, seconds)
         return
     if real_object == (library is not None):
         raise InputError("record tap --simulate: name either a LIBRARY whose taps are played, or --object")
+    from controller.cli.describe import described, sensing
     from controller.cli.record_taps import Wanted, taps_of_library, taps_on_object
 
     within("repeats", repeats, 1, 1000)
     within("force-noise", force_noise, 0.0, 10.0, " N")
     chosen_grips = numbers("grips", grips, 0.0, 50.0, " N, what a hand does")
     chosen_speeds = numbers("speeds", speeds, 0.03, 4.5, " m/s, what the servo takes for a tap")
-    wanted = Wanted(out, chosen_speeds, chosen_grips, repeats, imperfect(mismatch, seed, crossover), seed)
+    wrong, found = imperfect(mismatch, seed, crossover), described(device, library, quiet=True)
+    wanted = Wanted(out, chosen_speeds, chosen_grips, repeats, sensing(found, wrong), seed, found.device)
     if library is None:
         taps_on_object(wanted, scene or DEFAULT_SCENE, trigger, force_noise)
     else:
@@ -247,7 +250,7 @@ def record_heat(
     truth = scene_like(scene or DEFAULT_SCENE)
     coil, limits = truth.coil(), truth.limits
     if coil is None:
-        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --device")
+        raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --true-device")
     amount = 0.9 * limits.steady_current_A if current is None else current
     within("current", amount, 0.0, limits.transient_current_A, " A")
     terminal.make_folder(out)

@@ -10,13 +10,13 @@ import typer
 from controller.cli.bench import Bench, holding_bench
 from controller.cli.port import STOPPED, StoppedError, connected, disarmed_by_ctrl_c, load, no_long_pauses
 from controller.cli.tables import sweep_table
+from controller.device.device_file import BUILT_IN, DeviceFile
 from controller.host.driver import LinkLostError
-from controller.host.first_run import gain_to_play_at, remember
 from controller.host.monitor import Monitor
 from controller.host.payload import excitation
 from controller.host.sweeps import AbortedError, Sweeps, Trial
 from controller.protocol.image import sha256
-from controller.protocol.messages import HelloReply
+from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED, HelloReply
 from controller.record.sweep_plan import PlannedSweep
 from controller.record.trial_file import refuse_old
 from controller.servo.settings import Settings
@@ -36,10 +36,9 @@ class Series:
     settings : of the device, by what it says of itself.
     remedy : options of `transopt-play check` with which these settings pass the bring-up check.
     told : what is said once all trials are there.
-    gain : scale of what is played; None for 1, on a device's first run since its start 0.1.
+    gain : scale of what is played; None for 1.
     as_held : whatever the grip is.
-    accelerometer_Hz : its bandwidth.
-    count_m : one encoder count at the tip.
+    device : its encoder and sensors.
     patience_s : with a hand.
     reset : a latched fault first.
     """
@@ -51,8 +50,7 @@ class Series:
     told: str = ""
     gain: float | None = None
     as_held: bool = False
-    accelerometer_Hz: float = 2500.0
-    count_m: float = Settings.count_m
+    device: DeviceFile = BUILT_IN
     patience_s: float = 60.0
     reset: bool = False
 
@@ -84,16 +82,18 @@ def record_sweeps(bench: Bench, series: Series) -> None:
         # All of them are tried before any of them is played.
         loads = {alike: excitation(settings, command, hello) for alike, command in commands.items()}
         configuration = sha256(next(iter(loads.values())).configuration)
-        if not device.harmless and hello.checked_sha256 != configuration:
+        checked = hello.configuration_sha256 == configuration and hello.evidence == PULSE_SOUND | TRIAL_FINISHED
+        if not device.harmless and not checked:
             raise InputError(
                 f"{bench.name}: sweeps under these limits have not passed the bring-up check since the device "
                 f"started: run `transopt-play check --sweep {series.remedy}`"
             )
-        played_at = gain_to_play_at(device, configuration, series.gain)
+        played_at = 1.0 if series.gain is None else series.gain
         title = (
             f"{first.low_Hz:g} to {first.high_Hz:g} Hz, {first.amplitude_A:g} A on {bench.name}, gain {played_at:g}"
         )
-        shown = Monitor(bench.console, title, hello.dt_s, series.count_m)
+        encoder = series.device.encoder
+        shown = Monitor(bench.console, title, hello.dt_s, encoder.count_m, encoder.surface_counts)
         with shown, no_long_pauses():
             device.listeners.append(shown.take)
             try:
@@ -105,7 +105,8 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                         commands[alike].size,
                         gain=played_at,
                         grip_N=None if series.as_held else alike.grip_N,
-                        count_m=series.count_m,
+                        count_m=encoder.count_m,
+                        assumed_grip_N=settings.assumed_grip_N,
                         patience_s=series.patience_s,
                     )
                     with sweeps, disarmed_by_ctrl_c(device):
@@ -114,10 +115,8 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                             say(f"trial {len(written) + 1} of {len(planned)}")
                             taken = sweeps.trial(negative=trial.polarity < 0, tell=say)
                             path = next(names)
-                            taken.write(path, series.accelerometer_Hz)
+                            taken.write(path, series.device.accelerometer.bandwidth_Hz)
                             written.append((path, taken))
-                            if not device.harmless:
-                                remember(hello.boot, configuration)
             except StoppedError:
                 stopped = True
             except AbortedError as aborted:
@@ -130,12 +129,6 @@ def record_sweeps(bench: Bench, series: Series) -> None:
     whole = len(written) == len(planned) and series.told
     files = series.told if whole else f"{out}: {len(written)} of {len(planned)} trials, all whole"
     console.print(files, highlight=False, soft_wrap=True)
-    if series.gain is None and played_at < 1:
-        console.print(
-            f"gain {played_at:g}: the first run since the device's start; the next one plays in full",
-            highlight=False,
-            soft_wrap=True,
-        )
     if stopped:
         typer.echo(STOPPED, err=True)
         raise typer.Exit(130)
@@ -152,6 +145,7 @@ def simulated_series(
     seed: int,
     gain: float | None,
     patience_s: float,
+    device: DeviceFile = BUILT_IN,
 ) -> tuple[Bench, Series]:
     """On a scene's device in a simulated hand: files by purpose, grip and sign, which may join those of other grips.
 
@@ -163,7 +157,7 @@ def simulated_series(
     terminal.make_folder(out)
     names = [trial.file_name for trial in planned]
     refuse_old(out, names)
-    bench, settings = holding_bench(truth, wrong, seed, max(trial.seconds for trial in planned))
+    bench, settings = holding_bench(truth, wrong, seed, max(trial.seconds for trial in planned), device)
     series = Series(
         planned,
         [out / name for name in names],
@@ -173,8 +167,7 @@ def simulated_series(
             f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json"
         ),
         gain=gain,
-        accelerometer_Hz=wrong.sensors.accelerometer_bandwidth_Hz,
-        count_m=wrong.sensors.count_m,
+        device=device,
         patience_s=patience_s,
     )
     return bench, series

@@ -10,9 +10,11 @@ import typer
 
 from controller.cli.bench import Bench, simulated_bench, striking_bench
 from controller.cli.port import STOPPED, connected, load, run
+from controller.device.device_file import BUILT_IN, DeviceFile, Encoder
+from controller.device.stated import servo_numbers
 from controller.host.driver import Device
 from controller.host.payload import payload_of
-from controller.record.played import met_surface
+from controller.record.played import height_m, met_surface
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.record.trial_file import refuse_old, write_measurement
 from controller.servo.settings import Settings
@@ -29,12 +31,12 @@ from transopt.library.proven import load_proven
 
 
 def taps_by_a_person(
-    bench: Bench, out: Path, trigger_m_s2: float, count_m: float, taps: int | None, seconds: float | None
+    bench: Bench, out: Path, trigger_m_s2: float, encoder: Encoder, taps: int | None, seconds: float | None
 ) -> None:
     """A real object's taps, the device idle: one file each, which `transopt taps` and scenes read."""
     make_room(out)
     with connected(bench.port) as device:
-        recorder = Recorder(out, device.hello.dt_s, count_m, trigger_m_s2=trigger_m_s2)
+        recorder = Recorder(out, device.hello.dt_s, encoder.count_m, encoder.surface_counts, trigger_m_s2)
         title, enough = f"recording on {bench.name}", lambda: taps is not None and len(recorder.contacts) >= taps
         _, stopped = run(bench, device, recorder, title, enough=enough, seconds=seconds)
     bench.console.print(recorder.in_words().removeprefix("; ") or "nothing came", highlight=False, soft_wrap=True)
@@ -56,6 +58,7 @@ class Wanted:
     repeats : at each of them.
     wrong : with the true device and its sensors.
     seed : of it all.
+    device : how its sensors are wired.
     """
 
     out: Path
@@ -64,6 +67,7 @@ class Wanted:
     repeats: int
     wrong: Imperfections
     seed: int
+    device: DeviceFile = BUILT_IN
 
 
 class TapFiles:
@@ -152,7 +156,7 @@ def measured(
         "command_A": contact.command_A,
         "current_A": contact.current_A,
         "acceleration_m_s2": contact.acceleration_m_s2,
-        "position_m": (contact.counts - settings.surface_counts) * settings.count_m,
+        "position_m": height_m(contact, settings),
     }
     speed = contact.speed_m_s if np.isfinite(contact.speed_m_s) else speed_m_s
     return columns, {"grip_N": contact.grip_N, "accelerometer_Hz": accelerometer_Hz, "speed_m_s": speed}
@@ -166,11 +170,11 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
     target = truth.recordings.simulated
     if target is None:
         raise InputError(
-            f"--object: {truth.name} states no simulated object: give --device with one, like wood_on_foam"
+            f"--object: {truth.name} states no simulated object: give --true-device with one, like wood_on_foam"
         )
     dt_s, true = truth.time.dt_s, device_in(truth, wanted.wrong, wanted.seed)
     taps = TapFiles(wanted, truth.grid.speeds_m_s, [target.grip_N])
-    bench, hand = striking_bench(dt_s)
+    bench, hand = striking_bench(dt_s, wanted.device)
 
     def force(tap: SimulatedTap, contact: Contact) -> dict[str, FloatArray]:
         """Of a sensor under the object."""
@@ -182,7 +186,7 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
             bench,
             device,
             hand,
-            Settings(dt_s, 0.0, 1.0),
+            Settings(dt_s, 0.0, 1.0, **servo_numbers(wanted.device, dt_s)),
             lambda tap: strike_of(target, true, tap, dt_s),
             trigger_m_s2=trigger_g * STANDARD_GRAVITY_M_S2,
             more=force,
@@ -197,12 +201,12 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
 def taps_of_library(wanted: Wanted, library: Path, scene: str | None) -> None:
     """A library's taps, as a device on a port plays and measures them; exit code 1 if one was not played."""
     loaded = load_proven(library)
-    given = payload_of(loaded, amplifier_tolerance=wanted.wrong.mismatch)
+    given = payload_of(loaded, device=wanted.device, amplifier_tolerance=wanted.wrong.mismatch)
     if given.settings.assumed_grip_N == 0 and any(wanted.grips_N or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")
     taps = TapFiles(wanted, loaded.speeds_m_s.tolist(), loaded.grips_N.tolist())
     true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wanted.wrong, wanted.seed)
-    bench, hand = simulated_bench(given, true, ())
+    bench, hand = simulated_bench(given, true, (), described=wanted.device)
     with connected(bench.port) as device:
         load(device, given, bench.console)
         taps.record(bench, device, hand, given.settings, lambda tap: tap_of(loaded, true, tap), gain=1.0)

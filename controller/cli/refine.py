@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from controller.cli.options import (
-    AccelerometerHz,
     AnyPort,
     Crossover,
+    DeviceName,
     LibraryFile,
     Mismatch,
     Reset,
@@ -33,6 +33,7 @@ from transopt.base.errors import InputError
 if TYPE_CHECKING:
     from controller.cli.bench import Bench
     from controller.cli.refine_taps import Hand
+    from controller.device.device_file import DeviceFile
     from controller.refine.rounds import Refined, Round
     from transopt.library.library import Library
 
@@ -43,6 +44,7 @@ def refine(
     out: Annotated[Path, typer.Option(help="Folder for the refined library.npz and refinement.png.")],
     simulate: Simulate = False,
     port: AnyPort = None,
+    device: DeviceName = None,
     rounds: Annotated[int, typer.Option(help="How often is learnt and solved again.")] = 3,
     taps: Annotated[int, typer.Option(help="Taps at each speed and grip in each round; their mean counts.")] = 3,
     scene: TrueDeviceName = None,
@@ -50,7 +52,6 @@ def refine(
     seed: Seed = 0,
     crossover: Crossover = 0.01,
     seconds: Annotated[float | None, with_port("End a round's taps after so many seconds.", "--for")] = None,
-    accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:
     """Refine a library on its device: taps are repeated, measured, learnt from; the result is certified again.
@@ -60,7 +61,6 @@ def refine(
     simulated = is_simulated(context, "refine", simulate, port)
     within("rounds", rounds, 1, 20)
     within("taps", taps, 2, 100)
-    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
     within("for", seconds, 1.0, 1e6, " s")
     wrong = imperfect(mismatch, seed, crossover)
     from transopt.library.proven import load_proven
@@ -71,21 +71,26 @@ def refine(
     if (out / "library.npz").resolve() == library.resolve():
         raise InputError(f"--out {out}: holds the library that is refined; choose another folder")
     terminal.make_folder(out)
+    from controller.cli.describe import described, sensing
+
+    found = described(device, library, quiet=simulated)
     if simulated:
         from controller.cli.refine_taps import simulated_at
         from controller.sim.chosen_device import device_in, scene_like
         from controller.waveforms.prediction import scene_of
 
-        device = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
-        bench, hand = simulated_at(loaded, device, wrong, rounds, taps, seed)
+        wrong = sensing(found, wrong)
+        true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
+        bench, hand = simulated_at(loaded, true, wrong, rounds, taps, seed, found.device)
         source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:
         from controller.cli.refine_taps import PersonsHand
 
         assert port is not None
         bench, hand, source = person_at(port), PersonsHand(terminal.console()), port
-    stated = _stated(loaded, source, taps, accelerometer_hz)
-    _finish(loaded, _refined(loaded, bench, hand, out, rounds, taps, seconds, stated, reset), library, out)
+    stated = _stated(loaded, source, taps, found.device.accelerometer.bandwidth_Hz)
+    refined = _refined(loaded, bench, hand, found.device, out, rounds, taps, seconds, stated, reset)
+    _finish(loaded, refined, library, out)
 
 
 def _stated(library: "Library", source: str, taps: int, accelerometer_Hz: float) -> dict[str, Any]:
@@ -130,6 +135,7 @@ def _refined(
     library: "Library",
     bench: "Bench",
     hand: "Hand",
+    described: "DeviceFile",
     out: Path,
     rounds: int,
     taps: int,
@@ -142,7 +148,7 @@ def _refined(
     from transopt.design.resolve import resolve
 
     with connected(bench.port, reset) as device, _ended_in_words(), hand:
-        play = Taps(device, bench, hand, out, taps, seconds, stated["accelerometer_Hz"])
+        play = Taps(device, bench, hand, described, out, taps, seconds)
         return refinement.refine(library, play, resolve, rounds, stated, tell=_tell)
 
 

@@ -10,11 +10,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from controller.cli.bench import Bench, simulated_bench
 from controller.cli.port import StoppedError, load, run
+from controller.device.device_file import DeviceFile
 from controller.host.driver import Device
-from controller.host.first_run import gain_to_play_at
 from controller.host.payload import Payload, payload_of
 from controller.protocol.codes import LinkNotice
-from controller.protocol.image import sha256
 from controller.record.recorder import Contact, Recorder, make_room
 from controller.refine.rounds import Heard, Node, hear, node_near, nodes_of
 from controller.sim.sensors import noise_seed
@@ -22,7 +21,6 @@ from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import TappingHand, tap_of
 from controller.sim.true_device import TrueDevice
-from transopt.base.errors import InputError
 from transopt.library.library import Library
 
 
@@ -107,17 +105,27 @@ class SimulatedHand:
 
 
 def simulated_at(
-    library: Library, device: TrueDevice, imperfections: Imperfections, rounds: int, taps: int, seed: int
+    library: Library,
+    device: TrueDevice,
+    imperfections: Imperfections,
+    rounds: int,
+    taps: int,
+    seed: int,
+    described: DeviceFile,
 ) -> tuple[Bench, Hand]:
     """The bench of a true device, mismatch included, and the hand on it.
+
+    Parameters
+    ----------
+    described : how its sensors and its amplifier are wired.
 
     Raises
     ------
     InputError : there is no C compiler.
     """
     simulated = SimulatedHand(device, imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
-    given = payload_of(library, amplifier_tolerance=imperfections.mismatch)
-    bench, simulated.hand = simulated_bench(given, device, (), tapped=simulated.tapped)
+    given = payload_of(library, device=described, amplifier_tolerance=imperfections.mismatch)
+    bench, simulated.hand = simulated_bench(given, device, (), described=described, tapped=simulated.tapped)
     return bench, simulated
 
 
@@ -126,6 +134,7 @@ class Taps:
 
     Parameters
     ----------
+    described : what the device is.
     folder : each round on a device that cannot be had again is recorded in a folder of its own there.
     taps : at each node.
     seconds : after which a round ends with what there is; None waits.
@@ -136,29 +145,24 @@ class Taps:
         device: Device,
         bench: Bench,
         hand: Hand,
+        described: DeviceFile,
         folder: Path,
         taps: int,
         seconds: float | None,
-        accelerometer_Hz: float,
     ) -> None:
         self._device, self._bench, self._hand, self._folder = device, bench, hand, folder
-        self._taps, self._seconds, self._accelerometer_Hz = taps, seconds, accelerometer_Hz
+        self._described, self._taps, self._seconds = described, taps, seconds
 
     def __call__(self, library: Library, number: int) -> Mapping[Node, list[Heard]]:
         """
         Raises
         ------
-        InputError : the device has not yet played at full gain, or refuses.
+        InputError : the device refuses, as one that has not passed its check does.
         StoppedError : Ctrl-C.
         EndedError : a fault or a lost lease.
         """
-        given = payload_of(library, amplifier_tolerance=self._hand.amplifier_tolerance)
+        given = payload_of(library, device=self._described, amplifier_tolerance=self._hand.amplifier_tolerance)
         device = self._device
-        if gain_to_play_at(device, sha256(given.configuration)) < 1:
-            raise InputError(
-                f"refine: {device.name} has not played this configuration since its start: play its first taps "
-                "quietly with `transopt-play tap LIBRARY --port`, then refine"
-            )
         folder = None if device.harmless else self._folder / f"round_{number}"
         if folder is not None:
             make_room(folder)
@@ -169,7 +173,7 @@ class Taps:
             node = node_near(library, contact.speed_m_s, contact.grip_N)
             if node is None:
                 continue
-            found = hear(contact, library, given.settings, node, self._accelerometer_Hz)
+            found = hear(contact, library, given.settings, node, self._described.accelerometer.bandwidth_Hz)
             if isinstance(found, str):
                 self._say(f"tap {contact.number} does not count: {found}")
             else:

@@ -10,9 +10,9 @@ import typer
 
 from controller.cli import port as sessions
 from controller.cli.options import (
-    AccelerometerHz,
     AnyPort,
     Crossover,
+    DeviceName,
     Gain,
     LibraryFile,
     Mismatch,
@@ -34,6 +34,7 @@ from transopt.base.errors import InputError
 if TYPE_CHECKING:
     from controller.cli.bench import Bench
     from controller.cli.tables import Yardstick
+    from controller.device.reading import Described
     from controller.host.payload import Payload
     from controller.record.played import PlayedTap
     from controller.sim.simulator import Imperfections
@@ -59,13 +60,13 @@ def tap(
     ] = "bilinear",
     user: Annotated[str, with_simulate("mild, yielding, stopping or recorded.")] = "mild",
     real_time: Annotated[bool, with_simulate("Paced by the clock, to watch telemetry.", "--real-time")] = False,
-    device: TrueDeviceName = None,
+    device: DeviceName = None,
+    true_device: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
     seed: Seed = 0,
     crossover: Crossover = 0.01,
     taps: TapCount = None,
     seconds: Seconds = None,
-    accelerometer_hz: AccelerometerHz = 2500.0,
     reset: Reset = False,
 ) -> None:
     """Play taps and say how well: latency, error, peak, spectrum, hardness, current, temperature.
@@ -74,21 +75,24 @@ def tap(
     """
     simulated = is_simulated(context, "tap", simulate, port)
     within("gain", gain, 0.0, 1.0)
-    within("accelerometer-hz", accelerometer_hz, 10.0, 1e6, " Hz")
     within("taps", taps, 1, 1_000_000)
     within("for", seconds, 0.0, 1e9, " s")
+    from controller.cli.describe import described, sensing
     from controller.host.payload import payload
     from controller.record.recorder import make_room
 
+    found = described(device, library, quiet=simulated)
     if simulated:
         wrong, full = imperfect(mismatch, seed, crossover), 1.0 if gain is None else gain
-        given, bench, title = _simulated(library, speed, grip, full, method, seed, wrong, device, user, real_time)
+        given, bench, title = _simulated(
+            library, found, speed, grip, full, method, seed, sensing(found, wrong), true_device, user, real_time
+        )
     else:
         assert port is not None
-        given, bench, title = payload(library), sessions.person_at(port), f"{library} on {port}"
+        given, bench, title = payload(library, found.device), sessions.person_at(port), f"{library} on {port}"
     if out is not None:
         make_room(out, over=simulated)
-    _play(given, bench, title, gain, taps, seconds, accelerometer_hz, reset, out)
+    _play(given, bench, title, gain, taps, seconds, found, reset, out)
 
 
 def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -> tuple[float, float]:
@@ -100,13 +104,14 @@ def _middle(library: "Library", speed_m_s: float | None, grip_N: float | None) -
 
 def _simulated(
     path: Path,
+    found: "Described",
     speed: float | None,
     grip: float | None,
     gain: float,
     method: str,
     seed: int,
     wrong: "Imperfections",
-    device: str | None,
+    true_device: str | None,
     user: str,
     real_time: bool,
 ) -> "tuple[Payload, Bench, str]":
@@ -130,7 +135,10 @@ def _simulated(
     if method == Method.ONLINE.value:
         table = _solved_for(library, table, speed_m_s, grip_N)
     given = payload_of(
-        library, None if method == Method.BILINEAR.value else table, amplifier_tolerance=wrong.mismatch
+        library,
+        None if method == Method.BILINEAR.value else table,
+        device=found.device,
+        amplifier_tolerance=wrong.mismatch,
     )
     settings = given.settings
     within("speed", speed_m_s, 0.03, 0.9 * settings.fastest_m_s, " m/s, what the servo takes for a tap")
@@ -140,10 +148,11 @@ def _simulated(
     if method == Method.PROPORTIONAL.value and settings.wall is None:
         raise InputError("--method proportional: plays a wall's feedback alone, and this library has no wall")
     wanted = SimulatedTap(speed_m_s, grip_N, gain, Habit(user), seed, wrong)
-    true = device_of(scene_of(library) if device is None else scene_like(device))
-    bench, _ = simulated_bench(given, true, [wanted], clock=WallClock() if real_time else None)
+    true = device_of(scene_of(library) if true_device is None else scene_like(true_device))
+    clock = WallClock() if real_time else None
+    bench, _ = simulated_bench(given, true, [wanted], described=found.device, clock=clock)
     title = f"{path}: {speed_m_s:g} m/s, {grip_N:g} N, {method}, {user} user"
-    return given, bench, title + ("" if device is None else f", on the device of {device}")
+    return given, bench, title + ("" if true_device is None else f", on the device of {true_device}")
 
 
 def _solved_for(library: "Library", table: "Bank", speed_m_s: float, grip_N: float) -> "Bank":
@@ -174,29 +183,31 @@ def _play(
     gain: float | None,
     taps: int | None,
     seconds: float | None,
-    accelerometer_Hz: float,
+    found: "Described",
     reset: bool,
     out: Path | None,
 ) -> None:
     """Arm, let the user tap, record, and say of each tap how well it was played."""
     from controller.cli.tables import figures_table, taps_table
-    from controller.host.first_run import gain_to_play_at, remember
     from controller.protocol.codes import LinkNotice
-    from controller.protocol.image import sha256
     from controller.record.played import played_tap
     from controller.record.recorder import Recorder
     from controller.servo.interface import Notice
 
-    settings, configuration = given.settings, sha256(given.configuration)
+    settings = given.settings
     console = terminal.console()
     with sessions.connected(bench.port, reset) as device:
         sessions.load(device, given, bench.console)
         hello = device.hello
-        played_at = gain_to_play_at(device, configuration, gain)
+        played_at = 1.0 if gain is None else gain
         title = f"{title}, gain {played_at:g}"
         recorder = Recorder(out, hello.dt_s, settings.count_m, settings.surface_counts, over=device.harmless)
         enough = lambda: taps is not None and len(recorder.contacts) >= taps  # noqa: E731
-        shown, stopped = sessions.run(bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at)
+        file = None if device.harmless else found.path
+        shown, stopped = sessions.run(
+            bench, device, recorder, title, enough=enough, seconds=seconds, gain=played_at, file=file
+        )
+    accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
     played = [
         played_tap(contact, given.library, settings, played_at, accelerometer_Hz, as_recorded=bench.as_recorded)
         for contact in recorder.contacts
@@ -210,8 +221,6 @@ def _play(
         drawn = _draw(played, title, out)
         console.print(recorder.in_words().removeprefix("; ") + drawn, highlight=False, soft_wrap=True)
     finished = shown.events[Notice.FINISHED] > 0 and played_at > 0
-    if finished and not shown.faults and not device.harmless:
-        remember(hello.boot, configuration)
     if shown.faults:
         console.print(f"fault: {shown.faults[0].value}", style="red", highlight=False, soft_wrap=True)
     if stopped:

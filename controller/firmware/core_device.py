@@ -7,8 +7,10 @@ virtual time.
 
 import ctypes
 import functools
+import math
 import os
 from collections.abc import Iterator
+from dataclasses import astuple
 from pathlib import Path
 from typing import Protocol
 
@@ -48,7 +50,8 @@ class Look(ctypes.Structure):
     arrived_bytes : of the image on its way.
     dropped_frames : sound ones that have arrived and were not for this session, out of order, or of no meaning.
     lost_frames : that found no room to go out.
-    configuration_sha256, library_sha256, checked_sha256 : zeros for what is not there.
+    evidence : bits PULSE_SOUND and TRIAL_FINISHED.
+    configuration_sha256, library_sha256 : zeros for what is not there.
     """
 
     _fields_ = (
@@ -62,9 +65,9 @@ class Look(ctypes.Structure):
         ("lost_frames", ctypes.c_uint32),
         ("_state", ctypes.c_uint8),
         ("_fault", ctypes.c_uint8),
+        ("evidence", ctypes.c_uint8),
         ("_configuration", ctypes.c_uint8 * HASH_BYTES),
         ("_library", ctypes.c_uint8 * HASH_BYTES),
-        ("_checked", ctypes.c_uint8 * HASH_BYTES),
     )
     winding_C: float
     housing_C: float
@@ -74,6 +77,7 @@ class Look(ctypes.Structure):
     arrived_bytes: int
     dropped_frames: int
     lost_frames: int
+    evidence: int
 
     @property
     def state(self) -> State:
@@ -91,10 +95,6 @@ class Look(ctypes.Structure):
     @property
     def library_sha256(self) -> bytes:
         return bytes(self._library)
-
-    @property
-    def checked_sha256(self) -> bytes:
-        return bytes(self._checked)
 
 
 def _compiled(flags: tuple[str, ...]) -> Path:
@@ -128,12 +128,14 @@ def _probe(flags: tuple[str, ...]) -> ctypes.CDLL:
         getattr(library, name).restype = size
     for name in ("td_probe_step", "td_device_state"):
         getattr(library, name).restype = ctypes.c_uint8
-    library.td_probe_start.argtypes = [pointer, ctypes.c_uint32, number, number, number]
-    library.td_probe_step.argtypes = [pointer, ctypes.c_uint64, ctypes.c_int32, ctypes.c_bool, *4 * (pointer,)]
+    library.td_probe_start.argtypes = [pointer, ctypes.c_uint32, pointer, pointer, ctypes.c_bool]
+    library.td_probe_step.argtypes = [pointer, ctypes.c_uint64, ctypes.c_int32, ctypes.c_uint8, *4 * (pointer,)]
     library.td_probe_decode.argtypes = [pointer, ctypes.c_char_p, size, pointer]
     library.td_probe_look.argtypes = [pointer, pointer]
     library.td_probe_image.argtypes = [pointer, pointer]
     library.td_probe_image.restype = pointer
+    library.td_probe_enabled.argtypes, library.td_probe_enabled.restype = [pointer], ctypes.c_bool
+    library.td_probe_coil.argtypes = [pointer, pointer]
     library.td_probe_heat.argtypes = [pointer, number, number]
     library.td_device_state.argtypes = [pointer]
     library.td_device_receive.argtypes = [pointer, ctypes.c_char_p, size]
@@ -201,6 +203,9 @@ class CoreDevice:
     ----------
     boot : another number at every start.
     hardware : what the amplifier behind the device is good for; the default's without it.
+    simulated : nothing is wired that could be wired wrong, so that it arms without evidence.
+    heat_C : winding and housing as they were kept over the restart; None where they were not, so that they start at
+        their hottest.
     flags : of the compiler, such as capacities (`-DTD_MAX_LIBRARY_SAMPLES=3000`) or -DTD_REAL_FLOAT.
 
     Raises
@@ -210,11 +215,21 @@ class CoreDevice:
 
     ROOM_BYTES = 1 << 17
 
-    def __init__(self, boot: int, hardware: Hardware | None = None, flags: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self,
+        boot: int,
+        hardware: Hardware | None = None,
+        flags: tuple[str, ...] = (),
+        *,
+        simulated: bool = True,
+        heat_C: tuple[float, float] | None = (25.0, 25.0),
+    ) -> None:
         self._library, self.tick = _probe(flags), 0
         self._device = _Aligned(self._library.td_probe_device_size())
         limits = Hardware() if hardware is None else hardware
-        self._library.td_probe_start(self._device.at, boot, limits.current_A, limits.command_A, limits.dt_s)
+        stated = [float(value) for value in astuple(limits)]
+        numbers, heat = (ctypes.c_double * len(stated))(*stated), (ctypes.c_double * 2)(*(heat_C or 2 * (math.nan,)))
+        self._library.td_probe_start(self._device.at, boot, numbers, heat, simulated)
         self._out = ctypes.create_string_buffer(self.ROOM_BYTES)
         self._in, self._answer = (ctypes.c_double * 3)(), (ctypes.c_double * 4)()
         self._events, self._contacts = (ctypes.c_uint8 * MOST_EVENTS)(), (ctypes.c_double * (2 * MOST_EVENTS))()
@@ -231,7 +246,9 @@ class CoreDevice:
         self._in[:] = [r.grip_N, r.current_A, r.acceleration_m_s2]
         pointers = (self._in, self._answer, self._events, self._contacts)
         counts = counts_of(r.encoder_counts)
-        state = self._library.td_probe_step(self._device.at, r.tick, counts, r.emergency_stop, *pointers)
+        state = self._library.td_probe_step(
+            self._device.at, r.tick, counts, r.emergency_stop | r.late << 1, *pointers
+        )
         events = tuple(
             Event(r.tick, EVENTS[code], self._contacts[2 * j], self._contacts[2 * j + 1])  # type: ignore[arg-type]
             for j, code in enumerate(self._events)
@@ -243,6 +260,17 @@ class CoreDevice:
     @property
     def state(self) -> State:
         return STATES[int(self._library.td_device_state(self._device.at))]
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the amplifier may be on since the last step."""
+        return bool(self._library.td_probe_enabled(self._device.at))
+
+    def coil_C(self) -> tuple[float, float]:
+        """Winding and housing as a port keeps them over a restart; NaN where the motor's coil is not known."""
+        heat = (ctypes.c_double * 2)()
+        self._library.td_probe_coil(self._device.at, heat)
+        return heat[0], heat[1]
 
     def look(self) -> Look:
         """What is in it now."""

@@ -20,7 +20,7 @@ from controller.waveforms.bank import Bank
 from transopt.base.signals import FloatArray
 
 REPLAY = FIRMWARE / "replay"
-MOST_EVENTS = 10
+MOST_EVENTS = 12
 RESET, DISARM, GAIN, ARM, EXCITE = 1, 2, 4, 8, 16  # wishes, carried out before a tick in this order
 NEGATIVE = 32  # the excitation with the other sign
 # As td_replay.h has them.
@@ -47,7 +47,7 @@ OUTPUT = np.dtype(
         ("answers", "u1"),
         ("events", "u1"),
         ("what", "u1", (MOST_EVENTS,)),
-        ("zeros", "u1", (3,)),
+        ("zero", "u1"),
     ]
 )
 Rows = NDArray[Any]
@@ -109,7 +109,7 @@ class Recorder:
                 answers,
                 len(what),
                 tuple(what + [0] * (MOST_EVENTS - len(what))),
-                (0, 0, 0),
+                0,
             )
         )
         return output

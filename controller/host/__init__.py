@@ -1,1 +1,1 @@
-"""The host side of the serial link: session, upload, monitor, first run."""
+"""The host side of the serial link: session, upload, monitor, check."""

@@ -27,7 +27,7 @@ class Connection(Protocol):
     Attributes
     ----------
     name : of the port, as errors and tables show it.
-    harmless : nothing is moved and nobody is touched: a device there needs no bring-up check and no quiet first run.
+    harmless : nothing is moved and nobody is touched: a device there needs no bring-up check.
     """
 
     @property

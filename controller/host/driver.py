@@ -22,8 +22,8 @@ from controller.host.session import Session
 from controller.host.session_states import OPEN, SessionState
 from controller.protocol.capacity import LEASE_DEFAULT_MS
 from controller.protocol.codes import Kind, Reason
-from controller.protocol.events import Completed, Connected, Ended, News, Progress, Refused
-from controller.protocol.messages import HelloReply
+from controller.protocol.events import Completed, Connected, Ended, News, Progress, Refused, Witnessed
+from controller.protocol.messages import EvidenceReply, HelloReply
 from controller.servo.interface import Fault, State
 from transopt.base.errors import InputError
 
@@ -31,10 +31,19 @@ CONNECT_S = 3.0  # a board that starts anew when its port is opened takes two
 ANSWER_S = 10.0
 UPLOAD_S = 60.0
 STOP_S = 0.5
+REST_S = 0.2  # a window of the approach's fit, with some room
 
 
 class DeviceError(InputError):
     """The device cannot do what was asked, or is gone; one line with what to do."""
+
+
+class RefusedError(DeviceError):
+    """The device has refused; `reason` says why."""
+
+    def __init__(self, message: str, reason: Reason) -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 class LinkLostError(DeviceError):
@@ -120,10 +129,10 @@ class Device:
 
     # Requests: each returns when the device has done it.
 
-    def configure(self, configuration: bytes) -> bool:
-        """Put a configuration in force; whether anything had to be sent."""
+    def configure(self, configuration: bytes, *, anew: bool = False) -> bool:
+        """Put a configuration in force; whether anything had to be sent. anew : even if it is there already."""
         self.need_no_fault()
-        self.session.configure(configuration)
+        self.session.configure(configuration, anew=anew)
         return not self._done(Kind.CONFIGURE_COMMIT).skipped
 
     def upload(self, image: bytes, progress: Callable[[int, int], None] | None = None) -> bool:
@@ -142,10 +151,12 @@ class Device:
             self.listeners.remove(watch)
 
     def arm(self, gain: float, lease_ms: int = LEASE_DEFAULT_MS, *, trial: bool = False) -> None:
-        """From here on `listen` or `pump` at least once per lease."""
+        """From here on `listen` or `pump` at least once per lease.
+
+        A device that has just been configured or reset knows of no rest before it has read for a while.
+        """
         self.need_no_fault()
-        self.session.arm(gain, lease_ms, trial=trial)
-        self._done(Kind.ARM)
+        self._at_rest(lambda: self.session.arm(gain, lease_ms, trial=trial), Kind.ARM)
 
     def start(self, *, negative: bool = False) -> None:
         """An excitation, if the device is still armed; returns when it has begun."""
@@ -172,18 +183,38 @@ class Device:
         self.session.set_telemetry(every)
         self._done(Kind.TELEMETRY)
 
-    def pulse(self, current_A: float, ticks: int) -> None:
-        """For the polarity test; returns when it has begun."""
+    def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
+        """Test pulses; returns when they have begun. pairs : 0 for a single one, else the configuration's, judged."""
         self.need_no_fault()
-        self.session.pulse(current_A, ticks)
-        self._done(Kind.PULSE)
+        self._at_rest(lambda: self.session.pulse(current_A, ticks, pairs), Kind.PULSE)
 
-    def checked(self) -> None:
+    def evidence(self) -> EvidenceReply:
+        """What the device has seen of itself, for this start and this configuration."""
+        self.session.evidence()
+        found = self._wait(lambda news: isinstance(news, Witnessed), ANSWER_S, "evidence")
+        assert isinstance(found, Witnessed)
+        return found.evidence
+
+    def surface(self, counts: float) -> None:
+        """Where the surface is, in counts after the encoder's direction."""
         self.need_no_fault()
-        self.session.checked()
-        self._done(Kind.CHECKED)
+        self.session.surface(counts)
+        self._done(Kind.SURFACE)
 
     # Waiting.
+
+    def _at_rest(self, ask: Callable[[], None], kind: Kind) -> None:
+        """Ask for what a device does at rest alone, again while it says that the stylus moves, `REST_S` at most."""
+        end_s = self.now_s() + REST_S
+        while True:
+            ask()
+            try:
+                self._done(kind)
+                return
+            except RefusedError as refused:
+                if refused.reason is not Reason.NOT_AT_REST or self.now_s() >= end_s:
+                    raise
+            self.listen(REST_S / 10)
 
     def listen(self, duration_s: float, until: Callable[[News], bool] = lambda news: False) -> bool:
         """Pump for so long, or until some news; whether that came.
@@ -229,7 +260,7 @@ class Device:
         while True:
             for news in self.pump(end_s):
                 if isinstance(news, Refused):
-                    raise DeviceError(f"{self.name}: {news}")
+                    raise RefusedError(f"{self.name}: {news}", news.reason)
                 if met(news):
                     return news
             if self.now_s() >= end_s:

@@ -34,9 +34,11 @@ class Monitor:
         title: str,
         dt_s: float,
         count_m: float,
+        surface_counts: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._console, self._title, self._dt_s, self._count_m, self._clock = console, title, dt_s, count_m, clock
+        self._console, self._title, self._dt_s, self._clock = console, title, dt_s, clock
+        self._count_m, self._surface_counts = count_m, surface_counts
         self.events: Counter[object] = Counter()
         self.faults: list[Fault] = []
         self._tick, self._missed = 0, 0
@@ -73,7 +75,7 @@ class Monitor:
         table.add_row("device time", f"{self._tick * self._dt_s:.2f} s")
         r = self._record
         if r is not None:
-            table.add_row("z", f"{1e3 * r.encoder_counts * self._count_m:+.2f} mm")
+            table.add_row("z", f"{1e3 * (r.encoder_counts - self._surface_counts) * self._count_m:+.2f} mm")
             table.add_row("grip", f"{r.grip_N:.2f} N")
             table.add_row("current", f"{r.measured_current_A:+.3f} A, command {r.command_A:+.3f} A")
             table.add_row("acceleration", f"{r.acceleration_m_s2:+.2f} m/s²")

@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from controller.device.device_file import BUILT_IN, DeviceFile
+from controller.device.stated import assumed_grip_N, library_numbers, servo_numbers
+from controller.host.measured_pulse import recall
+from controller.host.pulses import measured_numbers, pulse_numbers
 from controller.protocol.capacity import LONGEST_S
 from controller.protocol.configuration import configuration_of
 from controller.protocol.image import image_of
@@ -39,69 +43,81 @@ class Load:
 
 @dataclass(frozen=True)
 class Payload(Load):
-    """With the library that it was made of."""
+    """With the library that it was made of, and the device that it was made for."""
 
     library: Library
+    device: DeviceFile = BUILT_IN
 
 
-def payload(path: Path) -> Payload:
+def payload(path: Path, device: DeviceFile = BUILT_IN) -> Payload:
     """
     Raises
     ------
-    InputError : no library, or one that no device could play.
+    InputError : no library, or one that this device cannot play.
     """
-    return payload_of(load_proven(path))
+    return payload_of(load_proven(path), device=device)
 
 
-def payload_of(library: Library, table: Bank | None = None, **settings: Any) -> Payload:
+def payload_of(
+    library: Library, table: Bank | None = None, *, device: DeviceFile = BUILT_IN, **settings: Any
+) -> Payload:
     """
     Parameters
     ----------
+    device : what it is to be played on.
     table : of another method than the library's own; its waveforms are followed by as many zeros as the library's.
-    settings : other than the library says, see `Settings`.
+    settings : other than library and device say, see `Settings`.
 
     Raises
     ------
-    InputError : one that no device could play.
+    InputError : one that this device cannot play.
     """
-    stated = Settings.of(library, **settings)
+    numbers = {**library_numbers(device, library), **pulse_numbers(device, library)}
+    stated = Settings.of(library, **{**numbers, **settings})
     tail = library.meta["hand_over_samples"]
     if table is None:
         table = bank(library, Method.BILINEAR)
     else:
         table = replace(table, command_A=np.pad(table.command_A, ((0, 0), (0, 0), (0, tail))))
     image = image_of(table, stated.dt_s, stated.lead_s, tail)
-    return Payload(stated, configuration_of(stated), image, library)
+    return Payload(stated, configured(stated), image, library, device)
 
 
-def excitation_settings(hello: HelloReply, library: Path | None) -> Settings:
+def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN) -> Settings:
     """Settings under which the host starts what plays.
 
     They say nothing of the excitation, so that a configuration that has passed the check is good for all of them.
+    Without a library the test pulse's prediction is what the check has measured since the device's start, if it has.
 
     Parameters
     ----------
-    hello : of the device; asked for nothing beyond its hardware. library : whose limits, amplifier and coil hold; the
-        built-in device's without, and 1.25 A.
+    hello : of the device; asked for nothing beyond its hardware.
+    library : whose limits, amplifier and coil hold; the built-in device's without, and 1.25 A.
+    device : its encoder and sensors.
 
     Raises
     ------
     InputError : no library.
     """
     if library is not None:
-        return Settings.of(load_proven(library), lead_s=0.0, wall=None, host_starts=True, **NEVER_STUCK)
+        loaded = load_proven(library)
+        numbers = {**library_numbers(device, loaded), **pulse_numbers(device, loaded), **NEVER_STUCK}
+        return Settings.of(loaded, **{**numbers, "lead_s": 0.0, "wall": None, "host_starts": True})
+    pushed = recall(hello.boot)
     return Settings(
         dt_s=hello.dt_s,
         lead_s=0.0,
-        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_limit_A),
-        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_limit_A)),
+        current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A),
+        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_A)),
         coil=RE_25,
         host_starts=True,
-        **NEVER_STUCK,
+        assumed_grip_N=assumed_grip_N(device, ()),
+        **({} if pushed is None else measured_numbers(device, hello.dt_s, pushed)),
+        **{**servo_numbers(device, hello.dt_s), **NEVER_STUCK},
     )
 
 
-def excitation_settings_of(scene: Scene, amplifier_tolerance: float) -> Settings:
+def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: DeviceFile = BUILT_IN) -> Settings:
     """The same for a scene's own device, whose amplifier may be off by this part."""
     return Settings(
         dt_s=scene.time.dt_s,
@@ -111,18 +127,19 @@ def excitation_settings_of(scene: Scene, amplifier_tolerance: float) -> Settings
         amplifier_tolerance=amplifier_tolerance,
         coil=scene.coil(),
         host_starts=True,
-        **NEVER_STUCK,
+        assumed_grip_N=assumed_grip_N(device, ()),
+        **{**servo_numbers(device, scene.time.dt_s), **NEVER_STUCK},
     )
 
 
-def trial_sweep(hello: HelloReply, library: Path | None) -> Load:
+def trial_sweep(hello: HelloReply, library: Path | None, device: DeviceFile = BUILT_IN) -> Load:
     """A short one for the bring-up check, under the settings of all others.
 
     Raises
     ------
     InputError : no library.
     """
-    settings = excitation_settings(hello, library)
+    settings = excitation_settings(hello, library, device)
     size_A = min(TRIAL_A, 0.5 * settings.current_limit_A)
     return excitation(settings, sweep_command(*TRIAL_HZ, TRIAL_S, size_A, settings.dt_s), hello)
 
@@ -150,7 +167,7 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
         if peak > limit * (1 + 1e-9):
             raise InputError(
                 f"sweep: the {what} reaches {peak:.3g} A, the limit is {limit:g} A: lower --amplitude or --offset, "
-                "or take other limits (on a port --library, simulated --device)"
+                "or take other limits (on a port --library, simulated --true-device)"
             )
     size = norms(current, s.amplifier, s.dt_s)
     if s.coil is not None:
@@ -172,4 +189,12 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
         by_grip=False,
         nearest=False,
     )
-    return Load(s, configuration_of(s), image_of(table, s.dt_s, s.lead_s, 1))
+    return Load(s, configured(s), image_of(table, s.dt_s, s.lead_s, 1))
+
+
+def configured(settings: Settings) -> bytes:
+    """The configuration of these settings without its surface, which is sent apart.
+
+    So the surface may move, by `zero` or by drift, and what the device has seen under the configuration stands.
+    """
+    return configuration_of(replace(settings, surface_counts=0.0))

@@ -19,7 +19,7 @@ from controller.host.streams import BreachError, EventStream, RecordStream
 from controller.host.upload import BadAckError, Patience, Upload
 from controller.protocol import events as t
 from controller.protocol import messages as m
-from controller.protocol.capacity import LEASE_DEFAULT_MS, LEASE_LEAST_MS, LEASE_MOST_MS, PULSE_LIMIT_A, checked
+from controller.protocol.capacity import LEASE_DEFAULT_MS, LEASE_LEAST_MS, LEASE_MOST_MS, checked
 from controller.protocol.codes import EVENTS, REASONS, STATES, Kind
 from controller.protocol.events import Cause, Ended, News, capacity_of
 from controller.protocol.image import sha256, too_large
@@ -79,12 +79,15 @@ class Session:
         self._connect_until_s = now_s + timeout_s
         self._requests.add(m.Hello(m.MAGIC, m.PROTOCOL, self._token()))
 
-    def configure(self, configuration: bytes) -> None:
-        """Put a configuration (`configuration.configuration_of`) in force, unless it is there already."""
+    def configure(self, configuration: bytes, *, anew: bool = False) -> None:
+        """Put a configuration (`configuration.configuration_of`) in force, unless it is there already.
+
+        anew : also then, so that the device forgets its evidence.
+        """
         self._go(Trigger.PREPARE)
         device = self._known()
         self._configuration_sha256 = sha256(configuration)
-        if self._configuration_there == self._configuration_sha256:
+        if self._configuration_there == self._configuration_sha256 and not anew:
             self._news.append(t.Completed(Kind.CONFIGURE_COMMIT, skipped=True))
             return
         # Nothing is certain until it is done; and the device drops a library that does not fit.
@@ -151,14 +154,20 @@ class Session:
         """One record every so many ticks; 0 for none."""
         self._ask(m.Telemetry(int(checked("telemetry", every, 0, 0xFFFF, " ticks"))))
 
-    def pulse(self, current_A: float, ticks: int) -> None:
-        """For the polarity test; its end is an event."""
-        checked("pulse", current_A, -PULSE_LIMIT_A, PULSE_LIMIT_A, " A")
-        self._ask(m.Pulse(current_A, int(checked("pulse", ticks, 1, 0xFFFF, " ticks"))), Trigger.PREPARE)
+    def pulse(self, current_A: float, ticks: int, pairs: int = 0) -> None:
+        """Test pulses; their end is an event. pairs : 0 for a single one, else the configuration's, judged."""
+        limit_A = self._known().pulse_A if self.state in OPEN else current_A
+        checked("pulse", current_A, -limit_A, limit_A, " A")
+        checked("pairs", pairs, 0, 0xFF)
+        self._ask(m.Pulse(current_A, int(checked("pulse", ticks, 1, 0xFFFF, " ticks")), pairs), Trigger.PREPARE)
 
-    def checked(self) -> None:
-        """The configuration of this connection has passed the bring-up check."""
-        self._ask(m.Checked(self._configuration_sha256), Trigger.PREPARE)
+    def evidence(self) -> None:
+        """What the device has seen of itself, for this start and this configuration; `Witnessed` says it."""
+        self._ask(m.Evidence())
+
+    def surface(self, counts: float) -> None:
+        """Where the surface is, in counts after the encoder's direction."""
+        self._ask(m.Surface(counts))
 
     def emergency_stop(self, now_s: float) -> None:
         """At once, in any state; again and again until the device says FAULT, at least thrice."""
@@ -266,7 +275,7 @@ class Session:
             return
         self._unanswered_s = None
         match frame.message:
-            case m.HelloReply() | m.Done() | m.Refused() | m.UploadReady() as answer:
+            case m.HelloReply() | m.Done() | m.Refused() | m.UploadReady() | m.EvidenceReply() as answer:
                 request = self._requests.answered(frame.sequence, now_s)
                 if request is not None:
                     self._answer(request, answer, now_s)
@@ -293,6 +302,8 @@ class Session:
                 chunk = min(m.DATA_LIMIT, self._known().body_limit - m.Data.FORMAT.size)
                 self._upload = Upload(self._image, offset, self._known().upload_frames, chunk, self._patience)
                 self._news.append(t.Progress(offset, len(self._image)))
+            case m.Evidence(), m.EvidenceReply():
+                self._news += [t.Witnessed(answer), t.Completed(kind)]
             case _, m.Done() if answer.request == kind:
                 self._seen(answer.state, answer.fault)
                 self._done(kind)

@@ -30,7 +30,7 @@ class Trigger(Enum):
     ASK = auto()  # any request but those below
     ARM = auto()
     START = auto()  # of an excitation
-    PREPARE = auto()  # configuration, upload, pulse, checked
+    PREPARE = auto()  # configuration, upload, pulse
     IDLE_SEEN = auto()  # the device's reports
     ACTIVE_SEEN = auto()
     FAULT_SEEN = auto()

@@ -103,6 +103,7 @@ class Sweeps:
     ----------
     device : IDLE, the excitation in force, telemetry of every tick on. samples : of the excitation. gain : of it.
     hold : asks whoever is at it for a grip. grip_N : 0 to let go, None for any.
+    assumed_grip_N : of a device without a grip sensor, whose readings are not looked at; None with one.
     """
 
     def __init__(
@@ -114,10 +115,12 @@ class Sweeps:
         gain: float,
         grip_N: float | None,
         count_m: float,
+        assumed_grip_N: float | None = None,
         patience_s: float = PATIENCE_S,
     ) -> None:
         self._device, self._hold, self._samples, self._gain = device, hold, samples, gain
         self._grip_N, self._count_m, self._patience_s = grip_N, count_m, patience_s
+        self._assumed_grip_N = assumed_grip_N
         self._dt_s = device.hello.dt_s
         self._ears = _Ears()
         self._looked = 0  # at this tick, whether the hand is ready
@@ -154,7 +157,7 @@ class Sweeps:
         self._hold(self._grip_N)
         self._ears.forget()
         if not self._until(self._ready, self._patience_s, (State.FAULT,)):
-            grips, places = self._window("grip_N"), self._window("encoder_counts")
+            grips, places = self._grips(self._window("grip_N")), self._window("encoder_counts")
             seen = (
                 "no telemetry"
                 if not grips.size
@@ -174,8 +177,14 @@ class Sweeps:
             return False
         self._looked = newest
         del ears.records[: -2 * window]
-        places, grips = self._window("encoder_counts"), self._window("grip_N")
+        places, grips = self._window("encoder_counts"), self._grips(self._window("grip_N"))
         return float(np.ptp(places)) * self._count_m <= STILL_M and self._wrong_grip(grips) is None
+
+    def _grips(self, read_N: FloatArray) -> FloatArray:
+        """What was read; without a sensor what was asked for, else what is assumed."""
+        if self._assumed_grip_N is None:
+            return read_N
+        return np.full_like(read_N, self._assumed_grip_N if self._grip_N is None else self._grip_N)
 
     def _wrong_grip(self, grips: FloatArray) -> str | None:
         """Why these readings are not the grip that was asked for, None if they are."""
@@ -247,7 +256,8 @@ class Sweeps:
         records = [record for _, record in rows]
         ticks = np.array([tick for tick, _ in rows], dtype=float) - first
         playing = (ticks >= 0) & (ticks < self._samples)
-        acceleration, grips = column(records, "acceleration_m_s2"), column(records, "grip_N")[playing]
+        acceleration = column(records, "acceleration_m_s2")
+        grips = self._grips(column(records, "grip_N")[playing])
         if not (np.all(np.isfinite(acceleration)) and np.all(np.isfinite(grips))):
             raise _AgainError("a sensor gave no number")
         wrong = self._wrong_grip(grips)

@@ -11,6 +11,7 @@ from pathlib import Path
 from controller.protocol import capacity, codes, configuration, image, messages, packed, wire
 from controller.protocol.messages import MESSAGES
 from controller.protocol.packed import OPEN_END
+from controller.servo import settings
 
 HEADER_PATH = Path(__file__).parents[1] / "firmware" / "src" / "core" / "td_messages.h"
 C_TYPES = {"B": "u8", "H": "u16", "I": "u32", "i": "i32", "Q": "u64", "f": "f32", "d": "f64"}
@@ -25,7 +26,8 @@ CAPACITY = {
     "upload_frames": "TD_UPLOAD_FRAMES",
 }
 # Of `capacity`, under the same names; what a host takes by default is not the device's business.
-LIMITS = [name for name in vars(capacity) if name.isupper() and name != "LEASE_DEFAULT_MS"]
+LIMITS = {name: value for name, value in vars(capacity).items() if name.isupper() and name != "LEASE_DEFAULT_MS"}
+LIMITS |= {name: getattr(settings, name) for name in ("PULSE_NODES", "PUSH_S", "SCALE_LEAST", "SCALE_MOST")}
 
 
 def _define(name: str, value: object, note: str = "") -> str:
@@ -83,6 +85,8 @@ def header_text() -> str:
         _define("TD_HASH_BYTES", packed.HASH_BYTES),
         _define("TD_DATA_LIMIT", messages.DATA_LIMIT, "bytes of an image in one DATA"),
         _define("TD_RECORDS_LIMIT", messages.RECORDS_LIMIT, "records in one TELEMETRY_DATA"),
+        _define("TD_PULSE_SOUND", messages.PULSE_SOUND, "bit of evidence"),
+        _define("TD_TRIAL_FINISHED", messages.TRIAL_FINISHED, "bit of evidence"),
         _define("TD_RECORD_NO_COUNTS", "INT32_MIN", "of an encoder that gave no number"),
         "",
     ]
@@ -92,12 +96,13 @@ def header_text() -> str:
     lines += _enumeration(
         "What an event tells, 0 for nothing", "TD_WHAT", {w.name: code for code, w in codes.EVENTS.items()}
     )
+    lines += _enumeration("How far the evidence has come", "TD_STAGE", {s.name: s.value for s in codes.Stage})
     lines += ["/* Bodies of the messages: where each field begins. */", "enum {"]
     for kind, message in MESSAGES.items():
         lines += _offsets(kind.name, f"TD_{kind.name}", message.layout())
     lines += _offsets("One record of TELEMETRY_DATA", "TD_RECORD", messages.Record.layout())
     lines += [*_offsets("Header of an image", "TD_IMAGE", list(image.IMAGE_FIELDS)), "};", ""]
-    lines += ["/* Image of a library: header, then speeds, grips, transient and feedback norms f64, counts i16. */"]
+    lines += ["/* Image of a library: header, then speeds, grips, feedback norms f64, counts i16. */"]
     lines += [
         _define("TD_IMAGE_MAGIC_VALUE", f"0x{image.IMAGE_MAGIC:08X}u"),
         _define("TD_IMAGE_VERSION_VALUE", image.IMAGE_VERSION),
@@ -124,7 +129,7 @@ def header_text() -> str:
         "",
         _define("TD_MAX_IMAGE_BYTES", _largest_image()),
         "",
-        *(_define(f"TD_{name}", getattr(capacity, name)) for name in LIMITS),
+        *(_define(f"TD_{name}", value) for name, value in LIMITS.items()),
         "",
         "#endif",
     ]
@@ -134,7 +139,7 @@ def header_text() -> str:
 def _largest_image() -> str:
     """`image.capacity_bytes` with the port's own sizes."""
     nodes = "TD_MAX_SPEEDS * TD_MAX_GRIPS"
-    return f"({image.HEADER.size} + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + 2 * {nodes}) + 2 * TD_MAX_LIBRARY_SAMPLES)"
+    return f"({image.HEADER.size} + 8 * (TD_MAX_SPEEDS + TD_MAX_GRIPS + {nodes}) + 2 * TD_MAX_LIBRARY_SAMPLES)"
 
 
 if __name__ == "__main__":

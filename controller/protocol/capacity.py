@@ -1,10 +1,10 @@
 """What a device holds and allows: one place for the generated C header, the host and its messages."""
 
+import math
 from dataclasses import dataclass
 
 from transopt.base.errors import InputError
 
-PULSE_LIMIT_A, PULSE_LIMIT_S = 0.1, 0.02  # of the polarity test
 LEASE_LEAST_MS, LEASE_MOST_MS, LEASE_DEFAULT_MS = 50, 1000, 200
 TRIAL_GAIN = 0.1  # of the tap that the bring-up check ends with
 REST_SPEED_M_S = 0.05  # ARM is refused while the stylus moves faster
@@ -14,6 +14,13 @@ EVENT_WINDOW, EVENT_QUEUE = 8, 64  # events in flight, events kept
 TELEMETRY_HOLD_MS = 10  # no record waits longer for its batch to fill
 LONGEST_S = 3600.0  # of any duration in a configuration: ticks are counted in 32 bits
 ENCODER_MOST_COUNTS = 1 << 29  # further out the sums of the approach's fit would overflow 64 bits
+REST_BETWEEN_PULSES_S = 0.1  # before each pulse of a pair: the second half of it says what the sensors read at rest
+PATH_LEAST_COUNTS = 5  # a shorter predicted path says nothing: the encoder rounds
+EVIDENCE_LEAST, EVIDENCE_MOST = 0.8, 1.2  # of every ratio of measured on predicted
+# How the encoder's motion is compared with the accelerometer's before a trial's contact: readings are taken together
+# over a block, filtered alike at this rate, multiplied over this time; the filter has settled after so long.
+MOTION_BLOCK_S, MOTION_RATE_1_S, MOTION_S, MOTION_SETTLED_S = 1e-3, 6.0, 0.5, 2.0
+MOTION_LEAST_M, MOTION_ALIKE = 5e-4, 0.8  # rms and correlation of what can be compared
 
 
 def checked(name: str, value: float, low: float, high: float, unit: str = "") -> float:
@@ -51,8 +58,51 @@ class Capacity:
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What the amplifier behind a device is good for: no configuration may ask for more [A], servo period [s]."""
+    """What is compiled into a port about the amplifier and the motor behind it; a host may only ask for less.
 
+    Attributes
+    ----------
+    dt_s : servo period of the timer.
+    current_A : largest size of the true current, for every amplifier in the range of poles.
+    command_A : largest size of what goes out to the amplifier.
+    pulse_A, pulse_s : largest size and length of a test pulse.
+    pole_least_Hz, pole_most_Hz : between these lies the amplifier's pole.
+    over_current_A : a larger measured current, as the monitor gives it, is a fault in every state.
+    has_coil : whether the motor's coil is known; the rest is zero without it.
+    R_ohm : of the winding at 25 C.
+    R_wh_K_W, R_ha_K_W : thermal resistance from winding to housing and from housing to ambient.
+    tau_w_s, tau_h_s : their time constants.
+    limit_C : of the winding. ambient_C : the warmest surroundings.
+    """
+
+    dt_s: float = 1e-4
     current_A: float = 10.0
     command_A: float = 10.0
-    dt_s: float = 1e-4
+    pulse_A: float = 0.1
+    pulse_s: float = 0.02
+    pole_least_Hz: float = 50.0
+    pole_most_Hz: float = 20e3
+    over_current_A: float = 50.0
+    has_coil: bool = False
+    R_ohm: float = 0.0
+    R_wh_K_W: float = 0.0
+    R_ha_K_W: float = 0.0
+    tau_w_s: float = 0.0
+    tau_h_s: float = 0.0
+    limit_C: float = 0.0
+    ambient_C: float = 0.0
+
+    def __post_init__(self) -> None:
+        sizes = ["dt_s", "current_A", "command_A", "pulse_A", "pulse_s", "pole_least_Hz", "over_current_A"]
+        sizes += ["R_ohm", "R_wh_K_W", "R_ha_K_W", "tau_w_s", "tau_h_s"] if self.has_coil else []
+        for name in sizes:
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(f"hardware: {name} = {getattr(self, name):g}: must be > 0 and finite")
+        if not self.pole_least_Hz <= self.pole_most_Hz < math.inf:
+            raise InputError(
+                f"hardware: pole_most_Hz = {self.pole_most_Hz:g}: must be at least pole_least_Hz and finite"
+            )
+        if self.has_coil and not -math.inf < self.ambient_C < self.limit_C < math.inf:
+            raise InputError(
+                f"hardware: limit_C = {self.limit_C:g}: must be above ambient_C = {self.ambient_C:g} and finite"
+            )

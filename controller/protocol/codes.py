@@ -24,10 +24,11 @@ class Kind(IntEnum):
     GAIN = 11
     TELEMETRY = 12
     PULSE = 13
-    CHECKED = 14
+    EVIDENCE = 14
     EVENT_ACK = 15
     EMERGENCY_STOP = 16
     START = 17
+    SURFACE = 18
     HELLO_REPLY = 64
     DONE = 65
     REFUSED = 66
@@ -37,6 +38,7 @@ class Kind(IntEnum):
     EVENT = 70
     TELEMETRY_DATA = 71
     LOG = 72
+    EVIDENCE_REPLY = 73
 
 
 class Reason(Enum):
@@ -49,7 +51,7 @@ class Reason(Enum):
     NO_LIBRARY = "the device has no library in force: upload one first"
     WRONG_CONFIGURATION = "the device's configuration is not the one asked for: configure it again"
     WRONG_LIBRARY = "the device's library is not the one asked for: upload it again"
-    NOT_CHECKED = "this configuration has not passed the bring-up check since the device started: run `check`"
+    NO_PULSE = "no sound test pulse under this configuration since the device started: run `check`"
     NOT_AT_REST = "the stylus is moving: hold it still, then arm"
     TOO_HOT = "the coil is too hot to play: let it cool"
     BAD_LEASE = "the lease must be 50 to 1000 ms"
@@ -69,7 +71,19 @@ class Reason(Enum):
     ONE_WAVEFORM = "this configuration plays one waveform at the host's word: upload one speed and one grip"
     NOT_ARMED = "the device is not armed: arm it, then start"
     BY_CONTACT = "this configuration plays at a contact, not at the host's word: configure it for an excitation"
-    STILL_PLAYING = "an excitation is playing: wait for its end"
+    STILL_PLAYING = "something is playing: wait for its end"
+    NO_TRIAL = "no finished trial under this configuration since the device started: run `check`"
+    OTHER_PULSE = "pairs of pulses are those that the configuration states and predicts: ask for them"
+
+
+class Stage(IntEnum):
+    """How far the device's evidence has come."""
+
+    NOTHING = 0
+    PULSING = 1
+    PULSED = 2
+    TRIAL = 3
+    TRIED = 4
 
 
 class LinkNotice(Enum):

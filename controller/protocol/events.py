@@ -1,11 +1,11 @@
 """What a session tells its user: frozen events, in the order in which they happened."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
 
-from controller.protocol.capacity import Capacity
+from controller.protocol.capacity import Capacity, Hardware
 from controller.protocol.codes import Kind, Reason, What
-from controller.protocol.messages import HelloReply, Record
+from controller.protocol.messages import EvidenceReply, HelloReply, Record
 from controller.servo.interface import Fault, State
 
 
@@ -91,6 +91,13 @@ class Samples:
 
 
 @dataclass(frozen=True, slots=True)
+class Witnessed:
+    """The device's evidence as it was asked for."""
+
+    evidence: EvidenceReply
+
+
+@dataclass(frozen=True, slots=True)
 class Logged:
     text: str
 
@@ -106,7 +113,7 @@ class Ended:
         return f"{self.cause.value} ({self.detail})" if self.detail else self.cause.value
 
 
-News = Connected | Completed | Refused | Progress | Changed | Happened | Samples | Logged | Ended
+News = Connected | Completed | Refused | Progress | Changed | Happened | Samples | Witnessed | Logged | Ended
 
 
 def capacity_of(reply: HelloReply) -> Capacity:
@@ -120,3 +127,8 @@ def capacity_of(reply: HelloReply) -> Capacity:
         latency_ticks=reply.capacity_latency_ticks,
         upload_frames=reply.upload_frames,
     )
+
+
+def hardware_of(reply: HelloReply) -> Hardware:
+    """What is compiled into the device's port."""
+    return Hardware(**{field.name: getattr(reply, field.name) for field in fields(Hardware)})

@@ -1,10 +1,13 @@
-"""The library as a device stores it: int16 waveforms with one scale, axes and norms in one block of bytes.
+"""The library as a device stores it: int16 waveforms with one scale, axes and the feedback's norms in one block.
 
     header    HEADER, see IMAGE_FIELDS
     speeds    nv float64 [m/s]       grips   ng float64 [N]
-    transient nv * ng float64 [A]    norms of the transients' currents, row by row (speed), see `bank.Bank`
-    feedback  nv * ng float64 [A]    of the feedback's beside them
+    feedback  nv * ng float64 [A]    norms of the feedback's current beside each, row by row (speed), see `bank.Bank`
     waveforms nv * ng * N int16      counts; a command is count * scale_A, row by row
+
+The norms of the transients do not travel: the device computes them from the counts, as scale_A * sqrt(sum count^2),
+which bounds the current's since no amplifier of one pole makes more energy than its command has. The feedback's stand
+as stated and bear on the prediction of heat alone: too small a number costs a fault by temperature, not the coil.
 
 Little-endian; all float64 lie on multiples of 8. SHA-256 of the whole is the library's hash. What is played is
 what is stored, so the Python servo too plays `bank_of(image)`, not the library's own numbers.
@@ -24,7 +27,7 @@ from transopt.base.signals import FloatArray
 from transopt.base.writing import rounded_down
 
 IMAGE_MAGIC = 0x4D494E54  # "TNIM"
-IMAGE_VERSION = 1
+IMAGE_VERSION = 2
 # (name, struct format) in order; `flags`: bit 0 the grip is looked at, bit 1 nearest node instead of a blend.
 IMAGE_FIELDS = (
     ("magic", "I"),
@@ -53,7 +56,7 @@ class ImageError(ValueError):
 def image_bytes(speeds: int, grips: int, samples: int) -> int:
     """Size of an image with so many nodes and samples per waveform."""
     nodes = speeds * grips
-    return HEADER.size + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples
+    return HEADER.size + 8 * (speeds + grips + nodes) + 2 * nodes * samples
 
 
 def sha256(data: bytes) -> bytes:
@@ -100,7 +103,7 @@ def image_of(bank: Bank, dt_s: float, lead_s: float, tail_samples: int) -> bytes
         scale_A,
         bank.grip_min_N,
     )
-    tables = (bank.speeds_m_s, bank.grips_N, bank.transient_A, bank.feedback_A)
+    tables = (bank.speeds_m_s, bank.grips_N, bank.feedback_A)
     return b"".join([head, *(np.asarray(table, dtype="<f8").tobytes() for table in tables), counts.tobytes()])
 
 
@@ -154,19 +157,21 @@ def bank_of(image: bytes) -> tuple[Bank, dict[str, Any]]:
     """
     head = _fields(image)
     nv, ng, N = head["speeds"], head["grips"], head["samples"]
-    numbers = np.frombuffer(image, dtype="<f8", count=nv + ng + 2 * nv * ng, offset=HEADER.size)
-    speeds, grips, transient, feedback = np.split(numbers, np.cumsum([nv, ng, nv * ng]))
+    numbers = np.frombuffer(image, dtype="<f8", count=nv + ng + nv * ng, offset=HEADER.size)
+    speeds, grips, feedback = np.split(numbers, np.cumsum([nv, ng]))
     counts: NDArray[np.int16] = np.frombuffer(
         image, dtype="<i2", count=nv * ng * N, offset=len(image) - 2 * nv * ng * N
     )
     command: FloatArray = counts.astype(float).reshape(nv, ng, N) * head["scale_A"]
+    squares = np.sum(counts.astype(np.int64).reshape(nv, ng, N) ** 2, axis=-1)
+    transient = head["scale_A"] * np.sqrt(squares.astype(float))
     nearest = bool(head["flags"] & NEAREST)
     table = Bank(
         method=Method.NEAREST if nearest else Method.BILINEAR,
         speeds_m_s=speeds.tolist(),
         grips_N=grips.tolist(),
         command_A=command,
-        transient_A=transient.reshape(nv, ng).tolist(),
+        transient_A=transient.tolist(),
         feedback_A=feedback.reshape(nv, ng).tolist(),
         grip_min_N=head["grip_min_N"],
         by_grip=bool(head["flags"] & BY_GRIP),

@@ -8,7 +8,8 @@ Each kind's body is the dataclass below of that name: its fields in order, in th
 Names end in units. The last field may be open (`Tail`), its length is what is left.
 
     host asks, device answers with the same sequence    HELLO -> HELLO_REPLY, UPLOAD_BEGIN -> UPLOAD_READY,
-                                                        all others -> DONE; instead of these REFUSED
+                                                        EVIDENCE -> EVIDENCE_REPLY, all others -> DONE;
+                                                        instead of these REFUSED
     beside that, in any order                           DATA -> ACK, LEASE -> LEASE_REPLY, EVENT_ACK, EMERGENCY_STOP
     the device on its own                               EVENT, TELEMETRY_DATA, LOG
 
@@ -43,7 +44,7 @@ from controller.protocol.packed import (
 )
 from transopt.base.signals import FloatArray
 
-PROTOCOL = 2
+PROTOCOL = 3
 MAGIC = 0x54504E54  # "TNPT": a frame of somebody else's protocol does not begin so
 HEADER = struct.Struct("<BBHI")
 GREETING = struct.Struct("<IH")  # magic and protocol, the beginning of HELLO and HELLO_REPLY in every version
@@ -51,6 +52,7 @@ BODY_LIMIT = 1024
 NO_HASH = bytes(HASH_BYTES)
 NO_COUNTS = -(2**31)  # of an encoder that gave no number
 STOP_PRESSED = 1  # flag of a record
+PULSE_SOUND, TRIAL_FINISHED = 1, 2  # bits of evidence
 
 
 class OtherProtocolError(ValueError):
@@ -98,7 +100,11 @@ class Configure(Packed):
 
 @message(Kind.CONFIGURE_COMMIT)
 class ConfigureCommit(Packed):
-    """In force from the answer on; IDLE only. The coil's estimated temperature survives it."""
+    """In force from the answer on; IDLE only.
+
+    The coil's temperature and the flowing current survive it. The evidence and the surface are forgotten, also by the
+    same configuration once more: so a host drops evidence after a check that failed by its own judgement.
+    """
 
     sha256: Hash
 
@@ -126,7 +132,7 @@ class Commit(Packed):
 
 @message(Kind.ARM)
 class Arm(Packed):
-    """trial 1: the bring-up check's own tap, before it has passed, at a gain of at most `limits.TRIAL_GAIN`."""
+    """trial 1: the bring-up check's own tap, gain at most `capacity.TRIAL_GAIN`; it needs PULSE_SOUND alone."""
 
     trial: U8
     lease_ms: U16
@@ -166,17 +172,21 @@ class Telemetry(Packed):
 
 @message(Kind.PULSE)
 class Pulse(Packed):
-    """Command for the polarity test, IDLE only; PULSE_ENDED tells its end."""
+    """Test pulses, IDLE and at rest only; PULSE_ENDED tells the end.
+
+    pairs 0 : a single pulse, of which nothing is judged. Otherwise so many pairs of the pulse that the configuration
+    states, with alternating sign, each after a rest of `capacity.REST_BETWEEN_PULSES_S`; at the end the device judges
+    them (EVIDENCE).
+    """
 
     current_A: F64
     ticks: U16
+    pairs: U8
 
 
-@message(Kind.CHECKED)
-class Checked(Packed):
-    """The configuration of this hash has passed the bring-up check; forgotten at the next start of the device."""
-
-    configuration_sha256: Hash
+@message(Kind.EVIDENCE)
+class Evidence(Packed):
+    """What has the device seen of itself since it started under this configuration?"""
 
 
 @message(Kind.EVENT_ACK)
@@ -201,6 +211,16 @@ class Start(Packed):
     negative: U8
 
 
+@message(Kind.SURFACE)
+class Surface(Packed):
+    """Where the surface is, in counts of the encoder after its direction; not while PLAYING or in FAULT.
+
+    In place of the configuration's `surface_counts` until the next CONFIGURE_COMMIT; the evidence stays.
+    """
+
+    counts: F64
+
+
 # Device to host.
 
 
@@ -209,8 +229,9 @@ class HelloReply(Packed):
     """Who the device is, what it holds, what it does.
 
     boot : another after every start. real_bytes : 8 computes in double, 4 in float. fault : event code, 0 for none.
-    event : number of the oldest event not yet acknowledged. Hashes are zero for what is not there;
-    checked_sha256 is that of the configuration that has passed the check.
+    evidence : bits PULSE_SOUND and TRIAL_FINISHED. simulated : 1 for a device of which nothing is wired.
+    event : number of the oldest event not yet acknowledged. Hashes are zero for what is not there.
+    From dt_s to ambient_C: `capacity.Hardware`.
     """
 
     magic: U32
@@ -218,6 +239,8 @@ class HelloReply(Packed):
     real_bytes: U8
     state: U8
     fault: U8
+    evidence: U8
+    simulated: U8
     body_limit: U16
     upload_frames: U16
     firmware: U32
@@ -232,11 +255,23 @@ class HelloReply(Packed):
     capacity_latency_ticks: U16
     tick: U64
     dt_s: F64
-    current_limit_A: F64
-    command_limit_A: F64
+    current_A: F64
+    command_A: F64
+    pulse_A: F64
+    pulse_s: F64
+    pole_least_Hz: F64
+    pole_most_Hz: F64
+    over_current_A: F64
+    has_coil: U8
+    R_ohm: F64
+    R_wh_K_W: F64
+    R_ha_K_W: F64
+    tau_w_s: F64
+    tau_h_s: F64
+    limit_C: F64
+    ambient_C: F64
     configuration_sha256: Hash
     library_sha256: Hash
-    checked_sha256: Hash
 
 
 @message(Kind.DONE)
@@ -325,6 +360,25 @@ class Log(Packed):
     """For people: UTF-8."""
 
     text: Tail
+
+
+@message(Kind.EVIDENCE_REPLY)
+class EvidenceReply(Packed):
+    """The device's own evidence, for this start and this configuration.
+
+    bits : PULSE_SOUND, TRIAL_FINISHED. stage : `codes.Stage`. pulses : judged since the last PULSE.
+    Ratios, measured on predicted, 1 for a sound device and NaN where not measured: of the pulses' current, of the
+    acceleration at their beginning, of the path to their end; and, at the contact of the last trial, of the encoder's
+    motion on the accelerometer's, over the half second before.
+    """
+
+    bits: U8
+    stage: U8
+    pulses: U16
+    current_ratio: F64
+    acceleration_ratio: F64
+    path_ratio: F64
+    speed_ratio: F64
 
 
 KINDS: dict[type[Packed], Kind] = {message: kind for kind, message in MESSAGES.items()}

@@ -36,6 +36,7 @@ class Compared:
     ----------
     latency_s : the one shift within 1 ms that aligns played and predicted, positive if played late.
     nrmse : after it, against the prediction.
+    scale : after it, the factor of the prediction that is nearest to what was played in the mean square.
     nrmse_reference : after it, against the recorded tap.
     peak_m_s2, predicted_peak_m_s2, reference_peak_m_s2 : largest |acceleration|, low-passed alike.
     spectral_error_dB : against the recorded tap, see `metrics.spectral_error_dB`.
@@ -50,6 +51,7 @@ class Compared:
     reference_peak_m_s2: float
     spectral_error_dB: float
     levels: Levels | None
+    scale: float = float("nan")
 
 
 NOT_COMPARED = Compared(NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, NOTHING, None)
@@ -104,6 +106,12 @@ class PlayedTap:
         return rate_hardness_N_m(self.times_s, force_per_current_N_A * self.contact.current_A, self.contact.speed_m_s)
 
 
+def height_m(contact: Contact, settings: Settings) -> FloatArray:
+    """(n,) above the surface, as it was at this contact."""
+    surface = settings.surface_counts if contact.surface_counts is None else contact.surface_counts
+    return np.asarray((contact.counts - surface) * settings.count_m)
+
+
 def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
     """When the stylus would have met the surface undriven, after the tick at which the waveform began [s], how fast.
 
@@ -114,7 +122,7 @@ def met_surface(contact: Contact, settings: Settings) -> tuple[float, float]:
     seen = (times <= 0) & (times > -FIT_S)
     if seen.sum() < LEAST_FIT:
         return NOTHING, NOTHING
-    z = (contact.counts[seen] - settings.surface_counts) * settings.count_m
+    z = height_m(contact, settings)[seen]
     a, b, c = np.polynomial.polynomial.polyfit(times[seen], z, 2)
     lead = settings.lead_s
     slope = b + 2 * c * lead
@@ -188,7 +196,7 @@ def played_tap(
     return PlayedTap(
         contact=contact,
         times_s=(contact.ticks - contact.tick) * contact.dt_s - met_surface(contact, settings)[0],
-        position_m=(contact.counts - settings.surface_counts) * settings.count_m,
+        position_m=height_m(contact, settings),
         gain=gain,
         prediction=prediction,
         compared=NOT_COMPARED if isinstance(compared, str) else compared,
@@ -232,4 +240,5 @@ def _compare(
         reference_peak_m_s2=float(np.abs(reference).max()),
         spectral_error_dB=spectral_error_dB(aligned.played_m_s2, reference, contact.dt_s),
         levels=levels(aligned.played_m_s2, reference, contact.dt_s),
+        scale=float(aligned.played_m_s2 @ expected / (expected @ expected)),
     )

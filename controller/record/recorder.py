@@ -48,6 +48,7 @@ class Contact:
     winding_C : as the device estimates it.
     missed : records that were lost in between; with any there is no file.
     path : of its file, None without one.
+    surface_counts : of the encoder at the surface, as it was then; None for that of the settings.
     """
 
     number: int
@@ -64,6 +65,7 @@ class Contact:
     winding_C: FloatArray
     missed: int
     path: Path | None = None
+    surface_counts: float | None = None
 
 
 class Recorder:
@@ -78,7 +80,7 @@ class Recorder:
 
     Attributes
     ----------
-    count_m : one encoder count.
+    count_m, surface_counts : of the encoder; the surface may be moved between two taps.
     contacts : complete ones.
     records, missed : so far.
 
@@ -98,7 +100,7 @@ class Recorder:
         over: bool = False,
     ) -> None:
         self._folder, self._dt_s, self._over = folder, dt_s, over
-        self.count_m, self._surface_counts = count_m, surface_counts
+        self.count_m, self.surface_counts = count_m, surface_counts
         self._trigger_m_s2, self._mean_m_s2 = trigger_m_s2, float("nan")
         self._deaf_until = 0
         self._first, self._every = 0, 1  # of the telemetry
@@ -215,6 +217,7 @@ class Recorder:
             winding_C=column(records, "winding_C"),
             missed=missed,
             path=None if missed or self._folder is None else self._folder / f"tap_{len(self.contacts) + 1:03d}.csv",
+            surface_counts=self.surface_counts,
         )
         self.contacts.append(contact)
         if contact.path is not None:
@@ -228,7 +231,7 @@ class Recorder:
             "time_s,acceleration_m_s2,position_m,current_A",
         ]
         times = (contact.ticks - contact.tick) * self._dt_s
-        position = (contact.counts - self._surface_counts) * self.count_m
+        position = (contact.counts - self.surface_counts) * self.count_m
         columns = zip(times, contact.acceleration_m_s2, position, contact.current_A, strict=True)
         rows = [f"{t:.6f},{a:.6g},{z:.7f},{i:.6g}" for t, a, z, i in columns]
         with whole_file(path) as file:

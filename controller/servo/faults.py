@@ -35,7 +35,8 @@ class Watch:
         self._seen = self._gripped = False
         self.counts = 0
         self.current_A = self.expected_A = self.raw_grip_N = self.step_m_s = 0.0
-        self.emergency_stop = self.bad_encoder = self.bad_current = self.playing = False
+        self.emergency_stop = self.host_stop = self.late = False
+        self.bad_encoder = self.bad_current = self.playing = False
         self.forget()
 
     def forget(self) -> None:
@@ -52,7 +53,8 @@ class Watch:
         playing : a waveform that ends if the grip is lost.
         """
         s = self.settings
-        self.emergency_stop, self.playing, self.expected_A = readings.emergency_stop, playing, expected_A
+        self.emergency_stop, self.host_stop, self.late = readings.emergency_stop, readings.host_stop, readings.late
+        self.playing, self.expected_A = playing, expected_A
         counts, current, grip = readings.encoder_counts, readings.current_A, readings.grip_N
         # Comparisons with NaN are false: written so that NaN is bad.
         self.bad_encoder = not (-s.encoder_limit_counts <= counts <= s.encoder_limit_counts)
@@ -104,6 +106,8 @@ def _loose(w: Watch) -> bool:
 # with NaN are false: where a reading must lie within a range, its negation is asked.
 FAULTS = (
     _rule(Fault.EMERGENCY_STOP, lambda w: w.emergency_stop),
+    _rule(Fault.HOST_STOP, lambda w: w.host_stop),
+    _rule(Fault.LATE_TICK, lambda w: w.late),
     _rule(Fault.BAD_SENSOR, lambda w: w.bad_encoder or w.bad_current),
     _rule(Fault.OVER_CURRENT, lambda w: not -w.over_current_A <= w.current_A <= w.over_current_A),
     _rule(
@@ -126,6 +130,8 @@ FAULTS = (
 # What each is seen by, for the manual; in braces the settings that decide.
 SEEN_WHEN = {
     Fault.EMERGENCY_STOP: "it is pressed",
+    Fault.HOST_STOP: "a host asks for it over the link",
+    Fault.LATE_TICK: "the port says that a servo period came late",
     Fault.BAD_SENSOR: (
         "encoder or current give no number, or more than {encoder_limit_counts} counts or {current_range_A} A"
     ),

@@ -27,6 +27,8 @@ class Fault(Enum):
     OVER_CURRENT = "the measured current is above the limit: check the amplifier, then reset"
     NO_CURRENT = "a command was given but no current flows: check amplifier and motor cable, then reset"
     EMERGENCY_STOP = "emergency stop: release it, then reset"
+    HOST_STOP = "the host has stopped the device: reset when it may go on"
+    LATE_TICK = "a servo period came late: report this, then reset"
 
 
 class Notice(Enum):
@@ -54,6 +56,8 @@ class Readings:
     current_A : measured by the amplifier.
     acceleration_m_s2 : of the stylus; for telemetry, the servo does not act on it.
     emergency_stop : pressed.
+    late : the port says that this tick came late; a command has then been held for too long.
+    host_stop : a stop has come over the link since the last tick.
     """
 
     tick: int
@@ -62,6 +66,8 @@ class Readings:
     current_A: float
     acceleration_m_s2: float
     emergency_stop: bool = False
+    late: bool = False
+    host_stop: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,6 @@ from controller.servo.guard import Guard
 from controller.servo.interface import Event, Fault, Notice, Output, Readings, State
 from controller.servo.settings import Settings
 from controller.waveforms.bank import Bank, Play
-from transopt.plant.amplifier import prefilter_coefficients
 
 SATURATED_A = 1e-3  # a cut below this is rounding of the waveforms, not worth telling
 NOTHING: tuple[Event, ...] = ()
@@ -61,17 +60,18 @@ class Servo:
             window_ticks=s.window_ticks,
             least_speed_m_s=s.least_speed_m_s,
         )
-        self._trigger = Trigger(s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s))
+        self._trigger = Trigger(s.count_m, s.touch_height_m, s.rearm_height_m, s.ticks(s.rearm_s))
         amplifier, wall = s.amplifier, s.wall
         rate = math.inf if amplifier is None else amplifier.rate_rad_s * s.dt_s
         self._decay = math.exp(-rate)
         # Of the fastest and the slowest amplifier that may be there.
         self._fast, self._slow = (math.exp(-rate * (1.0 + sign * s.amplifier_tolerance)) for sign in (1.0, -1.0))
         self._least_A = self._most_A = 0.0  # between these the current is at the coming switching instant
-        self._now, self._before = (1.0, 0.0) if amplifier is None else prefilter_coefficients(amplifier, s.dt_s)
+        # Of the feedback's prefilter (`plant.amplifier.prefilter_coefficients`).
+        self._now, self._before = 1 / (1 - self._decay), -self._decay / (1 - self._decay)
         self._slew_A = None if s.slew_limit_A_per_s is None else s.slew_limit_A_per_s * s.dt_s
         self._gain_step = s.gain_rate_1_s * s.dt_s
-        self._smoothing = 0.0 if wall is None else wall.smoothing(s.dt_s)
+        self._smoothing = 0.0 if wall is None else math.exp(-2 * math.pi * wall.derivative_filter_Hz * s.dt_s)
         late = 0 if wall is None else wall.latency_ticks
         # What was read in the last ticks, a ring: the law answers the oldest.
         self._ring_z, self._ring_v = [0.0] * (late + 1), [0.0] * (late + 1)

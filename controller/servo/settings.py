@@ -1,5 +1,6 @@
 """Everything the servo is told before it runs; frozen, checked once, plain numbers."""
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -11,6 +12,11 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.wall import Wall
 
+SCALE_LEAST, SCALE_MOST = 0.2, 5.0  # size of a calibration's scale: further off something else is wrong
+PULSE_NODES = 4
+PUSH_S = 5e-3  # of a pulse, over which the acceleration is compared with its prediction
+SCALES = ("acceleration_scale", "grip_scale", "monitor_scale", "amplifier_scale")
+SIGNED = ("grip_open_N", "surface_counts", "encoder_direction", "acceleration_rest_m_s2", "grip_zero_N", *SCALES)
 MAY_BE_ZERO = (
     "lead_s",
     "amplifier_tolerance",
@@ -75,6 +81,18 @@ class Settings:
     stuck_A, stuck_s : current and time without a count, which a hand's tremor of 4 counts never allows.
     grip_open_N, grip_short_N : readings beyond these are no grip: an open or a shorted sensor.
 
+    encoder_direction, acceleration_scale, acceleration_rest_m_s2, has_accelerometer, grip_scale, grip_zero_N,
+    monitor_scale, amplifier_scale : what the owner of a device has found of its sensors and its amplifier. The device
+        corrects its raw readings with them before anything looks at them: counts times direction, acceleration times
+        scale less its rest, grip times scale less its zero, current times scale; and it asks the amplifier for the
+        command over `amplifier_scale`, since that gives so many times what it is asked for. The servo here gets
+        readings that are corrected.
+    pulse_A, pulse_ticks : the test pulse by which the device convinces itself that the wiring is sound.
+    pulse_grip_N, pulse_acceleration, pulse_path_m : what a model predicts of it per ampere, over at most PULSE_NODES
+        grips that increase: mean acceleration [m/s^2 per A] over the readings from `pulse_skip_ticks` on,
+        `pulse_push_ticks` of them, and path [m per A] from the reading that the pulse's first command answers to the
+        one after its last, `pulse_ticks` later. None: no prediction, and no evidence.
+
     host_starts : the host starts the one waveform there is, an excitation, and contacts are not looked at. No wall.
         Whoever holds the stylus at the start has to hold it to the end; the free device is excited as well.
     """
@@ -119,12 +137,26 @@ class Settings:
     grip_open_N: float = -1.0
     grip_short_N: float = 60.0
 
+    encoder_direction: int = 1
+    acceleration_scale: float = 1.0
+    acceleration_rest_m_s2: float = 0.0
+    has_accelerometer: bool = True
+    grip_scale: float = 1.0
+    grip_zero_N: float = 0.0
+    monitor_scale: float = 1.0
+    amplifier_scale: float = 1.0
+    pulse_A: float = 0.1
+    pulse_ticks: int = 50
+    pulse_grip_N: tuple[float, ...] = ()
+    pulse_acceleration: tuple[float, ...] = ()
+    pulse_path_m: tuple[float, ...] = ()
+
     host_starts: bool = False
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, int | float) or field.name in ("grip_open_N", "surface_counts", "host_starts"):
+            if not isinstance(value, int | float) or isinstance(value, bool) or field.name in SIGNED:
                 continue
             least = 0.0 if field.name in MAY_BE_ZERO else np.nextafter(0.0, 1.0)
             if not least <= value < np.inf:
@@ -132,12 +164,36 @@ class Settings:
                 raise InputError(f"servo: {field.name} = {value:g}: must be {sign} and finite")
         if not (np.isfinite(self.surface_counts) and -np.inf < self.grip_open_N < self.grip_short_N):
             raise InputError("servo: surface_counts and grip_open_N must be finite, grip_open_N below grip_short_N")
+        self._check_calibration()
+        self._check_pulse()
         if self.amplifier_tolerance >= 1:
             raise InputError(f"servo: amplifier_tolerance = {self.amplifier_tolerance:g}: must be below 1")
         if self.host_starts and self.wall is not None:
             raise InputError("servo: host_starts beside a wall: an excitation has no feedback")
         if self.window_ticks < 4:
             raise InputError(f"servo: window_ticks = {self.window_ticks}: a quadratic needs at least 4 readings")
+
+    def _check_calibration(self) -> None:
+        if self.encoder_direction not in (1, -1):
+            raise InputError(f"servo: encoder_direction = {self.encoder_direction:g}: must be 1 or -1")
+        for name in SCALES:
+            if not SCALE_LEAST <= abs(getattr(self, name)) <= SCALE_MOST:
+                raise InputError(
+                    f"servo: {name} = {getattr(self, name):g}: its size must be {SCALE_LEAST:g} to {SCALE_MOST:g}"
+                )
+        for name in ("acceleration_rest_m_s2", "grip_zero_N"):
+            if not np.isfinite(getattr(self, name)):
+                raise InputError(f"servo: {name} must be finite")
+
+    def _check_pulse(self) -> None:
+        nodes, table = self.pulse_grip_N, (self.pulse_grip_N, self.pulse_acceleration, self.pulse_path_m)
+        if len({len(column) for column in table}) != 1 or len(nodes) > PULSE_NODES:
+            raise InputError(
+                f"servo: the pulse's prediction must have at most {PULSE_NODES} nodes, alike in all three"
+            )
+        sound = np.all(np.isfinite(np.array(table))) and np.all(np.diff(nodes) > 0) and all(g >= 0 for g in nodes)
+        if not sound or any(value <= 0 for value in (*self.pulse_acceleration, *self.pulse_path_m)):
+            raise InputError("servo: the pulse's prediction must be > 0 and finite, over grips that increase")
 
     @classmethod
     def of(cls, library: Library, **others: Any) -> Self:
@@ -160,6 +216,17 @@ class Settings:
     @property
     def command_limit_A(self) -> float:
         return self.current_limit_A if self.amplifier is None else self.amplifier.command_limit_A
+
+    @property
+    def pulse_skip_ticks(self) -> int:
+        """From the first command of a pulse to the first reading that it certainly moves, behind the delay."""
+        delay_s = 0.0 if self.amplifier is None else self.amplifier.delay_s
+        return math.ceil(delay_s / self.dt_s) + 1
+
+    @property
+    def pulse_push_ticks(self) -> int:
+        """Readings over which the acceleration of a pulse is compared."""
+        return min(self.ticks(PUSH_S), self.pulse_ticks)
 
     def ticks(self, duration_s: float) -> int:
         """Whole servo periods, at least one."""

@@ -39,7 +39,7 @@ class HoldingHand:
         self._holds += 1
         self._grip_N, self._moves = grip_N, False
         there = self._simulator.readings().encoder_counts
-        self._way = straight_way(self._counts, there, self._dt_s)
+        self._way = straight_way(self._counts, there, self._dt_s, self._simulator.sensors.count_m)
         self._counts = there
 
     def readings(self, tick: int) -> Readings:

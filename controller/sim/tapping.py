@@ -88,6 +88,7 @@ class TappingHand:
         self._way: list[int] = []  # to another place: encoder counts tick by tick, the last first
         self._start = self._counts = 0  # where the tap begins, and where the stylus is
         self._grip_N, self._current_A = 0.0, 0.0
+        self._count_m = SEED_SENSORS.count_m
         self.plan(motions)
         self._counts = self._start
 
@@ -144,7 +145,7 @@ class TappingHand:
         return round(duration_s / self._dt_s)
 
     def _go(self, to: int) -> None:
-        self._way = straight_way(self._counts, to, self._dt_s)
+        self._way = straight_way(self._counts, to, self._dt_s, self._count_m)
 
     def _prepare(self) -> None:
         """The next tap, if there is one."""
@@ -153,11 +154,12 @@ class TappingHand:
             return
         self._ticks_left = self._motion.approach_ticks + int(np.ceil(self._motion.after_s / self._dt_s)) + 1
         self._start, self._grip_N = _counts(self._motion.simulator), self._motion.grip_N
+        self._count_m = self._motion.simulator.sensors.count_m
 
 
-def straight_way(start: int, end: int, dt_s: float) -> list[int]:
+def straight_way(start: int, end: int, dt_s: float, count_m: float) -> list[int]:
     """Encoder counts tick by tick as a hand moves the stylus from here to there, the last first."""
-    ticks = int(np.ceil(abs(end - start) * SEED_SENSORS.count_m / (BACK_M_S * dt_s)))
+    ticks = int(np.ceil(abs(end - start) * count_m / (BACK_M_S * dt_s)))
     return [round(counts) for counts in np.linspace(end, start, ticks, endpoint=False)]
 
 

@@ -141,7 +141,7 @@ def device_of(scene: Scene) -> TrueDevice:
     if isinstance(model, StateSpaceDevice):
         raise InputError(
             f"{scene.name}: its device is an identified state space, which has no masses to move: simulate "
-            "another device (--device SCENE.toml or library.npz)"
+            "another device (--true-device SCENE.toml or library.npz)"
         )
     tip = scene.drive_at_tip()
 

@@ -46,7 +46,7 @@ class CompiledDevice:
             path = Path(folder) / "plant"
             path.write_bytes(plant)
             self.process = subprocess.Popen(
-                [str(program), "--plant", str(path), *options],
+                [str(program), "--plant", str(path), "--simulated", "1", *options],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

@@ -3,7 +3,6 @@
 import math
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from campaign.parity_runs import COUNT_M, DT_S, TAIL, Random, draw_amplifier, draw_bank, draw_settings, falsified
 from controller.protocol import messages as m
 from controller.protocol.codes import Kind
-from controller.protocol.configuration import CONFIGURATION_BYTES, HEADER, NAMES, configuration_of, stated_numbers
+from controller.protocol.configuration import CONFIGURATION_BYTES, HEADER, NAMES, configuration_of
 from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
 from controller.protocol.packed import Packed
 from controller.protocol.wire import encode
@@ -95,14 +94,8 @@ def odd_settings(random: Random, settings: Settings) -> Settings:
 
 
 def table_of(settings: Settings) -> bytes:
-    """The settings' numbers; those that follow are zero where they cannot be had for what the settings ask."""
-    if settings.window_ticks <= 1000 and (settings.wall is None or settings.wall.latency_ticks <= 1000):
-        with np.errstate(all="ignore"), suppress(ArithmeticError):
-            return configuration_of(settings)
-    stated = {**dict.fromkeys(NAMES, 0.0), **stated_numbers(settings)}
-    return configuration_of(Settings(DT_S, 0.0, 1.0))[: HEADER.size] + struct.pack(
-        f"<{len(NAMES)}d", *stated.values()
-    )
+    """The settings' numbers."""
+    return configuration_of(settings)
 
 
 def odd_image(random: Random, settings: Settings) -> bytes:
@@ -179,9 +172,11 @@ class Host:
 
     def bring_up(self) -> list[bytes]:
         """All that leads to ARMED."""
-        checked = self.frame(m.Checked(sha256(self.configuration)))
+        evidence = self.frame(m.Evidence())
         start = [*self.hello(), *self.configure(self.configuration), *self.upload(self.image)]
-        return [*start, self.frame(m.Checked(sha256(self.configuration))), checked, *self.arm()]
+        # Time passes between them: a device knows of a rest only after it has read for a while.
+        meanwhile = [self.frame(m.Lease(0), sequence=0) for _ in range(60)]
+        return [*start, self.frame(m.Surface(0.0)), evidence, *meanwhile, *self.arm()]
 
     def odd_arm(self) -> list[bytes]:
         random = self.random
@@ -239,13 +234,8 @@ class Host:
             (2, lambda: [frame(m.Reset())]),
             (0.7, lambda: [frame(m.Gain(number))]),
             (0.8, lambda: [frame(m.Telemetry(int(random.choice([0, 1, 1, 2, 7, 100, 65535]))))]),
-            (1, lambda: [frame(m.Pulse(number, int(random.choice([0, 1, 50, 200, 201]))))]),
-            (
-                0.3,
-                lambda: [
-                    frame(m.Checked(random.bytes(32) if random.uniform() < 0.5 else sha256(self.configuration)))
-                ],
-            ),
+            (1, lambda: [frame(m.Pulse(number, int(random.choice([0, 1, 50, 200, 201])), int(random.integers(3))))]),
+            (0.3, lambda: [frame(m.Surface(number)) if random.uniform() < 0.5 else frame(m.Evidence())]),
             (0.2, lambda: [frame(m.EmergencyStop(), session=int(random.integers(9)))]),
             (1, self.odd_frame),
             (1, self.repeated),

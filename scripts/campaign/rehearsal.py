@@ -19,6 +19,9 @@ HOST_TICKS = 10
 End = TypeVar("End", bound=DeviceEnd)
 
 
+REST_S = 0.02  # a device knows of a rest only after it has read for a while
+
+
 class NotWithinError(TimeoutError):
     """Something did not come about within its time."""
 
@@ -99,12 +102,11 @@ class Rehearsal(Generic[End]):
         return self
 
     def ready(self, configuration: bytes, image: bytes) -> Self:
-        """Connected, configured, loaded, checked."""
+        """Connected, configured, loaded, and long enough at rest to be armed."""
         self.connected()
         self.session.configure(configuration)
         self.session.upload(image)
-        self.session.checked()
-        return self.until(lambda: self.session.idle, 10.0)
+        return self.until(lambda: self.session.idle, 10.0).run(REST_S)
 
     def restart_host(self) -> None:
         """Another process, which knows nothing of the one before."""

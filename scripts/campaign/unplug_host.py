@@ -40,7 +40,6 @@ def main() -> int:
             device.upload(IMAGE)
             say("pending")
             device.listen(PENDING_S)
-            device.checked()
             arm_at_rest(device, lease_ms, ARMING_S)
             say("armed")
             device.listen(LISTENED_S)

@@ -18,7 +18,6 @@ from controller.sim.simulator import Simulator
 from controller.sim.true_device import device_of
 from controller.waveforms.prediction import scene_of
 from tests.benches.device import started, tokens
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.recordings.settings import SimulatedTaps
 
@@ -38,6 +37,16 @@ class Hand:
     def __init__(self, held_N: float = 3.0) -> None:
         self.held_N, self.pressed = held_N, False
         self._times, self._speeds, self._places = [0.0], [0.0], [START_M]
+
+    @property
+    def place_m(self) -> float:
+        """Where it will be at rest."""
+        return self._places[-1]
+
+    @property
+    def free_s(self) -> float:
+        """When it will be."""
+        return self._times[-1]
 
     def go(self, now_s: float, *knots: tuple[float, float]) -> None:
         """(after so long, this velocity) ..., from where the hand is, at rest at the end."""
@@ -65,6 +74,16 @@ class Hand:
             (back_s, 2 * depth / back_s / 2),
             (back_s, 0),
         )
+
+    def back(self, now_s: float) -> None:
+        """To where it was at first, if it is somewhere else."""
+        way_m = START_M - self._places[-1]
+        if abs(way_m) > 1e-6:
+            self.go(now_s, (0.03, way_m / 0.1), (0.07, way_m / 0.1), (0.03, 0.0))
+
+    def shake(self, now_s: float) -> None:
+        """Out and in, by a centimetre, three times a second, for 1.5 s."""
+        self.go(now_s, *((1 / 6, (-1) ** j * 0.06) for j in range(9)), (1 / 6, 0.0))
 
     def intention_m(self, time_s: float) -> float:
         j = bisect_right(self._times, time_s) - 1
@@ -126,9 +145,12 @@ class Desk(Cable):
         samples: int | None = None,
         hardware: Hardware | None = None,
         target: SimulatedTaps | None = None,
+        gravity_m_s2: float = 0.0,
+        simulated: bool = True,
     ) -> None:
         self._tokens, self._boots = tokens(), count(500)
-        self._samples, self._hardware = samples, hardware
+        self._samples, self._hardware, self._gravity_m_s2 = samples, hardware, gravity_m_s2
+        self._simulated = simulated
         super().__init__(self._started(), self, DT_S)
         self.hand = Hand()
         self.plant = Simulator(device_of(scene_of(library)), self.hand, DT_S, target=target, steps=1)
@@ -139,15 +161,17 @@ class Desk(Cable):
         self.obeys: dict[str, Callable[[], None]] = {
             "press": lambda: self._press(True),
             "release": lambda: self._press(False),
-            "move": lambda: self.hand.go(self.now_s(), (0.03, 0.05), (0.06, 0.05), (0.03, 0.0)),
-            "let the": lambda: None,
+            "move": lambda: self.hand.go(self.now_s(), (0.03, 0.1), (0.07, 0.1), (0.03, 0.0)),
+            "let the": lambda: self.hand.back(self.now_s()),
+            "shake": lambda: self.hand.shake(self.now_s()),
             "let go": lambda: self._grip(0.0),
             "hold": lambda: self._grip(3.0),
+            "put the weight": lambda: self._grip(3.0),
             "tap": lambda: self.hand.tap(self.now_s(), 0.2),
         }
 
     def _started(self) -> CoreDevice:
-        return started(next(self._boots), self._hardware, self._samples)
+        return started(next(self._boots), self._hardware, self._samples, simulated=self._simulated)
 
     def _press(self, pressed: bool) -> None:
         self.hand.pressed = pressed
@@ -166,9 +190,9 @@ class Desk(Cable):
 
     def readings(self, tick: int) -> Readings:
         read = self.plant.readings()
-        gravity = read.acceleration_m_s2 + STANDARD_GRAVITY_M_S2
+        felt = read.acceleration_m_s2 + self._gravity_m_s2
         readings = Readings(
-            read.tick, read.encoder_counts, read.grip_N, read.current_A, gravity, emergency_stop=self.hand.pressed
+            read.tick, read.encoder_counts, read.grip_N, read.current_A, felt, emergency_stop=self.hand.pressed
         )
         return readings if self.wrong is None else self.wrong(readings)
 
@@ -187,7 +211,6 @@ class Desk(Cable):
         """As if this configuration, which comes into force, had passed the bring-up check."""
         with self.connect() as device:
             device.configure(configuration)
-            device.checked()
 
     def put(self, monkeypatch: pytest.MonkeyPatch) -> "Desk":
         """Where the commands find it, under any name of a port."""

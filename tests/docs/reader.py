@@ -19,10 +19,9 @@ PORT = "/dev/ttyACM0"
 STILL = "the stylus is moving"  # a device in a hand that taps refuses to be armed in the middle of a tap
 
 # Beginning of a command on a port -> the options that stand for the person at the device, who stops it when it has
-# been seen, and for what only a real device has: a stop to press, a stylus to move, a hand that lets go.
+# been seen.
 PERSON = {
     "transopt-play monitor": "--for 1",
-    "transopt-play check": "--rest-g 0 --skip emergency-stop --skip encoder --skip grip-zero",
     "transopt-play tap": "--taps 2",
     "transopt-play record tap": "--taps 2",
     "transopt-play record sweep": "--seconds 1 --trials 2",
@@ -93,7 +92,7 @@ class Reader:
     def _device(self, option: str) -> Iterator[str]:
         """A device that runs, by the name of its pseudo-terminal."""
         program = Path(sys.executable).parent / "transopt-device"
-        command = [str(program), option, "--like", "wood_on_foam"]
+        command = [str(program), option, "--like", "wood_on_foam", "--vouches"]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as device:
             assert device.stdout is not None
             try:

@@ -23,19 +23,22 @@
 #define CHUNK 8192
 #define BEHIND_MOST_S 0.25 /* after a longer sleep of the machine time is not caught up */
 #define LINE 128
-#define MOST_A 10.0 /* of the amplifier, current and command */
 #define DT_S 1e-4
+/* The amplifier as controller/protocol/capacity.py has it, with the coil of a Maxon RE 25 (118743). */
+static const td_hardware hardware = {DT_S, 10, 10, 0.1, 0.02, 50, 20e3, 50, true, 2.18, 3.1, 14, 12, 612, 100, 25};
 
 typedef struct {
     const char *listen, *plant;
     double delay_ms, loss, corruption, reset_s;
     long seed, boot;
+    bool simulated;
 } options;
 
 static td_device device;
 static plant body;
 static trouble to_device, to_host;
 static uint32_t boots;
+static double heat_C[2] = {25, 25}; /* of the coil, which begins cold and keeps its heat over a loss of power */
 static uint64_t tick;
 static volatile sig_atomic_t ended;
 
@@ -67,7 +70,7 @@ static bool number_of(const char *name, const char *given, const char *text, dou
 
 static bool parse(int argc, char **argv, options *said)
 {
-    double seed = 0, boot = 1;
+    double seed = 0, boot = 1, simulated = 0;
     int j;
 
     for (j = 1; j < argc; j++) {
@@ -82,20 +85,22 @@ static bool parse(int argc, char **argv, options *said)
                  !number_of(name, "--loss", text, &said->loss) &&
                  !number_of(name, "--corruption", text, &said->corruption) &&
                  !number_of(name, "--reset-every", text, &said->reset_s) && !number_of(name, "--seed", text, &seed) &&
-                 !number_of(name, "--boot", text, &boot)) {
+                 !number_of(name, "--boot", text, &boot) &&
+                 !number_of(name, "--simulated", text, &simulated)) {
             fail(name, "no such option");
             return false;
         }
     }
     said->seed = (long)seed;
     said->boot = (long)boot;
+    said->simulated = simulated > 0;
     return true;
 }
 
 /* Power gone and back: what it knew is lost, the hand and the stylus go on. */
 static void start_device(const options *said)
 {
-    const td_port port = {(uint32_t)said->boot + boots++, {MOST_A, MOST_A, DT_S}, NULL, NULL};
+    const td_port port = {(uint32_t)said->boot + boots++, hardware, said->simulated, heat_C[0], heat_C[1], NULL, NULL, NULL};
 
     td_device_start(&device, &port);
     tick = 0;
@@ -108,6 +113,7 @@ static void one_tick(void)
 
     plant_read(&body, tick++, &readings);
     td_device_step(&device, &readings, &output);
+    td_device_coil(&device, &heat_C[0], &heat_C[1]);
     plant_advance(&body, (double)output.command_A);
 }
 
@@ -195,7 +201,7 @@ static int run_real_time(const options *said, port_link *link)
 
 int main(int argc, char **argv)
 {
-    options said = {NULL, NULL, 0, 0, 0, 0, 0, 1};
+    options said = {NULL, NULL, 0, 0, 0, 0, 0, 1, false};
     static port_link link = {-1, -1, -1, false};
     char name[LINK_NAME], where[LINK_NAME] = "pseudo-terminal";
     const char *wrong;

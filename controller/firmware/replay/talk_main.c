@@ -15,6 +15,8 @@
 #define READINGS_BYTES 32
 #define ANOTHER_DEVICE 0xffffffffu
 
+/* Hardware() of controller/protocol/capacity.py. */
+static const double hardware[TD_PROBE_HARDWARE] = {1e-4, 10, 10, 0.1, 0.02, 50, 20e3, 50}, cold[2] = {25, 25};
 static td_probe probe;
 static uint8_t arrived[MOST_BYTES], out[TD_OUTPUT_BYTES];
 
@@ -30,7 +32,7 @@ static void step(uint64_t tick, const uint8_t *readings, uint64_t *hash)
     double answer[4], contacts[2 * TD_MAX_EVENTS];
     uint8_t events[TD_MAX_EVENTS], command[8];
 
-    td_probe_step(&probe.device, tick, td_get_i32(readings), td_get_u32(readings + 4) != 0, said, answer, events, contacts);
+    td_probe_step(&probe.device, tick, td_get_i32(readings), td_get_u32(readings + 4) != 0 ? 1 : 0, said, answer, events, contacts);
     td_put_f64(command, answer[0]);
     add(hash, command, sizeof command);
     add(hash, out, td_device_send(&probe.device, out, sizeof out));
@@ -43,12 +45,12 @@ int main(int argc, char **argv)
     uint8_t head[4], readings[READINGS_BYTES];
     int failed = file == NULL;
 
-    td_probe_start(&probe, 1, 10.0, 10.0, 1e-4);
+    td_probe_start(&probe, 1, hardware, cold, true);
     while (!failed && fread(head, 1, sizeof head, file) == sizeof head) {
         const uint32_t size = td_get_u32(head);
 
         if (size == ANOTHER_DEVICE) {
-            td_probe_start(&probe, 1, 10.0, 10.0, 1e-4);
+            td_probe_start(&probe, 1, hardware, cold, true);
             tick = 0;
             continue;
         }

@@ -23,15 +23,44 @@ static void hold(void *context, bool held)
         abort();
 }
 
-void td_probe_start(td_probe *probe, uint32_t boot, double current_A, double command_A, double dt_s)
+static void put(void *context, td_real command_A, bool enabled)
 {
-    const td_port port = {boot, {current_A, command_A, dt_s}, hold, probe};
+    td_probe *probe = context;
+
+    (void)command_A;
+    probe->enabled = enabled;
+}
+
+bool td_probe_enabled(const td_probe *probe)
+{
+    return probe->enabled;
+}
+
+void td_probe_coil(const td_device *device, double *heat_C)
+{
+    td_device_coil(device, &heat_C[0], &heat_C[1]);
+}
+
+void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, const double *heat_C, bool simulated)
+{
+    const double *h = hardware;
+    const td_port port = {
+        boot,
+        {h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8] > 0, h[9], h[10], h[11], h[12], h[13], h[14], h[15]},
+        simulated,
+        heat_C[0],
+        heat_C[1],
+        hold,
+        put,
+        probe,
+    };
 
     probe->held = 0;
+    probe->enabled = false;
     td_device_start(&probe->device, &port);
 }
 
-uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, bool emergency_stop,
+uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, uint8_t stops,
                       const double *grip_current_acceleration, double *answer, uint8_t *events, double *contacts)
 {
     td_readings readings;
@@ -43,7 +72,9 @@ uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, 
     readings.grip_N = (td_real)grip_current_acceleration[0];
     readings.current_A = (td_real)grip_current_acceleration[1];
     readings.acceleration_m_s2 = (td_real)grip_current_acceleration[2];
-    readings.emergency_stop = emergency_stop;
+    readings.emergency_stop = (stops & 1) != 0;
+    readings.late = (stops & 2) != 0;
+    readings.host_stop = false;
     td_device_step(device, &readings, &output);
     answer[0] = (double)output.command_A;
     answer[1] = (double)output.transient_A;
@@ -89,9 +120,9 @@ void td_probe_look(const td_device *device, td_probe_view *view)
     view->lost_frames = device->output.lost;
     view->state = td_device_state(device);
     view->fault = td_device_fault(device);
+    view->evidence = td_device_evidence(device);
     memcpy(view->configuration_sha256, store->configuration_sha256, TD_HASH_BYTES);
     memcpy(view->library_sha256, store->library_sha256, TD_HASH_BYTES);
-    memcpy(view->checked_sha256, device->checked_sha256, TD_HASH_BYTES);
 }
 
 const uint8_t *td_probe_image(const td_device *device, size_t *size)

@@ -8,15 +8,19 @@
 typedef struct {
     td_device device;
     int32_t held;
+    bool enabled; /* of the amplifier, as it was last put out */
 } td_probe;
 
 size_t td_probe_device_size(void);
 size_t td_probe_decoder_size(void);
 
-void td_probe_start(td_probe *probe, uint32_t boot, double current_A, double command_A, double dt_s);
+/* `hardware`: the numbers of td_hardware in their order, the flag as 0 or 1; `heat_C`: winding and housing as they were
+ * kept over the restart, NaN if they were not. */
+#define TD_PROBE_HARDWARE 16
+void td_probe_start(td_probe *probe, uint32_t boot, const double *hardware, const double *heat_C, bool simulated);
 
-/* One period: what the sensors say in; command, transient, feedback, temperature out, and the state. */
-uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, bool emergency_stop,
+/* One period: what the sensors say in, `stops` bit 0 pressed and bit 1 late; command, transient, feedback, temperature out, and the state. */
+uint8_t td_probe_step(td_device *device, uint64_t tick, int32_t encoder_counts, uint8_t stops,
                       const double *grip_current_acceleration, double *answer, uint8_t *events, double *contacts);
 
 /* Sound frames' payloads, each behind its u16 length; how many bytes were written, at most `size` and some. */
@@ -30,9 +34,13 @@ typedef struct {
     uint32_t arrived_bytes;        /* of the image on its way */
     uint32_t dropped_frames;       /* sound, but not for this session, out of order, or of no meaning */
     uint32_t lost_frames;          /* that found no room to go out */
-    uint8_t state, fault;
-    uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES], checked_sha256[TD_HASH_BYTES];
+    uint8_t state, fault, evidence; /* TD_STATE_..., TD_WHAT_..., bits */
+    uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES];
 } td_probe_view;
+
+/* Whether the amplifier may be on; winding and housing as a port keeps them. */
+bool td_probe_enabled(const td_probe *probe);
+void td_probe_coil(const td_device *device, double *heat_C);
 
 void td_probe_look(const td_device *device, td_probe_view *view);
 

@@ -7,7 +7,7 @@
  *                                f64 gain, f64 grip_N, f64 current_A
  *     output, 64 bytes a tick    f64 command_A, f64 transient_A, f64 feedback_A, f64 winding_C,
  *                                f64 speed_m_s, f64 grip_N of the first event (NaN without),
- *                                u8 state, u8 answers, u8 events, u8 what[10], 3 bytes 0
+ *                                u8 state, u8 answers, u8 events, u8 what[12], 1 byte 0
  */
 #ifndef TD_REPLAY_H
 #define TD_REPLAY_H

@@ -19,13 +19,13 @@
 #define TD_MAX_LIBRARY_SAMPLES 98304
 #define TD_MAX_SPEEDS 32
 #define TD_MAX_GRIPS 16
-#define TD_OUTPUT_LIMIT_BYTES 16384
+#define TD_MAX_RECORDS 512
 #elif defined(__arm__)
 /* Others: 102 kB, for 192 kB and more of RAM. */
 #define TD_MAX_LIBRARY_SAMPLES 16384
 #define TD_MAX_SPEEDS 16
 #define TD_MAX_GRIPS 8
-#define TD_OUTPUT_LIMIT_BYTES 4096
+#define TD_MAX_RECORDS 128
 #endif
 #endif
 

@@ -107,7 +107,7 @@ def test_a_touch_too_light_for_the_trigger_is_named(play: Run) -> None:
 
 def test_heat(play: Run) -> None:
     outcome = play(
-        "record", "heat", "--simulate", "--heating", 60, "--cooling", 30, "--out", "h", "--device", "hot_coil"
+        "record", "heat", "--simulate", "--heating", 60, "--cooling", 30, "--out", "h", "--true-device", "hot_coil"
     )
     assert outcome.code == 0, outcome.err
     assert load_measurement(Path("h/heat.npz")).require("winding", "").values.size == 91

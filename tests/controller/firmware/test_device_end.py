@@ -26,15 +26,12 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
     assert bench.refused(ARM) is Reason.NO_LIBRARY
     bench.loaded()
     assert bench.refused(replace(ARM, library_sha256=other)) is Reason.WRONG_LIBRARY
-    assert bench.refused(ARM) is Reason.NOT_CHECKED
-    assert bench.refused(m.Checked(other)) is Reason.WRONG_CONFIGURATION
-    bench.done(m.Checked(HASHES[0]))
     for lease_ms in (0, 49, 1001, 65_535):
         assert bench.refused(replace(ARM, lease_ms=lease_ms)) is Reason.BAD_LEASE
     for gain in (-0.1, 1.1, math.nan, math.inf):
         assert bench.refused(replace(ARM, gain=gain)) is Reason.BAD_VALUE
     assert bench.refused(replace(ARM, trial=2)) is Reason.BAD_VALUE
-    bench.done(m.Pulse(0.05, 10))
+    bench.done(m.Pulse(0.05, 10, 0))
     assert bench.refused(ARM) is Reason.PULSING
     bench.step(10)
     for k in range(40):
@@ -45,7 +42,7 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
     bench.done(ARM)
     assert bench.device.state is State.ARMED
     assert bench.refused(ARM) is Reason.NOT_IDLE
-    for message in (m.Commit(), m.UploadBegin(1, other), m.ConfigureCommit(other), m.Pulse(0.05, 1)):
+    for message in (m.Commit(), m.UploadBegin(1, other), m.ConfigureCommit(other), m.Pulse(0.05, 1, 0)):
         assert bench.refused(message) is Reason.NOT_IDLE
     bench.put(m.EmergencyStop())
     bench.step()
@@ -55,12 +52,13 @@ def test_arm_is_refused_for_each_reason_in_turn() -> None:
 def test_a_hot_coil_is_not_armed_and_a_new_configuration_does_not_cool_it() -> None:
     bench = Talker()
     hot = configuration_of(replace(SETTINGS, coil=COIL))
-    bench.configured(hot).loaded().done(m.Checked(sha256(hot)))
+    bench.configured(hot).loaded()
     bench.device.heat(99.0, 70.0)
     arm = replace(ARM, configuration_sha256=sha256(hot))
     assert bench.refused(arm) is Reason.TOO_HOT
     bench.configured(configuration_of(replace(SETTINGS, coil=COIL, grip_margin_N=0.2)))
-    assert (bench.device.look().winding_C, bench.device.look().housing_C) == (99.0, 70.0)
+    look = bench.device.look()
+    assert (look.winding_C, look.housing_C) == pytest.approx((99.0, 70.0), abs=0.1)
 
 
 def test_a_repeated_request_is_answered_again_and_not_carried_out_again() -> None:
@@ -95,25 +93,25 @@ def test_a_late_hello_of_the_same_session_does_not_disarm() -> None:
     assert bench.device.state is State.ARMED
     (reply,) = (x for x in bench.put(m.Hello(m.MAGIC, m.PROTOCOL, 6), session=10) if isinstance(x, m.HelloReply))
     assert bench.device.state is State.IDLE
-    assert (reply.nonce, reply.boot, reply.checked_sha256) == (6, 7, HASHES[0])
+    assert (reply.nonce, reply.boot, reply.evidence) == (6, 7, 3)
 
 
 def test_a_pulse_is_small_short_and_told() -> None:
     bench = Talker()
-    assert bench.refused(m.Pulse(0.05, 50)) is Reason.NO_CONFIGURATION
+    assert bench.refused(m.Pulse(0.05, 50, 0)) is Reason.NO_CONFIGURATION
     bench.configured()
     for current_A in (0.11, -0.11, math.nan, math.inf):
-        assert bench.refused(m.Pulse(current_A, 50)) is Reason.BAD_VALUE
+        assert bench.refused(m.Pulse(current_A, 50, 0)) is Reason.BAD_VALUE
     for ticks in (0, 201):
-        assert bench.refused(m.Pulse(0.05, ticks)) is Reason.BAD_VALUE
-    bench.done(m.Pulse(-0.1, 200))
-    assert bench.refused(m.Pulse(0.05, 50)) is Reason.PULSING
+        assert bench.refused(m.Pulse(0.05, ticks, 0)) is Reason.BAD_VALUE
+    bench.done(m.Pulse(-0.1, 200, 0))
+    assert bench.refused(m.Pulse(0.05, 50, 0)) is Reason.PULSING
     commands = [bench.step().command_A for _ in range(250)]
     assert commands == [-0.1] * 200 + [0.0] * 50
     assert [m.Event(0, 199, 33, 0, math.nan, math.nan).code] == [
         x.code for x in bench.heard() if isinstance(x, m.Event)
     ]
-    bench.done(m.Pulse(0.1, 200))
+    bench.done(m.Pulse(0.1, 200, 0))
     bench.step(3)
     output = bench.step(1, replace(REST, emergency_stop=True))
     assert (output.command_A, output.state) == (0.0, State.FAULT)
@@ -126,7 +124,7 @@ def test_emergency_stop_without_configuration_latches() -> None:
     bench = Talker()
     bench.put(m.EmergencyStop(), session=12345)
     assert bench.step().state is State.FAULT
-    assert bench.device.look().fault is Fault.EMERGENCY_STOP
+    assert bench.device.look().fault is Fault.HOST_STOP
     assert bench.refused(m.ConfigureCommit(HASHES[0])) is Reason.FAULT_LATCHED
     bench.step(1, replace(REST, emergency_stop=True))
     assert bench.refused(m.Reset()) is Reason.FAULT_REMAINS
@@ -172,8 +170,11 @@ def test_events_are_repeated_until_acknowledged_and_only_while_somebody_listens(
     bench.put(m.EmergencyStop())
     bench.step()
     (first,) = (x for x in bench.heard() if isinstance(x, m.Event))
-    bench.step(2000)
-    assert [x.number for x in bench.heard() if isinstance(x, m.Event)] == [0] * 4
+    again = []
+    for _ in range(20):
+        bench.step(100)
+        again += [x.number for x in bench.heard() if isinstance(x, m.Event)]
+    assert again == [0] * 4
     bench.step(LINK_SILENCE_MS * 10)
     bench.heard()
     bench.step(5000)
@@ -199,8 +200,9 @@ def test_the_event_queue_counts_what_it_loses() -> None:
     while bench.device.look().oldest_event != 64:
         bench.step()
         sent += [x.number for x in bench.heard() if isinstance(x, m.Event)]
-        bench.put(m.EventAck(min(bench.device.look().oldest_event + 3, 64)))
-        bench.put(m.EventAck(1000))  # nobody can have seen that
+        said = bench.put(m.EventAck(min(bench.device.look().oldest_event + 3, 64)))
+        said += bench.put(m.EventAck(1000))  # nobody can have seen that
+        sent += [x.number for x in said if isinstance(x, m.Event)]
     bench.step(1, pressed)
     (last,) = (x for x in bench.heard() if isinstance(x, m.Event))
     assert (last.number, last.lost) == (64, 16)

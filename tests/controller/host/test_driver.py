@@ -33,8 +33,10 @@ class VirtualStream(Cable):
         self.world.step()
 
 
-def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, VirtualStream, Callable[[], Device]]:
-    world = World(trouble, seed)
+def driven(
+    trouble: Trouble | None = None, seed: int = 0, *, simulated: bool = True
+) -> tuple[World, VirtualStream, Callable[[], Device]]:
+    world = World(trouble, seed, simulated=simulated)
     stream = VirtualStream(world)
     return world, stream, lambda: Device(stream, session=world.session)
 
@@ -42,7 +44,6 @@ def driven(trouble: Trouble | None = None, seed: int = 0) -> tuple[World, Virtua
 def armed(device: Device) -> None:
     device.configure(CONFIGURATION)
     device.upload(IMAGE)
-    device.checked()
     device.arm(1.0, 100)
 
 
@@ -58,7 +59,6 @@ def test_one_session_from_end_to_end(trouble: Trouble) -> None:
         assert not device.configure(CONFIGURATION)
         assert not device.upload(IMAGE)
         assert device.listeners == []
-        device.checked()
         device.set_telemetry(10)
         device.arm(0.5, 200)
         assert device.state is State.ARMED
@@ -90,7 +90,7 @@ def test_leaving_disarms_and_an_exception_stops() -> None:
         with pytest.raises(error):
             tap()
         assert world.device.state is State.FAULT
-        assert world.device.look().fault is Fault.EMERGENCY_STOP
+        assert world.device.look().fault is Fault.HOST_STOP
         assert stream.closed == 1
 
 
@@ -114,7 +114,7 @@ def test_an_arm_without_answer_is_stopped_too() -> None:
         with connect() as device:
             device.configure(CONFIGURATION)
             device.upload(IMAGE)
-            device.checked()
+            device.listen(0.05)
             world.link.to_host.trouble = Trouble(loss=1.0)
             device.session.arm(1.0, 200)
             device.pump(world.now_s + 0.01)
@@ -128,14 +128,18 @@ def test_an_arm_without_answer_is_stopped_too() -> None:
 
 
 def test_a_refusal_is_one_line_in_words() -> None:
-    _, _, connect = driven()
+    _, _, connect = driven(simulated=False)
     with connect() as device:
         device.configure(CONFIGURATION)
         device.upload(IMAGE)
         with pytest.raises(DeviceError) as refused:
             device.arm(0.5)
-        words = "device: arm refused: this configuration has not passed the bring-up check since the device started"
+        words = "device: arm refused: no sound test pulse under this configuration since the device started"
         assert str(refused.value).startswith(words)
+    _, _, connect = driven()
+    with connect() as device:
+        device.configure(CONFIGURATION)
+        device.upload(IMAGE)
         with pytest.raises(DeviceError, match=r"outside its range \(device saw 0.5\)"):
             device.arm(0.5, trial=True)
         device.arm(0.1, trial=True)
@@ -160,7 +164,7 @@ def test_a_fault_meanwhile_is_told_and_no_misuse() -> None:
             lambda: device.upload(IMAGE),
             lambda: device.arm(0.1, trial=True),
             lambda: device.pulse(0.05, 50),
-            device.checked,
+            lambda: device.surface(0.0),
         )
         for request in requests:
             with pytest.raises(DeviceError, match=r"device: a fault is latched: emergency stop: .* \(--reset\)"):
@@ -176,7 +180,7 @@ def test_a_lost_link_is_one_error_within_a_second_and_arms_nothing(how: str) -> 
     world, stream, connect = driven()
     with connect() as device:
         armed(device)
-        died = world.now_s
+        died, arms = world.now_s, world.link.to_device.kinds[Kind.ARM]
         if how == "port":
             stream.gone = True
         elif how == "cable":
@@ -191,7 +195,7 @@ def test_a_lost_link_is_one_error_within_a_second_and_arms_nothing(how: str) -> 
         device.connect()
         device.listen(0.5)
         assert world.device.state is State.IDLE
-        assert world.link.to_device.kinds[Kind.ARM] == 1
+        assert world.link.to_device.kinds[Kind.ARM] == arms
 
 
 def test_a_pause_at_rest_is_no_lost_link() -> None:
@@ -245,11 +249,10 @@ def test_a_start_out_of_turn_is_one_line_and_no_misuse() -> None:
         device.disarm()
         device.configure(EXCITED)
         device.upload(ONE_WAVEFORM)
-        device.checked()
         device.arm(1.0, 100)
         device.start(negative=True)
         assert world.device.state is State.PLAYING
-        with pytest.raises(DeviceError, match="start refused: an excitation is playing"):
+        with pytest.raises(DeviceError, match="start refused: something is playing"):
             device.start()
         assert device.listen(1.0, until=lambda news: isinstance(news, Happened) and news.what is Notice.FINISHED)
         assert world.device.state is State.ARMED
@@ -303,7 +306,6 @@ def test_over_a_pseudo_terminal(served: tuple[Served, str]) -> None:
         device.configure(CONFIGURATION)
         device.upload(big)
         assert server.device.look().library_sha256 == sha256(big)
-        device.checked()
         device.arm(1.0, 1000)
         device.listen(0.05)
         assert server.device.state is State.ARMED

@@ -177,7 +177,6 @@ class Trials(RuleBasedStateMachine):
         if session.state is SessionState.READY and session.idle:
             session.configure(configuration)
             session.upload(data)
-            session.checked()
             # The stylus may be moving just now: a user would try again.
             for _ in range(4):
                 self.run_for(0.05)

@@ -19,7 +19,7 @@ def test_upload_of_400_kB(trouble: Trouble, most_s: float) -> None:
     world = World(trouble, seed=2).connected()
     world.session.configure(CONFIGURATION)
     world.until(lambda: world.session.idle, 3.0)
-    big = image(speeds=17, grips=20, samples=580)
+    big = image(speeds=17, grips=20, samples=590)
     assert len(big) > 400_000
     started = world.now_s
     world.session.upload(big)
@@ -35,7 +35,7 @@ def test_an_interrupted_upload_goes_on_where_it_was() -> None:
     world = World(Trouble(latency_s=0.016)).connected()
     world.session.configure(CONFIGURATION)
     world.until(lambda: world.session.idle, 3.0)
-    big = image(speeds=17, grips=20, samples=580)
+    big = image(speeds=17, grips=20, samples=590)
     world.session.upload(big)
     world.run(0.5)
     arrived = world.device.look().arrived_bytes

@@ -1,4 +1,4 @@
-"""From records to files, from files to figures; the display; what is remembered of first runs."""
+"""From records to files, from files to figures; the display; what is remembered of test pulses."""
 
 import io
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 from scipy import integrate
 
-from controller.host import first_run
+from controller.host import measured_pulse
 from controller.host.monitor import Monitor, event_line
 from controller.protocol.codes import LinkNotice
 from controller.protocol.events import Changed, Happened, Logged, Samples
@@ -310,34 +310,35 @@ def test_without_a_terminal_events_are_lines() -> None:
     assert event_line(contact(), DT_S).endswith("(0.200 m/s, 3.10 N)")
 
 
-# First runs.
+# What a test pulse was measured to do.
 
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    return tmp_path / "transopt" / "played"
+    return tmp_path / "transopt" / "pulses"
 
 
-def test_quiet_until_played_since_this_start_with_this_configuration(home: Path) -> None:
-    assert first_run.default_gain(7, b"a" * 32) == 0.1
-    first_run.remember(7, b"a" * 32)
-    first_run.remember(7, b"a" * 32)
-    assert first_run.default_gain(7, b"a" * 32) == 1.0
-    assert first_run.default_gain(8, b"a" * 32) == 0.1
-    assert first_run.default_gain(7, b"b" * 32) == 0.1
+def test_a_measured_pulse_is_that_of_one_start(home: Path) -> None:
+    assert measured_pulse.recall(7) is None
+    for value in (3.0, 15.25):
+        measured_pulse.remember(7, value)
+    assert measured_pulse.recall(7) == pytest.approx(15.25)
+    assert measured_pulse.recall(8) is None
     assert len(home.read_text().splitlines()) == 1
 
 
-def test_the_file_stays_small_and_a_damaged_one_means_quiet(home: Path) -> None:
-    for boot in range(first_run.KEPT + 50):
-        first_run.remember(boot, bytes(32))
-    assert len(home.read_text().splitlines()) == first_run.KEPT + 1
-    assert first_run.default_gain(first_run.KEPT + 49, bytes(32)) == 1.0
-    assert first_run.default_gain(0, bytes(32)) == 0.1
+def test_the_file_stays_small_and_a_damaged_one_means_not_measured(home: Path) -> None:
+    for boot in range(measured_pulse.KEPT + 50):
+        measured_pulse.remember(boot, 2.0)
+    assert len(home.read_text().splitlines()) == measured_pulse.KEPT
+    assert measured_pulse.recall(measured_pulse.KEPT + 49) == pytest.approx(2.0)
+    assert measured_pulse.recall(0) is None
+    home.write_text("00000001 -3.0\n00000002 many\n")
+    assert [measured_pulse.recall(boot) for boot in (1, 2)] == [None, None]
     home.write_bytes(b"\xff\xfe")
-    assert first_run.default_gain(first_run.KEPT + 49, bytes(32)) == 0.1
+    assert measured_pulse.recall(1) is None
     home.unlink()
     home.mkdir()
-    first_run.remember(1, bytes(32))
-    assert first_run.default_gain(1, bytes(32)) == 0.1
+    measured_pulse.remember(1, 2.0)
+    assert measured_pulse.recall(1) is None

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from controller.host.first_run import remember
 from controller.host.payload import payload
-from controller.protocol.image import sha256
 from controller.record.played import before_pole, through_pole
 from controller.refine.figure import refine_figure
 from controller.refine.learning import Ratio, condition, corrected, factors, ratio, through_q, widest
@@ -349,7 +347,6 @@ class TestCommand:
         ready.ticks = 0
         given = payload(Path("library.npz"))
         ready.pass_check(given.configuration)
-        remember(ready.end.look().boot, sha256(given.configuration))
         next_s = 0.0
 
         def look() -> None:
@@ -373,8 +370,11 @@ class TestCommand:
             "tap_002.csv",
         ]
 
-    def test_a_device_that_has_not_played_yet(self, play: Run, ready: Desk) -> None:
-        assert_refused(play("refine", "library.npz", *PORT, "--out", "x"), "has not played this configuration since")
+    def test_a_device_that_has_not_passed_its_check(
+        self, play: Run, library: Library, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        Desk(library, simulated=False).put(monkeypatch)
+        assert_refused(play("refine", "library.npz", *PORT, "--out", "x"), "no sound test pulse", "run `check`")
 
     def test_never_over_the_library_itself(self, play: Run) -> None:
         outcome = play("refine", "library.npz", "--simulate", "--out", ".")

@@ -2,12 +2,14 @@
 
 import math
 
+import from_rest
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from controller.servo.approach import NEVER, Approach, Touch, Trigger
+from controller.servo.approach import BEND_COUNTS, NEVER, STEADY_BEND_COUNTS, Approach, Touch, Trigger
+from controller.servo.settings import Settings
 from transopt.base.signals import FloatArray
 
 DT_S, LEAD_S, COUNT_M, WINDOW = 1e-4, 3e-4, 24.5e-6, 100
@@ -38,8 +40,34 @@ def test_sliding_sums_are_the_least_squares_fit(counts: list[int]) -> None:
     for count in counts:
         fit.step(count)
     t = np.arange(-29, 1)
-    slope = np.polyval(np.polyder(np.polyfit(t, counts[-30:], 2)), 3.0)
+    cubic, parabola = (np.polyval(np.polyfit(t, counts[-30:], degree), t) for degree in (3, 2))
+    bend = float(np.linalg.norm(cubic - parabola))
+    now, before = counts[-1] - counts[-16], counts[-16] - (counts[-31] if len(counts) > 30 else counts[0])
+    most = BEND_COUNTS if abs(now - before) * 8 > abs(now) + 16 else STEADY_BEND_COUNTS
+    assume(abs(bend - most) > 1e-6)
+    kept = 15 if bend > most else 30
+    slope = np.polyval(np.polyder(np.polyfit(t[-kept:], counts[-kept:], 2)), 3.0)
     assert fit.speed_m_s == pytest.approx(-slope * COUNT_M / DT_S, rel=1e-6, abs=1e-3)
+
+
+@pytest.mark.parametrize("course", list(from_rest.COURSES))
+@pytest.mark.parametrize("count_m", [24.5e-6, 10e-6])
+def test_a_tap_from_rest_is_foreseen_and_played(course: str, count_m: float) -> None:
+    servo = Settings(DT_S, LEAD_S, 4.0, count_m=count_m)
+    errors_s, unplayed = from_rest.of_rest(course, servo, 40, np.random.default_rng(3))
+    assert unplayed == 0
+    assert from_rest.rms_us(errors_s) < 30
+
+
+@pytest.mark.parametrize(("dt_s", "count_m"), [(1e-3, 1e-4), (1e-3, 1e-6), (5e-5, 1e-4), (5e-5, 1e-6)])
+def test_slow_and_fast_servos_with_coarse_and_fine_encoders_foresee_a_tap(dt_s: float, count_m: float) -> None:
+    """To two thirds of a tick, or to two counts, whichever is more: three ticks ahead errors of ten readings grow."""
+    servo = Settings(
+        dt_s, 3 * dt_s, 4.0, count_m=count_m, window_ticks=round(10e-3 / dt_s), touch_height_m=4 * count_m
+    )
+    errors_s, unplayed = from_rest.of_steady(0.2, servo, 40, np.random.default_rng(5))
+    assert unplayed == 0
+    assert from_rest.rms_us(errors_s) < 1e6 * max(2 * dt_s / 3, 2 * count_m / 0.2)
 
 
 def test_restart_forgets_and_a_short_history_never_contacts() -> None:
@@ -89,7 +117,7 @@ def test_contact_is_predicted_under_an_accelerating_hand(
 
 def _touches(z_m: FloatArray) -> list[Touch]:
     """What the trigger says to a course whose speed and phase are known exactly."""
-    trigger = Trigger(1e-4, 5e-4, 50)
+    trigger = Trigger(COUNT_M, 1e-4, 5e-4, 50)
     answers = []
     for k in range(1, z_m.size):
         rate = z_m[k] - z_m[k - 1]
@@ -131,6 +159,6 @@ def test_creeping_and_hovering_play_nothing() -> None:
 
 def test_armed_too_late_for_a_contact_is_told() -> None:
     """Two ticks above the surface are too few to play, and too many to say nothing."""
-    trigger = Trigger(1e-4, 5e-4, 50)
+    trigger = Trigger(COUNT_M, 1e-4, 5e-4, 50)
     found = [trigger.step(z, 0.3, -1.5) for z in (3e-5, 1e-5, -1e-5, -4e-5, -7e-5)]
     assert found == [Touch.NOTHING, Touch.NOTHING, Touch.CHATTER, Touch.NOTHING, Touch.NOTHING]

@@ -42,7 +42,6 @@ def contacts(library: Library, *taps: SimulatedTap) -> tuple[list[Contact], Devi
     with Device(bench.port) as device:
         device.configure(given.configuration)
         device.upload(given.image)
-        device.checked()
         device.listeners.append(recorder.take)
         device.set_telemetry(1)
         device.arm(1.0)

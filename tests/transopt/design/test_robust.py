@@ -132,17 +132,17 @@ class TestPlayed:
         own.save(tmp_path / "own.npz")
         box.save(tmp_path / "box.npz")
         alone = play("tap", "own.npz", "--simulate")
-        on_another = play("tap", "own.npz", "--simulate", "--device", "library.npz")
+        on_another = play("tap", "own.npz", "--simulate", "--true-device", "library.npz")
         assert alone.code == on_another.code == 0, on_another.err
         assert "on the device of library.npz" in on_another.out
         copied = Path("copied.toml")
         copied.write_text(problems.scene_path("wood_on_foam").read_text())
-        tables = [play("tap", "own.npz", "--simulate", "--device", name) for name in ("wood_on_foam", copied)]
+        tables = [play("tap", "own.npz", "--simulate", "--true-device", name) for name in ("wood_on_foam", copied)]
         figures = [[line for line in table.out.splitlines() if "NRMSE" in line] for table in tables]
         assert figures[0] == figures[1]
         refused = play("tap", "box.npz", "--simulate")
         assert refused.code == 2
-        assert "--device" in refused.err
-        assert play("tap", "box.npz", "--simulate", "--device", "library.npz", "--grip", 2.2).code == 0
-        assert play("tap", "own.npz", "--simulate", "--device", "none.toml").code == 2
-        assert play("tap", "own.npz", "--port", "x", "--device", "library.npz").code == 2
+        assert "--true-device" in refused.err
+        assert play("tap", "box.npz", "--simulate", "--true-device", "library.npz", "--grip", 2.2).code == 0
+        assert play("tap", "own.npz", "--simulate", "--true-device", "none.toml").code == 2
+        assert play("tap", "own.npz", "--port", "x", "--true-device", "library.npz").code == 2

@@ -3,8 +3,8 @@
  * No silicon has run this sketch yet; it is compiled and run against stubs of what it uses. Bring a device up as
  * port/BRINGUP.md says, motor power off first.
  *
- * The timer's interrupt runs once per servo period: readings, td_device_step, command. Everything else happens outside
- * of it: bytes from and to the host, hashing and checking of libraries.
+ * The timer's interrupt runs once per servo period: readings, td_device_step, and in it the command before anything is
+ * booked. Everything else happens outside of it: bytes from and to the host, hashing and checking of libraries.
  *
  * Libraries: QuadEncoder (mjs513/Teensy-4.x-Quad-Encoder-Library), Watchdog_t4 (tonton81/WDT_T4); EEPROM and SPI come
  * with Teensyduino.
@@ -13,6 +13,7 @@
 #include <QuadEncoder.h>
 #include <SPI.h>
 #include <Watchdog_t4.h>
+#include <string.h>
 #include <transopt_device.h>
 
 /* ==================================== the one block to change: wiring, scales, limits =========================== */
@@ -21,11 +22,33 @@
 #define COMMAND_BY_DAC 1 /* 1: MCP4921 on SPI, which follows at once. 0: PWM, which follows one PWM period later */
 #endif
 
+#ifndef NOTHING_IS_WIRED
+#define NOTHING_IS_WIRED 0 /* 1: a board without a motor, which arms without having seen a test pulse of its own */
+#endif
+
 const double PERIOD_S = 1e-4; /* servo period; a library of another is refused */
 
-/* What amplifier and motor are good for: no host can ask for more. */
-const double MOST_CURRENT_A = 4.0;
+/* What amplifier and motor are good for: a host may only ask for less. The poles are the slowest and the fastest that the
+ * amplifier may have; current and command limits hold for every one between them. */
 const double MOST_COMMAND_A = 6.0;
+const td_hardware HARDWARE = {
+    PERIOD_S,
+    4.5, /* true current [A] */
+    MOST_COMMAND_A,
+    0.1,   /* test pulse [A] */
+    0.02,  /* and its length [s] */
+    700.0, /* slowest and fastest pole [Hz] */
+    1600.0,
+    6.0, /* measured current that is a fault [A] */
+    true, /* the motor's coil is known: Maxon RE 25, 118743 */
+    2.18, /* winding at 25 C [ohm] */
+    3.1,  /* thermal resistance winding to housing, housing to ambient [K/W] */
+    14.0,
+    12.0, /* their time constants [s] */
+    612.0,
+    100.0, /* limit of the winding, warmest surroundings [C] */
+    35.0,
+};
 
 /* Digital pins. */
 const uint8_t PIN_ENCODER_A = 0; /* of the hardware decoder: 0 to 5, 7, 30, 31, 33 */
@@ -59,7 +82,7 @@ const float OUTPUT_PER_A = 204.8f; /* +-10 A over the range */
 
 /* ============================================================================================================== */
 
-const uint32_t SAFE_TICKS = 1000;  /* from the first tick until the amplifier is enabled */
+const uint32_t SAFE_TICKS = 1000;  /* from the first tick until the amplifier may be enabled */
 const float WATCHDOG_S = 0.5f;     /* its shortest */
 const uint8_t TIMER_PRIORITY = 16; /* above USB and everything else but faults */
 const float PWM_HZ = 36621.09f;    /* 12 bits at 150 MHz */
@@ -70,7 +93,16 @@ static WDT_T4<WDT1> watchdog;
 static IntervalTimer timer;
 static uint64_t ticks;
 static uint32_t tick_began, late_cycles;
-static bool broken; /* a command that is none, or a tick that came late: for good, until a reset of the processor */
+static bool powered; /* the amplifier is enabled */
+
+/* The coil's temperature over a reset: general-purpose registers of the battery-backed domain (SNVS_LPGPR0 to 2), where
+ * there is one. A check word tells them from what a battery left that was empty. */
+#ifdef __arm__
+static volatile uint32_t *const KEPT = (volatile uint32_t *)0x400D4100;
+#else
+static volatile uint32_t KEPT[3];
+#endif
+const uint32_t KEPT_MARK = 0x74656D70u;
 
 static void put_counts(float counts)
 {
@@ -90,15 +122,50 @@ static void put_nothing()
     put_counts(OUTPUT_ZERO);
 }
 
-static void put_command(float command_A)
+/* The command of this tick, from within td_device_step; the core has seen to its limits. */
+static void put_command(void *, td_real command_A, bool enabled)
 {
-    /* Written so that NaN is caught too. */
-    if (!(command_A >= -(float)MOST_COMMAND_A && command_A <= (float)MOST_COMMAND_A)) {
-        broken = true;
+    powered = enabled && ticks > SAFE_TICKS;
+    if (!powered) {
         put_nothing();
         return;
     }
-    put_counts(OUTPUT_ZERO + command_A * OUTPUT_PER_A);
+    put_counts(OUTPUT_ZERO + (float)command_A * OUTPUT_PER_A);
+    digitalWriteFast(PIN_ENABLE, HIGH);
+}
+
+static uint32_t bits_of(float value)
+{
+    uint32_t bits;
+
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+static float float_of(uint32_t bits)
+{
+    float value;
+
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static void keep_heat()
+{
+    double winding_C, housing_C;
+
+    td_device_coil(&device, &winding_C, &housing_C);
+    KEPT[0] = bits_of((float)winding_C);
+    KEPT[1] = bits_of((float)housing_C);
+    KEPT[2] = KEPT[0] ^ (KEPT[1] << 7 | KEPT[1] >> 25) ^ KEPT_MARK;
+}
+
+/* NaN without a sound check word: then the coil is taken to be as hot as it may be. */
+static double kept_heat(int which)
+{
+    const bool sound = KEPT[2] == (KEPT[0] ^ (KEPT[1] << 7 | KEPT[1] >> 25) ^ KEPT_MARK);
+
+    return sound ? (double)float_of(KEPT[which]) : (double)NAN;
 }
 
 static float value_of(const Input &input)
@@ -117,23 +184,17 @@ static void tick()
 
     watchdog.feed();
     digitalWriteFast(PIN_ALIVE, ticks & 1);
-    /* While a current may flow a lost tick is a fault: commands would be held too long. */
-    if (ticks > 0 && now - tick_began > late_cycles && td_device_is_active(&device))
-        broken = true;
+    /* While a current may flow a lost tick is a fault: a command was held for too long. */
+    readings.late = powered && now - tick_began > late_cycles;
+    readings.host_stop = false;
     tick_began = now;
     readings.tick = ticks++;
     readings.encoder_counts = ENCODER_SIGN * encoder.read();
     readings.current_A = value_of(CURRENT_A);
     readings.grip_N = value_of(GRIP_N);
     readings.acceleration_m_s2 = value_of(ACCELERATION_M_S2);
-    readings.emergency_stop = broken || digitalReadFast(PIN_STOP) == HIGH;
+    readings.emergency_stop = digitalReadFast(PIN_STOP) == HIGH;
     td_device_step(&device, &readings, &output);
-    if (readings.emergency_stop || output.state == TD_STATE_FAULT) {
-        put_nothing();
-        return;
-    }
-    put_command((float)output.command_A);
-    digitalWriteFast(PIN_ENABLE, !broken && ticks > SAFE_TICKS ? HIGH : LOW);
 }
 
 /* Keep the tick out while what it shares is changed. */
@@ -198,7 +259,9 @@ void setup()
     encoder.setInitConfig();
     encoder.init();
 
-    const td_port port = {next_boot(), {MOST_CURRENT_A, MOST_COMMAND_A, PERIOD_S}, hold, nullptr};
+    const td_port port = {
+        next_boot(), HARDWARE, NOTHING_IS_WIRED != 0, kept_heat(0), kept_heat(1), hold, put_command, nullptr,
+    };
 
     td_device_start(&device, &port);
     Serial.begin(115200); /* USB: as fast as it goes, whatever is asked for */
@@ -216,6 +279,7 @@ void loop()
     static uint8_t bytes[512]; /* as much as one USB packet, and a short hold */
     const int waiting = Serial.available(), room = Serial.availableForWrite();
 
+    keep_heat();
     if (waiting > 0) {
         const size_t wanted = (size_t)waiting < sizeof bytes ? (size_t)waiting : sizeof bytes;
 

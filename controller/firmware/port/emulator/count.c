@@ -25,7 +25,8 @@ typedef struct {
 } counter;
 
 static counter servo = {"servo", 0, 0, 0}, device = {"device", 0, 0, 0}, receive = {"receive", 0, 0, 0},
-               held = {"held", 0, 0, 0};
+               held = {"held", 0, 0, 0}, command = {"command", 0, 0, 0};
+static uint32_t tick_since; /* when the device's tick began */
 static uint32_t empty_steps, empty_calls; /* of nothing, measured in the same way */
 
 static uint32_t elapsed(uint32_t since)
@@ -64,10 +65,9 @@ void __wrap_td_servo_step(td_servo *to, const td_readings *readings, td_output *
 
 void __wrap_td_device_step(td_device *to, const td_readings *readings, td_output *output)
 {
-    const uint32_t since = SYST_CVR;
-
+    tick_since = SYST_CVR;
     __real_td_device_step(to, readings, output);
-    add(&device, since);
+    add(&device, tick_since);
 }
 
 void __wrap_td_device_receive(td_device *to, const uint8_t *bytes, size_t size)
@@ -92,12 +92,21 @@ static void watch_hold(void *context, bool hold)
         held_since = SYST_CVR;
 }
 
+/* How long after the tick's beginning the command goes out. */
+static void watch_put(void *context, td_real command_A, bool enabled)
+{
+    add(&command, tick_since);
+    if (watched.put != NULL)
+        watched.put(context, command_A, enabled);
+}
+
 void __wrap_td_device_start(td_device *to, const td_port *port)
 {
     td_port through = *port;
 
     watched = *port;
     through.hold = watch_hold;
+    through.put = watch_put;
     __real_td_device_start(to, &through);
 }
 
@@ -146,6 +155,7 @@ int __wrap_main(int argc, char **argv)
     print(&device);
     print(&receive);
     print(&held);
+    print(&command);
     printf("stack %lu bytes\n", painted_over(top));
     printf("device %lu bytes\n", (unsigned long)sizeof(td_device));
     return result;

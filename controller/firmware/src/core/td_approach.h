@@ -6,11 +6,13 @@
 
 #define TD_NEVER (-1e9) /* phase of a stylus that does not come in */
 
-/* Sliding parabola through encoder counts; sums of integers, so the update is exact. */
+/* Sliding parabola through encoder counts, over the whole window or, where the motion bends, over its newer half; sums
+ * of integers, so the update is exact. */
 typedef struct {
     int32_t counts[TD_MAX_WINDOW_TICKS]; /* ring, relative to `origin` */
     int32_t read, next, origin;
-    int64_t sum0, sum1, sum2; /* of counts, counts * age, counts * age^2 */
+    int64_t sum0, sum1, sum2, sum3; /* of counts times age^0 .. age^3 */
+    int64_t new0, new1, new2;       /* the same over the newer half */
     td_wide speed_m_s;        /* the lead ahead of the newest reading, positive coming in */
     td_wide phase;            /* ticks by which the newest reading lies after the instant at which c_0 is due */
 } td_approach;

@@ -1,6 +1,23 @@
 #include "td_bank.h"
 
+#include <math.h>
+
 #include "td_bytes.h"
+
+/* sqrt(sum count^2) of one node's waveform. No amplifier of one pole makes a current of more energy than its command has,
+ * so this bounds the norm of the current, and nobody's word is needed. */
+static td_wide root_of_squares(const uint8_t *counts, uint32_t samples, size_t node)
+{
+    const uint8_t *at = counts + 2 * node * samples;
+    int64_t sum = 0;
+
+    for (; samples > 0; samples--, at += 2) {
+        const int32_t count = td_get_i16(at);
+
+        sum += (int64_t)count * count;
+    }
+    return sqrt((td_wide)sum);
+}
 
 bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
 {
@@ -21,7 +38,7 @@ bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
         samples > TD_MAX_LIBRARY_SAMPLES / (speeds * grips))
         return false;
     nodes = (size_t)speeds * grips;
-    if (size != TD_IMAGE_BYTES + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples)
+    if (size != TD_IMAGE_BYTES + 8 * (speeds + grips + nodes) + 2 * nodes * samples)
         return false;
     bank->speeds = (int32_t)speeds;
     bank->grips = (int32_t)grips;
@@ -34,9 +51,10 @@ bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
     bank->scale_A = (td_real)td_get_f64(image + TD_IMAGE_SCALE_A);
     bank->by_grip = (flags & TD_IMAGE_BY_GRIP) != 0;
     bank->nearest = (flags & TD_IMAGE_NEAREST) != 0;
-    bank->transient_A = axes + 8 * ((size_t)speeds + grips);
-    bank->feedback_A = bank->transient_A + 8 * nodes;
+    bank->feedback_A = axes + 8 * ((size_t)speeds + grips);
     bank->counts = bank->feedback_A + 8 * nodes;
+    for (j = 0; j < nodes; j++)
+        bank->transient_A[j] = td_get_f64(image + TD_IMAGE_SCALE_A) * root_of_squares(bank->counts, samples, j);
     return true;
 }
 
@@ -96,10 +114,10 @@ void td_bank_at(const td_bank *bank, td_wide speed_m_s, td_wide grip_N, td_play 
     }
     play->out_of_grid = v.outside || (g.outside && bank->by_grip);
     /* Norms are convex, so the corners' bound the blend's. */
-    play->transient_A = w[0] * td_get_f64(bank->transient_A + 8 * node[0]) +
-                        w[1] * td_get_f64(bank->transient_A + 8 * node[1]) +
-                        w[2] * td_get_f64(bank->transient_A + 8 * node[2]) +
-                        w[3] * td_get_f64(bank->transient_A + 8 * node[3]);
+    play->transient_A = w[0] * bank->transient_A[node[0]] +
+                        w[1] * bank->transient_A[node[1]] +
+                        w[2] * bank->transient_A[node[2]] +
+                        w[3] * bank->transient_A[node[3]];
     play->feedback_A = w[0] * td_get_f64(bank->feedback_A + 8 * node[0]) +
                        w[1] * td_get_f64(bank->feedback_A + 8 * node[1]) +
                        w[2] * td_get_f64(bank->feedback_A + 8 * node[2]) +

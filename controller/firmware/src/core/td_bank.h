@@ -16,7 +16,8 @@ typedef struct {
     td_real scale_A;                                        /* per count of a waveform */
     bool by_grip;                                           /* a table that knows no grip is never outside it */
     bool nearest;                                           /* take the nearest node instead of a blend */
-    const uint8_t *transient_A, *feedback_A;                /* (speeds, grips) norms, float64 */
+    td_wide transient_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];      /* (speeds, grips) scale_A sqrt(sum count^2) */
+    const uint8_t *feedback_A;                              /* (speeds, grips) norms, float64 */
     const uint8_t *counts;                                  /* (speeds, grips, samples) int16 */
 } td_bank;
 

@@ -3,11 +3,6 @@
 #include "td_bytes.h"
 #include "td_check.h"
 
-static double number(const uint8_t *configuration, int place)
-{
-    return td_get_f64(configuration + TD_CONFIGURATION_VALUES + 8 * place);
-}
-
 static bool is_size(double value)
 {
     return isfinite(value) && value >= 0;
@@ -31,12 +26,12 @@ static td_refusal check_size(const uint8_t *image, size_t size)
     samples = td_get_u32(image + TD_IMAGE_SAMPLES);
     nodes = (uint64_t)speeds * grips;
     if (nodes < 1 || samples < 1 || td_get_u32(image + TD_IMAGE_RESERVED) != 0 ||
-        TD_IMAGE_BYTES + 8 * (speeds + grips + 2 * nodes) + 2 * nodes * samples != size)
+        TD_IMAGE_BYTES + 8 * (speeds + grips + nodes) + 2 * nodes * samples != size)
         return td_refuse(TD_REASON_BAD_FORMAT, (double)size);
     for (j = 0; j < 2; j++) {
         const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_SCALE_A : TD_IMAGE_GRIP_MIN_N));
 
-        if (!is_size(value))
+        if (!is_size(value) || !isfinite((td_real)value))
             return td_refuse(TD_REASON_BAD_VALUE, value);
     }
     if (speeds > TD_MAX_SPEEDS)
@@ -61,13 +56,13 @@ static bool is_axis(const td_wide *nodes, int32_t count)
     return true;
 }
 
-/* Norms: finite, none negative. */
+/* The feedback's norms: finite, none negative. They are the host's word, and serve the prediction of heat alone. */
 static bool are_sizes(const td_bank *bank)
 {
     int32_t j;
 
     for (j = 0; j < bank->speeds * bank->grips; j++) {
-        if (!is_size(td_get_f64(bank->transient_A + 8 * j)) || !is_size(td_get_f64(bank->feedback_A + 8 * j)))
+        if (!is_size(td_get_f64(bank->feedback_A + 8 * j)))
             return false;
     }
     return true;
@@ -98,9 +93,9 @@ static bool measure(const td_bank *bank, double scale_A, double decay, uint32_t 
     return ends;
 }
 
-td_refusal td_check_image(const uint8_t *image, size_t size, const uint8_t *bytes, td_bank *bank)
+td_refusal td_check_image(const uint8_t *image, size_t size, const td_config *config, td_bank *bank)
 {
-    const double walled = number(bytes, TD_CFG_HAS_WALL) > 0 ? TD_IMAGE_WALLED_COMMAND : 1;
+    const double walled = config->wall.present ? TD_IMAGE_WALLED_COMMAND : 1;
     double scale_A, peak_A[2], limit_A[2];
     td_refusal found = check_size(image, size);
     uint32_t tail;
@@ -117,24 +112,24 @@ td_refusal td_check_image(const uint8_t *image, size_t size, const uint8_t *byte
         return td_refuse(TD_REASON_BAD_VALUE, (double)NAN);
     for (j = 0; j < 2; j++) {
         const double value = td_get_f64(image + (j == 0 ? TD_IMAGE_DT_S : TD_IMAGE_LEAD_S));
-        const double wanted = number(bytes, j == 0 ? TD_CFG_DT_S : TD_CFG_LEAD_S);
+        const double wanted = j == 0 ? config->dt_s : config->lead_s;
 
         if (!(value <= wanted && value >= wanted))
             return td_refuse(TD_REASON_BAD_TIMING, value);
     }
     playable = bank->speed_m_s[0] > 0 && bank->grip_N[0] >= bank->grip_min_N;
-    if (number(bytes, TD_CFG_HOST_STARTS) > 0 && !(bank->speeds * bank->grips == 1 && playable))
+    if (config->host_starts && !(bank->speeds * bank->grips == 1 && playable))
         return td_refuse(TD_REASON_ONE_WAVEFORM, bank->speeds * bank->grips);
     tail = td_get_u32(image + TD_IMAGE_TAIL_SAMPLES);
     scale_A = td_get_f64(image + TD_IMAGE_SCALE_A);
     if (tail < 1 || tail > (uint32_t)bank->samples ||
-        !measure(bank, scale_A, number(bytes, TD_CFG_DECAY), tail, peak_A))
+        !measure(bank, scale_A, (double)config->decay, tail, peak_A))
         return td_refuse(TD_REASON_NO_ZERO_TAIL, tail);
-    limit_A[0] = number(bytes, TD_CFG_COMMAND_LIMIT_A) * walled;
-    limit_A[1] = number(bytes, TD_CFG_CURRENT_LIMIT_A);
+    limit_A[0] = (double)config->command_limit_A * walled;
+    limit_A[1] = (double)config->current_limit_A;
     for (j = 0; j < 2; j++) {
         /* One count of room for rounding. */
-        if (!(peak_A[j] <= limit_A[j] + scale_A))
+        if (!isfinite(peak_A[j]) || !(peak_A[j] <= limit_A[j] + scale_A))
             return td_refuse(TD_REASON_OVER_LIMIT, peak_A[j]);
     }
     return td_granted;

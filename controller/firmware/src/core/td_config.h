@@ -1,9 +1,13 @@
-/* Everything the servo is told before it runs: numbers worked out by the host, so that nothing here takes an exp. */
+/* Everything the servo is told before it runs, and what follows from it: worked out once, so that no servo period takes
+ * an exp. */
 #ifndef TD_CONFIG_H
 #define TD_CONFIG_H
 
 #include "td_messages.h"
+#include "td_parabola.h"
 #include "td_real.h"
+
+#define TD_LEAST_READINGS 4 /* that a parabola is fitted to */
 
 /* Coil, one implicit midpoint step of its two nodes per update (controller/servo/guard.py). */
 typedef struct {
@@ -15,8 +19,20 @@ typedef struct {
     td_wide R_ohm, rise_K, from_housing;       /* rise_K: of the winding per A^2 and tick, at the limit */
     td_wide limit_C, play_limit_C;             /* no transient starts above the second */
     td_wide start_winding_C, start_housing_C;
+    td_wide dying_ticks;                       /* of the present current: until a command of zero is felt, and after */
     td_wide least_scale;                       /* a transient that has to be smaller is withheld */
 } td_coil;
+
+/* What is stated of a coil. */
+typedef struct {
+    double R_ohm, R_wh_K_W, R_ha_K_W, tau_w_s, tau_h_s, limit_C, ambient_C;
+    bool housing_moves;
+} td_coil_numbers;
+
+/* What follows from them for an update; `withhold_K` below the limit no transient starts. */
+void td_coil_derive(td_coil *coil, const td_coil_numbers *of, double dt_s, double withhold_K);
+
+bool td_coil_sound(const td_coil *coil);
 
 /* Virtual wall (seed Eq. 9); absent: only transients. */
 typedef struct {
@@ -26,14 +42,30 @@ typedef struct {
     td_wide smoothing; /* of the derivative filter */
 } td_wall;
 
+/* From raw readings to SI, and from a command to what the amplifier is asked for (controller/servo/settings.py). */
+typedef struct {
+    int32_t encoder_direction;
+    bool has_accelerometer;
+    td_real acceleration_scale, acceleration_rest_m_s2, grip_scale, grip_zero_N, monitor_scale, amplifier_scale;
+} td_calibration;
+
+/* The test pulse by which a device convinces itself of its wiring, and what a model predicts of it per ampere. */
+typedef struct {
+    td_wide current_A;
+    int32_t ticks, skip_ticks, push_ticks; /* of it; to the first reading, and over how many, of the acceleration */
+    int32_t nodes;                         /* of the prediction, over grip; 0 without */
+    td_wide grip_N[TD_PULSE_NODES], acceleration[TD_PULSE_NODES], path_m[TD_PULSE_NODES];
+} td_pulse_plan;
+
 /* See controller/servo/settings.py for what each is for. */
 typedef struct {
     td_wide dt_s, lead_s;
     /* encoder, approach, contact */
     td_wide count_m, surface_counts;
     td_wide encoder_m_s, approach_m_s; /* one count per tick, as the faults and as the fit have it */
-    int32_t encoder_limit_counts, window_ticks;
-    td_wide value[3], slope[3]; /* rows of the fit, evaluated the lead ahead of the newest reading */
+    int32_t encoder_limit_counts, window_ticks, half_ticks;
+    td_parabola whole, half; /* fits over so many ticks, evaluated the lead ahead of the newest reading */
+    td_wide bend[4];         /* how much of a cubic is in the readings */
     td_wide least_speed_m_s, touch_height_m, rearm_height_m;
     int32_t rearm_ticks;
     /* amplifier and limits */
@@ -52,11 +84,14 @@ typedef struct {
     td_real fastest_m_s, current_range_A, over_current_A, no_current_A, no_current_part, stuck_A, stuck_A_s;
     int32_t missing_limit, still_limit; /* ticks */
     td_coil coil;
+    td_calibration calibration;
+    td_pulse_plan pulse;
     bool host_starts; /* the one waveform plays at the host's word; contacts are not looked at */
 } td_config;
 
-/* The table of float64 that controller/protocol/configuration.py writes; whether it is one, of this version, and every whole
- * number in it fits this core. Whether its numbers make sense is asked by td_configure.h. */
+/* The table of float64 that controller/protocol/configuration.py writes, and what follows from it; whether it is one, of
+ * this version, and every number of it is one in td_real too: finite, not zero where something is divided by it, and
+ * whole numbers within this core's room. Whether the numbers make sense is asked by td_check.h. */
 bool td_config_unpack(td_config *config, const uint8_t *bytes, size_t size);
 
 #endif

@@ -13,6 +13,8 @@ void td_device_start(td_device *device, const td_port *port)
     device->port = *port;
     td_decoder_start(&device->decoder);
     td_events_start(&device->events, td_device_ticks(device, TD_EVENT_REPEAT_MS));
+    td_evidence_start(&device->evidence);
+    td_ring_start(&device->ring, &port->hardware, port->winding_C, port->housing_C);
     device->records.hold_ticks = td_device_ticks(device, TD_TELEMETRY_HOLD_MS);
 }
 
@@ -27,7 +29,7 @@ uint8_t td_device_fault(const td_device *device)
 {
     if (device->store.configured)
         return device->servo.fault;
-    return device->stop_latched ? TD_WHAT_EMERGENCY_STOP : TD_NO_FAULT;
+    return device->stop_latched;
 }
 
 int32_t td_device_ticks(const td_device *device, double duration_ms)
@@ -40,6 +42,11 @@ bool td_device_is_active(const td_device *device)
     const uint8_t state = td_device_state(device);
 
     return state == TD_STATE_ARMED || state == TD_STATE_PLAYING;
+}
+
+bool td_device_is_heard(const td_device *device)
+{
+    return device->open && device->silent_ticks < td_device_ticks(device, TD_LINK_SILENCE_MS);
 }
 
 /* ------------------------------------------------------------------------------------------------ bytes out */
@@ -65,9 +72,29 @@ static void answer(td_device *device, uint8_t kind, uint16_t sequence, size_t bo
     memcpy(device->reply, device->frame, device->reply_size);
 }
 
+uint8_t td_device_evidence(const td_device *device)
+{
+    return device->port.simulated ? TD_PULSE_SOUND | TD_TRIAL_FINISHED : device->evidence.bits;
+}
+
+static void write_evidence(td_device *device)
+{
+    const td_evidence *evidence = &device->evidence;
+    uint8_t *body = td_device_body(device);
+
+    body[TD_EVIDENCE_REPLY_BITS] = td_device_evidence(device);
+    body[TD_EVIDENCE_REPLY_STAGE] = evidence->stage;
+    td_put_u16(body + TD_EVIDENCE_REPLY_PULSES, evidence->pulses);
+    td_put_f64(body + TD_EVIDENCE_REPLY_CURRENT_RATIO, evidence->current_ratio);
+    td_put_f64(body + TD_EVIDENCE_REPLY_ACCELERATION_RATIO, evidence->acceleration_ratio);
+    td_put_f64(body + TD_EVIDENCE_REPLY_PATH_RATIO, evidence->path_ratio);
+    td_put_f64(body + TD_EVIDENCE_REPLY_SPEED_RATIO, evidence->speed_ratio);
+}
+
 static void write_hello_reply(td_device *device, uint32_t nonce)
 {
     const td_port *port = &device->port;
+    const td_hardware *hardware = &port->hardware;
     const td_store *store = &device->store;
     uint8_t *body = td_device_body(device);
 
@@ -76,6 +103,8 @@ static void write_hello_reply(td_device *device, uint32_t nonce)
     body[TD_HELLO_REPLY_REAL_BYTES] = sizeof(td_real);
     body[TD_HELLO_REPLY_STATE] = td_device_state(device);
     body[TD_HELLO_REPLY_FAULT] = td_device_fault(device);
+    body[TD_HELLO_REPLY_EVIDENCE] = td_device_evidence(device);
+    body[TD_HELLO_REPLY_SIMULATED] = port->simulated;
     td_put_u16(body + TD_HELLO_REPLY_BODY_LIMIT, TD_BODY_LIMIT);
     td_put_u16(body + TD_HELLO_REPLY_UPLOAD_FRAMES, TD_UPLOAD_FRAMES);
     td_put_u32(body + TD_HELLO_REPLY_FIRMWARE, TD_FIRMWARE);
@@ -89,24 +118,74 @@ static void write_hello_reply(td_device *device, uint32_t nonce)
     td_put_u16(body + TD_HELLO_REPLY_CAPACITY_APPROACH_TICKS, TD_MAX_WINDOW_TICKS);
     td_put_u16(body + TD_HELLO_REPLY_CAPACITY_LATENCY_TICKS, TD_MAX_LATENCY_TICKS);
     td_put_u64(body + TD_HELLO_REPLY_TICK, device->tick);
-    td_put_f64(body + TD_HELLO_REPLY_DT_S, port->hardware.dt_s);
-    td_put_f64(body + TD_HELLO_REPLY_CURRENT_LIMIT_A, port->hardware.current_A);
-    td_put_f64(body + TD_HELLO_REPLY_COMMAND_LIMIT_A, port->hardware.command_A);
+    td_put_f64(body + TD_HELLO_REPLY_DT_S, hardware->dt_s);
+    td_put_f64(body + TD_HELLO_REPLY_CURRENT_A, hardware->current_A);
+    td_put_f64(body + TD_HELLO_REPLY_COMMAND_A, hardware->command_A);
+    td_put_f64(body + TD_HELLO_REPLY_PULSE_A, hardware->pulse_A);
+    td_put_f64(body + TD_HELLO_REPLY_PULSE_S, hardware->pulse_s);
+    td_put_f64(body + TD_HELLO_REPLY_POLE_LEAST_HZ, hardware->pole_least_Hz);
+    td_put_f64(body + TD_HELLO_REPLY_POLE_MOST_HZ, hardware->pole_most_Hz);
+    td_put_f64(body + TD_HELLO_REPLY_OVER_CURRENT_A, hardware->over_current_A);
+    body[TD_HELLO_REPLY_HAS_COIL] = hardware->has_coil;
+    td_put_f64(body + TD_HELLO_REPLY_R_OHM, hardware->R_ohm);
+    td_put_f64(body + TD_HELLO_REPLY_R_WH_K_W, hardware->R_wh_K_W);
+    td_put_f64(body + TD_HELLO_REPLY_R_HA_K_W, hardware->R_ha_K_W);
+    td_put_f64(body + TD_HELLO_REPLY_TAU_W_S, hardware->tau_w_s);
+    td_put_f64(body + TD_HELLO_REPLY_TAU_H_S, hardware->tau_h_s);
+    td_put_f64(body + TD_HELLO_REPLY_LIMIT_C, hardware->limit_C);
+    td_put_f64(body + TD_HELLO_REPLY_AMBIENT_C, hardware->ambient_C);
     memcpy(body + TD_HELLO_REPLY_CONFIGURATION_SHA256, store->configuration_sha256, TD_HASH_BYTES);
     memcpy(body + TD_HELLO_REPLY_LIBRARY_SHA256, store->library_sha256, TD_HASH_BYTES);
-    memcpy(body + TD_HELLO_REPLY_CHECKED_SHA256, device->checked_sha256, TD_HASH_BYTES);
+}
+
+void td_device_coil(const td_device *device, double *winding_C, double *housing_C)
+{
+    const bool known = device->ring.coil.present;
+
+    *winding_C = known ? device->ring.guard.winding_C : (double)NAN;
+    *housing_C = known ? device->ring.guard.housing_C : (double)NAN;
+}
+
+/* Take the next event or the next records that are due, between hold(true) and hold(false): a copy, no more. */
+static size_t take_due(td_device *device, uint8_t *kind)
+{
+    const td_told *told;
+    uint8_t *body = td_device_body(device);
+
+    if (!td_device_is_heard(device))
+        return 0;
+    told = td_events_due(&device->events);
+    if (told == NULL) {
+        *kind = TD_KIND_TELEMETRY_DATA;
+        return td_records_take(&device->records, device->tick, body);
+    }
+    *kind = TD_KIND_EVENT;
+    td_put_u32(body + TD_EVENT_NUMBER, told->number);
+    td_put_u64(body + TD_EVENT_TICK, told->event.tick);
+    body[TD_EVENT_CODE] = told->event.what;
+    td_put_u16(body + TD_EVENT_LOST, told->lost);
+    td_put_f64(body + TD_EVENT_SPEED_M_S, (double)told->event.speed_m_s);
+    td_put_f64(body + TD_EVENT_GRIP_N, (double)told->event.grip_N);
+    return TD_EVENT_BYTES;
 }
 
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room)
 {
-    size_t size;
+    const td_port *port = &device->port;
+    uint8_t kind = 0;
+    size_t body_size;
 
-    if (device->port.hold != NULL)
-        device->port.hold(device->port.context, true);
-    size = td_output_take(&device->output, bytes, room);
-    if (device->port.hold != NULL)
-        device->port.hold(device->port.context, false);
-    return size;
+    while (device->output.size < room && td_output_has_room(&device->output)) {
+        if (port->hold != NULL)
+            port->hold(port->context, true);
+        body_size = take_due(device, &kind);
+        if (port->hold != NULL)
+            port->hold(port->context, false);
+        if (body_size == 0)
+            break;
+        td_device_put(device, kind, 0, device->session, body_size);
+    }
+    return td_output_take(&device->output, bytes, room);
 }
 
 /* ------------------------------------------------------------------------------------------------ bytes in */
@@ -131,7 +210,8 @@ static bool fits(uint8_t kind, size_t size)
         {TD_KIND_GAIN, 0, TD_GAIN_BYTES},
         {TD_KIND_TELEMETRY, 0, TD_TELEMETRY_BYTES},
         {TD_KIND_PULSE, 0, TD_PULSE_BYTES},
-        {TD_KIND_CHECKED, 0, TD_CHECKED_BYTES},
+        {TD_KIND_EVIDENCE, 0, TD_EVIDENCE_BYTES},
+        {TD_KIND_SURFACE, 0, TD_SURFACE_BYTES},
         {TD_KIND_EVENT_ACK, 0, TD_EVENT_ACK_BYTES},
         {TD_KIND_EMERGENCY_STOP, 0, TD_EMERGENCY_STOP_BYTES},
         {TD_KIND_START, 0, TD_START_BYTES},
@@ -206,6 +286,9 @@ static void request(td_device *device, uint8_t kind, uint16_t sequence, const ui
     } else if (kind == TD_KIND_UPLOAD_BEGIN) {
         td_put_u32(td_device_body(device) + TD_UPLOAD_READY_OFFSET, (uint32_t)device->store.arrived);
         answer(device, TD_KIND_UPLOAD_READY, sequence, TD_UPLOAD_READY_BYTES);
+    } else if (kind == TD_KIND_EVIDENCE) {
+        write_evidence(device);
+        answer(device, TD_KIND_EVIDENCE_REPLY, sequence, TD_EVIDENCE_REPLY_BYTES);
     } else {
         write_done(device, kind);
         answer(device, TD_KIND_DONE, sequence, TD_DONE_BYTES);

@@ -1,8 +1,8 @@
 /* The device's end of the protocol in front of the servo: bytes and readings in, commands and bytes out.
  *
  *     td_device_receive      whatever came over the link, in pieces of any size
- *     td_device_step         one servo period: the command to hold until the next
- *     td_device_send         what goes out
+ *     td_device_step         one servo period: the command to hold until the next, put out before anything is booked
+ *     td_device_send         what goes out; here frames are made
  *
  * A port calls `step` in the timer's interrupt and the others outside of it. What both touch is changed only between
  * hold(context, true) and hold(context, false), which mask that interrupt: some microseconds at a time, since hashing
@@ -12,18 +12,25 @@
 #ifndef TD_DEVICE_H
 #define TD_DEVICE_H
 
+#include "td_evidence.h"
 #include "td_outbox.h"
+#include "td_ring.h"
 #include "td_servo.h"
 #include "td_store.h"
 #include "td_wire.h"
 
-#define TD_FIRMWARE (1u << 16 | 1u << 8) /* major, minor, patch: 16, 8, 8 bits */
+#define TD_FIRMWARE (2u << 16) /* major, minor, patch: 16, 8, 8 bits */
 #define TD_REPLY_LIMIT (TD_HEADER_BYTES + TD_HELLO_REPLY_BYTES + 4 + 2 + 1) /* the longest answer as a frame */
 
 typedef struct {
     uint32_t boot; /* another number at every start */
     td_hardware hardware;
+    bool simulated;             /* compiled in: nothing is wired that could be wired wrong, and evidence is given */
+    double winding_C, housing_C; /* of the coil, kept over the restart (td_device_coil); NaN: not known, so hottest */
     void (*hold)(void *context, bool held); /* NULL where nothing interrupts */
+    /* The command goes out; NULL where the caller takes it from what td_device_step answers. `enabled`: whether the
+     * amplifier may be on at all. */
+    void (*put)(void *context, td_real command_A, bool enabled);
     void *context;
 } td_port;
 
@@ -39,12 +46,17 @@ typedef struct {
     size_t reply_size;
     td_store store;
     td_servo servo; /* once the store is configured */
-    uint8_t checked_sha256[TD_HASH_BYTES];
-    bool stop_wanted, stop_latched, stop_pressed; /* the last two before there is a servo */
+    td_evidence evidence;
+    bool stop_wanted; /* over the link */
+    bool stop_remains;    /* before there is a servo: the cause of what is latched */
+    uint8_t stop_latched; /* and what it is, TD_WHAT_..., 0 without */
     bool trial;                                   /* armed for the tap of the bring-up check */
     int32_t lease_ticks, lease_left, silent_ticks;
-    int32_t pulse_left;
-    td_real pulse_A;
+    int32_t settled_ticks; /* since the approach began to be looked at anew: before a whole window nobody is at rest */
+    td_pulse pulse;
+    td_ring ring;
+    uint32_t tripped; /* faults of the hardware's own limits, of the last tick */
+    bool broken;      /* a command was no number */
     td_events events;
     td_records records;
     td_output_bytes output;
@@ -61,10 +73,16 @@ void td_device_step(td_device *device, const td_readings *readings, td_output *o
 /* At most `room` bytes that wait to go out; how many. */
 size_t td_device_send(td_device *device, uint8_t *bytes, size_t room);
 
+/* The coil as the hardware's own guard has it, to be kept over a restart; NaN where the motor's coil is not known. */
+void td_device_coil(const td_device *device, double *winding_C, double *housing_C);
+
 uint8_t td_device_state(const td_device *device); /* TD_STATE_... */
 uint8_t td_device_fault(const td_device *device); /* TD_WHAT_..., 0 without */
 
 /* For the core itself, between hold(true) and hold(false). */
+
+/* Bits of evidence; all of them where nothing is wired. */
+uint8_t td_device_evidence(const td_device *device);
 
 /* Where the body of the next frame is written. */
 static inline uint8_t *td_device_body(td_device *device)
@@ -74,6 +92,9 @@ static inline uint8_t *td_device_body(td_device *device)
 
 /* Send the frame whose body stands there; it stays in `frame`, so long. */
 size_t td_device_put(td_device *device, uint8_t kind, uint16_t sequence, uint32_t session, size_t body_size);
+
+/* Whether a host has spoken not too long ago. */
+bool td_device_is_heard(const td_device *device);
 
 /* Whether it is ARMED or PLAYING. */
 bool td_device_is_active(const td_device *device);

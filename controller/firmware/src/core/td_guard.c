@@ -5,7 +5,6 @@
 #define COPPER_PER_K 0.0039 /* temperature coefficient of resistance */
 #define PWM_RIPPLE_A 0.02   /* seed Eq. 7 */
 #define CEILING_C 1000.0    /* an estimate that ran off to infinity could not be cooled down again */
-#define DYING_TICKS 4       /* of the present current: until the answer is felt, and what is left then */
 
 void td_guard_start(td_guard *guard, const td_coil *coil)
 {
@@ -47,7 +46,7 @@ void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A)
 
 bool td_guard_too_hot(const td_guard *guard, const td_coil *coil)
 {
-    const td_wide coming_K = coil->rise_K * (td_wide)(guard->sum + DYING_TICKS * guard->square);
+    const td_wide coming_K = coil->rise_K * ((td_wide)guard->sum + coil->dying_ticks * (td_wide)guard->square);
 
     /* Written so that a NaN is too hot. */
     return !(guard->winding_C + coming_K <= coil->limit_C);

@@ -9,11 +9,11 @@
 
 /* Why the servo went to FAULT, and what is counted and reported but stops nothing: codes TD_WHAT_... */
 #define TD_FIRST_FAULT TD_WHAT_OVER_TEMPERATURE
-#define TD_FAULTS (TD_WHAT_EMERGENCY_STOP - TD_FIRST_FAULT + 1)
+#define TD_FAULTS (TD_WHAT_LATE_TICK - TD_FIRST_FAULT + 1)
 #define TD_NO_FAULT 0
 #define TD_FIRST_NOTICE TD_WHAT_CONTACT
 #define TD_NOTICES (TD_WHAT_NO_GRIP - TD_FIRST_NOTICE + 1)
-#define TD_MAX_EVENTS 10 /* in one tick: every fault, or a contact with what belongs to it */
+#define TD_MAX_EVENTS 12 /* in one tick: every fault, or a contact with what belongs to it */
 
 /* What the sensors say at one tick. */
 typedef struct {
@@ -23,6 +23,8 @@ typedef struct {
     td_real current_A;         /* measured by the amplifier */
     td_real acceleration_m_s2; /* of the stylus; the servo does not act on it */
     bool emergency_stop;       /* pressed */
+    bool late;                 /* this tick came late: a command has been held for too long */
+    bool host_stop;            /* a stop has come over the link; set by the device, not by a port */
 } td_readings;
 
 /* Something that happened at a tick; speed and grip where a contact is meant, else NaN. */
@@ -36,6 +38,7 @@ typedef struct {
 /* What the servo answers to one tick's readings. */
 typedef struct {
     td_real command_A; /* inside every limit, to be held until the next tick */
+    bool enabled;      /* whether the amplifier may be on: armed, playing or pulsing */
     uint8_t state; /* TD_STATE_... */
     td_real transient_A; /* its parts before the clamp */
     td_real feedback_A;

@@ -24,6 +24,11 @@ void td_output_put(td_output_bytes *output, const uint8_t *bytes, size_t size)
     output->size += size;
 }
 
+bool td_output_has_room(const td_output_bytes *output)
+{
+    return sizeof output->bytes - output->size >= 4 * TD_FRAME_LIMIT;
+}
+
 size_t td_output_take(td_output_bytes *output, uint8_t *bytes, size_t room)
 {
     const size_t size = output->size < room ? output->size : room, until_end = sizeof output->bytes - output->first;
@@ -101,9 +106,8 @@ void td_records_restart(td_records *records, uint16_t every)
 {
     records->every = every;
     records->skip = 0;
-    records->size = records->age = 0;
-    records->first = 0;
-    records->tick = 0;
+    records->first = records->size = 0;
+    records->next = 0;
 }
 
 /* For a float32: what is beyond its range is infinite. */
@@ -116,13 +120,13 @@ static float narrow(td_real value)
     return (float)value;
 }
 
-static void write_record(uint8_t *at, const td_readings *readings, const td_output *output)
+static void write_record(uint8_t *at, const td_readings *readings, const td_output *output, td_real command_A)
 {
     td_put_u32(at + TD_RECORD_ENCODER_COUNTS, (uint32_t)readings->encoder_counts);
     td_put_f32(at + TD_RECORD_GRIP_N, narrow(readings->grip_N));
     td_put_f32(at + TD_RECORD_MEASURED_CURRENT_A, narrow(readings->current_A));
     td_put_f32(at + TD_RECORD_ACCELERATION_M_S2, narrow(readings->acceleration_m_s2));
-    td_put_f32(at + TD_RECORD_COMMAND_A, narrow(output->command_A));
+    td_put_f32(at + TD_RECORD_COMMAND_A, narrow(command_A));
     td_put_f32(at + TD_RECORD_TRANSIENT_A, narrow(output->transient_A));
     td_put_f32(at + TD_RECORD_FEEDBACK_A, narrow(output->feedback_A));
     td_put_f32(at + TD_RECORD_WINDING_C, narrow(output->winding_C));
@@ -130,25 +134,49 @@ static void write_record(uint8_t *at, const td_readings *readings, const td_outp
     at[TD_RECORD_FLAGS] = readings->emergency_stop;
 }
 
-bool td_records_step(td_records *records, const td_readings *readings, const td_output *output)
+void td_records_step(td_records *records, const td_readings *readings, const td_output *output, td_real command_A,
+                     bool heard)
 {
+    int32_t at;
+
     if (records->every == 0)
-        return false;
+        return;
     if (records->skip == 0) {
-        if (records->size == 0) {
-            records->tick = readings->tick;
-            records->age = 0;
-        }
-        write_record(records->records + TD_RECORD_BYTES * records->size++, readings, output);
         records->skip = records->every;
+        if (heard && records->size < TD_MAX_RECORDS) {
+            at = (records->first + records->size++) % TD_MAX_RECORDS;
+            write_record(records->records[at], readings, output, command_A);
+            records->number[at] = records->next;
+            records->tick[at] = readings->tick;
+        }
+        records->next++;
     }
     records->skip--;
-    records->age++;
-    return records->size > 0 && (records->size >= TD_RECORDS_LIMIT || records->age >= records->hold_ticks);
 }
 
-void td_records_sent(td_records *records)
+size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body)
 {
-    records->first += (uint32_t)records->size;
-    records->size = 0;
+    const int32_t first = records->first;
+    uint8_t *at = body + TD_TELEMETRY_DATA_RECORDS;
+    int32_t count = 0;
+
+    if (records->size == 0 || (records->size < TD_RECORDS_LIMIT &&
+                               tick - records->tick[first] + 1 < (uint64_t)records->hold_ticks))
+        return 0;
+    td_put_u32(body + TD_TELEMETRY_DATA_FIRST, records->number[first]);
+    td_put_u64(body + TD_TELEMETRY_DATA_TICK, records->tick[first]);
+    td_put_u16(body + TD_TELEMETRY_DATA_EVERY, records->every);
+    while (count < TD_RECORDS_LIMIT && count < records->size) {
+        const int32_t j = (first + count) % TD_MAX_RECORDS;
+
+        /* Records of one frame follow each other without a gap. */
+        if (records->number[j] != records->number[first] + (uint32_t)count)
+            break;
+        memcpy(at, records->records[j], TD_RECORD_BYTES);
+        at += TD_RECORD_BYTES;
+        count++;
+    }
+    records->first = (first + count) % TD_MAX_RECORDS;
+    records->size -= count;
+    return (size_t)(at - body);
 }

@@ -6,10 +6,10 @@
 #include "td_interface.h"
 #include "td_port.h"
 
-#ifndef TD_OUTPUT_LIMIT_BYTES
-#define TD_OUTPUT_LIMIT_BYTES 65536 /* telemetry that nobody fetches is dropped beyond */
+#ifndef TD_MAX_RECORDS
+#define TD_MAX_RECORDS 2048 /* of telemetry; what nobody fetches is dropped beyond */
 #endif
-#define TD_OUTPUT_BYTES (TD_OUTPUT_LIMIT_BYTES + 16 * TD_FRAME_LIMIT) /* answers and events beyond this */
+#define TD_OUTPUT_BYTES (16 * TD_FRAME_LIMIT)
 
 typedef struct {
     uint8_t bytes[TD_OUTPUT_BYTES]; /* ring */
@@ -19,6 +19,9 @@ typedef struct {
 
 /* A frame goes in whole or not at all. */
 void td_output_put(td_output_bytes *output, const uint8_t *bytes, size_t size);
+
+/* Whether any frame fits, with some room left for answers. */
+bool td_output_has_room(const td_output_bytes *output);
 
 /* At most `room` bytes, oldest first; how many. */
 size_t td_output_take(td_output_bytes *output, uint8_t *bytes, size_t room);
@@ -56,21 +59,26 @@ void td_events_tick(td_events *events);
 /* The next one that is to be sent in this tick, NULL after the last. */
 const td_told *td_events_due(td_events *events);
 
-/* Telemetry records of every n-th tick, sent when a frame is full or the first has waited long enough. */
+/* Telemetry records of every n-th tick: a ring that the tick fills, and frames are made of outside of it, full ones or
+ * where the oldest record has waited long enough. */
 typedef struct {
-    uint8_t records[TD_RECORDS_LIMIT * TD_RECORD_BYTES];
-    int32_t size; /* records */
-    int32_t age, hold_ticks;
+    uint8_t records[TD_MAX_RECORDS][TD_RECORD_BYTES];
+    uint32_t number[TD_MAX_RECORDS]; /* of each; a gap where there was no room */
+    uint64_t tick[TD_MAX_RECORDS];
+    int32_t first, size;
+    int32_t hold_ticks;
     uint16_t every, skip; /* every: 0 for none */
-    uint32_t first;       /* number of the first record held */
-    uint64_t tick;        /* of it */
+    uint32_t next;        /* number of the next record */
 } td_records;
 
 /* One record every so many ticks from now on, numbered from 0. */
 void td_records_restart(td_records *records, uint16_t every);
 
-/* One tick; whether the records held are to be sent now, and then td_records_sent is to be called. */
-bool td_records_step(td_records *records, const td_readings *readings, const td_output *output);
-void td_records_sent(td_records *records);
+/* One tick; `heard`: somebody listens. `command_A`: what was applied. */
+void td_records_step(td_records *records, const td_readings *readings, const td_output *output, td_real command_A,
+                     bool heard);
+
+/* The body of the next frame, if one is due at this tick; how many bytes, 0 without. */
+size_t td_records_take(td_records *records, uint64_t tick, uint8_t *body);
 
 #endif

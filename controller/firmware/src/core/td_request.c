@@ -27,9 +27,21 @@ static td_refusal need_idle(const td_device *device)
     if (td_device_state(device) == TD_STATE_FAULT)
         return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
     found = need_silent(device);
-    if (found.reason == 0 && device->pulse_left > 0)
+    if (found.reason == 0 && device->pulse.left > 0)
         return td_refuse(TD_REASON_PULSING, (double)NAN);
     return found;
+}
+
+/* Too few readings show no motion: before a whole window nobody is at rest. */
+static td_refusal need_rest(const td_device *device)
+{
+    const td_servo *servo = &device->servo;
+
+    if (device->settled_ticks < device->store.config.window_ticks)
+        return td_refuse(TD_REASON_NOT_AT_REST, (double)NAN);
+    return fabs(servo->approach.speed_m_s) <= TD_REST_SPEED_M_S
+               ? td_granted
+               : td_refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
 }
 
 static td_refusal need_gain(const td_device *device, double gain)
@@ -39,13 +51,28 @@ static td_refusal need_gain(const td_device *device, double gain)
     return gain >= 0 && gain <= most ? td_granted : td_refuse(TD_REASON_BAD_VALUE, gain);
 }
 
+/* The coil has not cooled because somebody sent numbers. */
+static void stay_warm(td_guard *guard, const td_guard *before)
+{
+    guard->winding_C = guard->winding_C > before->winding_C ? guard->winding_C : before->winding_C;
+    guard->housing_C = guard->housing_C > before->housing_C ? guard->housing_C : before->housing_C;
+}
+
+/* Nor has the current ceased to flow. */
+static void flow_on(td_device *device)
+{
+    const td_real scale = device->store.config.calibration.amplifier_scale;
+    const td_real least = device->ring.least_A * scale, most = device->ring.most_A * scale;
+
+    td_servo_flowing(&device->servo, least < most ? least : most, least < most ? most : least);
+}
+
 static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
 {
     td_refusal found = need_idle(device);
-    const bool was = device->store.configured && device->store.config.coil.present;
     const td_guard before = device->servo.guard;
+    const bool was = device->store.configured && device->store.config.coil.present;
     td_config config;
-    td_guard *guard = &device->servo.guard;
     bool fits = false;
 
     if (found.reason != 0)
@@ -59,12 +86,14 @@ static td_refusal configure_commit(td_device *device, const uint8_t *sha256)
     if (found.reason != 0)
         return found;
     td_store_configured(&device->store, sha256, &config, fits);
+    td_evidence_start(&device->evidence);
     td_servo_start(&device->servo, &device->store.config, td_store_bank(&device->store));
-    if (was && config.coil.present) {
-        /* The coil has not cooled because somebody sent numbers. */
-        guard->winding_C = guard->winding_C > before.winding_C ? guard->winding_C : before.winding_C;
-        guard->housing_C = guard->housing_C > before.housing_C ? guard->housing_C : before.housing_C;
-    }
+    device->settled_ticks = 0;
+    flow_on(device);
+    if (was)
+        stay_warm(&device->servo.guard, &before);
+    if (device->ring.coil.present)
+        stay_warm(&device->servo.guard, &device->ring.guard);
     return td_granted;
 }
 
@@ -103,8 +132,10 @@ static td_refusal arm(td_device *device, const uint8_t *body)
         return td_refuse(TD_REASON_NO_LIBRARY, (double)NAN);
     if (!same_hash(body + TD_ARM_LIBRARY_SHA256, store->library_sha256))
         return td_refuse(TD_REASON_WRONG_LIBRARY, (double)NAN);
-    if (!same_hash(device->checked_sha256, store->configuration_sha256) && trial != 1)
-        return td_refuse(TD_REASON_NOT_CHECKED, (double)NAN);
+    if (!(td_device_evidence(device) & TD_PULSE_SOUND))
+        return td_refuse(TD_REASON_NO_PULSE, (double)NAN);
+    if (!(td_device_evidence(device) & TD_TRIAL_FINISHED) && trial != 1)
+        return td_refuse(TD_REASON_NO_TRIAL, (double)NAN);
     if (lease_ms < TD_LEASE_LEAST_MS || lease_ms > TD_LEASE_MOST_MS)
         return td_refuse(TD_REASON_BAD_LEASE, lease_ms);
     if (trial > 1)
@@ -115,10 +146,13 @@ static td_refusal arm(td_device *device, const uint8_t *body)
         return found;
     if (servo->config->coil.present && !(servo->guard.winding_C <= servo->config->coil.play_limit_C))
         return td_refuse(TD_REASON_TOO_HOT, servo->guard.winding_C);
-    if (!(fabs(servo->approach.speed_m_s) <= TD_REST_SPEED_M_S))
-        return td_refuse(TD_REASON_NOT_AT_REST, servo->approach.speed_m_s);
+    found = need_rest(device);
+    if (found.reason != 0)
+        return found;
     td_servo_set_gain(servo, gain);
     td_servo_arm(servo);
+    if (device->trial)
+        td_evidence_trying(&device->evidence);
     device->lease_ticks = device->lease_left = td_device_ticks(device, lease_ms);
     return td_granted;
 }
@@ -128,11 +162,12 @@ static td_refusal reset(td_device *device)
     if (device->store.configured) {
         if (device->stop_wanted || !td_servo_reset(&device->servo))
             return td_refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
+        device->settled_ticks = 0;
         return td_granted;
     }
-    if (device->stop_pressed || device->stop_wanted)
+    if (device->stop_remains || device->stop_wanted)
         return td_refuse(TD_REASON_FAULT_REMAINS, (double)NAN);
-    device->stop_latched = false;
+    device->stop_latched = TD_NO_FAULT;
     return td_granted;
 }
 
@@ -150,20 +185,45 @@ static td_refusal change_gain(td_device *device, double gain)
     return found;
 }
 
-static td_refusal pulse(td_device *device, double current_A, uint16_t ticks)
+static td_refusal pulse(td_device *device, double current_A, uint16_t ticks, uint8_t pairs)
 {
-    const td_refusal found = need_idle(device);
+    const td_hardware *hardware = &device->port.hardware;
+    const td_config *config = &device->store.config;
+    td_refusal found = need_idle(device);
 
     if (found.reason != 0)
         return found;
     if (!device->store.configured)
         return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
-    if (!(fabs(current_A) <= TD_PULSE_LIMIT_A))
+    if (!(fabs(current_A) <= hardware->pulse_A && fabs(current_A) <= (double)config->current_limit_A))
         return td_refuse(TD_REASON_BAD_VALUE, current_A);
-    if (ticks == 0 || ticks > td_device_ticks(device, 1e3 * TD_PULSE_LIMIT_S))
+    if (ticks == 0 || ticks > td_device_ticks(device, 1e3 * hardware->pulse_s))
         return td_refuse(TD_REASON_BAD_VALUE, ticks);
-    device->pulse_A = (td_real)current_A;
-    device->pulse_left = ticks;
+    if (pairs > 0 && (config->pulse.nodes == 0 || ticks != config->pulse.ticks ||
+                      !(fabs(current_A) >= config->pulse.current_A && fabs(current_A) <= config->pulse.current_A)))
+        return td_refuse(TD_REASON_OTHER_PULSE, current_A);
+    found = need_rest(device);
+    if (found.reason != 0)
+        return found;
+    td_pulse_start(&device->pulse, config, (td_real)current_A, ticks, pairs);
+    if (pairs > 0)
+        td_evidence_pulsing(&device->evidence);
+    return td_granted;
+}
+
+static td_refusal move_surface(td_device *device, double counts)
+{
+    const uint8_t state = td_device_state(device);
+
+    if (!device->store.configured)
+        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
+    if (state == TD_STATE_FAULT)
+        return td_refuse(TD_REASON_FAULT_LATCHED, (double)NAN);
+    if (state == TD_STATE_PLAYING)
+        return td_refuse(TD_REASON_STILL_PLAYING, (double)NAN);
+    if (!(fabs(counts) <= TD_ENCODER_MOST_COUNTS))
+        return td_refuse(TD_REASON_BAD_VALUE, counts);
+    td_servo_set_surface(&device->servo, &device->store.config, counts);
     return td_granted;
 }
 
@@ -184,16 +244,6 @@ static td_refusal start(td_device *device, uint8_t negative)
         return td_refuse(TD_REASON_BAD_VALUE, negative);
     if (!td_servo_excite(servo, negative == 1))
         return td_refuse(TD_REASON_TOO_HOT, servo->config->coil.present ? servo->guard.winding_C : (double)NAN);
-    return td_granted;
-}
-
-static td_refusal note_check(td_device *device, const uint8_t *sha256)
-{
-    if (!device->store.configured)
-        return td_refuse(TD_REASON_NO_CONFIGURATION, (double)NAN);
-    if (!same_hash(sha256, device->store.configuration_sha256))
-        return td_refuse(TD_REASON_WRONG_CONFIGURATION, (double)NAN);
-    memcpy(device->checked_sha256, sha256, sizeof device->checked_sha256);
     return td_granted;
 }
 
@@ -237,10 +287,13 @@ td_refusal td_request(td_device *device, uint8_t kind, const uint8_t *body, size
         td_records_restart(&device->records, td_get_u16(body + TD_TELEMETRY_EVERY));
         return td_granted;
     case TD_KIND_PULSE:
-        return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS));
+        return pulse(device, td_get_f64(body + TD_PULSE_CURRENT_A), td_get_u16(body + TD_PULSE_TICKS),
+                     body[TD_PULSE_PAIRS]);
     case TD_KIND_START:
         return start(device, body[TD_START_NEGATIVE]);
-    default: /* TD_KIND_CHECKED: nothing else comes here */
-        return note_check(device, body + TD_CHECKED_CONFIGURATION_SHA256);
+    case TD_KIND_SURFACE:
+        return move_surface(device, td_get_f64(body + TD_SURFACE_COUNTS));
+    default: /* TD_KIND_EVIDENCE: nothing else comes here */
+        return td_granted;
     }
 }

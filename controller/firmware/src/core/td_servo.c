@@ -70,6 +70,19 @@ void td_servo_set_gain(td_servo *servo, td_wide gain)
     servo->wanted_gain = gain > 0 ? (gain > 1 ? 1 : gain) : 0;
 }
 
+void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts)
+{
+    const td_wide by_m = (config->surface_counts - counts) * config->count_m;
+    int32_t j;
+
+    config->surface_counts = counts;
+    if (!servo->read)
+        return;
+    servo->z_m += by_m;
+    for (j = 0; j <= config->wall.latency_ticks; j++)
+        servo->ring_z[j] = (td_real)((td_wide)servo->ring_z[j] + by_m);
+}
+
 static void tell(td_output *output, uint64_t tick, int what, td_real speed_m_s, td_real grip_N)
 {
     td_event *event;
@@ -93,9 +106,9 @@ static void note(td_servo *servo, td_output *output, uint64_t tick, int notice, 
 static void latch(td_servo *servo, td_output *output, uint64_t tick, uint32_t faults)
 {
     static const uint8_t order[TD_FAULTS] = {
-        TD_WHAT_EMERGENCY_STOP, TD_WHAT_BAD_SENSOR, TD_WHAT_OVER_CURRENT, TD_WHAT_OVER_TEMPERATURE,
-        TD_WHAT_ENCODER_JUMP,   TD_WHAT_ENCODER_STUCK, TD_WHAT_NO_CURRENT, TD_WHAT_GRIP_OPEN,
-        TD_WHAT_GRIP_SHORT,     TD_WHAT_GRIP_LOST,
+        TD_WHAT_EMERGENCY_STOP, TD_WHAT_HOST_STOP,        TD_WHAT_LATE_TICK,    TD_WHAT_BAD_SENSOR,
+        TD_WHAT_OVER_CURRENT,   TD_WHAT_OVER_TEMPERATURE, TD_WHAT_ENCODER_JUMP, TD_WHAT_ENCODER_STUCK,
+        TD_WHAT_NO_CURRENT,     TD_WHAT_GRIP_OPEN,        TD_WHAT_GRIP_SHORT,   TD_WHAT_GRIP_LOST,
     };
     int j;
 
@@ -339,7 +352,26 @@ static void drive(td_servo *servo, uint64_t tick, td_output *output)
     saturation(servo, output, tick, cut);
 }
 
+void td_servo_flowing(td_servo *servo, td_real least_A, td_real most_A)
+{
+    servo->least_A = least_A;
+    servo->most_A = most_A;
+    servo->expected_A = (least_A + most_A) / 2;
+}
+
+void td_servo_applied(td_servo *servo, td_real command_A)
+{
+    servo->command_A = command_A;
+    expect(servo, command_A);
+}
+
 void td_servo_step(td_servo *servo, const td_readings *readings, td_output *output)
+{
+    td_servo_answer(servo, readings, output);
+    td_servo_applied(servo, output->command_A);
+}
+
+void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *output)
 {
     const td_config *config = servo->config;
     td_watch *watch = &servo->watch;
@@ -370,8 +402,7 @@ void td_servo_step(td_servo *servo, const td_readings *readings, td_output *outp
         drive(servo, readings->tick, output);
     }
     servo->transient_A = output->transient_A;
-    servo->command_A = output->command_A;
-    expect(servo, output->command_A);
     output->state = servo->state;
+    output->enabled = servo->state == TD_STATE_ARMED || servo->state == TD_STATE_PLAYING;
     output->winding_C = config->coil.present ? (td_real)servo->guard.winding_C : (td_real)NAN;
 }

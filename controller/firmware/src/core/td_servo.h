@@ -68,7 +68,18 @@ bool td_servo_reset(td_servo *servo);
 /* Scale of transient and feedback together, 0 to 1; anything else goes to the nearer end, NaN to 0. */
 void td_servo_set_gain(td_servo *servo, td_wide gain);
 
-/* One servo period: the command that answers one tick's readings. */
+/* Another place of the surface from here on, in the configuration that the servo runs by; the stylus stays where it is,
+ * and a wall felt no motion by it. */
+void td_servo_set_surface(td_servo *servo, td_config *config, td_wide counts);
+
+/* The current may already flow, somewhere in these bounds. */
+void td_servo_flowing(td_servo *servo, td_real least_A, td_real most_A);
+
+/* One servo period: the command that answers one tick's readings; behind it, what in truth went out. */
+void td_servo_answer(td_servo *servo, const td_readings *readings, td_output *output);
+void td_servo_applied(td_servo *servo, td_real command_A);
+
+/* Both, where what was answered goes out. */
 void td_servo_step(td_servo *servo, const td_readings *readings, td_output *output);
 
 #endif

@@ -42,7 +42,7 @@ td_refusal td_store_check_config(
         return td_refuse(TD_REASON_WRONG_HASH, (double)NAN);
     found = td_check_config(store->draft, hardware, config);
     *fits = found.reason == 0 && store->size > 0 &&
-            td_check_image(store->images[store->current], store->size, store->draft, &store->banks[1 - store->current])
+            td_check_image(store->images[store->current], store->size, config, &store->banks[1 - store->current])
                     .reason == 0;
     return found;
 }
@@ -51,7 +51,6 @@ void td_store_configured(td_store *store, const uint8_t *sha256, const td_config
 {
     store->configured = true;
     store->config = *config;
-    memcpy(store->bytes, store->draft, sizeof store->bytes);
     memcpy(store->configuration_sha256, sha256, sizeof store->configuration_sha256);
     if (!fits) {
         store->size = 0;
@@ -101,7 +100,7 @@ td_refusal td_store_check_image(td_store *store)
         found = td_refuse(TD_REASON_WRONG_HASH, (double)NAN);
     else
         found = td_check_image(
-            arriving(store), store->arrived, store->bytes, &store->banks[1 - store->current]);
+            arriving(store), store->arrived, &store->config, &store->banks[1 - store->current]);
     /* Used up: what failed once is not what the next upload resumes. */
     if (found.reason != 0)
         forget(store);

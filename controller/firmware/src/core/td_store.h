@@ -7,8 +7,8 @@
 
 typedef struct {
     bool configured;
-    uint8_t draft[TD_CONFIGURATION_BYTES], bytes[TD_CONFIGURATION_BYTES]; /* arriving, in force */
-    td_config config;
+    uint8_t draft[TD_CONFIGURATION_BYTES]; /* arriving */
+    td_config config; /* in force */
     uint8_t configuration_sha256[TD_HASH_BYTES], library_sha256[TD_HASH_BYTES]; /* zero for what is not there */
     uint8_t images[2][TD_MAX_IMAGE_BYTES];
     td_bank banks[2];

@@ -1,4 +1,4 @@
-/* One servo period of a device: servo, lease, test pulse, and what is told of it. */
+/* One servo period of a device: the command first, then what is booked of it. */
 #include <math.h>
 
 #include "td_bytes.h"
@@ -16,8 +16,10 @@ static void tell(td_device *device, int what)
 
 void td_device_cut_pulse(td_device *device)
 {
-    if (device->pulse_left > 0) {
-        device->pulse_left = 0;
+    if (device->pulse.left > 0) {
+        device->pulse.left = 0;
+        if (device->pulse.judged)
+            device->evidence.stage = TD_STAGE_NOTHING;
         tell(device, TD_WHAT_PULSE_CUT);
     }
 }
@@ -31,100 +33,134 @@ void td_device_give_up(td_device *device)
     }
 }
 
-/* Before there is a configuration: an emergency stop is latched, nothing else is looked at. */
-static void step_unconfigured(td_device *device, bool emergency_stop, td_output *output)
+/* Raw readings as the owner's calibration corrects them. */
+static void correct(const td_calibration *calibration, td_readings *seen)
 {
-    device->stop_pressed = emergency_stop;
-    if (emergency_stop && !device->stop_latched) {
-        device->stop_latched = true;
-        tell(device, TD_WHAT_EMERGENCY_STOP);
+    if (seen->encoder_counts != TD_NO_COUNTS)
+        seen->encoder_counts *= calibration->encoder_direction;
+    seen->grip_N = calibration->grip_scale * seen->grip_N - calibration->grip_zero_N;
+    seen->current_A = calibration->monitor_scale * seen->current_A;
+    seen->acceleration_m_s2 =
+        calibration->acceleration_scale * seen->acceleration_m_s2 - calibration->acceleration_rest_m_s2;
+}
+
+static int first_of(const td_readings *seen, uint32_t tripped)
+{
+    if (seen->emergency_stop)
+        return TD_WHAT_EMERGENCY_STOP;
+    if (seen->host_stop)
+        return TD_WHAT_HOST_STOP;
+    if (seen->late)
+        return TD_WHAT_LATE_TICK;
+    return tripped & td_fault_bit(TD_WHAT_OVER_CURRENT) ? TD_WHAT_OVER_CURRENT : TD_WHAT_OVER_TEMPERATURE;
+}
+
+/* Before there is a configuration: a stop and the hardware's own limits are latched, nothing else is looked at. */
+static void step_unconfigured(td_device *device, const td_readings *seen, td_output *output)
+{
+    device->stop_remains = seen->emergency_stop || seen->late || device->tripped != 0;
+    if ((device->stop_remains || seen->host_stop) && device->stop_latched == TD_NO_FAULT) {
+        device->stop_latched = (uint8_t)first_of(seen, device->tripped);
+        tell(device, device->stop_latched);
     }
     output->command_A = output->transient_A = output->feedback_A = 0;
     output->winding_C = (td_real)NAN;
     output->state = td_device_state(device);
+    output->enabled = false;
     output->event_count = 0;
 }
 
-static void step_pulse(td_device *device, td_output *output)
+static void pulse(td_device *device, const td_readings *seen, td_output *output)
 {
     if (output->state != TD_STATE_IDLE) {
         td_device_cut_pulse(device);
         return;
     }
-    output->command_A = device->pulse_A;
-    device->pulse_left--;
-    if (device->pulse_left == 0)
-        tell(device, TD_WHAT_PULSE_ENDED);
+    td_pulse_see(&device->pulse, &device->store.config, seen);
+    output->command_A = td_pulse_command(&device->pulse);
+    output->enabled = true;
 }
 
-static void send_records(td_device *device)
+static void end_pulse(td_device *device)
 {
-    const td_records *records = &device->records;
-    const size_t size = (size_t)records->size * TD_RECORD_BYTES;
-    uint8_t *body = td_device_body(device);
-
-    td_put_u32(body + TD_TELEMETRY_DATA_FIRST, records->first);
-    td_put_u64(body + TD_TELEMETRY_DATA_TICK, records->tick);
-    td_put_u16(body + TD_TELEMETRY_DATA_EVERY, records->every);
-    memcpy(body + TD_TELEMETRY_DATA_RECORDS, records->records, size);
-    td_device_put(device, TD_KIND_TELEMETRY_DATA, 0, device->session, TD_TELEMETRY_DATA_BYTES + size);
-}
-
-static void send_event(td_device *device, const td_told *told)
-{
-    uint8_t *body = td_device_body(device);
-
-    td_put_u32(body + TD_EVENT_NUMBER, told->number);
-    td_put_u64(body + TD_EVENT_TICK, told->event.tick);
-    body[TD_EVENT_CODE] = told->event.what;
-    td_put_u16(body + TD_EVENT_LOST, told->lost);
-    td_put_f64(body + TD_EVENT_SPEED_M_S, (double)told->event.speed_m_s);
-    td_put_f64(body + TD_EVENT_GRIP_N, (double)told->event.grip_N);
-    td_device_put(device, TD_KIND_EVENT, 0, device->session, TD_EVENT_BYTES);
-}
-
-/* Telemetry and events of this tick, if somebody listens. */
-static void report(td_device *device, bool complete)
-{
-    const bool heard = device->open && device->silent_ticks < td_device_ticks(device, TD_LINK_SILENCE_MS);
-    const td_told *told;
-
-    if (complete) {
-        if (heard && device->output.size < TD_OUTPUT_LIMIT_BYTES)
-            send_records(device);
-        td_records_sent(&device->records);
-    }
-    if (!heard)
+    if (device->pulse.left == 0 || !td_pulse_next(&device->pulse))
         return;
-    td_events_tick(&device->events);
-    for (told = td_events_due(&device->events); told != NULL; told = td_events_due(&device->events))
-        send_event(device, told);
+    if (device->pulse.judged)
+        td_evidence_pulsed(&device->evidence, &device->store.config, &device->pulse, (td_wide)device->servo.watch.grip_N);
+    tell(device, TD_WHAT_PULSE_ENDED);
+}
+
+/* What a trial shows. */
+static void witness(td_device *device, const td_readings *seen, const td_output *output)
+{
+    const td_config *config = &device->store.config;
+    int32_t j;
+
+    td_evidence_see(&device->evidence, config, seen);
+    for (j = 0; j < output->event_count && device->trial; j++) {
+        if (output->events[j].what == TD_WHAT_CONTACT)
+            td_evidence_contact(&device->evidence, config);
+        else if (output->events[j].what == TD_WHAT_FINISHED)
+            td_evidence_tried(&device->evidence, config, device->servo.gain);
+    }
 }
 
 void td_device_step(td_device *device, const td_readings *readings, td_output *output)
 {
     td_readings seen = *readings;
+    td_real scale = 1, applied_A, out_A;
     int32_t j;
 
     device->tick = seen.tick;
-    /* A stop over the link is as if it had been pressed for one tick: latched like any other fault. */
-    seen.emergency_stop = seen.emergency_stop || device->stop_wanted;
+    /* A stop over the link is there for one tick: latched like any other fault. */
+    seen.host_stop = device->stop_wanted;
     device->stop_wanted = false;
     if (device->silent_ticks < INT32_MAX)
         device->silent_ticks++;
+    device->tripped = td_ring_watch(&device->ring, seen.current_A);
+    if (device->broken)
+        device->tripped |= td_fault_bit(TD_WHAT_BAD_SENSOR);
     if (td_device_is_active(device)) {
         if (device->lease_left == 0)
             td_device_give_up(device);
         else
             device->lease_left--;
     }
-    if (device->store.configured)
-        td_servo_step(&device->servo, &seen, output);
-    else
-        step_unconfigured(device, seen.emergency_stop, output);
+    if (device->store.configured) {
+        correct(&device->store.config.calibration, &seen);
+        scale = device->store.config.calibration.amplifier_scale;
+        device->servo.watch.hardware = device->tripped;
+        td_servo_answer(&device->servo, &seen, output);
+        if (device->settled_ticks < INT32_MAX)
+            device->settled_ticks++;
+    } else {
+        step_unconfigured(device, &seen, output);
+    }
+    if (device->pulse.left > 0)
+        pulse(device, &seen, output);
+
+    /* What goes out. */
+    applied_A = output->command_A;
+    output->command_A = applied_A / scale;
+    out_A = output->enabled ? td_ring_limited(&device->ring, output->command_A) : 0;
+    device->broken = !(td_size(applied_A) < (td_real)1e30);
+    if (out_A < output->command_A || out_A > output->command_A || device->broken) {
+        applied_A = out_A * scale;
+        output->command_A = out_A;
+    }
+    if (device->port.put != NULL)
+        device->port.put(device->port.context, output->command_A, output->enabled);
+
+    /* What is booked of it. */
+    td_ring_follow(&device->ring, output->command_A);
+    if (device->store.configured) {
+        td_servo_applied(&device->servo, applied_A);
+        witness(device, &seen, output);
+    }
     for (j = 0; j < output->event_count; j++)
         td_events_put(&device->events, &output->events[j]);
-    if (device->pulse_left > 0)
-        step_pulse(device, output);
-    report(device, td_records_step(&device->records, &seen, output));
+    end_pulse(device);
+    td_records_step(&device->records, &seen, output, applied_A, td_device_is_heard(device));
+    if (td_device_is_heard(device))
+        td_events_tick(&device->events);
 }

@@ -12,7 +12,8 @@ void td_watch_start(td_watch *watch, const td_config *config)
     watch->grip_N = config->assumed_grip_N;
     watch->raw_grip_N = watch->current_A = watch->step_m_s = 0;
     watch->seen = watch->gripped = false;
-    watch->emergency_stop = watch->bad_encoder = watch->bad_current = watch->playing = false;
+    watch->emergency_stop = watch->host_stop = watch->late = watch->bad_encoder = watch->bad_current = watch->playing = false;
+    watch->hardware = 0;
     td_watch_forget(watch);
 }
 
@@ -25,6 +26,8 @@ void td_watch_step(td_watch *watch, const td_config *config, const td_readings *
     int32_t moved = 0;
 
     watch->emergency_stop = readings->emergency_stop;
+    watch->host_stop = readings->host_stop;
+    watch->late = readings->late;
     watch->playing = playing;
     /* Comparisons with NaN are false: written so that NaN is bad. TD_NO_COUNTS is below any limit. */
     watch->bad_encoder = !(-config->encoder_limit_counts <= counts && counts <= config->encoder_limit_counts);
@@ -71,7 +74,8 @@ static uint32_t alike(const td_watch *w, const td_config *c)
     const bool moves = -c->fastest_m_s <= w->step_m_s && w->step_m_s <= c->fastest_m_s;
     const bool flows = -c->over_current_A <= w->current_A && w->current_A <= c->over_current_A;
 
-    return bit(TD_WHAT_EMERGENCY_STOP, w->emergency_stop) | bit(TD_WHAT_BAD_SENSOR, w->bad_encoder || w->bad_current) |
+    return w->hardware | bit(TD_WHAT_EMERGENCY_STOP, w->emergency_stop) | bit(TD_WHAT_HOST_STOP, w->host_stop) |
+           bit(TD_WHAT_LATE_TICK, w->late) | bit(TD_WHAT_BAD_SENSOR, w->bad_encoder || w->bad_current) |
            bit(TD_WHAT_OVER_CURRENT, !flows) | bit(TD_WHAT_ENCODER_JUMP, !moves) |
            bit(TD_WHAT_ENCODER_STUCK, w->still_ticks >= c->still_limit || td_size(w->still_A_s) >= c->stuck_A_s) |
            bit(TD_WHAT_NO_CURRENT, w->missing_ticks >= c->missing_limit) |

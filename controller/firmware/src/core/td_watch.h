@@ -13,7 +13,8 @@ typedef struct {
     int32_t counts;
     td_real grip_N, raw_grip_N, current_A, step_m_s; /* step_m_s: of the encoder over the last tick */
     bool seen, gripped;                              /* whether there has been a sound reading yet */
-    bool emergency_stop, bad_encoder, bad_current, playing;
+    bool emergency_stop, host_stop, late, bad_encoder, bad_current, playing;
+    uint32_t hardware; /* faults that the hardware's own limits have seen in this tick (td_ring.h) */
     int32_t missing_ticks; /* for so long far less current than expected was measured */
     int32_t still_ticks;   /* with current since the last count; both counted up to their limits */
     td_real still_A_s;     /* impulse of the transient since the last count */

@@ -1,0 +1,182 @@
+"""`transopt-play device new|show`: what a device is, asked for step by step and written to its file.
+
+Also how every other command finds the device that it is about.
+"""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from controller.cli.options import DeviceName
+from transopt.base import terminal
+from transopt.base.errors import InputError
+
+if TYPE_CHECKING:
+    from controller.device.reading import Described
+    from controller.sim.simulator import Imperfections
+
+device_app = typer.Typer(no_args_is_help=True, help="Describe a device in a file that every command reads.")
+# Without a sensor nothing is asked of it, with one nothing is assumed.
+POINTLESS = {
+    "grip": {True: ("assumed_grip_N",), False: ("scale", "zero_N")},
+    "accelerometer": {True: (), False: ("scale", "rest_m_s2", "bandwidth_Hz")},
+}
+
+
+@device_app.callback()
+def device() -> None:
+    """Describe a device in a file that every command reads."""
+
+
+@device_app.command("new", epilog="Example: transopt-play device new device.toml")
+def new(
+    file: Annotated[Path, typer.Argument(help="The device file to write, as a rule device.toml beside a library.")],
+    like: Annotated[
+        str, typer.Option("--from", help="Built-in example or device file whose values are offered.")
+    ] = "with_grip",
+    defaults: Annotated[bool, typer.Option("--defaults", help="Ask nothing: take the values offered.")] = False,
+) -> None:
+    """Ask what a device is, step by step, and write it to a file; an empty answer takes what is offered."""
+    from controller.device.device_file import DeviceFile
+    from controller.device.reading import find, write_device
+
+    if file.exists():
+        raise InputError(f"{file}: is there already; choose another name, or change it in an editor")
+    offered = find(like).device
+    described = offered if defaults else DeviceFile.model_validate(_asked(offered))
+    write_device(file, described, "What this device is; every command of transopt-play reads it.")
+    terminal.console().print(
+        f"{file}: written\nnext: transopt-play zero --device {file} --port PORT, then transopt-play check",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+@device_app.command("show", epilog="Example: transopt-play device show with_grip")
+def show(
+    file: Annotated[
+        str | None, typer.Argument(help="Device file or built-in example; default the built-in device.")
+    ] = None,
+) -> None:
+    """What a device file says, and what is the built-in device's because the file does not state it."""
+    from rich.table import Table
+
+    from controller.device.device_file import TABLES
+    from controller.device.reading import all_keys, examples, find, value_of
+    from transopt.base.units import unit_of
+
+    found = find(file)
+    table = Table(title=f"{found.source}: {found.device.name}")
+    for name in ("key", "value", "unit", "stated", "what it is"):
+        table.add_column(name, overflow="fold")
+    for key in all_keys():
+        section, _, name = key.partition(".")
+        value = value_of(found.device, key)
+        table.add_row(
+            key,
+            "-" if value is None else str(value),
+            unit_of(key),
+            "yes" if key in found.stated else "no: built-in",
+            TABLES[section].model_fields[name].description or "",
+        )
+    console = terminal.console()
+    console.print(table)
+    if file is None:
+        console.print(f"built-in examples: {', '.join(examples())}", highlight=False)
+
+
+def _asked(offered: Any) -> dict[str, Any]:
+    """What a person answers, key by key, each checked as it is given."""
+    from controller.device.device_file import TABLES
+
+    console = terminal.console()
+    answers: dict[str, Any] = {"name": _answer("name", "what you call it", "", offered.name, lambda text: text)}
+    for table, kind in TABLES.items():
+        console.print(f"\n{table}: {(kind.__doc__ or '').splitlines()[0]}", highlight=False)
+        given: dict[str, Any] = {}
+        answers[table] = given
+        for key, field in kind.model_fields.items():
+            if key in POINTLESS.get(table, {}).get(given.get("sensor", True), ()) and "sensor" in kind.model_fields:
+                continue
+            default = getattr(getattr(offered, table), key)
+            value = _checked_answer(kind, table, key, field.description or "", default)
+            if value is not None:
+                given[key] = value
+    return answers
+
+
+def _checked_answer(kind: Any, table: str, key: str, why: str, default: Any) -> Any:
+    from pydantic import ValidationError
+
+    from transopt.base.units import unit_of
+
+    def parsed(text: str) -> Any:
+        if isinstance(default, bool):
+            words = {"yes": True, "y": True, "true": True, "no": False, "n": False, "false": False}
+            if text.lower() not in words:
+                raise ValueError("answer yes or no")
+            return words[text.lower()]
+        value: Any = int(text) if isinstance(default, int) else float(text)
+        try:
+            kind.model_validate({key: value})
+        except ValidationError as error:
+            raise ValueError(error.errors()[0]["msg"].replace("Input should be", "must be")) from None
+        return value
+
+    return _answer(f"{table}.{key}", why, unit_of(key), default, parsed)
+
+
+def _answer(name: str, why: str, unit: str, default: Any, parsed: Any) -> Any:
+    """One question, repeated until the answer is one."""
+    offered = {True: "yes", False: "no", None: "not stated"}.get(default) if default in (True, False, None) else None
+    if offered is None or (isinstance(default, int | float) and not isinstance(default, bool)):
+        offered = str(default)
+    while True:
+        typer.echo(f"  {name}{f' [{unit}]' if unit else ''}: {why}\n    ({offered}) ", nl=False)
+        text = sys.stdin.readline()
+        if text == "":
+            raise InputError("device new: no answers came; type them, or take the values offered with --defaults")
+        if not text.strip():
+            return default
+        try:
+            return parsed(text.strip())
+        except ValueError as error:
+            typer.echo(f"    {text.strip()}: {error}")
+
+
+def described(named: str | None, library: Path | None = None, *, quiet: bool = False) -> "Described":
+    """The device that a command is about; says in one line whose numbers are taken.
+
+    Parameters
+    ----------
+    named : by --device. library : beside which device.toml is looked for.
+    quiet : says nothing of the built-in device, which a simulated one is by itself.
+
+    Raises
+    ------
+    InputError : the file cannot be read, or says what no device can be.
+    """
+    from controller.device.reading import find
+
+    found = find(named, library)
+    if found.stated or not quiet:
+        terminal.console().print(found.in_words, highlight=False, soft_wrap=True)
+    return found
+
+
+def sensing(found: "Described", wrong: "Imperfections") -> "Imperfections":
+    """The sensors of a simulated device as its file describes them."""
+    from dataclasses import replace
+
+    device = found.device
+    sensors = replace(
+        wrong.sensors,
+        count_m=device.encoder.count_m,
+        accelerometer_bandwidth_Hz=device.accelerometer.bandwidth_Hz,
+    )
+    return replace(wrong, sensors=sensors)
+
+
+__all__ = ["DeviceName", "described", "device_app", "sensing"]

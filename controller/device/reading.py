@@ -1,0 +1,234 @@
+"""Device files: found, read, written; an error is one line with file, key, value and limit."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from controller.device.device_file import BUILT_IN, LEAST_SCALE, TABLES, DeviceFile
+from transopt.base.errors import InputError
+from transopt.base.files import check_depth, is_file, read_file, whole_file
+from transopt.base.nearest import did_you_mean
+from transopt.base.shown import cut
+from transopt.base.sizes import MOST_TEXT_BYTES
+
+BESIDE = "device.toml"  # looked for in the folder of a library
+EXAMPLES = Path(__file__).parent / "examples"
+ADVICE = "a device file is TOML; `transopt-play device new FILE` writes one"
+SCALES = ("grip.scale", "accelerometer.scale", "amplifier.scale", "amplifier.monitor_scale")
+_TABLE = re.compile(r"^\s*\[\s*([^\]]*?)\s*\]")
+
+
+@dataclass(frozen=True)
+class Described:
+    """A device and where it was described.
+
+    Attributes
+    ----------
+    device : all that its file states, and the built-in device's for the rest.
+    path : of the file; None for the built-in device and the examples.
+    source : in words, for one line.
+    stated : keys like `encoder.count_m` that the file has.
+    """
+
+    device: DeviceFile
+    path: Path | None
+    source: str
+    stated: frozenset[str]
+
+    @property
+    def in_words(self) -> str:
+        """One line: whose numbers are taken."""
+        unstated = [key for key in all_keys() if key not in self.stated]
+        if not self.stated:
+            return f"device: {self.source}; `transopt-play device new FILE` describes your own"
+        rest = f"; the built-in device's: {', '.join(unstated)}" if unstated else ""
+        return f"device: {self.source}{rest}"
+
+
+def all_keys() -> Iterator[str]:
+    """`table.key` of everything that a device file may state, in its order."""
+    for name, table in TABLES.items():
+        for key in table.model_fields:
+            yield f"{name}.{key}"
+
+
+def value_of(device: DeviceFile, key: str) -> Any:
+    """What a device has under a key like `encoder.count_m`."""
+    table, _, name = key.partition(".")
+    return getattr(getattr(device, table), name)
+
+
+def examples() -> dict[str, Path]:
+    """The built-in examples by name."""
+    return {path.stem: path for path in sorted(EXAMPLES.glob("*.toml"))}
+
+
+def find(named: str | None, library: Path | None = None) -> Described:
+    """The device that a command is about.
+
+    Parameters
+    ----------
+    named : a file, or a built-in example; None looks for `device.toml` beside the library.
+    library : the file, None without one.
+
+    Raises
+    ------
+    InputError : the file cannot be read, or says what no device can be.
+    """
+    if named is not None:
+        example = examples().get(named)
+        if example is not None and not is_file(Path(named)):
+            return _described(example, None, f"built-in example {named}")
+        if not is_file(Path(named)) and Path(named).suffix != ".toml":
+            names = examples()
+            raise InputError(
+                f"--device {named}: no such file{did_you_mean(named, names)}; give a device file or one of the "
+                f"built-in examples {', '.join(names)}"
+            )
+        return read_device(Path(named))
+    if library is not None and is_file(library.parent / BESIDE):
+        return read_device(library.parent / BESIDE)
+    return Described(BUILT_IN, None, "the built-in one", frozenset())
+
+
+def read_device(path: Path) -> Described:
+    """
+    Raises
+    ------
+    InputError : as `find`.
+    """
+    return _described(path, path, str(path))
+
+
+def _described(path: Path, kept: Path | None, source: str) -> Described:
+    content = _toml(_text(path), path)
+    try:
+        device = DeviceFile.model_validate(content)
+    except ValidationError as error:
+        raise InputError(_complaint(path, error)) from None
+    for key in SCALES:
+        value = value_of(device, key)
+        if abs(value) < LEAST_SCALE:
+            raise InputError(f"{path}: {key} = {value:g}: its size must be {LEAST_SCALE:g} or more")
+    stated = frozenset(f"{table}.{key}" for table in TABLES for key in content.get(table, {}))
+    return Described(device, kept, source, stated)
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_file(path, MOST_TEXT_BYTES, ADVICE).decode("utf-8").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: cannot be read as text ({error}); {ADVICE}") from None
+
+
+def _toml(text: str, path: Path) -> dict[str, Any]:
+    try:
+        content = tomllib.loads(text)
+        check_depth(content)
+        return content
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {error}; {ADVICE}") from None
+
+
+def _complaint(path: Path, error: ValidationError) -> str:
+    """The first complaint in one line: a misspelt key before a wrong value."""
+    complaints = error.errors()
+    first = min(complaints, key=lambda complaint: complaint["type"] != "extra_forbidden")
+    keys = [str(key) for key in first["loc"]]
+    where = ".".join(keys)
+    more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
+    if first["type"] == "extra_forbidden":
+        known = list(DeviceFile.model_fields if len(keys) == 1 else TABLES[keys[0]].model_fields)
+        text = f"unknown key{did_you_mean(keys[-1], known)}; known here: {', '.join(known)}"
+        return f"{path}: {where}: {text}{more}"
+    message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+    return f"{path}: {where} = {cut(repr(first['input']))}: {message}{more}"
+
+
+def as_text(device: DeviceFile, head: str = "") -> str:
+    """A device file with a comment at each key.
+
+    Parameters
+    ----------
+    head : lines of comment at its top, without their marks.
+    """
+    lines = [f"# {line}" for line in head.splitlines()]
+    lines += [f"name = {_toml_value(device.name)}"]
+    for table, kind in TABLES.items():
+        lines += ["", f"[{table}]  # {(kind.__doc__ or '').splitlines()[0]}"]
+        for key, field in kind.model_fields.items():
+            value = getattr(getattr(device, table), key)
+            shown = f"# {key} =" if value is None else f"{key} = {_toml_value(value)}"
+            lines.append(f"{shown}  # {field.description}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in value)
+        return f'"{escaped}"'
+    return repr(value)
+
+
+def write_device(path: Path, device: DeviceFile, head: str = "") -> None:
+    """A new file.
+
+    Raises
+    ------
+    InputError : it is there already, or cannot be written.
+    """
+    if path.exists():
+        raise InputError(f"{path}: is there already; choose another name, or change it in an editor")
+    _write(path, as_text(device, head))
+
+
+def restate(path: Path, key: str, value: float) -> None:
+    """Put another value at a key of a device file, all other lines and their comments as they are.
+
+    Parameters
+    ----------
+    key : like `encoder.surface_counts`.
+
+    Raises
+    ------
+    InputError : the file cannot be read or written, or would not be a device file afterwards.
+    """
+    table, _, name = key.partition(".")
+    lines, inside, at, end = _text(path).split("\n"), False, None, None
+    wanted = re.compile(rf"^(\s*(?:#\s*)?{re.escape(name)}\s*=\s*)([^#]*?)(\s*(?:#.*)?)$")
+    for j, line in enumerate(lines):
+        heading = _TABLE.match(line)
+        if heading:
+            inside = heading.group(1) == table
+            end = j if inside else end
+        elif inside and wanted.match(line):
+            at = j
+    if at is not None:
+        found = wanted.match(lines[at])
+        assert found is not None
+        lines[at] = f"{found.group(1).replace('#', '', 1).lstrip()}{value!r}{found.group(3)}"
+    elif end is not None:
+        lines.insert(end + 1, f"{name} = {value!r}")
+    else:
+        lines = [*lines[: -1 if lines[-1] == "" else None], "", f"[{table}]", f"{name} = {value!r}", ""]
+    text = "\n".join(lines)
+    if _toml(text, path).get(table, {}).get(name) != value:
+        raise InputError(
+            f"{path}: write {name} = {value!r} into its table [{table}] by hand; it is laid out unusually"
+        )
+    _write(path, text)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        with whole_file(path) as file:
+            file.write(text.encode("utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place") from None

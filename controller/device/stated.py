@@ -1,0 +1,109 @@
+"""What a device file means for the servo: numbers of `controller.servo.settings.Settings`.
+
+Lengths and impulses that the servo judges by follow the encoder's count, and windows are times, so that servos of 1
+to 20 kHz and encoders of 1 to 100 um work alike.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from controller.device.device_file import DeviceFile
+from controller.servo.settings import Settings
+from transopt.base.errors import InputError
+from transopt.library.library import Library
+
+TOUCH_COUNTS = 4  # of height that mean to have left the surface: a tremor's size
+REARM_M, REARM_TOUCHES = Settings.rearm_height_m, 2.0  # a height that no trembling hand on the surface reaches
+WINDOW_S = 10e-3  # of approach that the parabola is laid through
+LEAST_WINDOW = 6  # readings of it: a parabola has three numbers
+USUAL_COUNT_M = Settings.count_m
+
+
+def servo_numbers(device: DeviceFile, dt_s: float) -> dict[str, Any]:
+    """Fields of `Settings` that a device decides, whatever it plays.
+
+    Parameters
+    ----------
+    dt_s : servo period.
+
+    Notes
+    -----
+    At the turning point of a tap, with acceleration a, the stylus stays within one count for 2 sqrt(2 count / a).
+    The impulse that may pass there without a count, `stuck_A_s`, therefore grows with the root of the count.
+    """
+    encoder, grip, accelerometer, amplifier = device.encoder, device.grip, device.accelerometer, device.amplifier
+    count_m = encoder.count_m
+    touch_m = TOUCH_COUNTS * count_m
+    coarse = max(1.0, math.sqrt(count_m / USUAL_COUNT_M))
+    return {
+        "count_m": count_m,
+        "surface_counts": encoder.surface_counts,
+        "encoder_direction": encoder.direction,
+        "acceleration_scale": accelerometer.scale,
+        "acceleration_rest_m_s2": accelerometer.rest_m_s2,
+        "has_accelerometer": accelerometer.sensor,
+        "grip_scale": grip.scale,
+        "grip_zero_N": grip.zero_N,
+        "monitor_scale": amplifier.monitor_scale,
+        "amplifier_scale": amplifier.scale,
+        "touch_height_m": touch_m,
+        "rearm_height_m": max(REARM_M, REARM_TOUCHES * touch_m),
+        "window_ticks": max(round(WINDOW_S / dt_s), LEAST_WINDOW),
+        "stuck_A_s": coarse * Settings.stuck_A_s,
+    }
+
+
+def assumed_grip_N(device: DeviceFile, grips_N: Any) -> float | None:
+    """The grip that stands in for a sensor, moved to the edge of a library's grips; None where a sensor is read.
+
+    Parameters
+    ----------
+    grips_N : (n,) nodes of a library, or empty.
+    """
+    nodes = np.asarray(grips_N, dtype=float)
+    if nodes.size and nodes[0] == 0:
+        return 0.0  # of the free device, which nobody holds
+    if device.grip.sensor:
+        return None
+    assumed = device.grip.assumed_grip_N
+    return float(np.clip(assumed, nodes[0], nodes[-1])) if nodes.size else assumed
+
+
+def library_numbers(device: DeviceFile, library: Library) -> dict[str, Any]:
+    """Fields of `Settings` for a library on this device, to be put over what the library says.
+
+    Raises
+    ------
+    InputError : the library is for another servo period, or asks for more than the hardware gives.
+    """
+    dt_s, limits = float(library.meta["dt_s"]), library.meta["limits"]
+    if device.servo.dt_s is not None and abs(device.servo.dt_s / dt_s - 1) > 1e-6:
+        raise InputError(
+            f"device file: servo.dt_s = {device.servo.dt_s:g}, the library is for {dt_s:g} s: solve it with "
+            f"time.dt_s = {device.servo.dt_s:g}, or correct the device file"
+        )
+    most_A = device.hardware.current_A
+    if most_A is not None and limits["current_A"] > most_A * (1 + 1e-9):
+        raise InputError(
+            f"library: up to {limits['current_A']:g} A, device file: hardware.current_A = {most_A:g}: solve it with "
+            f"limits.current_A = {most_A:g}, or correct the device file"
+        )
+    numbers = servo_numbers(device, dt_s)
+    assumed = assumed_grip_N(device, library.grips_N)
+    if assumed is not None:
+        numbers["assumed_grip_N"] = assumed
+    return numbers
+
+
+def grip_in_words(device: DeviceFile, library: Library) -> str:
+    """What a library of several grips means on a device without a grip sensor; empty for any other device."""
+    nodes = library.grips_N
+    if device.grip.sensor or nodes[0] == 0:
+        return ""
+    taken, asked = assumed_grip_N(device, nodes), device.grip.assumed_grip_N
+    words = f"no grip sensor: every tap is played for {taken:g} N"
+    if taken != asked:
+        words += f", the nearest to {asked:g} N that the library has ({nodes[0]:g} to {nodes[-1]:g} N)"
+    return words

@@ -1,0 +1,176 @@
+"""The steps of the bring-up check in which a current flows: small pulses, then a tap or a sweep at a tenth."""
+
+import numpy as np
+
+from controller.host.check_looks import Verdict
+from controller.host.check_state import Check, FailedError
+from controller.host.diagnosis import sound
+from controller.host.pulses import pairs_of
+from controller.protocol.capacity import REST_BETWEEN_PULSES_S, TRIAL_GAIN
+from controller.protocol.codes import LinkNotice
+from controller.protocol.events import Happened
+from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED
+from controller.record.played import PlayedTap, played_tap
+from controller.record.recorder import AFTER_S, Recorder
+from controller.servo.interface import Notice
+
+MEASURED_PAIRS = 4  # of single pulses, where no library predicts them
+SLACK_S = 0.5  # after what the device does by itself, for the last telemetry
+
+
+def pulses(check: Check) -> Verdict:
+    """Pairs of pulses of either sign, so small that they do no harm with the wrong sign either.
+
+    The device plays them and judges them itself: without its own verdict it does not arm, whatever a host says.
+    """
+    check.person.asked("hold the stylus above the surface, still: it will tremble")
+    check.need_rest()
+    if not check.settings.pulse_grip_N:
+        _measure(check)
+    s, pairs = check.settings, pairs_of(check.described)
+    begin = len(check.happened)
+
+    def ended() -> bool:
+        return any(event.what is LinkNotice.PULSE_ENDED for event in check.happened[begin:])
+
+    check.device.pulse(s.pulse_A, s.pulse_ticks, pairs)
+    longest_s = 2 * pairs * (s.pulse_ticks * s.dt_s + REST_BETWEEN_PULSES_S)
+    if not check.wait(ended, longest_s + SLACK_S):
+        raise FailedError("the pulses were cut")
+    found = check.device.evidence()
+    check.note(current=found.current_ratio, acceleration=found.acceleration_ratio, path=found.path_ratio)
+    ratios = {
+        "current": found.current_ratio,
+        "acceleration": found.acceleration_ratio,
+        "path": found.path_ratio,
+    }
+    seen = ", ".join(f"{name} {ratio:+.2f}" for name, ratio in ratios.items() if not np.isnan(ratio))
+    return f"{found.pulses} pulses: {seen} of what was asked and predicted", bool(found.bits & PULSE_SOUND)
+
+
+def _measure(check: Check) -> None:
+    """Take for the prediction what a few single pulses do, where no library says it.
+
+    Raises
+    ------
+    FailedError : a current or an acceleration that no sound device has.
+    """
+    s = check.settings
+    if check.take_measured is None or not s.has_accelerometer:
+        raise FailedError("nothing predicts the pulse: give a library of this device, or one guessed from datasheets")
+    found = [one for _ in range(MEASURED_PAIRS) for sign in (1, -1) if (one := _single(check, sign * s.pulse_A))]
+    if len(found) < 2 * MEASURED_PAIRS:
+        raise FailedError("telemetry was lost while pulses were measured")
+    current, acceleration = (float(np.mean(values)) for values in zip(*found, strict=True))
+    check.note(current=current)
+    if not sound(current) or acceleration <= 0:
+        if sound(current):
+            check.remarks.append("the stylus goes inwards by a current outwards: exchange the motor's leads")
+        raise FailedError(f"current {current:+.2f} of what was asked, acceleration {acceleration:+.1f} m/s² per A")
+    check.settings = check.take_measured(acceleration)
+
+
+def _single(check: Check, size_A: float) -> tuple[float, float] | None:
+    """Current over what was asked, acceleration per ampere [m/s^2]; None where telemetry was lost."""
+    s, wanted = check.settings, check.settings.pulse_ticks
+    check.device.listen(REST_BETWEEN_PULSES_S)
+    check.device.pulse(size_A, wanted)
+    check.device.listen(wanted * check.dt_s + REST_BETWEEN_PULSES_S / 2)
+    records, before = [record for _, record in check.records], check.ticks(REST_BETWEEN_PULSES_S / 2)
+    latest = np.flatnonzero([record.command_A != 0 for record in records])[-wanted:]
+    if latest.size < wanted or latest[-1] - latest[0] != wanted - 1 or latest[0] < before:
+        return None
+    first = int(latest[0])
+    current = np.array([record.measured_current_A for record in records[first - before : first + wanted]])
+    felt = np.array([record.acceleration_m_s2 for record in records[first - before :]])
+    late = current[before + wanted // 2 :].mean() - current[:before].mean()
+    begin = before + s.pulse_skip_ticks
+    pushed = felt[begin : begin + s.pulse_push_ticks].mean() - felt[:before].mean()
+    return float(late / size_A), float(pushed / size_A)
+
+
+def trial_sweep(check: Check) -> Verdict:
+    check.person.asked("hold the stylus, or leave it alone, still: it will tremble for a moment")
+    check.need_rest()
+    begin = len(check.happened)
+
+    def ended() -> bool:
+        return any(event.what is Notice.FINISHED for event in check.happened[begin:])
+
+    check.device.arm(TRIAL_GAIN, trial=True)
+    try:
+        check.device.start()
+        done = check.wait(ended, check.patience_s)
+    finally:
+        check.device.disarm()
+    return "played to its end" if done else "not played to its end", done
+
+
+def trial_tap(check: Check) -> Verdict:
+    """A tap at a tenth, which has to be the one that the library predicts."""
+    check.person.asked("hold the stylus above the surface, still")
+    s = check.settings
+    least_N = s.grip_min_N + s.grip_margin_N
+
+    def held() -> bool:
+        z = (check.column("encoder_counts") - s.surface_counts) * s.count_m
+        firm = s.assumed_grip_N is not None or float(check.column("grip_N").min(initial=np.inf)) > least_N
+        return check.at_rest() and firm and float(z.min()) > s.rearm_height_m
+
+    check.forget()
+    if not check.wait(held, check.patience_s):
+        return f"not held still above the surface within {check.patience_s:g} s", False
+    begin = len(check.happened)
+
+    def came(what: Notice) -> Happened | None:
+        return next((event for event in check.happened[begin:] if event.what is what), None)
+
+    recorder = Recorder(None, check.dt_s, s.count_m, s.surface_counts)
+    check.device.listeners.append(recorder.take)
+    try:
+        check.device.arm(TRIAL_GAIN, trial=True)
+        try:
+            check.person.asked("tap the surface")
+            check.wait(lambda: came(Notice.FINISHED) is not None, check.patience_s)
+        finally:
+            check.device.disarm()
+        if came(Notice.FINISHED) is not None:
+            check.wait(lambda: bool(recorder.contacts), AFTER_S + SLACK_S)
+    finally:
+        check.device.listeners.remove(recorder.take)
+    contact = came(Notice.CONTACT)
+    if contact is None:
+        seen = ", ".join(dict.fromkeys(event.what.value for event in check.happened[begin:]))
+        return f"no contact within {check.patience_s:g} s" + (f": {seen}" if seen else ""), False
+    seen = f"contact at {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
+    if came(Notice.FINISHED) is None:
+        return f"{seen}, not played to its end", False
+    words, good = _as_predicted(check, recorder)
+    found = check.device.evidence()
+    check.note(speed=found.speed_ratio)
+    if not np.isnan(found.speed_ratio):
+        words += f", its motion by the encoder {found.speed_ratio:.2f} of that by the accelerometer"
+    elif check.settings.has_accelerometer:
+        words += (
+            ", encoder and accelerometer not compared: hold still for two seconds, then tap from a centimetre or more"
+        )
+    return f"{seen}, played to its end{words}", good and bool(found.bits & TRIAL_FINISHED)
+
+
+def _as_predicted(check: Check, recorder: Recorder) -> tuple[str, bool]:
+    """The trial tap beside its prediction, where there is an accelerometer."""
+    if check.library is None or not check.described.accelerometer.sensor:
+        return "", True
+    if not recorder.contacts:
+        return ", not recorded whole", False
+    tap: PlayedTap = played_tap(
+        recorder.contacts[0],
+        check.library,
+        check.settings,
+        TRIAL_GAIN,
+        check.described.accelerometer.bandwidth_Hz,
+    )
+    if tap.why:
+        return f", not compared: {tap.why}", False
+    check.note(trial=tap.compared.scale)
+    return f", {tap.compared.scale:.2f} times its prediction", sound(tap.compared.scale)

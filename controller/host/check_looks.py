@@ -1,0 +1,180 @@
+"""The steps of the bring-up check that only look: link, emergency stop, encoder, accelerometer, grip, current offset.
+
+The encoder is measured against a way that the person knows, the accelerometer against gravity, where there is any,
+and against the encoder while the stylus is shaken. So both scales are known before any current flows.
+"""
+
+import numpy as np
+
+from controller.host.check_state import WINDOW_S, Check
+from controller.host.diagnosis import off, sound
+from controller.host.motion import Shaken, shaken
+from controller.protocol.messages import STOP_PRESSED
+from controller.servo.interface import Fault, State
+from transopt.base.signals import STANDARD_GRAVITY_M_S2
+
+LINK_S, LINK_ERROR_S, CLOCK_OFF = 1.0, 0.05, 0.01
+WAY_M = 10e-3  # that the person measures
+LEAST_WAY = 0.1  # of it that has to be seen, or the stylus was not moved
+UNSTEADY = 0.15  # of what was moved: an encoder of another scale makes more counts of a hand's tremor
+REST_M_S2 = 0.2 * STANDARD_GRAVITY_M_S2  # by which the accelerometer may be off at rest
+GRAVITY_M_S2 = 0.5 * STANDARD_GRAVITY_M_S2  # from which a stated value at rest tells the scale
+SHAKE_S = 1.5
+GRIP_ZERO_N, GRIP_HELD_N = 0.2, 0.7
+GRIP_STEADY = 0.1  # of a weight's reading
+OFFSET_A = 0.05
+Verdict = tuple[str, bool]
+
+
+def link(check: Check) -> Verdict:
+    """Heartbeats there and back, and the device's clock against the host's."""
+    session = check.device.session
+    before, missed = session.decoder.bad_frames, check.missed
+    check.device.listen(LINK_S)
+    clock = session.clock
+    if clock is None or not check.records:
+        return "no heartbeat or no telemetry", False
+    damaged, lost = session.decoder.bad_frames - before, check.missed - missed
+    seen = f"clock {100 * clock.drift:+.2f} %, known to {1e3 * clock.error_s:.1f} ms"
+    seen += f", {lost} records lost, {damaged} frames damaged"
+    return seen, abs(clock.drift) <= CLOCK_OFF and clock.error_s <= LINK_ERROR_S and lost == 0 and damaged == 0
+
+
+def emergency_stop(check: Check) -> Verdict:
+    check.person.asked("press the emergency stop")
+    if not check.wait(lambda: check.device.fault is Fault.EMERGENCY_STOP, check.patience_s):
+        return f"not pressed within {check.patience_s:g} s", False
+    check.person.asked("release the emergency stop")
+    check.forget()
+
+    def released() -> bool:
+        flags = check.column("flags")
+        return flags.size > 0 and not int(flags[-1]) & STOP_PRESSED
+
+    if not check.wait(released, check.patience_s):
+        return f"not released within {check.patience_s:g} s", False
+    check.device.reset()
+    return f"latched, reset to {check.device.state.value}", check.device.state is State.IDLE
+
+
+def encoder(check: Check) -> Verdict:
+    """A way that the person measures, by the encoder."""
+    way = WAY_M / check.settings.count_m
+    check.person.asked("let the stylus rest near the surface")
+    check.forget()
+    check.wait(check.at_rest, min(check.patience_s, 5 * WINDOW_S))
+    begin = check.mean("encoder_counts")
+    if np.isnan(begin):
+        return "no telemetry", False
+    check.person.asked(f"move the stylus {1e3 * WAY_M:g} mm outwards, away from the surface, by a ruler; rest there")
+    check.forget()
+
+    def moved() -> float:
+        return check.mean("encoder_counts") - begin
+
+    def there() -> bool:
+        return abs(moved()) >= LEAST_WAY * way and check.still(max(check.still_counts, UNSTEADY * abs(moved())))
+
+    check.wait(there, check.patience_s)
+    check.note(ruler=moved() / way)
+    metres = 1e3 * moved() * check.settings.count_m
+    return f"{moved():+.0f} counts, {metres:+.2f} mm of {1e3 * WAY_M:g}", sound(moved() / way)
+
+
+def accelerometer(check: Check) -> Verdict:
+    """At rest what was stated, and in motion what the encoder says."""
+    check.person.asked("let the stylus rest")
+    check.forget()
+    check.wait(check.at_rest, min(check.patience_s, 5 * WINDOW_S))
+    rest, stated = check.mean("acceleration_m_s2"), check.described.accelerometer.rest_m_s2
+    seen = f"{rest:+.2f} m/s² at rest"
+    if abs(stated) >= GRAVITY_M_S2:
+        check.note(gravity=(rest + stated) / stated)
+    if not abs(rest) <= REST_M_S2:
+        if abs(stated) < GRAVITY_M_S2:
+            check.remarks.append(
+                f"the accelerometer reads {rest:+.2f} m/s² at rest: if that is gravity, state "
+                f"accelerometer.rest_m_s2 = {stated + rest:.2f}"
+            )
+        return seen, False
+    check.person.asked("shake the stylus out and in, by a centimetre, three times a second, until the next request")
+    check.forget()
+    check.device.listen(SHAKE_S)
+    found = _shaken(check)
+    while not found.enough and len(check.records) < check.ticks(check.patience_s):
+        check.device.listen(SHAKE_S)
+        found = _shaken(check)
+        if len(check.records) == check.records.maxlen:
+            break
+    check.person.asked("let the stylus rest")
+    if not found.enough:
+        return f"{seen}; not shaken within {check.patience_s:g} s", False
+    check.note(motion=found.ratio)
+    seen += f"; shaken {found.encoder_m_s2:.2f} m/s² by the encoder, {found.accelerometer_m_s2:.2f} by it"
+    return f"{seen}, correlation {found.correlation:+.2f}", sound(check.found.accelerometer)
+
+
+def _shaken(check: Check) -> Shaken:
+    counts, felt = (check.column(name, 2 * SHAKE_S) for name in ("encoder_counts", "acceleration_m_s2"))
+    return shaken(check.dt_s, counts * check.settings.count_m, felt)
+
+
+def grip_zero(check: Check) -> Verdict:
+    check.person.asked("let go of the stylus, and leave it alone until the next request")
+    check.forget()
+
+    def let_go() -> bool:
+        grip = check.column("grip_N")
+        return grip.size >= check.ticks(WINDOW_S) and float(np.abs(grip).max()) <= GRIP_ZERO_N
+
+    done, grip = check.wait(let_go, check.patience_s), check.mean("grip_N")
+    if not done:
+        check.remarks.append(f"the grip sensor reads {grip:+.2f} N when released: stuck, or state grip.zero_N")
+    return f"{check.mean('grip_N'):+.3f} N", done
+
+
+def grip_hold(check: Check) -> Verdict:
+    """Held it reads more than nothing; with a known weight it reads that."""
+    check.person.asked("hold the stylus firmly, as for a tap, above the surface")
+    check.forget()
+    most = check.settings.grip_short_N
+
+    def held() -> bool:
+        return GRIP_HELD_N <= check.mean("grip_N") <= most
+
+    done = check.wait(held, check.patience_s)
+    grip = check.mean("grip_N")
+    seen = f"{grip:+.2f} N held"
+    if not done:
+        reversed_ = grip <= -GRIP_ZERO_N
+        check.note(grip=-1.0 if reversed_ else 0.0)
+        return f"{seen}: {'reversed' if reversed_ else 'dead or stuck'}", False
+    if check.grip_weight_N is None:
+        return f"{seen}; its scale is not checked (--grip-weight-g)", True
+    weight = check.grip_weight_N
+    check.person.asked(
+        f"put the weight of {1e3 * weight / STANDARD_GRAVITY_M_S2:g} g on the grip sensor, nothing else"
+    )
+    check.forget()
+    check.device.listen(2 * WINDOW_S)  # for the hand to go and the weight to come
+    check.forget()
+
+    def steady() -> bool:
+        values = check.column("grip_N")
+        size = float(np.abs(values).mean()) if values.size else 0.0
+        return values.size >= check.ticks(WINDOW_S) and float(np.ptp(values)) <= max(GRIP_ZERO_N, GRIP_STEADY * size)
+
+    check.wait(lambda: steady() and sound(check.mean("grip_N") / weight), min(check.patience_s, 10 * WINDOW_S))
+    ratio = check.mean("grip_N") / weight
+    check.note(grip=ratio)
+    return f"{seen}; {check.mean('grip_N'):+.2f} N of {weight:.2f} N with the weight", not off(ratio)
+
+
+def current_offset(check: Check) -> Verdict:
+    check.person.asked("hold the stylus above the surface, still")
+    check.need_rest()
+    mean_A = check.mean("measured_current_A")
+    done = abs(mean_A) <= OFFSET_A
+    if not done:
+        check.remarks.append(f"the current monitor reads {mean_A:+.2f} A while nothing is commanded")
+    return f"{mean_A:+.4f} A", done

@@ -1,0 +1,151 @@
+"""What the steps of the bring-up check share: the device, the person at it, what was read, what was found."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from controller.device.device_file import BUILT_IN, DeviceFile
+from controller.host.diagnosis import Ratios, diagnosis
+from controller.host.driver import Device
+from controller.protocol.events import Changed, Happened, News, Samples
+from controller.protocol.messages import Record, column
+from controller.servo.interface import Fault
+from controller.servo.settings import Settings
+from transopt.base.signals import FloatArray
+from transopt.library.library import Library
+
+PATIENCE_S = 30.0  # for what a person has to do
+KEPT_S = 6.0
+WINDOW_S = 0.3  # over which readings are averaged
+STILL_M, STILL_COUNTS = 0.3e-3, 2  # in that time; a hand's tremor is 0.1 mm each way
+
+
+class Person(Protocol):
+    """Whoever stands at the device."""
+
+    def asked(self, what: str) -> None:
+        """To do something; returns at once."""
+        ...
+
+
+class FailedError(Exception):
+    """A step cannot go on; the text says what was seen instead."""
+
+
+class Check:
+    """The state that the steps share.
+
+    Parameters
+    ----------
+    device : connected, IDLE, with configuration and library if there are any; every record of telemetry on.
+    settings : of its configuration.
+    loaded : whether it has configuration and library.
+    described : what its owner says of it.
+    library : that it holds; None without one.
+    grip_weight_N : of a known weight that the grip sensor is checked with; None without one.
+    configuration : in force; None without one.
+    take_measured : puts a configuration in force that predicts the test pulse as it was measured, per ampere, and
+        returns its settings; None where a library predicts it.
+
+    Attributes
+    ----------
+    found : ratios of what was seen to what was expected, as far as the steps have come.
+    remarks : on what is off at rest, in words.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        settings: Settings,
+        person: Person,
+        *,
+        loaded: bool,
+        described: DeviceFile = BUILT_IN,
+        library: Library | None = None,
+        grip_weight_N: float | None = None,
+        configuration: bytes | None = None,
+        take_measured: Callable[[float], Settings] | None = None,
+        patience_s: float = PATIENCE_S,
+    ) -> None:
+        self.device, self.settings, self.person, self.loaded = device, settings, person, loaded
+        self.described, self.library, self.grip_weight_N = described, library, grip_weight_N
+        self.take_measured, self.patience_s = take_measured, patience_s
+        self.configuration = configuration
+        self.found = Ratios()
+        self.remarks: list[str] = []
+        self.dt_s = device.hello.dt_s
+        self.records: deque[tuple[int, Record]] = deque(maxlen=round(KEPT_S / self.dt_s))
+        self.happened: list[Happened] = []
+        self.missed = 0
+        self.still_counts = max(round(STILL_M / settings.count_m), STILL_COUNTS)
+        device.listeners.append(self._take)
+
+    def close(self) -> None:
+        self.device.listeners.remove(self._take)
+
+    def _take(self, news: News) -> None:
+        if isinstance(news, Samples):
+            self.missed += news.missed
+            self.records.extend((news.tick + j * news.every, r) for j, r in enumerate(news.records))
+        elif isinstance(news, Happened):
+            self.happened.append(news)
+
+    @property
+    def off(self) -> list[str]:
+        """Sentences on what is off, one for each part; empty if nothing that could be named is."""
+        return [*self.remarks, *diagnosis(self.found)]
+
+    def note(self, **ratios: float) -> None:
+        """Keep what a step has found."""
+        self.found = replace(self.found, **ratios)
+
+    def wait(self, met: Callable[[], bool], limit_s: float) -> bool:
+        """Until it is so; False if it is not within the limit. A fault that nobody asked for ends the step."""
+        return met() or self.device.listen(limit_s, until=lambda news: self._unless(news) or met())
+
+    def _unless(self, news: News) -> bool:
+        if isinstance(news, Changed) and news.fault not in (None, Fault.EMERGENCY_STOP):
+            assert news.fault is not None
+            raise FailedError(f"fault: {news.fault.value}")
+        return False
+
+    def ticks(self, duration_s: float) -> int:
+        """Whole servo periods in it."""
+        return round(duration_s / self.dt_s)
+
+    def column(self, name: str, duration_s: float = WINDOW_S) -> FloatArray:
+        """The newest readings of so long a time."""
+        size = self.ticks(duration_s)
+        return column((record for _, record in list(self.records)[-size:]), name)
+
+    def mean(self, name: str) -> float:
+        """Of a whole window; NaN before one has come."""
+        values = self.column(name)
+        return float(values.mean()) if values.size >= self.ticks(WINDOW_S) else float("nan")
+
+    def forget(self) -> None:
+        """Forget what was read before now."""
+        self.records.clear()
+
+    def still(self, most_counts: float) -> bool:
+        """Whether a whole window has come in which the counts stayed within so many."""
+        counts = self.column("encoder_counts")
+        return counts.size >= self.ticks(WINDOW_S) and float(np.ptp(counts)) <= most_counts
+
+    def at_rest(self) -> bool:
+        """Whether a whole window has come in which the stylus was still."""
+        return self.still(self.still_counts)
+
+    def need_rest(self) -> None:
+        """
+        Raises
+        ------
+        FailedError : the stylus does not come to rest.
+        """
+        self.forget()
+        if not self.wait(self.at_rest, self.patience_s):
+            counts = self.column("encoder_counts")
+            raise FailedError(f"no rest: {np.ptp(counts) if counts.size else 0:.0f} counts in {WINDOW_S:g} s")

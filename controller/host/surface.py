@@ -1,0 +1,132 @@
+"""Where the surface is, in counts: measured once by touching it, and followed when the counts drift.
+
+An incremental encoder starts at any number, slips at its coupling and drifts with temperature; a surface that is off
+by a count of 24.5 um comes 0.1 ms too early or too late at 0.25 m/s.
+
+The rule of the drift: after a tap the stylus often comes to lie on the surface, so the first rest after each contact
+is looked at, 0.2 s within 2 counts (or 50 um, of a fine encoder) and within 0.5 mm of the surface. Three such rests
+in a row on the same side of the surface, each by more than that band, are no chance: the surface is moved by their
+median. A rest within the band, or on the other side, starts the row anew, and so does a move. A hand's tremor is
+wider than the band, so that a stylus that is held still in the air is no rest.
+"""
+
+from collections import deque
+from statistics import median
+
+from controller.protocol.events import Happened, News, Samples
+from controller.servo.interface import Notice
+
+REST_S, REST_COUNTS, REST_M, NEAR_M = 0.2, 2, 50e-6, 0.5e-3
+IN_A_ROW = 3
+AWAY_M = 1e-3  # that a stylus leaves the surface by between two touches
+
+
+def band_counts(count_m: float) -> float:
+    """Within so many counts a stylus rests, and the surface is where it was."""
+    return max(REST_COUNTS, REST_M / count_m)
+
+
+class Rest:
+    """The newest readings of `REST_S`; tells when they lie within the band."""
+
+    def __init__(self, dt_s: float, count_m: float) -> None:
+        self._every, self._counts = 1, deque[int](maxlen=max(round(REST_S / dt_s), 1))
+        self._dt_s, self.band = dt_s, band_counts(count_m)
+
+    def take(self, samples: Samples) -> None:
+        if samples.every != self._every or samples.missed:
+            self._every = samples.every
+            self._counts = deque(maxlen=max(round(REST_S / (samples.every * self._dt_s)), 1))
+        self._counts.extend(record.encoder_counts for record in samples.records)
+
+    def forget(self) -> None:
+        self._counts.clear()
+
+    @property
+    def counts(self) -> float | None:
+        """Where the stylus rests; None while it does not."""
+        full = len(self._counts) == self._counts.maxlen
+        if not full or max(self._counts) - min(self._counts) > self.band:
+            return None
+        return float(median(self._counts))
+
+
+class Drift:
+    """Watches the rests between taps, as a listener of `driver.Device`.
+
+    Attributes
+    ----------
+    surface_counts : in force.
+    moved : by how many counts the surface is to be moved; 0 while there is nothing to do. Whoever moves it calls
+        `done`.
+    """
+
+    def __init__(self, dt_s: float, count_m: float, surface_counts: float) -> None:
+        self._rest, self._near, self._band = Rest(dt_s, count_m), NEAR_M / count_m, band_counts(count_m)
+        self.surface_counts, self.moved = surface_counts, 0.0
+        self._offsets: list[float] = []
+        self._looks = False  # for the first rest after a contact
+
+    def take(self, news: News) -> None:
+        if isinstance(news, Happened) and news.what is Notice.CONTACT:
+            self._looks = True
+            self._rest.forget()
+        elif isinstance(news, Samples) and self._looks:
+            self._rest.take(news)
+            self._look()
+
+    def _look(self) -> None:
+        counts = self._rest.counts
+        if counts is None or abs(counts - self.surface_counts) > self._near:
+            return
+        self._looks = False
+        offset = counts - self.surface_counts
+        if abs(offset) <= self._band or (self._offsets and offset * self._offsets[-1] < 0):
+            self._offsets = []
+        if abs(offset) > self._band:
+            self._offsets.append(offset)
+        if len(self._offsets) == IN_A_ROW:
+            self.moved = float(median(self._offsets))
+
+    def done(self) -> None:
+        """The surface has been moved."""
+        self.surface_counts += self.moved
+        self.moved, self._offsets = 0.0, []
+
+
+class Touches:
+    """Rests of a stylus that touches the surface again and again, as a listener of `driver.Device`.
+
+    Attributes
+    ----------
+    counts : of each touch so far; between two of them the stylus was away from the surface.
+    """
+
+    def __init__(self, dt_s: float, count_m: float) -> None:
+        self._rest, self._away = Rest(dt_s, count_m), AWAY_M / count_m
+        self.counts: list[float] = []
+        self._left = True
+
+    def take(self, news: News) -> None:
+        if not isinstance(news, Samples):
+            return
+        self._rest.take(news)
+        newest = news.records[-1].encoder_counts
+        if self.counts and not self._left:
+            self._left = abs(newest - self.counts[-1]) >= self._away
+        found = self._rest.counts if self._left else None
+        if found is not None:
+            self.counts.append(found)
+            self._left = False
+            self._rest.forget()
+
+    @property
+    def agree(self) -> bool:
+        """Whether the newest touches were at one place, which the stylus reached from outside each time."""
+        newest = self.counts[-IN_A_ROW:]
+        return len(newest) == IN_A_ROW and max(newest) - min(newest) <= 2 * self._rest.band
+
+    @property
+    def surface(self) -> float:
+        """Their median."""
+        return float(median(self.counts[-IN_A_ROW:]))

@@ -1,0 +1,319 @@
+"""Found against the device from outside, each by name: refused or harmless, in double and in single precision."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.firmware.core_device import CoreDevice
+from controller.protocol import messages as m
+from controller.protocol.capacity import Hardware
+from controller.protocol.codes import EVENT_CODES, EVENTS, Kind, Reason, Stage
+from controller.protocol.configuration import configuration_of
+from controller.protocol.image import HEADER as IMAGE_HEADER
+from controller.protocol.image import IMAGE_FIELDS, image_of, sha256
+from controller.protocol.wire import encode
+from controller.servo.interface import Fault, Output, Readings, State
+from controller.servo.settings import Settings
+from scripts.campaign.compiled_device import DT_S, smooth_bank
+from tests.benches.device import IMAGE, ONE_WAVEFORM, REST, SETTINGS, Talker
+from tests.benches.servo import AMPLIFIER
+from transopt.plant.coil import CoilModel
+
+pytestmark = pytest.mark.usefixtures("c_compiler")
+
+PUSH, PULSE_TICKS = 30.0, 150  # m/s^2 per A of a stylus that hangs free; ticks of the test pulse
+COIL = CoilModel(2.18, 3.1, 14.0, 12.0, 612.0, 100.0)
+HARDWARE = Hardware(
+    current_A=4.5,
+    command_A=6.0,
+    pole_least_Hz=700.0,
+    pole_most_Hz=1600.0,
+    over_current_A=6.0,
+    has_coil=True,
+    R_ohm=2.18,
+    R_wh_K_W=3.1,
+    R_ha_K_W=14.0,
+    tau_w_s=12.0,
+    tau_h_s=612.0,
+    limit_C=100.0,
+    ambient_C=30.0,
+)
+PATH_M = PUSH * (PULSE_TICKS * DT_S) ** 2 / 2
+WATCHED = replace(
+    SETTINGS, pulse_ticks=PULSE_TICKS, pulse_grip_N=(3.0,), pulse_acceleration=(PUSH,), pulse_path_m=(PATH_M,)
+)
+EXCITED = replace(SETTINGS, host_starts=True)
+Start = Callable[..., CoreDevice]
+
+
+@pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
+def start(request: pytest.FixtureRequest) -> Start:
+    return lambda **others: CoreDevice(9, others.pop("hardware", HARDWARE), request.param, **others)
+
+
+class Plant:
+    """A stylus that hangs free under an amplifier of its own: first order, with gains that may be wrong.
+
+    Attributes
+    ----------
+    true_A, most_A : current now, and at most so far.
+    """
+
+    def __init__(
+        self,
+        talker: Talker,
+        *,
+        amplifier: float = 1.0,
+        monitor: float = 1.0,
+        encoder: float = 1.0,
+        accelerometer: float = 1.0,
+        pole_Hz: float = 1050.0,
+    ) -> None:
+        self.talker, self.gains = talker, (amplifier, monitor, encoder, accelerometer)
+        self.keep = math.exp(-2 * math.pi * pole_Hz * DT_S)
+        self.true_A = self.most_A = self.speed = self.z = 0.0
+        self.output = Output(0.0, State.IDLE, 0.0, 0.0, math.nan)
+
+    def step(self, ticks: int) -> "Plant":
+        amplifier, monitor, encoder, accelerometer = self.gains
+        for _ in range(ticks):
+            counts = math.floor((5e-3 + encoder * self.z) / SETTINGS.count_m + 0.5)
+            readings = Readings(0, counts, 3.0, monitor * self.true_A, accelerometer * PUSH * self.true_A)
+            self.output = self.talker.step(1, readings)
+            self.true_A = self.keep * self.true_A + (1 - self.keep) * amplifier * self.output.command_A
+            self.speed += PUSH * self.true_A * DT_S
+            self.z += self.speed * DT_S
+            # A hand holds it: what moved comes back to rest.
+            self.speed *= 1.0 if self.output.command_A else 0.9
+            self.most_A = max(self.most_A, abs(self.true_A))
+        return self
+
+
+def evidence(talker: Talker) -> m.EvidenceReply:
+    found = talker.ask(m.Evidence())
+    assert isinstance(found, m.EvidenceReply)
+    return found
+
+
+def pulsed(talker: Talker, plant: Plant) -> m.EvidenceReply:
+    """Three pairs of pulses to their end."""
+    talker.configured(configuration_of(WATCHED))
+    plant.step(200)
+    talker.done(m.Pulse(WATCHED.pulse_A, PULSE_TICKS, 3))
+    plant.step(6 * (1000 + PULSE_TICKS + 20))
+    talker.heard()
+    return evidence(talker)
+
+
+def arm(settings: Settings, image: bytes, **others: float) -> m.Arm:
+    hashes = sha256(configuration_of(settings)), sha256(image)
+    return replace(m.Arm(0, 1000, 1.0, *hashes), **others)  # type: ignore[arg-type]
+
+
+def test_a_sound_device_gathers_its_evidence_and_only_for_this_configuration(start: Start) -> None:
+    talker = Talker(start(simulated=False))
+    found = pulsed(talker, Plant(talker))
+    assert (found.bits, found.stage, found.pulses) == (m.PULSE_SOUND, Stage.PULSED, 6)
+    assert (found.current_ratio, found.acceleration_ratio) == pytest.approx((1.0, 1.0), abs=0.1)
+    talker.loaded(IMAGE)
+    assert talker.refused(arm(WATCHED, IMAGE)) is Reason.NO_TRIAL
+    talker.done(m.Surface(3.0))
+    assert evidence(talker).bits == m.PULSE_SOUND
+    talker.configured(configuration_of(WATCHED))
+    assert evidence(talker).bits == 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        *({"amplifier": k} for k in (8.0, 3.0, -1.0, 0.3)),
+        *({"monitor": k} for k in (4.0, -1.0, 0.0)),
+        {"amplifier": 3.0, "monitor": 1 / 3},
+        *({"accelerometer": k} for k in (-1.0, 2.0, 0.5, 0.0)),
+        *({"encoder": k} for k in (-1.0, 3.0, 0.3)),
+    ],
+    ids=str,
+)
+def test_a_wrong_amplifier_monitor_encoder_or_accelerometer_is_not_armed(
+    start: Start, wrong: dict[str, float]
+) -> None:
+    talker = Talker(start(simulated=False))
+    assert pulsed(talker, Plant(talker, **wrong)).bits == 0
+    talker.loaded(IMAGE)
+    assert talker.refused(arm(WATCHED, IMAGE, trial=1, gain=0.1)) is Reason.NO_PULSE
+
+
+def test_checked_is_no_frame_that_a_host_could_send(start: Start) -> None:
+    assert "CHECKED" not in Kind.__members__
+    talker = Talker(start(simulated=False))
+    talker.configured(configuration_of(WATCHED)).loaded(IMAGE)
+    for kind in range(1, 64):
+        head = m.HEADER.pack(kind, 0, talker.sequence + 1, 9)
+        talker.device.receive(encode(head + sha256(configuration_of(WATCHED))))
+    talker.heard()
+    talker.sequence += 2
+    assert talker.refused(arm(WATCHED, IMAGE)) is Reason.NO_PULSE
+
+
+def test_a_pole_of_a_millihertz_is_refused(start: Start) -> None:
+    talker = Talker(start())
+    answer = talker.configure(configuration_of(replace(SETTINGS, amplifier=replace(AMPLIFIER, pole_Hz=1e-3))))
+    assert isinstance(answer, m.Refused)
+
+
+def played(talker: Talker, plant: Plant, settings: Settings, image: bytes, times: int, ticks: int) -> None:
+    """An excitation again and again, armed anew where a fault or a lease has ended it."""
+    for _ in range(times):
+        if plant.output.state is State.IDLE:
+            talker.tell(arm(settings, image))
+        talker.tell(m.Lease(0), m.Start(0))
+        plant.step(ticks)
+        talker.heard()
+
+
+def test_a_configuration_without_a_coil_does_not_burn_the_motor(start: Start) -> None:
+    talker = Talker(start(heat_C=(90.0, 80.0)))
+    talker.configured(configuration_of(replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3)))
+    command = np.zeros((1, 1, 5000))
+    command[..., :-20] = 4.0
+    image = image_of(replace(smooth_bank(1, 1, 5000), command_A=command), DT_S, EXCITED.lead_s, 20)
+    talker.loaded(image)
+    plant, settings = Plant(talker), replace(EXCITED, stuck_A_s=1e3, stuck_s=1e3)
+    winding, housing = 90.0, 80.0
+    for _ in range(12):
+        if plant.output.state is State.IDLE:
+            talker.tell(arm(settings, image))
+        talker.tell(m.Lease(0), m.Start(0))
+        for _ in range(5000):
+            plant.z = plant.speed = 0.0
+            plant.step(1)
+            power = 2.18 * (1 + 0.0039 * (winding - 25)) * (abs(plant.true_A) + 0.02) ** 2
+            winding += DT_S * (power - (winding - housing) / 3.1) / (12.0 / 3.1)
+            assert winding <= HARDWARE.limit_C
+        talker.heard()
+    assert plant.most_A > 3.5
+    assert talker.device.look().fault is Fault.OVER_TEMPERATURE
+
+
+@pytest.mark.parametrize("scale_A", [1e39, 3.5e38, math.inf, math.nan, -1.0])
+def test_a_scale_beyond_single_precision_commands_no_nan(start: Start, scale_A: float) -> None:
+    head = dict(zip((name for name, _ in IMAGE_FIELDS), IMAGE_HEADER.unpack_from(ONE_WAVEFORM), strict=True))
+    image = IMAGE_HEADER.pack(*{**head, "scale_A": scale_A}.values()) + ONE_WAVEFORM[IMAGE_HEADER.size :]
+    talker = Talker(start())
+    talker.configured(configuration_of(EXCITED))
+    assert isinstance(talker.upload(image), m.Refused)
+
+
+def test_the_flowing_current_is_not_forgotten_by_a_configuration_in_one_write(start: Start) -> None:
+    hard = replace(EXCITED, amplifier=replace(AMPLIFIER, command_limit_A=6.0), stuck_A_s=1e3)
+    command = np.zeros((1, 1, 200))
+    command[..., 0:2] = 6.0
+    command[..., 2:-20] = 4.0
+    image = image_of(replace(smooth_bank(1, 1, 200), command_A=command), DT_S, hard.lead_s, 20)
+    for pole_Hz in (700.0, 1050.0, 1600.0):
+        talker = Talker(start(heat_C=(30.0, 30.0)))
+        talker.configured(configuration_of(hard))
+        answer = talker.upload(image)
+        if isinstance(answer, m.Refused):
+            command[..., 0:2] = 4.0
+            image = image_of(replace(smooth_bank(1, 1, 200), command_A=command), DT_S, hard.lead_s, 20)
+            talker.loaded(image)
+        plant = Plant(talker, pole_Hz=pole_Hz)
+        plant.step(200)
+        for _ in range(4):
+            talker.tell(arm(hard, image), m.Start(0))
+            plant.step(20)
+            talker.tell(m.Disarm())
+            talker.configure(configuration_of(hard))
+            assert talker.refused(arm(hard, image)) is Reason.NOT_AT_REST
+            plant.step(25)
+        assert plant.most_A <= HARDWARE.current_A
+
+
+def test_a_pulse_keeps_smaller_limits(start: Start) -> None:
+    talker = Talker(start())
+    talker.configured(configuration_of(replace(SETTINGS, current_limit_A=0.05)))
+    assert talker.refused(m.Pulse(0.1, 20, 0)) is Reason.BAD_VALUE
+    talker.done(m.Pulse(0.05, 20, 0))
+    talker = Talker(start(hardware=replace(HARDWARE, pulse_A=0.02)))
+    talker.configured()
+    assert talker.refused(m.Pulse(0.05, 20, 0)) is Reason.BAD_VALUE
+
+
+def test_norms_of_zero_do_not_skip_the_prediction_of_heat(start: Start) -> None:
+    """They do not travel: the device computes them of the counts, and scales the transient down or withholds it."""
+    warm = replace(EXCITED, coil=replace(COIL, start_winding_C=94.99, start_housing_C=60.0))
+    bank = smooth_bank(1, 1, 2000, peak_A=4.0)
+    image = image_of(replace(bank, transient_A=[[0.0]], feedback_A=[[0.0]]), DT_S, warm.lead_s, 10)
+    talker = Talker(start())
+    talker.configure(configuration_of(warm))
+    talker.loaded(image)
+    talker.step(30)
+    talker.heard()
+    talker.done(arm(warm, image))
+    assert talker.refused(m.Start(0)) is Reason.TOO_HOT
+
+
+def test_too_few_readings_are_no_rest(start: Start) -> None:
+    talker = Talker(start())
+    talker.configure(configuration_of(SETTINGS))
+    talker.loaded(IMAGE)
+    assert talker.refused(arm(SETTINGS, IMAGE)) is Reason.NOT_AT_REST
+    talker.step(19)
+    assert talker.refused(m.Pulse(0.05, 20, 0)) is Reason.NOT_AT_REST
+    talker.step(1)
+    talker.done(arm(SETTINGS, IMAGE))
+    talker.step(1, replace(REST, emergency_stop=True))
+    talker.step(30)
+    talker.tell(m.Reset())
+    assert talker.refused(arm(SETTINGS, IMAGE)) is Reason.NOT_AT_REST
+
+
+def test_the_amplifier_has_power_only_while_armed_or_pulsing(start: Start) -> None:
+    talker = Talker(start())
+    assert not talker.device.enabled
+    talker.configured().loaded()
+    talker.step(10)
+    assert not talker.device.enabled
+    talker.done(m.Pulse(0.05, 20, 0))
+    powered = []
+    for _ in range(30):
+        talker.step()
+        powered.append(talker.device.enabled)
+    assert powered == [True] * 20 + [False] * 10
+    talker.heard()
+    talker.done(arm(SETTINGS, IMAGE))
+    talker.step()
+    assert talker.device.enabled
+    talker.step(1, replace(REST, emergency_stop=True))
+    assert not talker.device.enabled
+
+
+def test_the_heat_of_the_coil_survives_a_restart_or_is_taken_at_its_most(start: Start) -> None:
+    talker = Talker(start(heat_C=(97.0, 85.0)))
+    talker.step(10)
+    kept = talker.device.coil_C()
+    assert kept == pytest.approx((97.0, 85.0), abs=0.1)
+    assert start(heat_C=kept).coil_C() == pytest.approx(kept)
+    steady = 30.0 + 70.0 * 14.0 / 17.1
+    assert start(heat_C=None).coil_C() == pytest.approx((100.0, steady), abs=0.2)
+    assert start(heat_C=(math.nan, 20.0)).coil_C()[0] == pytest.approx(100.0, abs=0.2)
+
+
+def test_three_stops_have_three_names(start: Start) -> None:
+    stops = {"emergency_stop": Fault.EMERGENCY_STOP, "late": Fault.LATE_TICK}
+    for how, fault in stops.items():
+        talker = Talker(start())
+        talker.configured()
+        assert talker.step(1, replace(REST, **{how: True})).state is State.FAULT
+        assert talker.device.look().fault is fault
+    talker = Talker(start())
+    talker.configured().tell(m.EmergencyStop())
+    talker.step()
+    assert talker.device.look().fault is Fault.HOST_STOP
+    told = [EVENTS[x.code] for x in talker.heard() if isinstance(x, m.Event)]
+    assert told == [Fault.HOST_STOP]
+    assert len({EVENT_CODES[fault] for fault in (Fault.HOST_STOP, *stops.values())}) == 3
