@@ -112,16 +112,20 @@ def test_the_device_is_armed_no_longer_than_it_plays(play: Run, checked: Desk) -
     assert checked.link.to_device.kinds[Kind.START] == 2
 
 
-def test_not_before_the_check_of_these_limits(play: Run, desk: Desk) -> None:
-    assert_refused(
-        play(*SHORT), "have not passed the bring-up check", "run `transopt-play check --sweep --port desk`"
-    )
-    assert not files()
+def test_not_before_the_check_of_these_limits(
+    play: Run, library: Library, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     desk.asked("hold")
-    assert play("check", "library.npz", *CHECK[1:]).code == 0
-    assert_refused(play(*SHORT), "check --sweep --port desk`")
     outcome = play(*SHORT, "--library", "library.npz", "--trials", 1)
-    assert outcome.code == 0, outcome.out + outcome.err
+    assert outcome.code == 0, outcome.out + outcome.err  # its port vouches that nothing is wired
+    before = files()
+    Desk(library, simulated=False).put(monkeypatch)
+    assert_refused(
+        play(*SHORT, "--out", "other"),
+        "have not passed the bring-up check",
+        "run `transopt-play check --sweep --port desk`",
+    )
+    assert files() == before
 
 
 def test_what_the_device_cannot_hold_or_the_limits_forbid(
