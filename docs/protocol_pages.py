@@ -48,6 +48,27 @@ COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simu
 its own:
 PULSE with pairs, ARM with trial 1 and a tap.
 
+A part of CONFIGURE or DATA has at most {messages.DATA_LIMIT} bytes. Each hash is the SHA-256 of all bytes of the
+configuration or of the
+image, header included. The device returns the nonce of HELLO, so that an old answer is not taken for a new one.
+Requests and DATA that
+get no answer within some 0.2 s are sent again. EVENT has the session of the last HELLO, goes on in number over
+sessions, and
+HELLO_REPLY's `event` is the oldest that has not been acknowledged; EVENT_ACK names the next number that is wanted,
+and so acknowledges all before. A fault (event codes from 64 on), LEASE_LOST and DISARM end the arming.
+
+## A second host
+
+Written from this page alone, with Python's standard library:
+
+```{{literalinclude}} second_host.py
+:language: python
+```
+
+It is run as `python second_host.py PORT CONFIGURATION IMAGE`, with configuration and image as files of bytes
+(`controller.host.payload.payload(path)` makes both of a library).
+
+
 ## Timing
 
 - The lease is {capacity.LEASE_LEAST_MS} to {capacity.LEASE_MOST_MS} ms; without a LEASE for so long the device
@@ -66,7 +87,10 @@ IMAGE = f"""## Image of a library, version {image.IMAGE_VERSION}
 
 Magic 0x{image.IMAGE_MAGIC:08X}. Header, then speeds [m/s] and grips [N] as f64, the feedback's norms [A] f64 by
 speed and grip, and
-the waveforms as i16 counts of `scale_A`. The device computes the transients' norms itself: `scale_A sqrt(sum
+the waveforms as i16 counts of `scale_A`, one after the other: speed by speed, within it grip by grip, within
+that sample by sample.
+Flag 1: the grip counts; without it the contact's grip outside the grid is no event. Flag 2: the nearest waveform
+instead of a blend. The device computes the transients' norms itself: `scale_A sqrt(sum
 count^2)`.
 """
 CONFIGURATION = f"""## Configuration, version {configuration.CONFIGURATION_VERSION}

@@ -1,0 +1,85 @@
+"""The second host of the manual, written from the page of the protocol alone, against the compiled device."""
+
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from controller.host.payload import payload
+from controller.protocol import messages as m
+from controller.protocol.codes import Kind
+from controller.protocol.wire import Decoder, encode
+from tests.controller.firmware.test_host import served
+from transopt.library.library import Library
+
+PROGRAM = Path(__file__).parents[3] / "docs" / "reference" / "second_host.py"
+
+
+def host(*words: str | Path) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-I", str(PROGRAM), *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture
+def given(library: Library, tmp_path: Path) -> tuple[Path, Path]:
+    """Configuration and image as files of bytes."""
+    library.save(tmp_path / "library.npz")
+    made = payload(tmp_path / "library.npz")
+    paths = tmp_path / "configuration.bin", tmp_path / "image.bin"
+    for path, data in zip(paths, (made.configuration, made.image), strict=True):
+        path.write_bytes(data)
+    return paths
+
+
+@pytest.mark.usefixtures("patient")
+def test_it_plays_a_tap(given: tuple[Path, Path]) -> None:
+    with served("--vouches") as (_, port):
+        done = host(port, *given)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "code 1, 0.2" in done.stdout  # a contact
+    assert "code 2," in done.stdout  # and the end of its transient
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_file_of_another_version_ends_in_one_line(given: tuple[Path, Path], which: int) -> None:
+    data = bytearray(given[which].read_bytes())
+    data[4] += 1
+    given[which].write_bytes(data)
+    done = host("nowhere", *given)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert "version" in done.stderr
+    assert "export it again" in done.stderr
+
+
+def test_a_device_of_another_version_ends_in_one_line(given: tuple[Path, Path]) -> None:
+    reply = struct.pack("<IH", m.MAGIC, m.PROTOCOL + 1) + bytes(200)
+    with socket.create_server(("localhost", 0)) as server:
+
+        def answer() -> None:
+            line, _ = server.accept()
+            decoder = Decoder()
+            with line:
+                for payload_ in decoder.feed(line.recv(4096)):
+                    _, _, sequence, session = m.HEADER.unpack_from(payload_)
+                    line.sendall(encode(m.HEADER.pack(Kind.HELLO_REPLY, 0, sequence, session) + reply))
+                line.recv(1)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        done = host(f"socket://localhost:{server.getsockname()[1]}", *given)
+        thread.join(10.0)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
+    assert f"the device speaks protocol {m.PROTOCOL + 1}" in done.stderr
+    assert "bring host and firmware to one version" in done.stderr
+
+
+def test_it_ends_in_one_line_where_nobody_is(given: tuple[Path, Path]) -> None:
+    done = host("/dev/no-such-port", *given)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
