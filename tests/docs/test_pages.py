@@ -26,7 +26,8 @@ from transopt.scene.model_parts import CoilPart, DriveDevice, HandPart
 
 OUTPUT = {"text", "bibtex"}
 RUN = {"sh", "python", "toml", "c"}  # by tests/docs/test_blocks.py, or a comment before the fence says why not
-BUILT = {"{toctree}", "{include}", "{code-cell}"}  # by Sphinx, which executes the cells
+# By Sphinx, which executes the cells; what is included is a file that a test runs.
+BUILT = {"{toctree}", "{include}", "{literalinclude}", "{code-cell}"}
 COMMANDS = {
     "transopt": "transopt.cli.main",
     "transopt-play": "controller.cli.play",
