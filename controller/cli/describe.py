@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from controller.device.reading import Described
     from controller.sim.simulator import Imperfections
 
-device_app = typer.Typer(no_args_is_help=True, help="Describe a device in a file that every command reads.")
+device_app = typer.Typer(
+    no_args_is_help=True,
+    help="Describe a device in a file that every command reads.",
+    epilog="Example: transopt-play device new device.toml",
+)
 # Without a sensor nothing is asked of it, with one nothing is assumed.
 POINTLESS = {
     "grip": {True: ("assumed_grip_N",), False: ("scale", "zero_N")},
