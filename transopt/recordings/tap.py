@@ -47,6 +47,8 @@ def _paths(settings: Recordings) -> list[Path]:
         found = sorted(itertools.islice(matches, MOST_FILES + 1))
         if len(found) > MOST_FILES:
             raise InputError(f"recordings.files: {entry!r} matches more than {MOST_FILES} files: name fewer")
+        if not found and Path(entry).is_absolute():
+            raise InputError(f"{entry}: matches no file: check the names of folder and files")
         if not found:
             source = f" (source: {settings.source})" if settings.source else ""
             raise InputError(

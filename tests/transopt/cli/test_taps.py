@@ -74,3 +74,8 @@ class TestTaps:
         assert_refused(
             run("taps", EXAMPLES / "tap_0.2_m_s.csv", "--speed", -1), "--speed -1", "greater than or equal to 0.0001"
         )
+
+
+def test_a_pattern_that_matches_nothing(run: Run, tmp_path: Path) -> None:
+    """As a shell hands it on where it finds no file either."""
+    assert_refused(run("taps", tmp_path / "rgi" / "tap_*.csv"), "tap_*.csv: matches no file: check the names")
