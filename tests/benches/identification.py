@@ -39,8 +39,8 @@ def mismatched(fraction: float, seed: int) -> DriveChain:
 
 def sampled_run(
     plant: StateSpace, command_A: FloatArray, amplifier: Amplifier | None = AMPLIFIER, crossover_A: float = 0.0
-) -> tuple[FloatArray, FloatArray]:
-    """(N,) current [A] and acceleration behind its sensor's pole [m/s^2], read at a tick before its command acts."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(N,) current [A], acceleration behind its sensor's pole [m/s^2], position [m]; each before its command acts."""
     felt = command_A - np.clip(command_A, -crossover_A, crossover_A)
     n = plant.order
     pole = 2 * np.pi * ACCELEROMETER_HZ
@@ -62,7 +62,7 @@ def sampled_run(
         x[-1] = older[k + 1]
         x = rest @ x
     current = states[:, n] if amplifier is not None else older[: command_A.size]
-    return current, states[:, n + 1]
+    return current, states[:, n + 1], states[:, :n] @ plant.Ce[0]
 
 
 @dataclass(frozen=True)
@@ -72,24 +72,29 @@ class Rig:
     Attributes
     ----------
     device : the truth. crossover_A : half the amplifier's dead band. noise : factor on the sensors' noise.
+    count_m : of the encoder, which is recorded too then.
     """
 
     device: DriveChain = DEFAULT
     amplifier: Amplifier | None = AMPLIFIER
     crossover_A: float = 0.0
     noise: float = 1.0
-    runs: dict[tuple[float, bytes], tuple[FloatArray, FloatArray]] = field(default_factory=dict, compare=False)
+    count_m: float | None = None
+    runs: dict[tuple[float, bytes], tuple[FloatArray, FloatArray, FloatArray]] = field(
+        default_factory=dict, compare=False
+    )
 
     def record(self, name: str, grip_N: float, command_A: FloatArray, seed: int) -> Measurement:
         key = (grip_N, command_A.tobytes())
         if key not in self.runs:
             self.runs[key] = sampled_run(self.device.plant(grip_N), command_A, self.amplifier, self.crossover_A)
-        current, acceleration = self.runs[key]
+        current, acceleration, position = self.runs[key]
         random = np.random.default_rng([seed, int(1000 * grip_N)])
         kept = np.exp(-2 * np.pi * ACCELEROMETER_HZ * DT_S)
         fresh = random.standard_normal(command_A.size + 100)
         noise = signal.lfilter([np.sqrt(1 - kept**2)], [1.0, -kept], fresh)[100:]
         times = (0.0, DT_S)
+        counted = None if self.count_m is None else self.count_m * np.round(position / self.count_m)
         return Measurement(
             name=name,
             source=name,
@@ -97,6 +102,7 @@ class Rig:
             command=Signal(*times, command_A),
             current=Signal(*times, current + self.noise * CURRENT_NOISE_A * random.standard_normal(command_A.size)),
             acceleration=Signal(*times, acceleration + self.noise * NOISE_M_S2 * noise),
+            position=None if counted is None else Signal(*times, counted),
             grip_N=grip_N,
             accelerometer_Hz=ACCELEROMETER_HZ,
         )

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
     from transopt.identify.device.chain import DriveChain
     from transopt.identify.device.identify import DeviceResult, Settings
+    from transopt.identify.device.verdict import Taps
+    from transopt.scene.model_parts import DevicePart
     from transopt.scene.scene import Scene
 
 UNLIMITED_A = 1e6  # an identified amplifier states no range, and a response needs none
@@ -154,7 +157,40 @@ def _settings(
         kind=Kind(kind),
         order=order,
         played_N=tuple(known.grid.grips_N) if scene_name is not None else (),
+        taps=None if force_per_current_N_A is not None else _taps_of(scene_name or DEFAULT_SCENE),
     )
+
+
+def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
+    """Designs the taps of a scene with a device, as `transopt solve --model` would; None where that cannot be."""
+
+    def designed(part: "DevicePart") -> "Taps | None":
+        import numpy as np
+
+        from transopt.design.build import build_library
+        from transopt.identify.device.verdict import Taps
+        from transopt.scene import builtin
+        from transopt.scene.model_file import save_part
+        from transopt.scene.recordings import recordings_of
+
+        with TemporaryDirectory() as folder:
+            model = Path(folder) / "model.json"
+            save_part(model, "device", part)
+            try:
+                scene = builtin.load_scene(scene_name, model=model)
+                build = build_library(scene, recordings_of(scene))
+            except InputError:
+                return None
+        columns = list(zip(*build.entries, strict=True))  # grip by grip
+        return Taps(
+            speeds_m_s=tuple(entry.speed_m_s for entry in columns[0]),
+            grips_N=tuple(column[0].grip_N for column in columns),
+            current_A=np.array([[entry.current_A for entry in column] for column in columns]),
+            energy=np.array([[np.sum(entry.predicted_m_s2**2) for entry in column] for column in columns]),
+            dt_s=scene.time_grid().dt_s,
+        )
+
+    return designed
 
 
 def _show(console: "Console", result: "DeviceResult") -> None:

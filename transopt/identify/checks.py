@@ -52,6 +52,7 @@ class Fault(StrEnum):
     BANDWIDTH = "bandwidth not stated"
     MISSING_GRIP = "missing grip"
     INCOHERENT = "coherence low"
+    BESIDE = "beside the model"
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ WORDS = Vocabulary(
         "speed_m_s": Scalar("speed", 1.0, "m/s"),
         "grip_N": Scalar("grip", 1.0, "N", zero=True),
         "accelerometer_Hz": Scalar("accelerometer", 1.0, "Hz"),
+        "period_s": Scalar("period", 1.0, "s"),
+        "held_out": Scalar("held_out", 1.0, "", zero=True),
     },
     required=("time",),
     step_s=(1e-7, 60.0),  # up to a logger's one reading a minute: heating takes half an hour
@@ -60,6 +62,8 @@ class Measurement:
     grip_N : >= 0, 0 for a device that nobody holds; None if the file does not state it.
     speed_m_s : incoming speed of a tap.
     accelerometer_Hz : bandwidth of the accelerometer; None for one to be taken as ideal.
+    period_s : with which the excitation repeats, after a first period from rest; None for one that does not.
+    held_out : whether it is to validate with and never to be fitted.
     off_grid : how far time stamps lay off the uniform grid, rms, in steps; resampled to it.
     missing : which samples were interpolated, in one sentence; empty where none was missing.
     """
@@ -79,6 +83,8 @@ class Measurement:
     grip_N: float | None = None
     speed_m_s: float | None = None
     accelerometer_Hz: float | None = None
+    period_s: float | None = None
+    held_out: bool = False
     off_grid: float = 0.0
     missing: str = ""
 
@@ -176,6 +182,8 @@ def load_measurement(path: Path, layout: Layout | None = None) -> Measurement:
         grip_N=table.scalars.get("grip"),
         speed_m_s=table.scalars.get("speed"),
         accelerometer_Hz=table.scalars.get("accelerometer"),
+        period_s=table.scalars.get("period"),
+        held_out=bool(table.scalars.get("held_out", 0.0)),
         off_grid=table.off_grid,
         missing=table.missing,
         **table.signals,

@@ -126,13 +126,27 @@ class TransferEstimate:
 
 
 @dataclass(frozen=True)
-class _Bin:
-    """Lines of all trials in one bin: frequency, spectrum of input and output, number of the trial; (s,) each."""
+class Bin:
+    """Lines of all trials in one bin.
+
+    Attributes
+    ----------
+    frequency_Hz : (s,).
+    input : (s,) spectrum.
+    outputs : (s, o) spectra.
+    trial : (s,) number of the trial.
+    """
 
     frequency_Hz: FloatArray
     input: ComplexArray
-    output: ComplexArray
+    outputs: ComplexArray
     trial: NDArray[np.int_]
+
+    @property
+    def places(self) -> FloatArray:
+        """(s,) where the lines lie in the bin, from -1 to 1."""
+        off = self.frequency_Hz - self.frequency_Hz.mean()
+        return np.asarray(off / max(float(np.abs(off).max()), np.finfo(float).tiny))
 
 
 def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
@@ -169,8 +183,7 @@ def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
                 f"{trial.name}: {trial.input.rate_Hz:.6g} Hz, {trials[0].name} {trials[0].input.rate_Hz:.6g} Hz: "
                 "must be one rate; record all trials at the servo's"
             )
-    bins = _bins(trials, dt_s)
-    bins = [one for one, kept in zip(bins, _excited(bins), strict=True) if kept]
+    bins = bins_of([trial.input.values for trial in trials], [trial.output.values[None] for trial in trials], dt_s)
     if not bins:
         shortest = min(trial.input.values.size for trial in trials) * dt_s
         raise InputError(f"records of {shortest:g} s are too short for a spectrum; sweep longer")
@@ -179,7 +192,7 @@ def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
     response = np.array([fit[0] for fit in fitted])
     noise, leverage, surplus, coherence = (np.array([fit[j] for fit in fitted]) for j in (1, 2, 3, 4))
     each = np.array([fit[5] for fit in fitted]).T
-    noise, degrees = _pooled(frequencies, noise, 2.0 * surplus)
+    noise, degrees = pooled(frequencies, noise, 2.0 * surplus)
     variance = noise * leverage
     inflation, degrees = _between_trials(frequencies, each, variance, degrees)
     return TransferEstimate(
@@ -193,52 +206,55 @@ def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
     )
 
 
-def _bins(trials: Sequence[Trial], dt_s: float) -> list[_Bin]:
-    """All lines between 0 and half the rate, both exclusive, in bins of at least as many as the fit needs."""
-    lengths = [trial.input.values.size for trial in trials]
+def bins_of(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> list[Bin]:
+    """All lines between 0 and half the rate, both exclusive, in bins of at least as many as a fit needs.
+
+    Only bins where the input's energy per octave is at least 3 % of its highest, and those between two such.
+
+    Parameters
+    ----------
+    inputs : (n,) of each trial.
+    outputs : (o, n) of each trial.
+    """
+    lengths = [given.size for given in inputs]
     spacing = 1 / (min(lengths) * dt_s)
-    needed = -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // len(trials))
+    needed = -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // len(inputs))
     if max(lengths) != min(lengths):
         needed = max(needed, 2)  # lines of different trials at different frequencies: no mean without a slope
-    spectra = []
-    for j, trial in enumerate(trials):
+    spectra: list[tuple[FloatArray, ComplexArray, ComplexArray, NDArray[np.int_]]] = []
+    for j, (given, answers) in enumerate(zip(inputs, outputs, strict=True)):
         lines = np.arange(1, (lengths[j] + 1) // 2)
-        given, answer = (np.fft.rfft(x.values)[lines] for x in (trial.input, trial.output))
         size = np.sqrt(lengths[j])  # noise of one variance whatever the length
-        spectra.append((lines / (lengths[j] * dt_s), given / size, answer / size, np.full(lines.size, j)))
-    frequency, given, answer, trial_of = (np.concatenate(parts) for parts in zip(*spectra, strict=True))
+        spectrum: ComplexArray = np.fft.rfft(given)[lines] / size
+        read: ComplexArray = np.fft.rfft(answers)[:, lines].T / size
+        spectra.append((lines / (lengths[j] * dt_s), spectrum, read, np.full(lines.size, j)))
+    frequency = np.concatenate([one[0] for one in spectra])
     order = np.argsort(frequency, kind="stable")
-    frequency, given, answer, trial_of = frequency[order], given[order], answer[order], trial_of[order]
-    bins: list[_Bin] = []
+    frequency = frequency[order]
+    excitation = np.concatenate([one[1] for one in spectra])[order]
+    answer = np.concatenate([one[2] for one in spectra])[order]
+    trial_of = np.concatenate([one[3] for one in spectra])[order]
+    bins: list[Bin] = []
     low = 0.5 * spacing
     while True:
         high = max(low * 2 ** (1 / BINS_PER_OCTAVE), low + needed * spacing)
-        if high > 0.5 / dt_s:
-            return bins  # a rest of the lines just below half the rate would be a bin too small
+        if high > 0.5 / dt_s:  # a rest of the lines just below half the rate would be a bin too small
+            break
         inside = slice(*np.searchsorted(frequency, [low, high]).tolist())
-        if trial_of[inside].size >= LEAST_SURPLUS + 1 and np.unique(trial_of[inside]).size == len(trials):
-            bins.append(_Bin(frequency[inside], given[inside], answer[inside], trial_of[inside]))
+        if trial_of[inside].size >= LEAST_SURPLUS + 1 and np.unique(trial_of[inside]).size == len(inputs):
+            bins.append(Bin(frequency[inside], excitation[inside], answer[inside], trial_of[inside]))
         low = high
-
-
-def _excited(bins: Sequence[_Bin]) -> NDArray[np.bool_]:
-    """(m,) bins from the first to the last with enough energy per octave."""
     middle = np.array([one.frequency_Hz.mean() for one in bins])
     energy = middle * np.array([np.mean(np.abs(one.input) ** 2) for one in bins])
     strong = np.flatnonzero(energy >= EXCITED * energy.max(initial=0.0))
-    kept = np.zeros(middle.size, dtype=bool)
-    if strong.size:
-        kept[strong[0] : strong[-1] + 1] = True
-    return kept
+    return bins[strong[0] : strong[-1] + 1] if strong.size else []
 
 
-def _fit(one: _Bin, trials: int) -> tuple[complex, float, float, int, float, ComplexArray]:
+def _fit(one: Bin, trials: int) -> tuple[complex, float, float, int, float, ComplexArray]:
     """Response at the bin's mean; the noise's variance and the factor from it to E|error|^2; samples beyond the
     coefficients; coherence; (K,) responses by trial."""
     samples = one.frequency_Hz.size
-    middle = one.frequency_Hz.mean()
-    reach = max(float(np.abs(one.frequency_Hz - middle).max()), np.finfo(float).tiny)
-    x = (one.frequency_Hz - middle) / reach
+    x, output = one.places, one.outputs[:, 0]
     distinct = np.unique(np.round(x, 9)).size
     order = min(MOST_ORDER, distinct - 1, samples - 1 - LEAST_SURPLUS)
     regressors = one.input[:, None] * x[:, None] ** np.arange(order + 1)
@@ -250,17 +266,17 @@ def _fit(one: _Bin, trials: int) -> tuple[complex, float, float, int, float, Com
         regressors = np.column_stack([regressors, *ends])
     Q, R = np.linalg.qr(regressors)
     inverse = np.linalg.pinv(R)
-    projected = Q.conj().T @ one.output
+    projected = Q.conj().T @ output
     response = complex(inverse[0] @ projected)
     surplus = samples - regressors.shape[1]
-    noise = float(np.sum(np.abs(one.output - Q @ projected) ** 2)) / surplus
-    power = float(np.mean(np.abs(one.output) ** 2))
+    noise = float(np.sum(np.abs(output - Q @ projected) ** 2)) / surplus
+    power = float(np.mean(np.abs(output) ** 2))
     coherence = min(max(1 - noise / power, 0.0), 1.0) if power > 0 else 0.0
     each = np.empty(trials, dtype=complex)
     for j in range(trials):
         of = one.trial == j
         columns = regressors.shape[1] if lines >= LEAST_LINES_OF_TRANSIENT else min(order + 1, int(of.sum()))
-        each[j] = np.linalg.lstsq(regressors[of, :columns], one.output[of], rcond=None)[0][0]
+        each[j] = np.linalg.lstsq(regressors[of, :columns], output[of], rcond=None)[0][0]
     return response, noise, float(np.sum(np.abs(inverse[0]) ** 2)), surplus, coherence, each
 
 
@@ -276,7 +292,7 @@ def _around(frequencies_Hz: FloatArray, octaves: float) -> Callable[[FloatArray]
     return summed
 
 
-def _pooled(frequencies_Hz: FloatArray, noise: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
+def pooled(frequencies_Hz: FloatArray, noise: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(m,) variances of the noise and their degrees of freedom, the neighbours' residuals taken in.
 
     A bin of few lines knows its noise badly, and weights that follow such luck make fits overconfident. A bin that

@@ -133,7 +133,7 @@ def numbers(content: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
     """The numbers of a part by dotted name, without those that describe the fit (intervals, NRMSE, other fits)."""
     found: dict[str, float] = {}
     for name, value in content.items():
-        if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "fourth_order"):
+        if isinstance(value, Mapping) and name not in ("intervals", "nrmse", "fourth_order", "error", "predicted"):
             found |= numbers(value, f"{prefix}{name}.")
         elif isinstance(value, float):
             found[f"{prefix}{name}"] = value

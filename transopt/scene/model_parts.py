@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, JsonValue, field_validator, model_validator
 
 from transopt.base.errors import InputError
-from transopt.base.section import Finite, NonNegative, Positive, Section
+from transopt.base.section import Finite, NonNegative, Positive, Section, Words
 from transopt.base.sizes import MOST_NODES, MOST_STATES
 from transopt.plant.chain import Link
 from transopt.plant.drive import drive
@@ -19,6 +19,7 @@ from transopt.plant.hand import Hand, LinearParameter
 from transopt.plant.second_order import second_order
 from transopt.plant.state_space import StateSpace, blended
 from transopt.scene.fitted import FittedPart, ModelPart
+from transopt.scene.model_error import ModelError, Predicted
 
 MODEL_PARTS = ("amplifier", "device", "hand", "coil")
 ModelPartName = Literal["amplifier", "device", "hand", "coil"]
@@ -137,7 +138,10 @@ class DriveDevice(FittedPart):
     transmission_damping_N_s_m : between the two.
     hand : skin, hand mass and arm.
     grips_N : recorded, 0 for the free device.
-    nrmse : grip -> held-out NRMSE on trials outside the fit.
+    nrmse : grip -> held-out NRMSE on trials outside the fit, their noise included.
+    error : how far its response is off; None in files of older versions.
+    predicted : what that makes of the taps of the scene it was identified for; None where there was none.
+    causes : what was found to be in the records or the device beside the model, by name.
     """
 
     kind: Literal["drive"]
@@ -149,6 +153,9 @@ class DriveDevice(FittedPart):
     hand: ChainHand
     grips_N: Grips
     nrmse: NrmseByGrip
+    error: ModelError | None = None
+    predicted: Predicted | None = None
+    causes: list[Words] = Field(default_factory=list)
 
     _grips_ordered = field_validator("grips_N")(_increasing)
     _nrmse_by_grip = field_validator("nrmse")(_of_grips)
@@ -197,7 +204,10 @@ class StateSpaceDevice(ModelPart):
     B : (ng, n, 1).
     C : (ng, 1, n).
     D : (ng, 1, 1).
-    nrmse : grip -> held-out NRMSE on trials outside the fit.
+    nrmse : grip -> held-out NRMSE on trials outside the fit, their noise included.
+    error : how far its response is off; None in files of older versions.
+    predicted : what that makes of the taps of the scene it was identified for; None where there was none.
+    causes : what was found to be in the records or the device beside the model, by name.
     """
 
     kind: Literal["state_space"]
@@ -208,6 +218,9 @@ class StateSpaceDevice(ModelPart):
     C: Annotated[list[Matrix], Field(min_length=1)]
     D: Annotated[list[Matrix], Field(min_length=1)]
     nrmse: NrmseByGrip
+    error: ModelError | None = None
+    predicted: Predicted | None = None
+    causes: list[Words] = Field(default_factory=list)
 
     _grips_ordered = field_validator("grips_N")(_increasing)
     _nrmse_by_grip = field_validator("nrmse")(_of_grips)

@@ -1,39 +1,86 @@
-"""Parameters of the drive chain from the responses of all grips together: bounded, passive, weighted."""
+"""The drive chain and what stood between it and the records, by one likelihood over all trials and grips.
+
+What goes in is the command, which nothing disturbs, or the measured current where the amplifier is no pole and delay.
+What comes out are the measured current, the acceleration and, where the encoder moved by counts enough, its position.
+Unknown are the chain, the amplifier, and what nobody may have told of the accelerometer: its pole, its gain, and by
+how much later than the current it is read. Such a nuisance is kept only where the records contradict its nominal
+value; then it is named.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
+from transopt.identify.condensed import Condensed
 from transopt.identify.device.chain import HAND, SHARED, Coordinates, DriveChain, log_slopes
-from transopt.identify.device.response import Instrument, sampled_response
-from transopt.identify.spectrum import TransferEstimate
+from transopt.identify.device.response import (
+    ACCELERATION,
+    CURRENT,
+    INSTRUMENT,
+    POSITION,
+    Instrument,
+    responses,
+    sampled_response,
+)
+from transopt.identify.likelihood import Likelihood, Maximum
+from transopt.identify.spectrum import ComplexArray, TransferEstimate
 
-RANGE = 1e3  # every parameter stays within this factor of its start
+RANGE = 1e3  # every parameter of the chain stays within this factor of its start
 RANDOM_STARTS = 6
 SPREAD = 3.0  # random starts lie within this factor of the nominal device scaled to the data
 LOOSE = 0.1  # relative error allowed in the first stage, so that one sharp peak does not rule the search
 DECIMATION = 4
 SAME = 0.05  # sums of squares of the first stage that differ by less count as the same device
+EXPLAINED = 2.0  # mean square of the residuals below which no further start is tried
 UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
-TOLERANCE = 1e-10
+SIGNIFICANT = 5.0  # deviations of a nuisance from its nominal value that the records must show to keep it
+SUSPECTED_HZ = 3000.0  # where the search for a pole begins that no file states
+NUISANCES = ("accelerometer_pole", "late", "gain")
 
 
 @dataclass(frozen=True)
 class GripResponse:
-    """What was measured at one grip, 0 for the free device."""
+    """What was measured at one grip, 0 for the free device.
+
+    Attributes
+    ----------
+    grip_N : of the trials, their mean.
+    estimate : acceleration over current, by itself.
+    data : what all lines say, from command to current, acceleration and position, or from current to the latter.
+    outputs : which rows of `responses` the outputs of `data` are.
+    commanded : whether the input of `data` is the command.
+    """
 
     grip_N: float
     estimate: TransferEstimate
+    data: Condensed
+    outputs: tuple[int, ...]
+    commanded: bool
 
     @property
     def deviation(self) -> FloatArray:
-        """(m,) standard deviation of real and imaginary part, above 0."""
+        """(m,) standard deviation of real and imaginary part of `estimate`, above 0."""
         return np.asarray(np.maximum(self.estimate.deviation, np.finfo(float).tiny))
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Something that no file states and that the records show.
+
+    Attributes
+    ----------
+    name : of `NUISANCES`.
+    value : a frequency in Hz, samples, or a factor.
+    deviation : its standard deviation.
+    """
+
+    name: str
+    value: float
+    deviation: float
 
 
 @dataclass(frozen=True)
@@ -43,30 +90,43 @@ class ChainFit:
     Attributes
     ----------
     device : the parameters.
-    coordinates, unknowns : how they were sought, (size,).
-    covariance : (size, size) of the unknowns by Gauss-Newton, times `scatter` where that is above 1.
+    instrument : what stood between it and the records, as found.
+    nuisances : what of the accelerometer was found other than stated.
+    coordinates : how the chain was sought; its unknowns are the first of `maximum`.
+    maximum : all unknowns, those of `INSTRUMENT` last.
     grips_N : of the responses.
-    chi_square : (grips,) sums of squared residuals.
-    points : (grips,) their numbers.
-    at_bounds : unknowns that ended at a bound; their deviation is half the range searched.
     starts, agreeing : how many starts there were, and how many of them led to the best device.
     """
 
     device: DriveChain
+    instrument: Instrument
+    nuisances: tuple[Nuisance, ...]
     coordinates: Coordinates
-    unknowns: FloatArray
-    covariance: FloatArray
+    maximum: Maximum
     grips_N: tuple[float, ...]
-    chi_square: FloatArray
-    points: NDArray[np.int_]
-    at_bounds: tuple[str, ...]
     starts: int
     agreeing: int
 
     @property
+    def unknowns(self) -> FloatArray:
+        """(size,) of the chain."""
+        return self.maximum.unknowns[: self.coordinates.size]
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(size, size) of the chain's unknowns."""
+        return self.maximum.covariance[: self.coordinates.size, : self.coordinates.size]
+
+    @property
     def scatter(self) -> float:
         """Mean square of the residuals: 1 where the model is right and the noise is known."""
-        return _scatter(self.chi_square, self.points, self.unknowns.size)
+        return self.maximum.scatter
+
+    @property
+    def at_bounds(self) -> tuple[str, ...]:
+        """Unknowns of the chain that ended at a bound."""
+        names = self.coordinates.names
+        return tuple(name for name, at in zip(names, self.maximum.bounded, strict=False) if at)
 
     @property
     def unidentified(self) -> dict[str, float]:
@@ -80,135 +140,171 @@ class ChainFit:
         return names, values, matrix @ self.covariance @ matrix.T
 
 
-def _scatter(chi_square: FloatArray, points: NDArray[np.int_], unknowns: int) -> float:
-    return float(chi_square.sum() / max(int(points.sum()) - unknowns, 1))
-
-
-def _response_jacobian(
-    coordinates: Coordinates,
-    device: DriveChain,
-    grip_N: float,
-    instrument: Instrument,
-    frequencies_Hz: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """(m,) sampled response at a grip and its derivatives by the unknowns (size, m)."""
-    parameters, n, h = device.parameters(grip_N), len(SHARED), len(HAND)
-    plant, slopes = log_slopes(parameters, device.force_per_current_N_A)
-    value, by_log = sampled_response(plant, instrument, frequencies_Hz, slopes)
-    jacobian = np.zeros((coordinates.size, value.size), dtype=complex)
-    jacobian[:n] = by_log[:n]
-    if grip_N > 0:
-        for end, (end_N, share) in enumerate(zip(coordinates.ends_N, coordinates.shares(grip_N), strict=True)):
-            part = share * device.hand_at(end_N) / parameters[n:]
-            jacobian[n + end * h : n + (end + 1) * h] = part[:, None] * by_log[n:]
-    return value, jacobian
-
-
-class _Residuals:
-    """(Model - measured) / deviation of all grips, real and imaginary parts, and its Jacobian; keeps the last point.
-
-    `loose` adds a relative error to the deviations, `step` takes each step-th bin.
-    """
+class _Model:
+    """Responses of all grips and their slopes by theta: the chain's unknowns, then those of `INSTRUMENT`."""
 
     def __init__(
         self,
-        responses: Sequence[GripResponse],
+        measured: Sequence[GripResponse],
         coordinates: Coordinates,
         instrument: Instrument,
         force_per_current_N_A: float,
+        free: NDArray[np.bool_],
+    ) -> None:
+        self._measured, self._coordinates = measured, coordinates
+        self._instrument, self._force = instrument, force_per_current_N_A
+        self._moved = tuple(name for name, moves in zip(INSTRUMENT, free[coordinates.size :], strict=True) if moves)
+
+    def __call__(self, theta: FloatArray, j: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        one, coordinates, n, h = self._measured[j], self._coordinates, len(SHARED), len(HAND)
+        device = coordinates.device(theta[: coordinates.size], self._force)
+        instrument = _instrument(theta[coordinates.size :], self._instrument)
+        parameters = device.parameters(one.grip_N)
+        plant, by_log = log_slopes(parameters, self._force)
+        position = max(one.outputs) > ACCELERATION
+        value, moved = responses(plant, instrument, frequencies_Hz, by_log, position=position, moved=self._moved)
+        slope = np.zeros((theta.size, *value.shape), dtype=complex)
+        slope[:n] = moved[:n]
+        if one.grip_N > 0:
+            for end, (end_N, share) in enumerate(
+                zip(coordinates.ends_N, coordinates.shares(one.grip_N), strict=True)
+            ):
+                part = share * device.hand_at(end_N) / parameters[n:]
+                slope[n + end * h : n + (end + 1) * h] = part[:, None, None] * moved[n : n + h]
+        for name, by in zip(self._moved, moved[parameters.size :], strict=True):
+            slope[coordinates.size + INSTRUMENT.index(name)] = (
+                instrument.dt_s * by if name == "amplifier_delay" else by
+            )
+        if not one.commanded:
+            slope = (slope - value / value[CURRENT] * slope[:, CURRENT, None]) / value[CURRENT]
+            value = value / value[CURRENT]
+        wanted = list(one.outputs)
+        return value[wanted], slope[:, wanted]
+
+
+def _instrument(values: FloatArray, known: Instrument) -> Instrument:
+    """The instrument of (6,) unknowns; parts that it does not have stay absent."""
+    pole, ticks, gain, sensor, late, factor = values.tolist()
+    amplifier = known.amplifier
+    if amplifier is not None:
+        amplifier = replace(amplifier, pole_Hz=float(np.exp(pole)), delay_s=max(ticks, 0.0) * known.dt_s)
+    return replace(
+        known,
+        amplifier=amplifier,
+        accelerometer_Hz=None if known.accelerometer_Hz is None else float(np.exp(sensor)),
+        gain=float(np.exp(factor)),
+        late=late,
+        amplifier_gain=float(np.exp(gain)),
+    )
+
+
+def _values(instrument: Instrument) -> FloatArray:
+    """(6,) unknowns of an instrument."""
+    amplifier, sensor = instrument.amplifier, instrument.accelerometer_Hz
+    return np.array(
+        [
+            0.0 if amplifier is None else np.log(amplifier.pole_Hz),
+            0.0 if amplifier is None else amplifier.delay_s / instrument.dt_s,
+            np.log(instrument.amplifier_gain),
+            0.0 if sensor is None else np.log(sensor),
+            instrument.late,
+            np.log(instrument.gain),
+        ]
+    )
+
+
+class _Search:
+    """One likelihood, where to begin, and how far each unknown may go."""
+
+    def __init__(
+        self,
+        measured: Sequence[GripResponse],
+        coordinates: Coordinates,
+        instrument: Instrument,
+        force_per_current_N_A: float,
+        free: NDArray[np.bool_],
         *,
         loose: float = 0.0,
         step: int = 1,
     ) -> None:
-        self._coordinates, self._instrument, self._force = coordinates, instrument, force_per_current_N_A
-        self._data = []
-        for one in responses:
-            kept = slice(step // 2, None, step)
-            response = one.estimate.response[kept]
-            deviation = np.hypot(one.deviation[kept], loose * np.abs(response))
-            self._data.append((one.grip_N, one.estimate.frequencies_Hz[kept], response, deviation))
-        self._at, self._last = np.zeros(0), (np.zeros(0), np.zeros((0, 0)))
+        model = _Model(measured, coordinates, instrument, force_per_current_N_A, free)
+        self.likelihood = Likelihood([one.data for one in measured], model, loose=loose, step=step)
+        self._coordinates, self._free, self._rate = coordinates, free, 1 / instrument.dt_s
 
-    @property
-    def points(self) -> NDArray[np.int_]:
-        """(grips,) number of residuals."""
-        return np.array([2 * response.size for _, _, response, _ in self._data])
+    def bounds(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(p,) lowest and highest."""
+        size, rate = self._coordinates.size, self._rate
+        low, high = start - np.log(RANGE), start + np.log(RANGE)
+        low[size:] = [np.log(1e-3 * rate), 0.0, -np.log(20.0), np.log(0.01 * rate), -20.0, -np.log(20.0)]
+        high[size:] = [np.log(2 * rate), 20.0, np.log(20.0), np.log(2 * rate), 20.0, np.log(20.0)]
+        return low, high
 
-    def _evaluate(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if not np.array_equal(self._at, unknowns):
-            device = self._coordinates.device(unknowns, self._force)
-            residuals, jacobians = [], []
-            for grip_N, frequencies, response, deviation in self._data:
-                value, jacobian = _response_jacobian(self._coordinates, device, grip_N, self._instrument, frequencies)
-                error, scaled = (value - response) / deviation, (jacobian / deviation).T
-                residuals += [error.real, error.imag]
-                jacobians += [scaled.real, scaled.imag]
-            self._at, self._last = unknowns.copy(), (np.concatenate(residuals), np.concatenate(jacobians))
-        return self._last
+    def coarse(self, start: FloatArray) -> tuple[FloatArray, float]:
+        """Where a start leads to, and its sum of squares."""
+        return self.likelihood.search(start, *self.bounds(start), self._free, 60)
 
-    def value(self, unknowns: FloatArray) -> FloatArray:
-        """Residuals of all grips."""
-        return self._evaluate(unknowns)[0]
-
-    def jacobian(self, unknowns: FloatArray) -> FloatArray:
-        """Their derivatives by the unknowns."""
-        return self._evaluate(unknowns)[1]
-
-    def minimise(self, start: FloatArray, free: NDArray[np.bool_], most: int) -> tuple[FloatArray, float]:
-        """Bounded least squares over the `free` unknowns: (size,) answer and its sum of squares."""
-
-        low, high = start[free] - np.log(RANGE), start[free] + np.log(RANGE)
-
-        def whole(part: FloatArray) -> FloatArray:
-            full = start.copy()
-            full[free] = np.clip(part, low, high)
-            return full
-
-        def value(part: FloatArray) -> FloatArray:
-            return self.value(whole(part))
-
-        def jacobian(part: FloatArray) -> FloatArray:
-            outside = (part < low) | (part > high)
-            return np.where(outside, 0.0, self.jacobian(whole(part))[:, free])
-
-        # MINPACK with clipped unknowns: the factorisations of scipy's bounded methods take ten times as long when
-        # their threads meet busy cores.
-        found = optimize.least_squares(
-            value,
-            start[free],
-            jac=jacobian,
-            method="lm",
-            ftol=TOLERANCE,
-            xtol=TOLERANCE,
-            gtol=TOLERANCE,
-            max_nfev=most,
-        )
-        return whole(found.x), 2 * float(found.cost)
+    def maximum(self, start: FloatArray) -> Maximum:
+        """The best unknowns near a start."""
+        return self.likelihood.maximum(start, *self.bounds(start), self._free)
 
 
-def scaled_to(device: DriveChain, responses: Sequence[GripResponse], instrument: Instrument) -> DriveChain:
+def scaled_to(device: DriveChain, measured: Sequence[GripResponse], instrument: Instrument) -> DriveChain:
     """A device like this one, as heavy and as fast as the measured one.
 
     The response falls as all masses, stiffnesses and dampings grow alike, and shifts along the frequency axis with
     the root of stiffness over mass: heights and peaks of measured and modelled response are laid over each other.
     """
-    one = min(responses, key=lambda response: response.grip_N)
-    frequencies, measured = one.estimate.frequencies_Hz, np.abs(one.estimate.response)
+    one = min(measured, key=lambda response: response.grip_N)
+    frequencies, size = one.estimate.frequencies_Hz, np.abs(one.estimate.response)
 
     def modelled(by: DriveChain) -> FloatArray:
         return np.abs(sampled_response(by.plant(one.grip_N), instrument, frequencies)[0])
 
-    weight = measured / np.hypot(measured, one.deviation)
-    faster = frequencies[np.argmax(measured * weight)] / frequencies[np.argmax(modelled(device))]
+    weight = size / np.hypot(size, one.deviation)
+    faster = frequencies[np.argmax(size * weight)] / frequencies[np.argmax(modelled(device))]
     speeds = np.array([1.0, 1.0, faster**2, faster])
     hand = np.array([1.0, faster**2, faster, faster**2, faster])[: device.hand.shape[0], None]
     device = DriveChain(device.force_per_current_N_A, device.shared * speeds, device.hand * hand)
-    heavier = float(np.median(modelled(device) / np.maximum(measured, 1e-300)))
+    heavier = float(np.median(modelled(device) / np.maximum(size, 1e-300)))
     return DriveChain(device.force_per_current_N_A, device.shared * heavier, device.hand * heavier)
 
 
+def _free(measured: Sequence[GripResponse], coordinates: Coordinates, instrument: Instrument) -> NDArray[np.bool_]:
+    """(p,) what these records may tell: the amplifier where the current was read beside the command, a gain where the
+    encoder says how far the device moved."""
+    amplifier = instrument.amplifier is not None and all(CURRENT in one.outputs for one in measured)
+    told = [amplifier, amplifier, amplifier, True, True, any(max(one.outputs) > ACCELERATION for one in measured)]
+    return np.array([True] * coordinates.size + told)
+
+
+def _nuisances(coordinates: Coordinates) -> NDArray[np.bool_]:
+    """(p,) which unknowns those of `NUISANCES` are."""
+    return np.array([False] * coordinates.size + [name in NUISANCES for name in INSTRUMENT])
+
+
+def _with_amplifier(
+    measured: Sequence[GripResponse],
+    coordinates: Coordinates,
+    instrument: Instrument,
+    nominal: DriveChain,
+    free: NDArray[np.bool_],
+) -> Instrument:
+    """The instrument with the amplifier that the currents alone tell; as it was where they were not read."""
+    moving = free & ~_nuisances(coordinates) & (np.arange(free.size) >= coordinates.size)
+    if not moving.any():
+        return instrument
+    rows = np.array([CURRENT])
+    currents = [
+        replace(one, data=replace(one.data, known=one.data.known & np.isin(one.outputs, rows)[:, None]))
+        for one in measured
+    ]
+    search = _Search(currents, coordinates, instrument, nominal.force_per_current_N_A, moving)
+    found = search.maximum(np.concatenate([coordinates.of(nominal), _values(instrument)]))
+    return _instrument(found.unknowns[coordinates.size :], instrument)
+
+
 def fit_chain(
-    responses: Sequence[GripResponse],
+    measured: Sequence[GripResponse],
     instrument: Instrument,
     nominal: DriveChain,
     *,
@@ -216,14 +312,17 @@ def fit_chain(
     seed: int = 0,
     tick: Callable[[], None] = lambda: None,
 ) -> ChainFit:
-    """Least squares over all grips, weighted by the noise of each bin, from several starts.
+    """The most likely chain and instrument.
 
-    First every start on each fourth bin with a relative error of 10 % allowed, so that low and high frequencies
-    count alike; then the best one on everything. No regularisation: what the data leave open shows in the covariance.
+    First a start on each fourth bin with a relative error of 10 % allowed, so that low and high frequencies count
+    alike; then on everything. Further starts follow where that leaves the records unexplained. No regularisation:
+    what the data leave open shows in the covariance. All nuisances are free at first; those that do not differ from
+    their nominal values by five standard deviations are then taken back, the least different one first.
 
     Parameters
     ----------
-    responses : one per grip, 0 for the free device.
+    measured : one per grip, 0 for the free device.
+    instrument : as stated by the files and the scene.
     nominal : where to start, with the known force per ampere.
     random_starts : beside the nominal device, as it is and scaled to the data.
     tick : called after each start.
@@ -232,71 +331,141 @@ def fit_chain(
     ------
     InputError : only the free device was recorded, whose response does not separate its two masses.
     """
-    held = tuple(sorted(one.grip_N for one in responses if one.grip_N > 0))
+    held = tuple(sorted(one.grip_N for one in measured if one.grip_N > 0))
     if not held:
         raise InputError(
             "device: only the free device (grip 0) was recorded, which tells neither the hand nor the motor's mass "
             "from the stylus's; record held grips too, or choose --kind state_space"
         )
-    coordinates, force = Coordinates(held), nominal.force_per_current_N_A
-    everything = np.ones(coordinates.size, dtype=bool)
-    coarse = _Residuals(responses, coordinates, instrument, force, loose=LOOSE, step=DECIMATION)
-    near = coordinates.of(scaled_to(nominal, responses, instrument))
+    coordinates, force, stated = Coordinates(held), nominal.force_per_current_N_A, instrument.accelerometer_Hz
+    sought = replace(instrument, accelerometer_Hz=stated or SUSPECTED_HZ)
+    free = _free(measured, coordinates, sought)
+    sought = _with_amplifier(measured, coordinates, sought, nominal, free)
+    tail = _values(sought)
+    chain_alone = np.arange(free.size) < coordinates.size
+    # Nuisances could make up for a chain that is far off, and a chain for nuisances: both orders are tried.
+    first, second = (
+        _Search(measured, coordinates, sought, force, moving, loose=LOOSE, step=DECIMATION)
+        for moving in (chain_alone, chain_alone | free & _nuisances(coordinates))
+    )
+    exact = _Search(measured, coordinates, sought, force, free)
+    near = coordinates.of(scaled_to(nominal, measured, sought))
     random = np.random.default_rng(seed)
     starts = [near, coordinates.of(nominal)]
     starts += [near + np.log(SPREAD) * random.uniform(-1, 1, near.size) for _ in range(random_starts)]
-    reached = []
+    reached: list[tuple[FloatArray, float]] = []
+    best: Maximum | None = None
     for start in starts:
-        reached.append(coarse.minimise(start, everything, most=60))
+        whole = np.concatenate([start, tail])
+        reached.append(min((second.coarse(one) for one in (whole, first.coarse(whole)[0])), key=lambda one: one[1]))
         tick()
-    best = min(cost for _, cost in reached)
-    agreeing = sum(cost <= (1 + SAME) * best + 1 for _, cost in reached)
-    start = min(reached, key=lambda one: one[1])[0]
-
-    exact = _Residuals(responses, coordinates, instrument, force)
-    unknowns, _ = exact.minimise(start, everything, most=200)
+        if reached[-1][1] <= min(cost for _, cost in reached):
+            tried = exact.maximum(reached[-1][0])
+            best = tried if best is None or tried.chi_square.sum() < best.chi_square.sum() else best
+            if best.scatter < EXPLAINED:
+                break
+    assert best is not None
+    measured = _weighed(measured, best)
+    least = min(cost for _, cost in reached)
+    agreeing = sum(cost <= (1 + SAME) * least + 1 for _, cost in reached)
+    kept = _contradicted(best, coordinates, instrument)
+    known = replace(sought, accelerometer_Hz=None) if stated is None and "accelerometer_pole" not in kept else sought
+    values = _values(known)
+    start = best.unknowns.copy()
+    for j, name in enumerate(INSTRUMENT):
+        if name in NUISANCES:
+            free[coordinates.size + j] = name in kept
+            if name not in kept:
+                start[coordinates.size + j] = values[j]
+    final = _Search(measured, coordinates, known, force, free).maximum(start)
     tick()
-    return _result(exact, coordinates, unknowns, start, force, responses, len(starts), agreeing)
+    return _result(final, coordinates, known, force, measured, kept, len(reached), agreeing)
 
 
-def refit(fit: ChainFit, responses: Sequence[GripResponse], instrument: Instrument) -> ChainFit:
+def _weighed(measured: Sequence[GripResponse], found: Maximum) -> list[GripResponse]:
+    """The responses with the noise of the encoder as large as it turned out.
+
+    Its steps are no noise: the same sweep meets the same ones in every trial, which then agree on their error.
+    """
+    weighed = []
+    for one, squares, points in zip(measured, found.chi_square, found.points, strict=True):
+        noise = one.data.noise.copy()
+        if POSITION in one.outputs:
+            j = one.outputs.index(POSITION)
+            noise[j] *= max(float(squares[j] / max(points[j], 1)), 1.0)
+        weighed.append(replace(one, data=replace(one.data, noise=noise)))
+    return weighed
+
+
+def _contradicted(found: Maximum, coordinates: Coordinates, stated: Instrument) -> tuple[str, ...]:
+    """Nuisances whose nominal values the records exclude, by backward elimination on the normal distribution."""
+    nominal = _values(stated)
+    left = [INSTRUMENT.index(name) for name in NUISANCES if found.free[coordinates.size + INSTRUMENT.index(name)]]
+    off = found.unknowns[coordinates.size :] - nominal
+    spread = found.covariance[coordinates.size :, coordinates.size :].copy()
+    pole = INSTRUMENT.index("accelerometer_pole")
+    if stated.accelerometer_Hz is None:
+        # No pole at all is a time constant of 0: a distance of 1 in units of what was found.
+        off[pole] = 1.0
+    while left:
+        sizes = [abs(off[j]) / np.sqrt(max(spread[j, j], 1e-300)) for j in left]
+        least = left[int(np.argmin(sizes))]
+        if min(sizes) >= SIGNIFICANT:
+            break
+        left.remove(least)
+        column = spread[:, least] / max(spread[least, least], 1e-300)
+        off = off - column * off[least]
+        spread = spread - np.outer(column, spread[least])
+    return tuple(INSTRUMENT[j] for j in left)
+
+
+def refit(fit: ChainFit, measured: Sequence[GripResponse]) -> ChainFit:
     """The same fit to other responses, for example to one grip less, begun where `fit` ended."""
-    coordinates = Coordinates(tuple(sorted(one.grip_N for one in responses if one.grip_N > 0)))
-    force, start = fit.device.force_per_current_N_A, coordinates.of(fit.device)
-    exact = _Residuals(responses, coordinates, instrument, force)
-    unknowns, _ = exact.minimise(start, np.ones(coordinates.size, dtype=bool), most=200)
-    return _result(exact, coordinates, unknowns, start, force, responses, 1, 1)
+    coordinates = Coordinates(tuple(sorted(one.grip_N for one in measured if one.grip_N > 0)))
+    force = fit.device.force_per_current_N_A
+    free = np.concatenate([np.ones(coordinates.size, dtype=bool), fit.maximum.free[fit.coordinates.size :]])
+    start = np.concatenate([coordinates.of(fit.device), _values(fit.instrument)])
+    found = _Search(measured, coordinates, fit.instrument, force, free).maximum(start)
+    kept = tuple(nuisance.name for nuisance in fit.nuisances)
+    return _result(found, coordinates, fit.instrument, force, measured, kept, 1, 1)
+
+
+def response_variance(fit: ChainFit, one: GripResponse) -> FloatArray:
+    """(m,) of the chain's acceleration over current at the bins of an estimate, E|.|^2 by the covariance."""
+    coordinates = fit.coordinates
+    alone = replace(one, outputs=(ACCELERATION,), commanded=False)
+    free = np.arange(fit.maximum.unknowns.size) < coordinates.size
+    model = _Model([alone], coordinates, fit.instrument, fit.device.force_per_current_N_A, free)
+    _, slope = model(fit.maximum.unknowns, 0, one.estimate.frequencies_Hz)
+    by_chain = slope[: coordinates.size, 0]
+    return np.asarray(np.einsum("im,ij,jm->m", by_chain.conj(), fit.covariance, by_chain).real)
 
 
 def _result(
-    exact: _Residuals,
+    found: Maximum,
     coordinates: Coordinates,
-    unknowns: FloatArray,
-    start: FloatArray,
+    known: Instrument,
     force_per_current_N_A: float,
-    responses: Sequence[GripResponse],
+    measured: Sequence[GripResponse],
+    kept: tuple[str, ...],
     starts: int,
     agreeing: int,
 ) -> ChainFit:
-    bounded = np.abs(unknowns - start) > np.log(RANGE) * (1 - 1e-6)
-    squares = np.split(exact.value(unknowns) ** 2, np.cumsum(exact.points)[:-1])
-    chi_square = np.array([part.sum() for part in squares])
-    jacobian = exact.jacobian(unknowns)[:, ~bounded]
-    covariance = np.zeros((unknowns.size, unknowns.size))
-    # A pseudo-inverse would call a direction without information certain; a floor calls it wide open.
-    size, axes = np.linalg.eigh(jacobian.T @ jacobian)
-    spread = 1 / np.maximum(size, np.finfo(float).eps * size.max(initial=0.0) + np.finfo(float).tiny)
-    covariance[np.ix_(~bounded, ~bounded)] = (axes * spread) @ axes.T
-    covariance[bounded, bounded] = (np.log(RANGE) / 2) ** 2  # all that was searched
+    size = coordinates.size
+    nuisances = []
+    for name in kept:
+        j = size + INSTRUMENT.index(name)
+        value, deviation = float(found.unknowns[j]), float(np.sqrt(found.covariance[j, j]))
+        if name != "late":
+            value, deviation = float(np.exp(value)), float(np.exp(value) * deviation)
+        nuisances.append(Nuisance(name, value, deviation))
     return ChainFit(
-        device=coordinates.device(unknowns, force_per_current_N_A),
+        device=coordinates.device(found.unknowns[:size], force_per_current_N_A),
+        instrument=_instrument(found.unknowns[size:], known),
+        nuisances=tuple(nuisances),
         coordinates=coordinates,
-        unknowns=unknowns,
-        covariance=covariance * max(_scatter(chi_square, exact.points, unknowns.size), 1.0),
-        grips_N=tuple(one.grip_N for one in responses),
-        chi_square=chi_square,
-        points=exact.points,
-        at_bounds=tuple(name for name, at in zip(coordinates.names, bounded, strict=True) if at),
+        maximum=found,
+        grips_N=tuple(one.grip_N for one in measured),
         starts=starts,
         agreeing=agreeing,
     )
@@ -320,25 +489,26 @@ class GripFit:
     difference_dB: float
 
 
-def fit_per_grip(
-    fit: ChainFit, responses: Sequence[GripResponse], instrument: Instrument, *, least_coherence: float
-) -> list[GripFit]:
+def fit_per_grip(fit: ChainFit, measured: Sequence[GripResponse], *, least_coherence: float) -> list[GripFit]:
     """Lack of fit of the hand's linear functions: each held grip once more with a hand of its own."""
     force, found = fit.device.force_per_current_N_A, []
-    for one in responses:
+    for one in measured:
         if one.grip_N == 0:
             continue
         coordinates = Coordinates((one.grip_N,))
-        start = coordinates.of(fit.device)
-        exact = _Residuals([one], coordinates, instrument, force)
-        hand_only = np.arange(start.size) >= len(SHARED)
-        unknowns, cost = exact.minimise(start, hand_only, most=100)
+        start = np.concatenate([coordinates.of(fit.device), _values(fit.instrument)])
+        order = np.arange(start.size)
+        hand_only = (order >= len(SHARED)) & (order < coordinates.size)
+        search = _Search([one], coordinates, fit.instrument, force, hand_only)
+        own = search.maximum(start)
         frequencies = one.estimate.frequencies_Hz
-        own = sampled_response(coordinates.device(unknowns, force).plant(one.grip_N), instrument, frequencies)[0]
-        smooth = sampled_response(fit.device.plant(one.grip_N), instrument, frequencies)[0]
+        by_own, by_all = (
+            sampled_response(device.plant(one.grip_N), fit.instrument, frequencies)[0]
+            for device in (coordinates.device(own.unknowns[: coordinates.size], force), fit.device)
+        )
         clear = one.estimate.coherence > least_coherence
-        apart = 20 * np.abs(np.log10(np.abs(own) / np.abs(smooth)))[clear]
-        points = int(exact.points[0])
-        before = float(np.sum(exact.value(start) ** 2))
-        found.append(GripFit(one.grip_N, before / points, cost / (points - len(HAND)), float(apart.max(initial=0.0))))
+        apart = 20 * np.abs(np.log10(np.abs(by_own) / np.abs(by_all)))[clear]
+        before = float(np.sum(search.likelihood.evaluate(start)[0] ** 2))
+        points = int(own.points.sum())
+        found.append(GripFit(one.grip_N, before / points, own.scatter, float(apart.max(initial=0.0))))
     return found

@@ -1,16 +1,18 @@
-"""Identification of a device: both kinds of model fitted, the better one chosen by what was kept out of the fit."""
+"""Identification of a device: the likeliest chain, a black box where no chain explains the records, and a verdict."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Finding, by_grip, check_rates
+from transopt.identify.checks import COHERENT, Fault, Finding, by_grip, check_rates
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import HAND, SHARED, DriveChain
 from transopt.identify.device.chain_fit import (
+    EXPLAINED,
     RANDOM_STARTS,
     RANGE,
     ChainFit,
@@ -19,8 +21,10 @@ from transopt.identify.device.chain_fit import (
     fit_chain,
     fit_per_grip,
     refit,
+    response_variance,
 )
 from transopt.identify.device.delay import delay_samples, finding, without_delay
+from transopt.identify.device.effects import SHORTFALL, Missed, at_use, current_shortfall, missed, named
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import (
     BAND_HZ,
@@ -31,18 +35,26 @@ from transopt.identify.device.trials import (
     runs_of,
     sort_trials,
 )
-from transopt.identify.device.validation import Model, Transient, called, compare, short_of, together, verdict
+from transopt.identify.device.validation import Model, Transient, called, compare, together
+from transopt.identify.device.verdict import Taps, model_error, predict_taps, short_of, verdict
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
+from transopt.scene.model_error import ModelError, Predicted
 from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 
 PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
+VARIES = 4.0  # observed variance between trials over the noise's, from which on the hand is said to vary
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
 SIGMAS = 1.959964  # 95 %
+REMEDIES = {
+    "friction": "refine the library on the device (transopt-play refine), or loosen bearings and guides",
+    "backlash": "preload the transmission; no library makes up for play",
+    "stiffening": "record at the amplitude that is played, and refine the library on the device",
+}
 
 
 class Kind(StrEnum):
@@ -61,6 +73,7 @@ class Candidate:
     ----------
     kind : of model.
     model : gives the plants of a grip.
+    instrument : what stood between it and the records.
     transients : grip -> those of its transients that were kept out of the fit.
     between : NRMSE at grips that the model does not know: those with transients only, and inner held ones by the
         same kind of model fitted without them.
@@ -68,6 +81,7 @@ class Candidate:
 
     kind: Kind
     model: Model
+    instrument: Instrument
     transients: dict[float, list[Transient]]
     between: dict[float, float]
 
@@ -91,24 +105,28 @@ class DeviceResult:
     Attributes
     ----------
     grips : with their responses.
-    instrument : what stood between the device and the recorded numbers.
     chosen : the better candidate.
     other : the other one; None where only one kind was asked for or possible.
     chain : the fit behind the drive chain, if there is one.
     own_hands : its lack of fit by grip.
     black_box : the fit behind the state space, if there is one.
+    error : how far the response of the chosen one is off, and what taps at the amplitude of use missed beyond it.
+    predicted : what that makes of the scene's taps; None where no scene was named.
+    causes : what was found to be in the records or the device beside the model, by name.
     findings : of the records.
     advice : what to record again, where.
     short : why the result is not good enough.
     """
 
     grips: list[Grip]
-    instrument: Instrument
     chosen: Candidate
     other: Candidate | None
     chain: ChainFit | None
     own_hands: list[GripFit]
     black_box: BlackBox | None
+    error: ModelError
+    predicted: Predicted | None
+    causes: list[str]
     findings: list[Finding]
     advice: list[str]
     short: list[str]
@@ -120,12 +138,13 @@ class DeviceResult:
             assert self.black_box is not None
             return [float(value) for value in self.black_box.scatter]
         assert self.chain is not None
-        return [float(value) for value in self.chain.chi_square / self.chain.points]
+        maximum = self.chain.maximum
+        return [float(value) for value in maximum.chi_square.sum(axis=1) / maximum.points.sum(axis=1)]
 
     @property
     def verdict(self) -> str:
         """One sentence for the model file and for the user: how far the chosen model can be relied upon."""
-        words = [verdict(self.chosen.recorded, self.chosen.between)]
+        words = [verdict(self.predicted, self.chosen.recorded)]
         if self.chosen.kind is Kind.DRIVE and self.chain is not None:
             words += _not_the_devices(self.chain)
         return "; ".join(words)
@@ -143,6 +162,7 @@ class Settings:
     kind, order : of the model; order None finds one.
     played_N : grips that the scene plays.
     random_starts : of the chain's fit.
+    taps : designs the taps of the scene with a model; None where no scene is to be played.
     """
 
     nominal: DriveChain
@@ -152,6 +172,7 @@ class Settings:
     order: int | None = None
     played_N: tuple[float, ...] = ()
     random_starts: int = RANDOM_STARTS
+    taps: Callable[[DriveDevice | StateSpaceDevice], Taps | None] | None = None
 
 
 def identify(
@@ -174,49 +195,159 @@ def identify(
     ------
     InputError : records that cannot be used, an order that cannot be.
     """
+    repeated = [run for run in runs if run.period_s is not None]
+    transients = [*transients, *(run for run in runs if run.held_out and run.period_s is None)]
+    runs = [run for run in runs if run.period_s is None and not run.held_out]
     runs, transients, late = _on_one_clock(runs, transients, settings)
     records = sort_trials(runs, transients, settings.amplifier, settings.scene_plant, tick=lambda: tick("responses"))
-    grips, instrument = records.grips, records.instrument
-    responses = [grip.response for grip in grips]
+    grips = records.grips
+    measured = [grip.response for grip in grips]
     held = any(grip.grip_N > 0 for grip in grips)
     chain: ChainFit | None = None
     box: BlackBox | None = None
     if settings.kind is Kind.DRIVE or (settings.kind is Kind.AUTO and held):
         chain = fit_chain(
-            responses,
-            instrument,
+            measured,
+            records.instrument,
             settings.nominal,
             random_starts=settings.random_starts,
             tick=lambda: tick("drive chain"),
         )
-    if settings.kind is Kind.STATE_SPACE or settings.kind is Kind.AUTO:
-        box = fit_black_box(responses, instrument, settings.order, tick=lambda: tick("state space"))
+    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and (chain is None or _unexplained(chain))):
+        box = fit_black_box(measured, records.instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []
     if chain is not None:
         candidates.append(_validated_chain(chain, records))
         tick("validation")
     if box is not None:
-        candidates.append(_validated(Kind.STATE_SPACE, box, box.without, records))
+        candidates.append(_validated(Kind.STATE_SPACE, box, records.instrument, box.without, records))
         tick("validation")
     chosen, *others = candidates
     if others and others[0].error < PREFERENCE * chosen.error:
         chosen, others = others[0], [chosen]
-    own_hands = [] if chain is None else fit_per_grip(chain, responses, instrument, least_coherence=COHERENT)
-    advice = _advice(grips, instrument, chosen, settings.played_N)
+    own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
+    error, used = _error(chosen, chain, measured, [*transients, *repeated], [grip.grip_N for grip in grips])
+    causes, found = _causes(chosen, chain, grips, used, error)
+    advice = _advice(grips, chosen, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
         advice += _about_chain(chain, own_hands)
-    return DeviceResult(
+    result = DeviceResult(
         grips=grips,
-        instrument=instrument,
         chosen=chosen,
         other=others[0] if others else None,
         chain=chain,
         own_hands=own_hands,
         black_box=box,
-        findings=[*late, *records.findings],
+        error=error,
+        predicted=None,
+        causes=causes,
+        findings=[*late, *records.findings, *found],
         advice=advice,
-        short=short_of(chosen.recorded, chosen.between),
+        short=[],
     )
+    taps = None if settings.taps is None else settings.taps(device_part(result))
+    if taps is None:
+        return result
+    tick("verdict")
+    predicted = predict_taps(error, taps)
+    return replace(result, predicted=predicted, short=short_of(predicted))
+
+
+def _unexplained(chain: ChainFit) -> bool:
+    """Whether the acceleration has more in it than a chain makes: only then is a black box worth its while."""
+    return chain.scatter > EXPLAINED
+
+
+def _error(
+    chosen: Candidate,
+    chain: ChainFit | None,
+    measured: Sequence[GripResponse],
+    runs: Sequence[Measurement],
+    recorded_N: Sequence[float],
+) -> tuple[ModelError, list[Missed]]:
+    """How far the chosen model is off, and what each record at the amplitude of use missed."""
+    if chosen.kind is Kind.DRIVE:
+        assert chain is not None
+
+        def variance(one: GripResponse) -> FloatArray:
+            return response_variance(chain, one)
+    else:
+        box = chosen.model
+        assert isinstance(box, BlackBox)
+
+        def variance(one: GripResponse) -> FloatArray:
+            # As many real unknowns as twice the order share the information of all lines evenly.
+            return 2 * one.deviation**2 * box.order / one.deviation.size
+
+    error = model_error(measured, chosen.model, chosen.instrument, variance)
+    known = [run for run in runs if run.grip_N is not None and _within(run.grip_N, recorded_N)]
+    used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
+    taps = [one for one in used if one.run.period_s is None]
+    return error.model_copy(update={"at_use": at_use(taps, error)}), used
+
+
+def _within(grip_N: float, recorded_N: Sequence[float]) -> bool:
+    alike = [grip for grip in recorded_N if (grip > 0) == (grip_N > 0)]
+    return bool(alike) and min(alike) <= grip_N <= max(alike)
+
+
+def _causes(
+    chosen: Candidate, chain: ChainFit | None, grips: Sequence[Grip], used: Sequence[Missed], error: ModelError
+) -> tuple[list[str], list[Finding]]:
+    """What the records have beside the model, by name, and what to do about it."""
+    found: list[tuple[str, Finding]] = []
+
+    def say(cause: str, where: str, text: str) -> None:
+        found.append((cause, Finding(Fault.BESIDE, where, text, False)))
+
+    if chain is not None and chosen.kind is Kind.DRIVE:
+        stated = next((run.accelerometer_Hz for grip in grips for run in grip.fitted), None)
+        for one in chain.nuisances:
+            if one.name == "accelerometer_pole":
+                about = "no file states it" if stated is None else f"the files state {stated:g} Hz"
+                text = f"{one.value:.4g} +- {2 * one.deviation:.2g} Hz found, {about}: taken out of the records"
+                say("unstated accelerometer pole", "accelerometer pole", text)
+            elif one.name == "late":
+                text = f"read {one.value:+.3g} samples after the current: taken out; read both at the same tick"
+                say("read delay", "acceleration", text)
+            elif abs(one.value - 1) > 0.01:
+                text = (
+                    f"{one.value:.4g} times what the encoder says: taken for the accelerometer's gain and taken out; "
+                    "check the scales of both"
+                )
+                say("accelerometer gain", "acceleration", text)
+        gain = chain.instrument.amplifier_gain
+        if abs(gain - 1) > 0.02:
+            text = f"{gain:.4g} A per A of command: correct the scale of the command or of the current monitor"
+            say("monitor scale", "current_A", text)
+    if chain is not None:
+        of_hand = chain.maximum.between[len(SHARED) : chain.coordinates.size]
+        if of_hand.max(initial=0.0) > VARIES:
+            text = (
+                f"the hand differs between trials by {np.sqrt(of_hand.max()):.2g} times what their noise explains: "
+                "the intervals are that much wider; hold the stylus steadily, or add trials"
+            )
+            say("varying hand", "trials", text)
+    loud = [
+        one for one, tap in zip([m for m in used if m.run.period_s is None], error.at_use, strict=True) if tap.excess
+    ]
+    if loud:
+        worst = max(tap.excess for tap in error.at_use)
+        fallen = max(current_shortfall(chosen.instrument, one.run) for one in used)
+        if fallen > SHORTFALL:
+            text = (
+                f"the current falls {100 * fallen:.2g} % short of the largest command: lower limits.current_A, or "
+                "raise the supply"
+            )
+            say("amplifier saturation", "current_A", text)
+        if isinstance(chosen.model, DriveChain):
+            for cause, share in named(chosen.model, chosen.instrument, loud):
+                text = (
+                    f"explains {100 * share:.0f} % of what taps at full current miss ({100 * worst:.2g} %): "
+                    f"{REMEDIES[cause]}"
+                )
+                say(cause, "taps at full current", text)
+    return [cause for cause, _ in found], [finding for _, finding in found]
 
 
 def _on_one_clock(
@@ -236,9 +367,11 @@ def _on_one_clock(
     return moved[: len(runs)], moved[len(runs) :], [finding(samples, instrument.dt_s)]
 
 
-def _validated(kind: Kind, model: Model, without: Callable[[float], Model], records: Records) -> Candidate:
+def _validated(
+    kind: Kind, model: Model, instrument: Instrument, without: Callable[[float], Model], records: Records
+) -> Candidate:
     """Errors at recorded grips, at inner ones by the model `without` them, and at grips that have transients only."""
-    grips, instrument = records.grips, records.instrument
+    grips = records.grips
     between = {
         grip.grip_N: together([compare(without(grip.grip_N), grip.grip_N, instrument, run) for run in grip.kept])
         for grip in [grip for grip in grips if grip.grip_N > 0][1:-1]
@@ -249,6 +382,7 @@ def _validated(kind: Kind, model: Model, without: Callable[[float], Model], reco
     return Candidate(
         kind=kind,
         model=model,
+        instrument=instrument,
         transients={
             grip.grip_N: [compare(model, grip.grip_N, instrument, run) for run in grip.kept] for grip in grips
         },
@@ -261,9 +395,9 @@ def _validated_chain(fit: ChainFit, records: Records) -> Candidate:
 
     def without(grip_N: float) -> Model:
         responses = [grip.response for grip in records.grips if grip.grip_N != grip_N]
-        return refit(fit, responses, records.instrument).device
+        return refit(fit, responses).device
 
-    return _validated(Kind.DRIVE, fit.device, without, records)
+    return _validated(Kind.DRIVE, fit.device, fit.instrument, without, records)
 
 
 def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:
@@ -284,7 +418,7 @@ def _band(low_Hz: float, high_Hz: float) -> str:
     return f"{low_Hz:.3g} Hz" if low_Hz == high_Hz else f"{low_Hz:.3g}-{high_Hz:.3g} Hz"
 
 
-def _advice(grips: Sequence[Grip], instrument: Instrument, chosen: Candidate, played_N: Sequence[float]) -> list[str]:
+def _advice(grips: Sequence[Grip], chosen: Candidate, played_N: Sequence[float]) -> list[str]:
     """What to record again, and where."""
     said = []
     for grip in grips:
@@ -292,7 +426,7 @@ def _advice(grips: Sequence[Grip], instrument: Instrument, chosen: Candidate, pl
             said.append(
                 f"coherence low at {_band(*band)} at {called(grip.grip_N)}: sweep longer there, or add trials"
             )
-        for band in lack_of_fit(grip.response, chosen.model, instrument):
+        for band in lack_of_fit(grip.response, chosen.model, chosen.instrument):
             said.append(
                 f"lack of fit at {_band(*band)} at {called(grip.grip_N)}: more than noise; record this grip again, "
                 "held steadily, or try --kind state_space with a higher --order"
@@ -350,9 +484,12 @@ def device_part(result: DeviceResult) -> DriveDevice | StateSpaceDevice:
         {"file": run.source, "sha256": run.sha256} for grip in result.grips for run in (*grip.fitted, *grip.kept)
     ]
     nrmse = {f"{grip:.6g}": error for grip, error in result.chosen.recorded.items() if np.isfinite(error)}
-    common = {"grips_N": [grip.grip_N for grip in result.grips], "nrmse": nrmse, "sources": sources}
+    common: dict[str, Any] = {"grips_N": [grip.grip_N for grip in result.grips], "nrmse": nrmse, "sources": sources}
     common["verdict"] = "; ".join([result.verdict, *result.short])
     common["shortfalls"] = list(result.short)
+    common["causes"] = list(result.causes)
+    common["error"] = result.error.model_dump()
+    common["predicted"] = None if result.predicted is None else result.predicted.model_dump()
     if result.chosen.kind is Kind.STATE_SPACE:
         assert result.black_box is not None
         matrices = {

@@ -1,4 +1,4 @@
-"""What a sweep of sampled current and acceleration shows of a continuous device, exactly, with derivatives.
+"""What a record of sampled signals shows of a continuous device, exactly, with derivatives.
 
 A command is held over a servo period; the amplifier's current follows with a pole and a delay; the accelerometer has
 a pole of its own; everything is read at the ticks. The ratio of the sampled acceleration's spectrum to the sampled
@@ -12,11 +12,14 @@ from scipy import linalg
 
 from transopt.base.signals import FloatArray
 from transopt.identify.amplifier import sampled_response as amplifier_response
+from transopt.identify.spectrum import ComplexArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import acting_states, split_delay
 from transopt.plant.state_space import StateSpace
 
 TAYLOR_DEGREE = 12  # of a matrix of norm 1/4: the rest is below 1e-17
+CURRENT, ACCELERATION, POSITION = range(3)  # rows of what `responses` returns
+INSTRUMENT = ("amplifier_pole", "amplifier_delay", "amplifier_gain", "accelerometer_pole", "late", "gain")
 
 
 @dataclass(frozen=True)
@@ -28,11 +31,17 @@ class Instrument:
     dt_s : period of the servo and of the samples, which are read at t_k, before the command of t_k acts.
     amplifier : None is ideal.
     accelerometer_Hz : its one pole; None is ideal.
+    gain : of the recorded acceleration over the true one.
+    late : by how many samples the acceleration is read later than the current; a whole number or not.
+    amplifier_gain : of the current over the command, at low frequency.
     """
 
     dt_s: float
     amplifier: Amplifier | None = None
     accelerometer_Hz: float | None = None
+    gain: float = 1.0
+    late: float = 0.0
+    amplifier_gain: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -81,17 +90,20 @@ def _generator(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, instr
 
 @dataclass(frozen=True)
 class _Sampled:
-    """x+ = phi x + now c_k + before c_(k-1) with its outputs at the ticks, and the slopes (p, ...) of all of it."""
+    """x+ = phi x + now c_k + before c_(k-1) with its outputs at the ticks, and the slopes (p, ...) of all of it.
+
+    `rows` and `direct` are those of `CURRENT`, `ACCELERATION` and, if asked for, `POSITION`; (o, n) and (o,).
+    """
 
     phi: FloatArray
     now: FloatArray
     before: FloatArray
+    rows: FloatArray
+    direct: FloatArray
     d_phi: FloatArray
     d_now: FloatArray
     d_before: FloatArray
-    row: FloatArray
-    direct: float
-    d_row: FloatArray
+    d_rows: FloatArray
     d_direct: FloatArray
 
 
@@ -101,56 +113,152 @@ def _structure(plant: StateSpace, slopes: tuple[Slope, ...]) -> StateSpace:
     return StateSpace(A, plant.B, C, plant.D, plant.outputs)
 
 
-def _sampled(plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...]) -> _Sampled:
-    keep = acting_states(_structure(plant, slopes))
+def _sampled(
+    plant: StateSpace, instrument: Instrument, slopes: tuple[Slope, ...], position: bool, moved: tuple[str, ...]
+) -> _Sampled:
+    keep = acting_states(_structure(plant, slopes), position=position)
     n, some = int(keep.sum()), np.ix_(keep, keep)
-    pole, sensed = instrument.amplifier is not None, instrument.accelerometer_Hz is not None
+    amplifier, pole, sensed = (
+        instrument.amplifier,
+        instrument.amplifier is not None,
+        instrument.accelerometer_Hz is not None,
+    )
     M = _generator(plant.A[some], plant.B[keep], plant.C[:, keep], plant.D, instrument)
-    size = M.shape[0]
-    dM = np.zeros((len(slopes), size, size))
+    size, p = M.shape[0], len(slopes)
+    dM = np.zeros((p + len(moved), size, size))
     for j, slope in enumerate(slopes):
         dM[j] = _generator(slope.A[some], slope.B[keep], slope.C[:, keep], slope.D, instrument)
-    if instrument.amplifier is not None:
-        rate = instrument.amplifier.rate_rad_s
-        M[n, n], M[n, -1] = -rate, rate
+    if amplifier is not None:
+        M[n, n], M[n, -1] = -amplifier.rate_rad_s, amplifier.rate_rad_s
     if instrument.accelerometer_Hz is not None:
         M[n + pole, n + pole] = -2 * np.pi * instrument.accelerometer_Hz
+    for j, name in enumerate(moved):
+        if name == "amplifier_pole":
+            dM[p + j, n] = M[n]
+        elif name == "accelerometer_pole":
+            dM[p + j, n + pole] = M[n + pole]
     # Elongations and velocities in SI differ by orders of magnitude: exact powers of two bring them together.
     _, (scale, _) = linalg.matrix_balance(M, permute=False, separate=True)
     M, dM = M * scale / scale[:, None], dM * scale / scale[:, None]
 
     dt = instrument.dt_s
-    _, late = split_delay(0.0 if instrument.amplifier is None else instrument.amplifier.delay_s, dt)
+    _, late = split_delay(0.0 if amplifier is None else amplifier.delay_s, dt)
     whole, d_whole = _flow(M * dt, dM * dt)
     rest, d_rest = _flow(M * (dt - late), dM * (dt - late))
+    for j, name in enumerate(moved):
+        if name == "amplifier_delay":
+            d_rest[p + j] = -M @ rest
 
-    row, d_row = np.zeros(size), np.zeros((len(slopes), size))
-    direct, d_direct = 0.0, np.zeros(len(slopes))
-    if sensed:
-        row[size - 2] = 1.0
+    outputs = 2 + position
+    rows, d_rows = np.zeros((outputs, size)), np.zeros((p + len(moved), outputs, size))
+    direct, d_direct = np.zeros(outputs), np.zeros((p + len(moved), outputs))
+    if pole:
+        rows[CURRENT, n] = 1.0
     else:
-        row[:n] = plant.C[0, keep]
-        d_row[:, :n] = np.array([slope.C[0, keep] for slope in slopes]).reshape(-1, n)
+        direct[CURRENT] = 1.0
+    if sensed:
+        rows[ACCELERATION, size - 2] = 1.0
+    else:
+        rows[ACCELERATION, :n] = plant.C[0, keep]
+        d_rows[:p, ACCELERATION, :n] = np.array([slope.C[0, keep] for slope in slopes]).reshape(-1, n)
         if pole:
-            row[n], d_row[:, n] = plant.D[0, 0], [slope.D[0, 0] for slope in slopes]
+            rows[ACCELERATION, n] = plant.D[0, 0]
+            d_rows[:p, ACCELERATION, n] = [slope.D[0, 0] for slope in slopes]
         else:
-            direct, d_direct = float(plant.D[0, 0]), np.array([slope.D[0, 0] for slope in slopes])
-    row, d_row = row * scale, d_row * scale
+            direct[ACCELERATION] = float(plant.D[0, 0])
+            d_direct[:p, ACCELERATION] = [float(slope.D[0, 0]) for slope in slopes]
+    if position:
+        rows[POSITION, :n] = plant.Ce[0, keep]
+    rows, d_rows = rows * scale, d_rows * scale
     return _Sampled(
         phi=whole[:-1, :-1],
         now=rest[:-1, -1],
         before=whole[:-1, -1] - rest[:-1, -1],
+        rows=rows[:, :-1],
+        direct=direct,
         d_phi=d_whole[:, :-1, :-1],
         d_now=d_rest[:, :-1, -1],
         d_before=d_whole[:, :-1, -1] - d_rest[:, :-1, -1],
-        row=row[:-1],
-        direct=direct,
-        d_row=d_row[:, :-1],
+        d_rows=d_rows[:, :, :-1],
         d_direct=d_direct,
     )
 
 
-def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> FloatArray:
+def _resolved(T: ComplexArray, z: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """(m, n) solutions of (z I - T) x = right (m, n) for an upper triangular T."""
+    x = np.empty_like(right)
+    for j in range(T.shape[0] - 1, -1, -1):
+        x[:, j] = (right[:, j] + x[:, j + 1 :] @ T[j, j + 1 :]) / (z - T[j, j])
+    return x
+
+
+def _observed(T: ComplexArray, z: ComplexArray, rows: ComplexArray) -> ComplexArray:
+    """(o, m, n) solutions of y (z I - T) = row for each of the rows (o, n)."""
+    y = np.empty((rows.shape[0], z.size, rows.shape[1]), dtype=complex)
+    for j in range(T.shape[0]):
+        y[:, :, j] = (rows[:, j, None] + y[:, :, :j] @ T[:j, j]) / (z - T[j, j])
+    return y
+
+
+def responses(
+    plant: StateSpace,
+    instrument: Instrument,
+    frequencies_Hz: FloatArray,
+    slopes: tuple[Slope, ...] = (),
+    *,
+    position: bool = False,
+    moved: tuple[str, ...] = (),
+) -> tuple[ComplexArray, ComplexArray]:
+    """Sampled current, acceleration and position over the command at the given frequencies, and their derivatives.
+
+    With x+ = Phi x + G0 c_k + G1 c_(k-1) between ticks (G0, G1: after and before the delayed switch) and w whole
+    periods of delay, H = z^-w (C (z - Phi)^-1 (G0 + G1 / z) + D / z). A Schur form of Phi makes one back-substitution
+    of every frequency.
+
+    Parameters
+    ----------
+    frequencies_Hz : (m,) above 0, up to half the rate.
+    slopes : p derivatives of the plant.
+    position : whether the encoder's is asked for.
+    moved : q of `INSTRUMENT`, to be differentiated by: poles and gains by their logarithms, the delay in seconds,
+        `late` in samples.
+
+    Returns
+    -------
+    (o, m) complex [A/A, m/s^2/A, m/A] and (p + q, o, m) complex; o is 3 with `position`, else 2.
+    """
+    model = _sampled(plant, instrument, slopes, position, moved)
+    back: ComplexArray = np.exp(-2j * np.pi * np.asarray(frequencies_Hz, dtype=float) * instrument.dt_s)
+    z: ComplexArray = 1 / back
+    T, Z = linalg.schur(model.phi.astype(complex), output="complex")
+    whole = 0 if instrument.amplifier is None else split_delay(instrument.amplifier.delay_s, instrument.dt_s)[0]
+    driven = (model.now + model.before * back[:, None]) @ Z.conj()
+    state = _resolved(T, z, driven.astype(complex))
+    scale = np.full((model.rows.shape[0], back.size), instrument.amplifier_gain * back**whole)
+    scale[ACCELERATION] *= instrument.gain * back**instrument.late
+    value = ((model.rows @ Z) @ state.T + model.direct[:, None] * back) * scale
+    if not slopes and not moved:
+        return np.asarray(value), np.zeros((0, *value.shape), dtype=complex)
+    observed = _observed(T, z, model.rows @ Z)
+    # The observer's row times what moves in the equation of the state.
+    slope = np.empty((model.d_phi.shape[0], *value.shape), dtype=complex)
+    for j, d_phi in enumerate(model.d_phi):
+        moves = state @ (Z.conj().T @ d_phi @ Z).T
+        moves += (model.d_now[j] + model.d_before[j] * back[:, None]) @ Z.conj()
+        slope[j] = np.einsum("omn,mn->om", observed, moves)
+        slope[j] += (model.d_rows[j] @ Z) @ state.T + model.d_direct[j][:, None] * back
+    slope *= scale
+    for j, name in enumerate(moved, len(slopes)):
+        if name == "amplifier_gain":
+            slope[j] = value
+        elif name == "gain":
+            slope[j, ACCELERATION] = value[ACCELERATION]
+        elif name == "late":
+            slope[j, ACCELERATION] = np.log(back) * value[ACCELERATION]
+    return np.asarray(value), slope
+
+
+def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:
     """(m,) sampled current over command, whole periods of the delay left out: what cancels in a ratio."""
     amplifier, dt_s = instrument.amplifier, instrument.dt_s
     if amplifier is None:
@@ -164,35 +272,17 @@ def sampled_response(
     instrument: Instrument,
     frequencies_Hz: FloatArray,
     slopes: tuple[Slope, ...] = (),
-) -> tuple[FloatArray, FloatArray]:
-    """Sampled acceleration over sampled current at the given frequencies, and its derivatives.
-
-    With x+ = Phi x + G0 c_k + G1 c_(k-1) between ticks (G0, G1: after and before the delayed switch),
-    H_a = (C (z - Phi)^-1 (G0 + G1 / z) + D / z), the ratio is H_a / H_i, H_i likewise of the current.
+) -> tuple[ComplexArray, ComplexArray]:
+    """Sampled acceleration over sampled current at the given frequencies, and its derivatives: see `responses`.
 
     Parameters
     ----------
     frequencies_Hz : (m,) above 0, up to half the rate.
-    slopes : p derivatives of the plant.
+    slopes : p derivatives of the plant, which leave the current as it is.
 
     Returns
     -------
     (m,) complex [m/s^2/A] and (p, m) complex.
     """
-    model = _sampled(plant, instrument, slopes)
-    back = np.exp(-2j * np.pi * np.asarray(frequencies_Hz, dtype=float) * instrument.dt_s)
-    resolvent = (1 / back)[:, None, None] * np.eye(model.phi.shape[0]) - model.phi
-    driven = model.now + model.before * back[:, None]
-    state = np.linalg.solve(resolvent, driven[:, :, None])[:, :, 0]
-    by_current = 1 / current_response(instrument, frequencies_Hz)
-    value = (state @ model.row + model.direct * back) * by_current
-    if not slopes:
-        return np.asarray(value), np.zeros((0, back.size), dtype=complex)
-    observed = np.linalg.solve(np.swapaxes(resolvent, 1, 2), np.broadcast_to(model.row[:, None], (*driven.shape, 1)))[
-        :, :, 0
-    ]
-    # (p, m): the observer's row times what moves in the equation of the state.
-    moved = np.einsum("mi,pij,mj->pm", observed, model.d_phi, state, optimize=True)
-    moved += model.d_now @ observed.T + (model.d_before @ observed.T) * back
-    moved += model.d_row @ state.T + model.d_direct[:, None] * back
-    return np.asarray(value), np.asarray(moved * by_current)
+    value, slope = responses(plant, instrument, frequencies_Hz, slopes)
+    return value[ACCELERATION] / value[CURRENT], slope[:, ACCELERATION] / value[CURRENT]

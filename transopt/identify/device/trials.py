@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
+from transopt.identify.amplifier import sampled_response as amplifier_response
 from transopt.identify.amplifier import simulate_current
 from transopt.identify.checks import (
     COHERENT,
@@ -24,10 +25,12 @@ from transopt.identify.checks import (
     off_by_gravity,
     refuse,
 )
+from transopt.identify.condensed import Condensed, condense
 from transopt.identify.device.chain_fit import GripResponse
-from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION, Instrument, sampled_response
+from transopt.identify.likelihood import Likelihood
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+from transopt.identify.spectrum import ComplexArray, TransferEstimate, Trial, estimate_transfer
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
@@ -36,6 +39,8 @@ LEAST_TO_HOLD_OUT = 3  # trials of a grip, of which one is then kept for validat
 LEAST_BINS = 30  # of a response: a fourth of them, which the first stage of a fit takes, outnumbers a grip's unknowns
 ALIKE = 0.5  # correlation of measured and expected acceleration from which on sign and size mean something
 MOST_GAIN = 2.0  # by which current and command may differ either way
+LEAST_COUNTS = 2.0  # of the encoder, below which it shows its own steps rather than a motion
+ONE_POLE = 3.0  # mean square of what one pole and a delay leave of the current over the noise's, at most
 MOST_LAG = 20  # ticks searched for a shift between them
 BAND_HZ = (2.0, 800.0)  # where a design needs the model
 FREE_BAND_HZ = (20.0, 800.0)  # below, a free device only drifts, further than its stroke
@@ -261,7 +266,7 @@ def sort_trials(
         for run in kept:
             again += _against_response(run, trials_of[id(run)], estimate, where)
         found += refuse(again)
-        grips.append(Grip(grip_N, GripResponse(grip_N, estimate), tuple(fitted), tuple(kept)))
+        grips.append(Grip(grip_N, _response(grip_N, estimate, fitted, instrument), tuple(fitted), tuple(kept)))
         tick()
     between = [run for run in apart if not _outside(run, list(groups))]
     for run in between:
@@ -272,6 +277,77 @@ def sort_trials(
         again = _current_against_command(run, amplifier)
         found += refuse(again + _against_response(run, trials_of[id(run)], beside.response.estimate, where))
     return Records(grips, instrument, between, found)
+
+
+def _response(
+    grip_N: float, estimate: TransferEstimate, runs: Sequence[Measurement], instrument: Instrument
+) -> GripResponse:
+    """What all lines of the runs of a grip say.
+
+    The command goes in where it was recorded and the current follows it by a pole and a delay, or was not recorded;
+    else the measured current does, with its noise.
+    """
+    both = all(run.command is not None and run.current is not None for run in runs)
+    names = ["acceleration"]
+    if grip_N > 0 and all(run.position is not None for run in runs):
+        names.append("position")
+    rows = {"current": CURRENT, "acceleration": ACCELERATION, "position": POSITION}
+    if both and instrument.amplifier is not None:
+        wide = ["current", *names]
+        data = _condensed(runs, "command", wide, instrument)
+        if _one_pole(data, instrument):
+            return GripResponse(grip_N, estimate, data, tuple(rows[name] for name in wide), True)
+    given = "current" if all(run.current is not None for run in runs) else "command"
+    data = _condensed(runs, given, names, instrument)
+    return GripResponse(grip_N, estimate, data, tuple(rows[name] for name in names), given == "command")
+
+
+def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], instrument: Instrument) -> Condensed:
+    """The runs from the signal `given` to those of `names`; an encoder below where it shows its steps alone."""
+
+    def values(run: Measurement, name: str) -> FloatArray:
+        x = getattr(run, name)
+        assert isinstance(x, Signal)
+        return np.asarray(x.values)
+
+    inputs = [values(run, given) for run in runs]
+    data = condense(inputs, [np.stack([values(run, name) for name in names]) for run in runs], instrument.dt_s)
+    if "position" in names:
+        steps = np.abs(np.diff(np.concatenate([np.unique(values(run, "position")) for run in runs])))
+        count = float(steps[steps > 1e-9].min(initial=np.inf))
+        size = max(float(np.ptp(given)) / 2 for given in inputs)
+        moved = np.abs(data.values()[-1]).max(axis=1) * size
+        known, noise = data.known.copy(), data.noise.copy()
+        known[-1] = np.logical_and.accumulate(moved > LEAST_COUNTS * count)
+        # Trials of one sweep meet the same steps: their error of count / sqrt(12) does not average out.
+        noise[-1] += len(runs) * (count**2 / 12 if np.isfinite(count) else 0.0)
+        data = replace(data, known=known, noise=noise)
+    return data
+
+
+def _one_pole(data: Condensed, instrument: Instrument) -> bool:
+    """Whether one pole and a delay explain the first output, a current, from the command."""
+    assert instrument.amplifier is not None
+    pole, ticks = instrument.amplifier.pole_Hz, instrument.amplifier.delay_s / instrument.dt_s
+
+    def model(theta: FloatArray, _: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        def at(by: FloatArray) -> ComplexArray:
+            log_pole, late, gain = by.tolist()
+            late_s = max(late, 0.0) * instrument.dt_s
+            one = amplifier_response(frequencies_Hz, float(np.exp(log_pole)), late_s, instrument.dt_s)
+            return np.asarray(gain * one)
+
+        step = 1e-6
+        slopes = [(at(theta + step * axis) - at(theta)) / step for axis in np.eye(3)]
+        return at(theta)[None], np.array(slopes)[:, None]
+
+    current = replace(
+        data, right=data.right[:, :1], noise=data.noise[:1], degrees=data.degrees[:1], known=data.known[:1]
+    )
+    start = np.array([np.log(pole), ticks, 1.0])
+    reach = np.array([5.0, 20.0, 20.0])
+    found = Likelihood([current], model).maximum(start, start - reach, start + reach, np.ones(3, dtype=bool))
+    return found.scatter < ONE_POLE
 
 
 def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:

@@ -5,7 +5,7 @@ Measured and predicted acceleration both pass the causal 8 Hz high-pass of the d
 design with this model would not know of.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,8 +20,6 @@ from transopt.plant.state_space import StateSpace
 
 HIGHPASS_HZ = 8.0
 PADDING_S = 0.5  # after a record, for the ringing that its end cuts off
-RECORDED_LIMIT, BETWEEN_LIMIT = 0.05, 0.08  # NRMSE that a model is to keep at recorded grips, and between them
-WORTHLESS = 0.5  # NRMSE from which on a model says nothing of use
 NEAR_ZERO = 1e-3  # of a spectrum's line: a free device has no finite state at exactly 0 Hz, but a response beside it
 
 
@@ -91,62 +89,6 @@ def together(transients: Sequence[Transient]) -> float:
     return nrmse(predicted, measured)
 
 
-def verdict(recorded: Mapping[float, float], between: Mapping[float, float]) -> str:
-    """In plain words, from NRMSE by grip: which design error such a model supports.
-
-    Parameters
-    ----------
-    recorded : at recorded grips, NaN where nothing was kept for validation.
-    between : at grips that the model does not know.
-    """
-    known = {grip: error for grip, error in recorded.items() if np.isfinite(error)}
-    if not known:
-        return (
-            "not validated: no transient was kept out of the fit; record three trials per grip or give --validate "
-            "FILES before trusting a design"
-        )
-    worst = max(known, key=lambda grip: known[grip])
-    if known[worst] >= WORTHLESS:
-        missed = f"{100 * known[worst]:.0f} % of what was kept out of the fit"
-        return f"supports no design: at {called(worst)} it misses {missed}"
-    text = (
-        f"supports design errors down to {100 * known[worst]:.2g} % (worst held-out NRMSE, {called(worst)}); "
-        "below that you design the model's error"
-    )
-    missing = [called(grip) for grip in recorded if grip not in known]
-    if missing:
-        text += f"; not validated: {', '.join(missing)}"
-    if between:
-        gap = max(between, key=lambda grip: between[grip])
-        text += (
-            f"; between recorded grips down to {100 * between[gap]:.2g} % (at {called(gap)}, unknown to the model)"
-        )
-    return text
-
-
 def called(grip_N: float) -> str:
     """How messages call a grip."""
     return "free device" if grip_N == 0 else f"{grip_N:.3g} N"
-
-
-def short_of(recorded: Mapping[float, float], between: Mapping[float, float]) -> list[str]:
-    """What keeps a model from being good enough, with what to record again."""
-    said = []
-    for grip, error in recorded.items():
-        if not error <= RECORDED_LIMIT:
-            if np.isfinite(error):
-                said.append(
-                    f"{called(grip)}: held-out NRMSE {100 * error:.2g} %, limit {100 * RECORDED_LIMIT:g} %; record "
-                    "this grip again, held steadily, or choose another kind or a higher order"
-                )
-            else:
-                said.append(
-                    f"{called(grip)}: nothing kept for validation; record a third trial or give --validate FILES"
-                )
-    for grip, error in between.items():
-        if not error <= BETWEEN_LIMIT:
-            said.append(
-                f"{called(grip)}: NRMSE {100 * error:.2g} % by a model that does not know this grip, limit "
-                f"{100 * BETWEEN_LIMIT:g} %; record further grips to either side of it"
-            )
-    return said

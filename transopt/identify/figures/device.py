@@ -65,7 +65,7 @@ def _grip(above: Axes, below: Axes, result: DeviceResult, grip: Grip) -> None:
     dense_Hz = np.geomspace(measured_Hz[0], measured_Hz[-1], POINTS)
     modelled = np.zeros(POINTS, dtype=complex)
     for plant, weight in result.chosen.model.shares(grip.grip_N):
-        modelled += weight * sampled_response(plant, result.instrument, dense_Hz)[0]
+        modelled += weight * sampled_response(plant, result.chosen.instrument, dense_Hz)[0]
     model_deg = np.degrees(np.unwrap(np.angle(modelled)))
     if model_deg[0] < -SHOWN_DEG:
         model_deg += 360.0

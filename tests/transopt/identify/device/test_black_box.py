@@ -69,9 +69,9 @@ def test_between_grips_the_neighbours_blend_and_free_never_mixes_with_held() -> 
 
 
 @pytest.mark.parametrize("order", [3, 0, 22])
-def test_an_order_that_cannot_be_is_refused(order: int, estimate: TransferEstimate) -> None:
+def test_an_order_that_cannot_be_is_refused(order: int, pattern: GripResponse) -> None:
     with pytest.raises(InputError, match=f"--order {order}: must be even, 2 to 20"):
-        fit_black_box([GripResponse(3.0, estimate)], INSTRUMENT, order)
+        fit_black_box([pattern], INSTRUMENT, order)
 
 
 @pytest.mark.parametrize("seed", range(4))

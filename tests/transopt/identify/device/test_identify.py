@@ -19,7 +19,7 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.identify.checks import Fault
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.identify import DeviceResult, Kind, Settings, device_part, identify, lack_of_fit
-from transopt.identify.device.validation import compare, short_of, verdict
+from transopt.identify.device.validation import compare
 from transopt.identify.measurement import Measurement
 from transopt.plant.state_space import StateSpace
 from transopt.scene.scene import Scene
@@ -54,7 +54,6 @@ def test_the_response_is_found_within_a_decibel_and_five_degrees(crossover_A: fl
     assert all(error <= 0.05 for error in result.chosen.recorded.values())
     assert set(result.chosen.between) == {3.0}
     assert result.chosen.between[3.0] <= 0.08
-    assert result.short == []
 
 
 def test_transients_outside_the_fit_are_predicted_at_recorded_grips_and_between(found: DeviceResult) -> None:
@@ -62,7 +61,6 @@ def test_transients_outside_the_fit_are_predicted_at_recorded_grips_and_between(
     assert all(error <= 0.05 for error in found.chosen.recorded.values())
     assert set(found.chosen.between) == {2.0, 3.0, 4.0}
     assert all(error <= 0.08 for error in found.chosen.between.values())
-    assert found.verdict.startswith("supports design errors down to ")
     assert all(len(grip.fitted) == 4 for grip in found.grips)
 
 
@@ -70,8 +68,8 @@ def test_a_static_offset_of_the_accelerometer_costs_nothing(rig: Rig, found: Dev
     run = found.grips[2].kept[0]
     signal = run.require("acceleration", "")
     tilted = replace(run, acceleration=replace(signal, values=signal.values + 9.81))
-    plain = compare(rig.device, 3.0, found.instrument, run)
-    assert compare(rig.device, 3.0, found.instrument, tilted).nrmse == pytest.approx(plain.nrmse, rel=1e-6)
+    plain = compare(rig.device, 3.0, found.chosen.instrument, run)
+    assert compare(rig.device, 3.0, found.chosen.instrument, tilted).nrmse == pytest.approx(plain.nrmse, rel=1e-6)
 
 
 def test_without_transients_the_last_trial_of_each_grip_is_kept_out(sweeps: list[Measurement]) -> None:
@@ -83,8 +81,7 @@ def test_without_transients_the_last_trial_of_each_grip_is_kept_out(sweeps: list
 
 def test_two_trials_per_grip_leave_nothing_to_judge_by(sweeps: list[Measurement]) -> None:
     result = identify([run for run in sweeps if run.name[-5] in "01"], [], SETTINGS)
-    assert result.verdict.startswith("not validated")
-    assert "give --validate FILES" in result.short[0]
+    assert "recorded trial" not in result.verdict
     assert device_part(result).nrmse == {}
 
 
@@ -113,7 +110,7 @@ def test_a_device_that_is_no_chain_is_given_to_the_black_box() -> None:
         rig.sweeps((3.0,)), rig.transients((3.0,)), replace(SETTINGS, scene_plant=None, kind=Kind.AUTO, order=8)
     )
     assert result.chosen.kind is Kind.STATE_SPACE
-    assert result.chosen.error < 0.3 * result.other.error
+    assert result.chosen.error < 0.5 * result.other.error
     part = device_part(result)
     assert part.kind == "state_space"
     assert_near(part.plant(3.0), four_masses())
@@ -128,7 +125,7 @@ def test_the_chain_is_chosen_where_the_device_is_one(sweeps: list[Measurement], 
         replace(SETTINGS, kind=Kind.AUTO, order=6),
     )
     assert result.chosen.kind is Kind.DRIVE
-    assert result.other is not None
+    assert result.other is None  # a black box is not even tried where a chain explains the records
     assert any("no free device" in text for text in result.advice)
 
 
@@ -274,13 +271,17 @@ def test_a_transient_that_is_reversed_is_no_error_of_the_model(rig: Rig, held: l
 
 
 @pytest.mark.parametrize(("shift", "words"), [(1, "1 samples later"), (-1, "1 samples earlier")])
-def test_a_current_that_is_read_at_another_tick_is_reported(held: list[Measurement], shift: int, words: str) -> None:
+def test_a_current_that_is_read_at_another_tick_is_reported_and_taken_out(
+    rig: Rig, held: list[Measurement], shift: int, words: str
+) -> None:
     result = identify([driven(run, lambda x: np.roll(x, shift)) for run in held], [], SETTINGS)
     findings = [str(finding) for finding in result.findings if finding.fault is Fault.SHIFTED]
     assert len(findings) == len(held)
     assert words in findings[0]
-    assert "their intervals do not hold" in result.verdict
-    assert "their intervals do not hold" in device_part(result).verdict
+    assert result.causes == ["read delay"]
+    assert result.chain is not None
+    assert result.chain.instrument.late == pytest.approx(-shift, abs=0.01)
+    assert_near(device_part(result).plant(3.0), rig.device.plant(3.0))
 
 
 def test_good_records_raise_no_doubt(found: DeviceResult) -> None:
@@ -304,19 +305,7 @@ def test_where_nothing_was_excited_the_band_and_the_grip_are_named(rig: Rig) -> 
 
 def test_lack_of_fit_names_its_band(found: DeviceResult, rig: Rig) -> None:
     soft = DriveChain(1.25, rig.device.shared, rig.device.hand * [[1.0], [0.5], [1.0], [1.0], [1.0]])
-    bands = lack_of_fit(found.grips[2].response, soft, found.instrument)
+    bands = lack_of_fit(found.grips[2].response, soft, found.chosen.instrument)
     assert bands
     assert all(2 <= low <= high <= 800 for low, high in bands)
-    assert lack_of_fit(found.grips[2].response, found.chosen.model, found.instrument) == []
-
-
-def test_the_verdict_speaks_of_the_worst_grip() -> None:
-    text = verdict({1.0: 0.02, 5.0: 0.031, 3.0: float("nan")}, {2.0: 0.05})
-    assert "down to 3.1 % (worst held-out NRMSE, 5 N); below that you design the model's error" in text
-    assert "not validated: 3 N" in text
-    assert "between recorded grips down to 5 % (at 2 N" in text
-    assert verdict({1.0: 0.02, 5.0: 1.99}, {}) == (
-        "supports no design: at 5 N it misses 199 % of what was kept out of the fit"
-    )
-    assert len(short_of({1.0: 0.02, 5.0: 0.06}, {2.0: 0.09})) == 2
-    assert short_of({1.0: 0.02}, {2.0: 0.03}) == []
+    assert lack_of_fit(found.grips[2].response, found.chosen.model, found.chosen.instrument) == []

@@ -1,0 +1,113 @@
+"""What no file states of the accelerometer is found, named and taken out; what is stated truly is left alone."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched
+from transopt.base.signals import Signal
+from transopt.identify.device.chain_fit import ChainFit, fit_chain
+from transopt.identify.device.identify import Kind, Settings, identify
+from transopt.identify.device.trials import sort_trials
+from transopt.identify.measurement import Measurement
+
+GRIPS_N = (1.0, 3.0, 5.0)
+TRUE_POLE_HZ = 2500.0
+Spoil = Callable[[Measurement], Measurement]
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return Rig(mismatched(0.2, 11), count_m=24.5e-6)
+
+
+@pytest.fixture(scope="module")
+def runs(rig: Rig) -> list[Measurement]:
+    return rig.sweeps(GRIPS_N, seed=4)
+
+
+def accelerated(run: Measurement, change: Callable[[Signal], Signal]) -> Measurement:
+    return replace(run, acceleration=change(run.require("acceleration", "")))
+
+
+def later(run: Measurement) -> Measurement:
+    return accelerated(run, lambda x: replace(x, values=np.append(0.0, x.values[:-1])))
+
+
+def louder(run: Measurement) -> Measurement:
+    return accelerated(run, lambda x: x.scaled(1.2))
+
+
+def unstated(run: Measurement) -> Measurement:
+    return replace(run, accelerometer_Hz=None)
+
+
+def misstated(run: Measurement) -> Measurement:
+    return replace(run, accelerometer_Hz=4000.0)
+
+
+def fitted(runs: list[Measurement]) -> ChainFit:
+    records = sort_trials(runs, [], AMPLIFIER, None)
+    return fit_chain([grip.response for grip in records.grips], records.instrument, DEFAULT)
+
+
+FOUND: dict[str, tuple[Spoil, dict[str, tuple[float, float]]]] = {
+    "nothing": (lambda run: run, {}),
+    "unstated": (unstated, {"accelerometer_pole": (TRUE_POLE_HZ, 0.01 * TRUE_POLE_HZ)}),
+    "misstated": (misstated, {"accelerometer_pole": (TRUE_POLE_HZ, 0.01 * TRUE_POLE_HZ)}),
+    "late": (later, {"late": (1.0, 0.01)}),
+    "louder": (louder, {"gain": (1.2, 0.005 * 1.2)}),
+    "all three": (
+        lambda run: unstated(later(louder(run))),
+        {"accelerometer_pole": (TRUE_POLE_HZ, 0.03 * TRUE_POLE_HZ), "late": (1.0, 0.03), "gain": (1.2, 0.006)},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", FOUND)
+def test_a_nuisance_is_found_and_the_device_is_that_without_it(case: str, rig: Rig, runs: list[Measurement]) -> None:
+    spoil, expected = FOUND[case]
+    fit = fitted([spoil(run) for run in runs])
+    assert {one.name for one in fit.nuisances} == set(expected)
+    for one in fit.nuisances:
+        value, within = expected[one.name]
+        assert one.value == pytest.approx(value, abs=within)
+        assert abs(one.value - value) < 5 * one.deviation
+    np.testing.assert_allclose(fit.device.shared, rig.device.shared, rtol=0.02)
+    for grip in GRIPS_N:
+        np.testing.assert_allclose(fit.device.hand_at(grip), rig.device.hand_at(grip), rtol=0.05)
+    assert fit.scatter < 1.3
+
+
+def test_what_was_found_is_named_with_what_to_do(runs: list[Measurement]) -> None:
+    settings = Settings(nominal=DEFAULT, scene_plant=None, amplifier=AMPLIFIER, kind=Kind.DRIVE)
+    result = identify([unstated(louder(run)) for run in runs], [], settings)
+    assert result.causes == ["unstated accelerometer pole", "accelerometer gain"]
+    said = " | ".join(str(finding) for finding in result.findings)
+    assert "no file states it: taken out of the records" in said
+    assert "times what the encoder says" in said
+
+
+def test_a_gain_that_no_encoder_contradicts_is_not_sought(runs: list[Measurement]) -> None:
+    fit = fitted([replace(louder(run), position=None) for run in runs])
+    assert fit.nuisances == ()
+    assert fit.instrument.gain == pytest.approx(1.0)
+
+
+def test_hands_that_vary_from_trial_to_trial_widen_the_intervals_and_are_named(rig: Rig) -> None:
+    """Each trial with springs and dampers of the hand 10 % off: what is found lies within what is claimed."""
+    runs, random = [], np.random.default_rng(3)
+    for number in range(4):
+        hand = rig.device.hand * (1 + 0.1 * random.uniform(-1, 1, (5, 1)))
+        runs += Rig(replace(rig.device, hand=hand)).sweeps(GRIPS_N, trials=number + 1)[number :: number + 1]
+    steady = fitted(rig.sweeps(GRIPS_N, seed=4))
+    varying = fitted(runs)
+    hand_of = slice(4, None)
+    wider = np.sqrt(np.diag(varying.covariance) / np.diag(steady.covariance))[hand_of]
+    assert np.median(wider) > 5
+    off = np.abs(varying.unknowns - varying.coordinates.of(rig.device)) / np.sqrt(np.diag(varying.covariance))
+    assert np.median(off) < 2
+    settings = Settings(nominal=DEFAULT, scene_plant=None, amplifier=AMPLIFIER, kind=Kind.DRIVE)
+    assert "varying hand" in identify(runs, [], settings).causes

@@ -1,0 +1,148 @@
+"""What an identified model is good for: how far its response is off, and what that makes of the taps to be played.
+
+In a band of frequency the mean square of (model - estimate) is the noise's, less what the fit has made up for, plus
+that of the model's own error. With the noise known from the records and the parameters' covariance from the fit, the
+expected square of the model's error is  misfit - 2 noise + 2 variance  (Mallows 1973, C_p), where variance is that of
+the fitted response. Where the misfit is not significantly more than noise, only the variance is left.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.device.validation import Model, called
+from transopt.scene.model_error import ModelError, Predicted
+
+BANDS_PER_OCTAVE = 3
+SIGNIFICANT = 3.0  # deviations that a band's misfit must be above the noise
+FIT = 0.05  # predicted NRMSE of a tap up to which a model is fit to design with
+WORTHLESS = 0.5
+
+
+@dataclass(frozen=True)
+class Taps:
+    """Taps of a scene, designed with a model.
+
+    Attributes
+    ----------
+    speeds_m_s, grips_N : (nv,), (ng,).
+    current_A : (ng, nv, N).
+    energy : (ng, nv) sum of squares of each tap's N samples of acceleration.
+    dt_s : of the samples.
+    """
+
+    speeds_m_s: tuple[float, ...]
+    grips_N: tuple[float, ...]
+    current_A: FloatArray
+    energy: FloatArray
+    dt_s: float
+
+
+def model_error(
+    measured: Sequence[GripResponse],
+    model: Model,
+    instrument: Instrument,
+    variance: Callable[[GripResponse], FloatArray],
+) -> ModelError:
+    """The expected square of the error of a fitted response.
+
+    Parameters
+    ----------
+    variance : (m,) of the fitted response at the bins of an estimate, E|.|^2.
+    """
+    low = min(one.estimate.frequencies_Hz[0] for one in measured)
+    high = max(one.estimate.frequencies_Hz[-1] for one in measured)
+    bands = max(int(np.ceil(BANDS_PER_OCTAVE * np.log2(high / low))), 1)
+    edges = np.geomspace(low, high * (1 + 1e-9), bands + 1)
+    rows = [_row(one, model, instrument, variance(one), edges) for one in measured]
+    return ModelError(
+        grips_N=[one.grip_N for one in measured],
+        frequencies_Hz=np.sqrt(edges[:-1] * edges[1:]).tolist(),
+        power=[row.tolist() for row in rows],
+    )
+
+
+def _row(
+    one: GripResponse, model: Model, instrument: Instrument, variance: FloatArray, edges: FloatArray
+) -> FloatArray:
+    """(bands,) of one grip."""
+    e = one.estimate
+    f, noise = e.frequencies_Hz, 2 * one.deviation**2
+    modelled = np.zeros(f.size, dtype=complex)
+    for plant, weight in model.shares(one.grip_N):
+        modelled += weight * sampled_response(plant, instrument, f)[0]
+    beyond = np.abs(modelled - e.response) ** 2 - noise + variance
+    # What a sensor makes smaller was larger on the device.
+    seen = instrument.gain**2 / (1 + (f / (instrument.accelerometer_Hz or np.inf)) ** 2)
+    band = np.clip(np.searchsorted(edges, f, side="right") - 1, 0, edges.size - 2)
+    count = np.bincount(band, minlength=edges.size - 1)
+    filled = count > 0
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(band, values, edges.size - 1)[filled] / count[filled])
+
+    excess, deviation = mean(beyond / seen), np.sqrt(mean((noise / seen) ** 2) / count[filled])
+    clear = excess > SIGNIFICANT * deviation
+    ratio = excess / deviation
+    if ratio.sum() > SIGNIFICANT * np.sqrt(ratio.size):  # too little in any one band, but not in all together
+        clear |= excess > 0
+    total = mean(variance / seen) + np.where(clear, np.maximum(excess, 0.0), 0.0)
+    middles = np.log(np.sqrt(edges[:-1] * edges[1:]))
+    return np.asarray(np.exp(np.interp(middles, middles[filled], np.log(np.maximum(total, 1e-300)))))
+
+
+def predict_taps(error: ModelError, taps: Taps) -> Predicted:
+    """Predicted NRMSE of each tap."""
+    return Predicted(
+        speeds_m_s=list(taps.speeds_m_s),
+        grips_N=list(taps.grips_N),
+        nrmse=[
+            [
+                error.nrmse(grip, taps.current_A[j, i], taps.dt_s, float(taps.energy[j, i]))
+                for i in range(len(taps.speeds_m_s))
+            ]
+            for j, grip in enumerate(taps.grips_N)
+        ],
+    )
+
+
+def verdict(predicted: Predicted | None, held_out: Mapping[float, float]) -> str:
+    """In plain words what a model is good for.
+
+    Parameters
+    ----------
+    held_out : grip -> NRMSE on what was kept out of the fit, noise included; NaN where nothing was.
+    """
+    known = [error for error in held_out.values() if np.isfinite(error)]
+    noise = f"; one recorded trial misses {100 * max(known):.2g} %, its noise included" if known else ""
+    if predicted is None:
+        return f"no taps to predict: name the scene that is to be played (--scene){noise}"
+    worst, speed, grip = predicted.worst
+    middle = float(np.median(predicted.nrmse))
+    if worst >= WORTHLESS:
+        return (
+            f"supports no design: predicted to miss {100 * worst:.0f} % of the tap at {speed:g} m/s, {called(grip)}"
+        )
+    return (
+        f"model error {100 * middle:.2g} % of a tap (worst {100 * worst:.2g} %, at {speed:g} m/s, "
+        f"{called(grip)}): design errors below that are the model's{noise}"
+    )
+
+
+def short_of(predicted: Predicted | None) -> list[str]:
+    """What keeps a model from being good enough, with what to record again."""
+    if predicted is None:
+        return []
+    said = []
+    for grip, row in zip(predicted.grips_N, predicted.nrmse, strict=True):
+        if not max(row) <= FIT:
+            speed = predicted.speeds_m_s[int(np.argmax(row))]
+            said.append(
+                f"{called(grip)}: predicted to miss {100 * max(row):.2g} % of the tap at {speed:g} m/s, limit "
+                f"{100 * FIT:g} %; see what was found, and record this grip again"
+            )
+    return said

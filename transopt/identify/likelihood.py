@@ -1,0 +1,195 @@
+"""The likelihood of condensed records under a model, its maximum, and what is known of it.
+
+With the noise of each line known from the records themselves (`condensed`), the negative logarithm of the likelihood
+is a sum of squares: of W (H(theta) - H_measured), bin by bin, over all outputs of all grips. Its maximum is bounded
+nonlinear least squares with exact derivatives. Amplifiers, chains and hands are parameterisations of it.
+
+The covariance is the inverse of the information, widened by two things that the noise within a trial does not show:
+what the model leaves unexplained (the scatter), and how much the trials differ (a hand is never held twice alike).
+For the latter each trial's own score says how far this trial alone would move each unknown; where the sum of their
+squares is above what the noise makes of it, the variance is the observed one (the sandwich of White 1982, unknown by
+unknown).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from transopt.base.signals import FloatArray
+from transopt.identify.condensed import Condensed
+from transopt.identify.spectrum import ComplexArray
+
+TOLERANCE = 1e-10
+LEAST_TRIALS = 3  # of all grips together, whose differences mean something
+
+Model = Callable[[FloatArray, int, FloatArray], tuple[ComplexArray, ComplexArray]]
+"""theta (p,), number of the group, frequencies (m,) -> responses (o, m) and derivatives (p, o, m)."""
+
+
+@dataclass(frozen=True)
+class Maximum:
+    """The unknowns that explain the records best.
+
+    Attributes
+    ----------
+    unknowns : (p,).
+    covariance : (p, p); zero for what was held fixed.
+    chi_square : (groups, o) sums of squares.
+    points : (groups, o) their real numbers.
+    free : (p,) what was sought.
+    bounded : (p,) what ended at a bound; its deviation is half the range searched.
+    between : (p,) observed variance between the trials over what the noise within them makes of it; 1 where unknown.
+    """
+
+    unknowns: FloatArray
+    covariance: FloatArray
+    chi_square: FloatArray
+    points: NDArray[np.int_]
+    free: NDArray[np.bool_]
+    bounded: NDArray[np.bool_]
+    between: FloatArray
+
+    @property
+    def scatter(self) -> float:
+        """Mean square of the residuals: 1 where the model is right."""
+        return float(self.chi_square.sum() / max(int(self.points.sum()) - int(self.free.sum()), 1))
+
+
+class Likelihood:
+    """Sum of squares of all groups, and its Jacobian; keeps the last point.
+
+    `loose` adds a relative error to every response, so that one sharp peak does not rule a search; `step` takes each
+    step-th bin.
+    """
+
+    def __init__(self, groups: Sequence[Condensed], model: Model, *, loose: float = 0.0, step: int = 1) -> None:
+        self._model = model
+        self.groups = [group.every(step) if step > 1 else group for group in groups]
+        self._roots, self._wanted = [], []
+        for group in self.groups:
+            roots, values = group.roots(), group.values()
+            if loose:
+                weight = np.abs(np.einsum("obij,obj->obi", roots, values)) ** 2
+                roots = roots / np.sqrt(1 + loose**2 * weight.max(axis=2))[:, :, None, None]
+            self._roots.append(roots)
+            self._wanted.append(np.einsum("obij,obj->obi", roots, values))
+        self._at, self._last = np.zeros(0), (np.zeros(0), np.zeros((0, 0)))
+
+    @property
+    def points(self) -> NDArray[np.int_]:
+        """(groups, o) real numbers that count."""
+        return np.array([2 * (group.known[:, :, None] & group.used).sum(axis=(1, 2)) for group in self.groups])
+
+    def _responses(self, unknowns: FloatArray, j: int) -> tuple[ComplexArray, ComplexArray]:
+        """(o, b, q) and (p, o, b, q) of a group."""
+        shape = self.groups[j].frequencies_Hz.shape
+        value, slope = self._model(unknowns, j, self.groups[j].frequencies_Hz.ravel())
+        return value.reshape(-1, *shape), slope.reshape(slope.shape[0], -1, *shape)
+
+    def evaluate(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (n,) and Jacobian (n, p), group by group, real parts before imaginary ones in each."""
+        if not np.array_equal(self._at, unknowns):
+            residuals, jacobians = [], []
+            for j, (roots, wanted) in enumerate(zip(self._roots, self._wanted, strict=True)):
+                value, slope = self._responses(unknowns, j)
+                error = np.einsum("obij,obj->obi", roots, value) - wanted
+                moved = np.einsum("obij,pobj->pobi", roots, slope, optimize=True).reshape(slope.shape[0], -1).T
+                residuals += [error.real.ravel(), error.imag.ravel()]
+                jacobians += [moved.real, moved.imag]
+            self._at, self._last = unknowns.copy(), (np.concatenate(residuals), np.concatenate(jacobians))
+        return self._last
+
+    def search(
+        self, start: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_], most: int
+    ) -> tuple[FloatArray, float]:
+        """(p,) where the sum of squares is least within the bounds, begun at `start`; and that sum."""
+
+        def whole(part: FloatArray) -> FloatArray:
+            full = start.copy()
+            full[free] = np.clip(part, low[free], high[free])
+            return full
+
+        def value(part: FloatArray) -> FloatArray:
+            return self.evaluate(whole(part))[0]
+
+        def jacobian(part: FloatArray) -> FloatArray:
+            outside = (part < low[free]) | (part > high[free])
+            return np.where(outside, 0.0, self.evaluate(whole(part))[1][:, free])
+
+        # MINPACK with clipped unknowns: the factorisations of scipy's bounded methods take ten times as long when
+        # their threads meet busy cores.
+        found = optimize.least_squares(
+            value,
+            start[free],
+            jac=jacobian,
+            method="lm",
+            ftol=TOLERANCE,
+            xtol=TOLERANCE,
+            gtol=TOLERANCE,
+            max_nfev=most,
+        )
+        return whole(found.x), 2 * float(found.cost)
+
+    def maximum(
+        self, start: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_], most: int = 200
+    ) -> Maximum:
+        """The best unknowns near `start`, with their covariance."""
+        unknowns, _ = self.search(start, low, high, free, most)
+        return self.around(unknowns, low, high, free)
+
+    def around(self, unknowns: FloatArray, low: FloatArray, high: FloatArray, free: NDArray[np.bool_]) -> Maximum:
+        """What is known of unknowns that were sought by other means."""
+        residuals, jacobian = self.evaluate(unknowns)
+        reach = 1e-6 * (high - low)
+        bounded = free & ((unknowns <= low + reach) | (unknowns >= high - reach))
+        chi_square, first = [], 0
+        for wanted in self._wanted:
+            size, shape = wanted.size, (2, wanted.shape[0], -1)
+            chi_square.append((residuals[first : first + 2 * size].reshape(shape) ** 2).sum(axis=(0, 2)))
+            first += 2 * size
+        inside = free & ~bounded
+        inverse = _inverse(jacobian[:, inside])
+        between = np.ones(unknowns.size)
+        between[inside] = self._between(unknowns, inverse, inside)
+        found = Maximum(
+            unknowns=unknowns,
+            covariance=np.zeros((unknowns.size, unknowns.size)),
+            chi_square=np.array(chi_square),
+            points=self.points,
+            free=free,
+            bounded=bounded,
+            between=between,
+        )
+        spread = np.sqrt(np.maximum(max(found.scatter, 1.0), between[inside]))
+        found.covariance[np.ix_(inside, inside)] = spread[:, None] * inverse * spread
+        found.covariance[bounded, bounded] = ((high - low)[bounded] / 4) ** 2  # all that was searched
+        return found
+
+    def _between(self, unknowns: FloatArray, inverse: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
+        """(free,) observed variance of each unknown by the trials' scores, over that by the noise within them."""
+        moves = []
+        for j, group in enumerate(self.groups):
+            value, slope = self._responses(unknowns, j)
+            weight = 2 * group.known / group.noise
+            own = group.right - np.einsum("kbij,obj->kobi", group.normal, value)
+            score = np.einsum("pobi,kobi,ob->kp", slope[inside].conj(), own, weight, optimize=True).real
+            K = score.shape[0]
+            if K > 1:
+                # Apart from what the trials have in common, which the scatter counts.
+                moves.append((score - score.mean(axis=0)) @ inverse * np.sqrt(K / (K - 1)))
+        if sum(map(len, moves)) < LEAST_TRIALS:
+            return np.ones(int(inside.sum()))
+        return np.asarray((np.concatenate(moves) ** 2).sum(axis=0) / np.diag(inverse))
+
+
+def _inverse(jacobian: FloatArray) -> FloatArray:
+    """Of J^T J. A pseudo-inverse would call a direction without information certain; a floor calls it wide open."""
+    norm = np.linalg.norm(jacobian, axis=0)
+    norm = np.where(norm > 0, norm, 1.0)
+    scaled = jacobian / norm
+    size, axes = np.linalg.eigh(scaled.T @ scaled)
+    spread = 1 / np.maximum(size, np.finfo(float).eps * size.max(initial=0.0) + np.finfo(float).tiny)
+    return np.asarray((axes * spread) @ axes.T / np.outer(norm, norm))

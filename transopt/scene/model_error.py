@@ -1,0 +1,117 @@
+"""How far an identified model is off, as a spectrum, and what that makes of a tap.
+
+What a command makes the true device do beyond what the model says is (G_true - G) times its current. The records tell
+the expected square of G_true - G line by line: the misfit, less what is noise in it, and the uncertainty of the
+parameters. Weighted with the spectrum of a tap's current it is the error that this tap will have. What a device does
+at large currents alone (friction, backlash, a skin that stiffens) is not in its response; held-out taps show it, and
+it is stated beside, by grip and peak current.
+"""
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from transopt.base.section import NonNegative, Positive, Section
+from transopt.base.signals import FloatArray
+from transopt.base.sizes import MOST_NODES
+
+MOST_BANDS = 200
+
+
+class AtUse(Section):
+    """What one held-out tap at the amplitude of use missed beyond what the response explains.
+
+    Attributes
+    ----------
+    grip_N : at which it was played.
+    peak_A : its largest current.
+    excess : part of the tap's acceleration (NRMSE) that was neither predicted nor noise nor expected.
+    """
+
+    grip_N: NonNegative
+    peak_A: Positive
+    excess: NonNegative
+
+
+class ModelError(Section):
+    """Expected square of the error of a response, by grip and band of frequency.
+
+    Attributes
+    ----------
+    grips_N : (ng,) recorded, increasing.
+    frequencies_Hz : (m,) middles of the bands, increasing.
+    power : (ng, m) mean square of |G_true - G| [(m/s^2/A)^2].
+    at_use : by held-out tap; empty where none was recorded.
+    """
+
+    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
+    frequencies_Hz: Annotated[list[Positive], Field(min_length=1, max_length=MOST_BANDS)]
+    power: Annotated[list[list[NonNegative]], Field(min_length=1, max_length=MOST_NODES)]
+    at_use: Annotated[list[AtUse], Field(max_length=MOST_NODES)] = Field(default_factory=list)
+
+    @field_validator("frequencies_Hz")
+    @classmethod
+    def _increasing(cls, frequencies_Hz: list[float]) -> list[float]:
+        if sorted(set(frequencies_Hz)) != frequencies_Hz:
+            raise ValueError("must be strictly increasing, without duplicates")
+        return frequencies_Hz
+
+    @model_validator(mode="after")
+    def _shaped(self) -> Self:
+        if len(self.power) != len(self.grips_N) or any(len(row) != len(self.frequencies_Hz) for row in self.power):
+            raise ValueError(f"power: must be {len(self.grips_N)} by {len(self.frequencies_Hz)}, grips by bands")
+        return self
+
+    def _power(self, grip_N: float) -> FloatArray:
+        """(m,) at a grip, linear between the recorded ones; held grips and the free device apart."""
+        kept = [j for j, grip in enumerate(self.grips_N) if (grip > 0) == (grip_N > 0)] or range(len(self.grips_N))
+        grips, rows = [self.grips_N[j] for j in kept], np.array([self.power[j] for j in kept])
+        return np.array([np.interp(grip_N, grips, column) for column in rows.T])
+
+    def _excess(self, grip_N: float, peak_A: float) -> float:
+        """Beyond the response, at the nearest grips where taps were recorded and between their peak currents."""
+        grips = sorted({tap.grip_N for tap in self.at_use})
+        if not grips:
+            return 0.0
+        by_grip = []
+        for grip in grips:
+            taps = sorted((tap.peak_A, tap.excess) for tap in self.at_use if tap.grip_N == grip)
+            by_grip.append(np.interp(peak_A, *np.array(taps).T))
+        return float(np.interp(grip_N, grips, by_grip))
+
+    def nrmse(self, grip_N: float, current_A: FloatArray, dt_s: float, energy: float) -> float:
+        """Predicted NRMSE between the model's acceleration and the device's, for one tap.
+
+        Parameters
+        ----------
+        current_A : (N,) of the tap, sampled.
+        energy : sum of the squares of the tap's N samples of acceleration [(m/s^2)^2].
+        """
+        size = 8 * current_A.size
+        lines = np.fft.rfftfreq(size, dt_s)[1:]
+        power = np.interp(np.log(lines), np.log(self.frequencies_Hz), self._power(grip_N))
+        missed = 2 * float(power @ np.abs(np.fft.rfft(current_A, size)[1:]) ** 2) / size
+        linear = missed / max(energy, np.finfo(float).tiny)
+        return float(np.hypot(np.sqrt(linear), self._excess(grip_N, float(np.abs(current_A).max(initial=0.0)))))
+
+
+class Predicted(Section):
+    """Predicted NRMSE of the taps of a scene with this model.
+
+    Attributes
+    ----------
+    speeds_m_s, grips_N : of the taps.
+    nrmse : (ng, nv).
+    """
+
+    speeds_m_s: Annotated[list[Positive], Field(min_length=1, max_length=MOST_NODES)]
+    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
+    nrmse: Annotated[list[list[NonNegative]], Field(min_length=1, max_length=MOST_NODES)]
+
+    @property
+    def worst(self) -> tuple[float, float, float]:
+        """NRMSE, speed and grip of the tap that is predicted worst."""
+        values = np.array(self.nrmse)
+        j, i = np.unravel_index(int(np.argmax(values)), values.shape)
+        return float(values[j, i]), self.speeds_m_s[i], self.grips_N[j]
