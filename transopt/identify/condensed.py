@@ -26,7 +26,7 @@ from transopt.identify.spectrum import (
 )
 
 NODES = MOST_ORDER + 1
-SPAN = 0.8  # the outer nodes, where a bin reaches from -1 to 1
+SPAN = 0.8  # the outer nodes of a bin of many lines, which reaches from -1 to 1
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,12 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
 def _basis(one: Bin) -> tuple[FloatArray, FloatArray]:
     """(q,) nodes from -1 to 1 and (s, q) the polynomials that are 1 at one of them and 0 at the others."""
     x = one.places
-    distinct = np.unique(np.round(x, 9)).size
-    order = min(MOST_ORDER, distinct - 1, x.size - 1 - LEAST_SURPLUS)
-    nodes = SPAN * np.array({0: [0.0], 1: [-1.0, 1.0], 2: [-1.0, 0.0, 1.0]}[order])
+    distinct = np.unique(np.round(x, 9))
+    order = min(MOST_ORDER, distinct.size - 1, x.size - 1 - LEAST_SURPLUS)
+    if distinct.size == order + 1:
+        nodes = distinct  # nothing between the lines is asked for
+    else:
+        nodes = SPAN * np.array({0: [0.0], 1: [-1.0, 1.0], 2: [-1.0, 0.0, 1.0]}[order])
     columns = [
         np.prod([(x - other) / (node - other) for other in nodes if other != node] or [np.ones(x.size)], axis=0)
         for node in nodes
