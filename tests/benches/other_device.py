@@ -2,7 +2,7 @@
 
 Verdicts of `transopt identify` are held against it. Its equations are in other_device.c and it imports nothing of
 transopt, so that a mistake in transopt's plants, sampling or fits cannot hide by being on both sides. It is compiled
-with the system's C compiler at first use; where there is none, `simulate` raises `NoCompiler`.
+with the system's C compiler at first use; where there is none, `simulate` raises `NoCompilerError`.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ AMPLIFIER_HZ, ACCELEROMETER_HZ = 1050.0, 2500.0
 SPREAD = 0.2  # of a true device's parameters about the default device's
 
 
-class NoCompiler(RuntimeError):
+class NoCompilerError(RuntimeError):
     """The machine has no C compiler."""
 
 
@@ -62,14 +62,14 @@ HAND = ("hand_mass", "skin_stiffness", "skin_damping", "arm_stiffness", "arm_dam
 
 
 class _Numbers(ctypes.Structure):
-    _fields_ = [(field.name, ctypes.c_double) for field in fields(Device)]  # noqa: RUF012
+    _fields_ = [(field.name, ctypes.c_double) for field in fields(Device)]
 
 
 @cache
 def _compiled() -> Callable[..., None]:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
-        raise NoCompiler("no C compiler (cc, gcc, clang) on this machine")
+        raise NoCompilerError("no C compiler (cc, gcc, clang) on this machine")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "other_device.so"
         source = Path(__file__).with_suffix(".c")
@@ -112,7 +112,7 @@ def simulate(
 
     Raises
     ------
-    NoCompiler : see the module.
+    NoCompilerError : see the module.
     """
     command = np.ascontiguousarray(command_A, dtype=float)
     push = None if push_N is None else np.ascontiguousarray(push_N, dtype=float)

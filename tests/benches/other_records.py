@@ -51,7 +51,8 @@ class Effect:
     accelerometer_Hz : its true pole. stated : whether the record says so.
     varying : part by which each number of the hand is off, anew in each trial.
     bits : of the converters of current and acceleration; 0: perfect ones.
-    pink_m_s2, pink_A : rms of noise whose power falls as 1/f. hum_m_s2, hum_A : amplitude at 50 Hz, a third at 150 Hz.
+    pink_m_s2, pink_A : rms of noise whose power falls as 1/f.
+    hum_m_s2, hum_A : amplitude at 50 Hz, a third of it at 150 Hz.
     tremor_N : rms of a force on the hand between 8 and 12 Hz.
     jitter_s : rms by which time stamps are off. clock : how fast the clock of the time stamps goes.
     daq : a card of its own at 50 kHz, whose clock knows nothing of the servo's.
@@ -151,7 +152,7 @@ def played(effect: str, seed: int, grip_N: float, command_A: FloatArray, delay_s
 def sweep(
     low_Hz: float = 1.0, high_Hz: float = 2000.0, seconds: float = 2.0, amplitude_A: float = 0.75
 ) -> FloatArray:
-    """(N,) logarithmic swept sine that rises over half a period of the lowest and falls over ten of the highest [A]."""
+    """(N,) logarithmic sweep that rises over half a period of the lowest and falls over ten of the highest [A]."""
     t = TICK_S * np.arange(round(seconds / TICK_S))
     octaves = np.log(high_Hz / low_Hz)
     phase = 2 * np.pi * low_Hz * t[-1] / octaves * np.expm1(octaves * t / t[-1])
@@ -232,7 +233,7 @@ def _read(motion: Motion, command: FloatArray, what: Effect, random: np.random.G
 
 
 def record(effect: str, seed: int, grip_N: float, command_A: FloatArray, number: int) -> dict[str, Any]:
-    """One trial as a file of a measurement holds it: columns by name, and scalars. `number` of the trial: its noise."""
+    """One trial as a file of a measurement holds it: columns by name, and scalars; its noise is that of `number`."""
     what = EFFECTS[effect]
     random = np.random.default_rng([seed, number, round(1000 * grip_N)])
     device = truth(effect, seed).at(grip_N)
