@@ -3,14 +3,14 @@
     python scripts/verdicts.py [--effects none pole ...] [--seeds 0 1 2] [--grips 1,2,3,4,5] [--trials 4] [--jobs 2]
         [--sweeps-only] [--out out/verdicts] [--page PAGE.md]
 
-For each effect and seed: sweeps, multisines and held-out taps are recorded on a device whose equations and integration
-are not transopt's (tests/benches/other_device.py), the device is identified from them by the command, the default
-scene is solved with the model, to its own recordings, and each entry's command is played on the true device without
-noise. The true error of an entry is the NRMSE between the acceleration that the library predicts and what the device
-does; of a hand that varies, the root mean square over several hands. It stands beside the error that the model file
-predicts. A verdict holds if for median and worst entry the predicted error is 0.5 to 2 times the true one, or within
-0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls) and a right
-cause named. On the plain device any shortfall is a false alarm.
+For each effect and seed: sweeps, multisines and held-out taps are recorded on a device whose equations and
+integration are not transopt's (tests/benches/other_device.py), the device is identified from them by the command, the
+default scene is solved with the model, to its own recordings, and each entry's command is played on the true device
+without noise. The true error of an entry is the NRMSE between the acceleration that the library predicts and what the
+device does; of a hand that varies, the root mean square over several hands. It stands beside the error that the model
+file predicts. A verdict holds if for median and worst entry the predicted error is 0.5 to 2 times the true one, or
+within 0.1 points of it where the true one is below 0.2 %, or if the model was refused (exit code, shortfalls) and a
+right cause named. On the plain device any shortfall is a false alarm.
 
 "against taps" is the NRMSE of what the device does against the recorded taps, mean over the entries, with the
 identified library and with the nominal device's. Last come the parameters' errors on the plain device and how many of
@@ -73,6 +73,7 @@ class Verdict:
     predicted, true : (ng, nv) of the library's entries; empty where there is none.
     against_taps, nominal_against_taps : mean NRMSE of what the device does against the recorded taps.
     causes, shortfalls : of the model file; of a refusal of the records its message.
+    unsolved : which entries of the scene the model leads to no admitted command for, with their status.
     seconds : of the identification alone.
     parameters : name -> (found, low, high, true), where the model is a drive.
     """
@@ -85,6 +86,7 @@ class Verdict:
     nominal_against_taps: float = float("nan")
     causes: list[str] = field(default_factory=list)
     shortfalls: list[str] = field(default_factory=list)
+    unsolved: list[str] = field(default_factory=list)
     kind: str = ""
     seconds: float = float("nan")
     parameters: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
@@ -201,9 +203,11 @@ def judge(
     known = {"seconds": seconds, "kind": device["kind"], "causes": list(device.get("causes", ())),
              "shortfalls": list(device["shortfalls"]), "parameters": _parameters(device, effect, seed)}  # fmt: skip
     _, recorded, nominal = _nominal()
-    library = build_library(builtin.load_scene(SCENE, model=model), recorded).library
+    build = build_library(builtin.load_scene(SCENE, model=model), recorded)
+    library = build.library
     if library is None:
-        return Verdict(effect, seed, **known)
+        unsolved = [f"{e.speed_m_s:g} m/s, {e.grip_N:g} N: {e.status.value}" for e in build.refused]
+        return Verdict(effect, seed, unsolved=unsolved, **known)
     true, against = _errors(effect, seed, library)
     return Verdict(
         effect,
@@ -242,7 +246,7 @@ def rows(verdicts: Iterable[Verdict]) -> list[list[str]]:
             f"{worst / true_worst:.2f}",
             f"{percent(one.against_taps)} / {percent(one.nominal_against_taps)}",
             ", ".join(one.causes) or "-",
-            "refused" if one.shortfalls else one.kind,
+            "refused" if one.shortfalls else "unsolved" if one.unsolved else one.kind,
             f"{one.seconds:.1f}",
             one.shortcoming or "holds",
         ])  # fmt: skip
@@ -254,7 +258,7 @@ HEAD = ["effect", "seed", "predicted median %", "true", "ratio", "predicted wors
 
 
 def parameter_rows(verdicts: Iterable[Verdict]) -> tuple[list[list[str]], int, int]:
-    """Root mean square error of each parameter in % of it on the plain device; intervals that hold the truth, of all."""
+    """Root mean square error of each parameter in % on the plain device; intervals that hold the truth, of all."""
     plain = [one.parameters for one in verdicts if one.effect == "none" and one.parameters]
     found, held, all_ = [], 0, 0
     for name in plain[0] if plain else ():
@@ -295,6 +299,9 @@ def main() -> None:
     for row in rows(verdicts):
         table.add_row(*row)
     console.print(table)
+    for one in verdicts:
+        for text in (*one.shortfalls, *one.unsolved):
+            console.print(f"{one.effect} {one.seed}: {text}", soft_wrap=True, highlight=False)
     parameters, held, all_ = parameter_rows(verdicts)
     if parameters:
         errors = Table("parameter", "rms error %", "in its 95 % interval", title="plain device")

@@ -100,7 +100,12 @@ class Motion:
 
 
 def simulate(
-    device: Device, command_A: FloatArray, *, push_N: FloatArray | None = None, stride: int = STEPS
+    device: Device,
+    command_A: FloatArray,
+    *,
+    push_N: FloatArray | None = None,
+    stride: int = STEPS,
+    finer: int = 1,
 ) -> Motion:
     """Run a device from rest, held still.
 
@@ -108,7 +113,8 @@ def simulate(
     ----------
     command_A : (N,) issued at k `TICK_S` and held.
     push_N : (N,) force on the hand at the ticks, straight lines between them.
-    stride : integration steps from row to row; a divisor of `STEPS`.
+    stride : steps of `STEP_S` from row to row; a divisor of `STEPS`.
+    finer : into how many parts each step is divided for the integration.
 
     Raises
     ------
@@ -122,9 +128,9 @@ def simulate(
         ctypes.byref(_Numbers(*(getattr(device, field.name) for field in fields(Device)))),
         command.ctypes.data_as(doubles),
         None if push is None else push.ctypes.data_as(doubles),
-        *(size(number) for number in (command.size, STEPS, LATE_STEPS)),
-        ctypes.c_double(STEP_S),
-        size(stride),
+        *(size(number) for number in (command.size, finer * STEPS, finer * LATE_STEPS)),
+        ctypes.c_double(STEP_S / finer),
+        size(finer * stride),
         out.ctypes.data_as(doubles),
     )
     return Motion(stride * STEP_S, *out.T.copy())
