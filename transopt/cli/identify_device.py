@@ -157,6 +157,7 @@ def _settings(
         kind=Kind(kind),
         order=order,
         played_N=tuple(known.grid.grips_N) if scene_name is not None else (),
+        servo_s=known.time_grid().dt_s if scene_name is not None or force_per_current_N_A is None else None,
         taps=None if force_per_current_N_A is not None else _taps_of(scene_name or DEFAULT_SCENE),
     )
 
@@ -233,8 +234,8 @@ def _show(console: "Console", result: "DeviceResult") -> None:
         soft_wrap=True,
     )
     if result.other is not None and recorded:
-        ours, theirs = 100 * result.chosen.error, 100 * result.other.error
-        console.print(f"{result.chosen.kind} chosen: held-out error {ours:.2g} %, {result.other.kind} {theirs:.2g} %")
+        ours, theirs = 100 * result.chosen.off, 100 * result.other.off
+        console.print(f"{result.chosen.kind} chosen: response {ours:.2g} % off, {result.other.kind} {theirs:.2g} %")
     for finding in result.findings:
         console.print(f"note: {finding}", soft_wrap=True)
     for text in result.advice:

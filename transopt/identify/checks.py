@@ -106,7 +106,7 @@ def check_measurement(run: Measurement, quantities: Sequence[str]) -> list[Findi
     for quantity in quantities:
         x = getattr(run, quantity)
         if x is not None:
-            found += _signal(run.name, quantity, x)
+            found += _signal(run.name, quantity, x, limited=run.held_out and quantity != "acceleration")
     return found
 
 
@@ -121,8 +121,11 @@ def _jitter(run: Measurement, quantities: Sequence[str]) -> Finding:
     return Finding(Fault.JITTER, run.name, f"{text}; {remedy}" if fatal else text, fatal)
 
 
-def _signal(name: str, quantity: str, x: Signal) -> list[Finding]:
-    """A signal that never moves, sits at a sensor's or a device's end stop, or ends before all is at rest."""
+def _signal(name: str, quantity: str, x: Signal, *, limited: bool) -> list[Finding]:
+    """A signal that never moves, sits at a sensor's or a device's end stop, or ends before all is at rest.
+
+    `limited`: a tap of a library, whose current may rest at its limit.
+    """
     unit = "A" if quantity in {"command", "current"} else "m/s^2" if quantity == "acceleration" else "SI"
     values = x.values
     if np.ptp(values) == 0:
@@ -132,7 +135,7 @@ def _signal(name: str, quantity: str, x: Signal) -> list[Finding]:
     found = []
     for side, at in ((1.0, "highest"), (-1.0, "lowest")):
         flat = flat_extreme(side * values)
-        if flat.size:
+        if flat.size and not limited:
             level = f"{flat.size} samples at the {at} value {values[flat[0]]:.4g} {unit}, first at"
             moment = f"{x.start_s + flat[0] * x.dt_s:.4g} s"
             if quantity == "command":

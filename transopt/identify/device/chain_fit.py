@@ -38,6 +38,7 @@ SAME = 0.05  # sums of squares of the first stage that differ by less count as t
 EXPLAINED = 2.0  # mean square of the residuals below which no further start is tried
 UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
 SIGNIFICANT = 5.0  # deviations of a nuisance from its nominal value that the records must show to keep it
+BETTER = 4.0  # times smaller a misfit that nuisances leave behind, where they do not explain all of it
 SUSPECTED_HZ = 3000.0  # where the search for a pole begins that no file states
 NUISANCES = ("accelerometer_pole", "late", "gain")
 
@@ -369,15 +370,25 @@ def fit_chain(
     least = min(cost for _, cost in reached)
     agreeing = sum(cost <= (1 + SAME) * least + 1 for _, cost in reached)
     kept = _contradicted(best, coordinates, instrument)
-    known = replace(sought, accelerometer_Hz=None) if stated is None and "accelerometer_pole" not in kept else sought
-    values = _values(known)
-    start = best.unknowns.copy()
-    for j, name in enumerate(INSTRUMENT):
-        if name in NUISANCES:
-            free[coordinates.size + j] = name in kept
-            if name not in kept:
-                start[coordinates.size + j] = values[j]
-    final = _Search(measured, coordinates, known, force, free).maximum(start)
+
+    def with_nuisances(names: tuple[str, ...]) -> tuple[Maximum, Instrument]:
+        known = (
+            replace(sought, accelerometer_Hz=None) if stated is None and "accelerometer_pole" not in names else sought
+        )
+        start, moving, values = best.unknowns.copy(), free.copy(), _values(known)
+        for j, name in enumerate(INSTRUMENT):
+            if name in NUISANCES:
+                moving[coordinates.size + j] = name in names
+                if name not in names:
+                    start[coordinates.size + j] = values[j]
+        return _Search(measured, coordinates, known, force, moving).maximum(start), known
+
+    final, known = with_nuisances(kept)
+    if kept and final.scatter > EXPLAINED:
+        # What is no chain can be bent towards one by any nuisance: none is named that does not explain most of it.
+        plain = with_nuisances(())
+        if plain[0].scatter < BETTER * final.scatter:
+            kept, (final, known) = (), plain
     tick()
     return _result(final, coordinates, known, force, measured, kept, len(reached), agreeing)
 

@@ -8,7 +8,7 @@ named. It is the first order of a perturbation: small effects add to the linear 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -39,7 +39,7 @@ class Missed:
     Attributes
     ----------
     run : what was recorded.
-    peak_A : its largest current.
+    current_A : (n,) that the prediction is of.
     residual : (n,) recorded less predicted acceleration after the high-pass [m/s^2].
     energy : of the recorded acceleration where something happens.
     excess : energy of the residual there beyond the noise's, over `energy`.
@@ -47,7 +47,7 @@ class Missed:
     """
 
     run: Measurement
-    peak_A: float
+    current_A: FloatArray
     residual: FloatArray
     energy: float
     excess: float
@@ -55,11 +55,13 @@ class Missed:
 
 
 def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement) -> Missed:
-    """What a prediction from the measured current misses beyond the noise.
+    """What a prediction from the command misses beyond the noise; from the current where that alone was recorded.
 
-    The noise is that of the record itself where the prediction rests.
+    As a design predicts: with the amplifier's pole and delay and a gain of one. The noise is that of the record
+    itself where the prediction rests.
     """
-    recorded, current = run.require("acceleration", "acceleration_m_s2"), felt_current(run, instrument.amplifier)
+    recorded = run.require("acceleration", "acceleration_m_s2")
+    current = felt_current(run if run.command is None else replace(run, current=None), instrument.amplifier)
 
     def passed(values: FloatArray) -> FloatArray:
         return highpass(Signal(recorded.start_s, recorded.dt_s, values), HIGHPASS_HZ).values
@@ -83,7 +85,7 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
         uncertain = noise * n * float(np.sqrt(2 * COLOURED * (1 / max(n, 1) + 1 / rest)))
     excess = float(np.sum(residual[busy] ** 2)) - noise * np.count_nonzero(busy)
     scale = max(energy, np.finfo(float).tiny)
-    return Missed(run, float(np.abs(at_rest).max()), residual, energy, excess / scale, uncertain / scale)
+    return Missed(run, at_rest, residual, energy, excess / scale, uncertain / scale)
 
 
 def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
@@ -91,14 +93,13 @@ def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
     stated = []
     for one in found:
         assert one.run.grip_N is not None
-        current = felt_current(one.run, None).values if one.run.current is not None else one.residual * 0
-        linear = error.nrmse(one.run.grip_N, current, one.run.require("acceleration", "").dt_s, one.energy) ** 2
+        linear = error.nrmse(one.run.grip_N, one.current_A, one.run.require("acceleration", "").dt_s, one.energy) ** 2
         beyond = one.excess - linear
         significant = beyond > CERTAIN * one.deviation
         stated.append(
             AtUse(
                 grip_N=one.run.grip_N,
-                peak_A=max(one.peak_A, 1e-9),
+                peak_A=max(float(np.abs(one.current_A).max()), 1e-9),
                 excess=float(np.sqrt(beyond)) if significant else 0.0,
             )
         )

@@ -36,7 +36,7 @@ from transopt.identify.device.trials import (
     sort_trials,
 )
 from transopt.identify.device.validation import Model, Transient, called, compare, together
-from transopt.identify.device.verdict import Taps, model_error, predict_taps, short_of, verdict
+from transopt.identify.device.verdict import Taps, model_error, predict_taps, relative, short_of, verdict
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import Trial
 from transopt.plant.amplifier import Amplifier
@@ -49,6 +49,7 @@ MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5
 SMOOTHED_BINS = 9
 VARIES = 4.0  # observed variance between trials over the noise's, from which on the hand is said to vary
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
+CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative: closer is one clock, farther another rate
 SIGMAS = 1.959964  # 95 %
 REMEDIES = {
     "friction": "refine the library on the device (transopt-play refine), or loosen bearings and guides",
@@ -77,6 +78,8 @@ class Candidate:
     transients : grip -> those of its transients that were kept out of the fit.
     between : NRMSE at grips that the model does not know: those with transients only, and inner held ones by the
         same kind of model fitted without them.
+    error : how far its response is off.
+    off : the same as a part of the answer to a current of even spectrum.
     """
 
     kind: Kind
@@ -84,18 +87,13 @@ class Candidate:
     instrument: Instrument
     transients: dict[float, list[Transient]]
     between: dict[float, float]
+    error: ModelError
+    off: float
 
     @property
     def recorded(self) -> dict[float, float]:
         """Grip -> NRMSE of what was kept out; NaN where nothing was."""
         return {grip: together(runs) for grip, runs in self.transients.items()}
-
-    @property
-    def error(self) -> float:
-        """Root mean square of all held-out errors, recorded grips and those between alike; NaN without any."""
-        errors = np.array([*self.recorded.values(), *self.between.values()])
-        errors = errors[np.isfinite(errors)]
-        return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
 
 
 @dataclass(frozen=True)
@@ -163,6 +161,7 @@ class Settings:
     played_N : grips that the scene plays.
     random_starts : of the chain's fit.
     taps : designs the taps of the scene with a model; None where no scene is to be played.
+    servo_s : period that the device's servo is said to have; None where nobody says.
     """
 
     nominal: DriveChain
@@ -173,6 +172,7 @@ class Settings:
     played_N: tuple[float, ...] = ()
     random_starts: int = RANDOM_STARTS
     taps: Callable[[DriveDevice | StateSpaceDevice], Taps | None] | None = None
+    servo_s: float | None = None
 
 
 def identify(
@@ -217,16 +217,16 @@ def identify(
         box = fit_black_box(measured, records.instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []
     if chain is not None:
-        candidates.append(_validated_chain(chain, records))
+        candidates.append(_validated_chain(chain, records, measured))
         tick("validation")
     if box is not None:
-        candidates.append(_validated(Kind.STATE_SPACE, box, records.instrument, box.without, records))
+        candidates.append(_validated_box(box, records, measured))
         tick("validation")
     chosen, *others = candidates
-    if others and others[0].error < PREFERENCE * chosen.error:
+    if others and others[0].off < PREFERENCE * chosen.off:
         chosen, others = others[0], [chosen]
     own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
-    error, used = _error(chosen, chain, measured, [*transients, *repeated], [grip.grip_N for grip in grips])
+    error, used = _at_use(chosen, [*transients, *repeated], [grip.grip_N for grip in grips])
     causes, found = _causes(chosen, chain, grips, used, error)
     advice = _advice(grips, chosen, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
@@ -245,12 +245,26 @@ def identify(
         advice=advice,
         short=[],
     )
+    wrong = _two_clocks(records.instrument.dt_s, settings.servo_s)
+    if wrong:
+        result = replace(result, causes=["clock", *causes], short=wrong)
     taps = None if settings.taps is None else settings.taps(device_part(result))
     if taps is None:
         return result
     tick("verdict")
     predicted = predict_taps(error, taps)
-    return replace(result, predicted=predicted, short=short_of(predicted))
+    return replace(result, predicted=predicted, short=[*wrong, *short_of(predicted)])
+
+
+def _two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
+    """Why records cannot serve whose rate is almost, but not quite, the servo's: one of two clocks is wrong."""
+    if servo_s is None or not CLOCKS_ALIKE < abs(recorded_s / servo_s - 1) < CLOCKS_APART:
+        return []
+    return [
+        f"clock: the files state {1 / recorded_s:.6g} samples per second, the scene's servo has {1 / servo_s:.6g}: "
+        f"one of the two is {100 * abs(recorded_s / servo_s - 1):.2g} % off, and with it every spring and mass; state "
+        "the servo's own time in the files, or its period in the scene (time.dt_s)"
+    ]
 
 
 def _unexplained(chain: ChainFit) -> bool:
@@ -258,32 +272,14 @@ def _unexplained(chain: ChainFit) -> bool:
     return chain.scatter > EXPLAINED
 
 
-def _error(
-    chosen: Candidate,
-    chain: ChainFit | None,
-    measured: Sequence[GripResponse],
-    runs: Sequence[Measurement],
-    recorded_N: Sequence[float],
+def _at_use(
+    chosen: Candidate, runs: Sequence[Measurement], recorded_N: Sequence[float]
 ) -> tuple[ModelError, list[Missed]]:
-    """How far the chosen model is off, and what each record at the amplitude of use missed."""
-    if chosen.kind is Kind.DRIVE:
-        assert chain is not None
-
-        def variance(one: GripResponse) -> FloatArray:
-            return response_variance(chain, one)
-    else:
-        box = chosen.model
-        assert isinstance(box, BlackBox)
-
-        def variance(one: GripResponse) -> FloatArray:
-            # As many real unknowns as twice the order share the information of all lines evenly.
-            return 2 * one.deviation**2 * box.order / one.deviation.size
-
-    error = model_error(measured, chosen.model, chosen.instrument, variance)
+    """How far the chosen model is off, taps at the amplitude of use included, and what each such record missed."""
     known = [run for run in runs if run.grip_N is not None and _within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
     taps = [one for one in used if one.run.period_s is None]
-    return error.model_copy(update={"at_use": at_use(taps, error)}), used
+    return chosen.error.model_copy(update={"at_use": at_use(taps, chosen.error)}), used
 
 
 def _within(grip_N: float, recorded_N: Sequence[float]) -> bool:
@@ -368,7 +364,12 @@ def _on_one_clock(
 
 
 def _validated(
-    kind: Kind, model: Model, instrument: Instrument, without: Callable[[float], Model], records: Records
+    kind: Kind,
+    model: Model,
+    instrument: Instrument,
+    without: Callable[[float], Model],
+    records: Records,
+    error: ModelError,
 ) -> Candidate:
     """Errors at recorded grips, at inner ones by the model `without` them, and at grips that have transients only."""
     grips = records.grips
@@ -387,17 +388,29 @@ def _validated(
             grip.grip_N: [compare(model, grip.grip_N, instrument, run) for run in grip.kept] for grip in grips
         },
         between=dict(sorted(between.items())),
+        error=error,
+        off=relative(error, [grip.response for grip in grips]),
     )
 
 
-def _validated_chain(fit: ChainFit, records: Records) -> Candidate:
+def _validated_chain(fit: ChainFit, records: Records, measured: Sequence[GripResponse]) -> Candidate:
     """The drive chain, at inner grips by a fit without them that begins where this one ended."""
 
     def without(grip_N: float) -> Model:
-        responses = [grip.response for grip in records.grips if grip.grip_N != grip_N]
-        return refit(fit, responses).device
+        return refit(fit, [one for one in measured if one.grip_N != grip_N]).device
 
-    return _validated(Kind.DRIVE, fit.device, fit.instrument, without, records)
+    error = model_error(measured, fit.device, fit.instrument, lambda one: response_variance(fit, one))
+    return _validated(Kind.DRIVE, fit.device, fit.instrument, without, records, error)
+
+
+def _validated_box(box: BlackBox, records: Records, measured: Sequence[GripResponse]) -> Candidate:
+    """The black box; as many real unknowns as twice its order share the information of all lines evenly."""
+
+    def variance(one: GripResponse) -> FloatArray:
+        return 2 * one.deviation**2 * box.order / one.deviation.size
+
+    error = model_error(measured, box, records.instrument, variance)
+    return _validated(Kind.STATE_SPACE, box, records.instrument, box.without, records, error)
 
 
 def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) -> list[tuple[float, float]]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from transopt.base.signals import FloatArray
 from transopt.identify.device.chain_fit import GripResponse
@@ -18,7 +19,9 @@ from transopt.identify.device.validation import Model, called
 from transopt.scene.model_error import ModelError, Predicted
 
 BANDS_PER_OCTAVE = 3
-SIGNIFICANT = 3.0  # deviations that a band's misfit must be above the noise
+CHANCE = 1e-5  # at which noise alone makes a band's misfit as large: below it the misfit is the model's
+EDGE = 2  # bins at either end of what was excited
+TAP_HZ = 5.0, 600.0  # where a tap has its energy
 FIT = 0.05  # predicted NRMSE of a tap up to which a model is fit to design with
 WORTHLESS = 0.5
 
@@ -70,12 +73,13 @@ def _row(
     one: GripResponse, model: Model, instrument: Instrument, variance: FloatArray, edges: FloatArray
 ) -> FloatArray:
     """(bands,) of one grip."""
-    e = one.estimate
-    f, noise = e.frequencies_Hz, 2 * one.deviation**2
+    # Where an excitation ends a response is no polynomial over the lines of a bin.
+    inner = slice(EDGE, -EDGE) if one.estimate.response.size > 4 * EDGE else slice(None)
+    f, noise, variance = one.estimate.frequencies_Hz[inner], 2 * one.deviation[inner] ** 2, variance[inner]
     modelled = np.zeros(f.size, dtype=complex)
     for plant, weight in model.shares(one.grip_N):
         modelled += weight * sampled_response(plant, instrument, f)[0]
-    beyond = np.abs(modelled - e.response) ** 2 - noise + variance
+    beyond = np.abs(modelled - one.estimate.response[inner]) ** 2 - noise + variance
     # What a sensor makes smaller was larger on the device.
     seen = instrument.gain**2 / (1 + (f / (instrument.accelerometer_Hz or np.inf)) ** 2)
     band = np.clip(np.searchsorted(edges, f, side="right") - 1, 0, edges.size - 2)
@@ -85,14 +89,27 @@ def _row(
     def mean(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(band, values, edges.size - 1)[filled] / count[filled])
 
-    excess, deviation = mean(beyond / seen), np.sqrt(mean((noise / seen) ** 2) / count[filled])
-    clear = excess > SIGNIFICANT * deviation
-    ratio = excess / deviation
-    if ratio.sum() > SIGNIFICANT * np.sqrt(ratio.size):  # too little in any one band, but not in all together
-        clear |= excess > 0
+    excess, level = mean(beyond / seen), mean(noise / seen)
+    # Squares of complex errors: 2 degrees of freedom each.
+    ratio = 1 + excess / level
+    clear = stats.chi2.sf(2 * count[filled] * ratio, 2 * count[filled]) < CHANCE
+    if stats.chi2.sf(2 * (count[filled] * ratio).sum(), 2 * count.sum()) < CHANCE:
+        clear |= excess > 0  # too little in any one band, but not in all together
     total = mean(variance / seen) + np.where(clear, np.maximum(excess, 0.0), 0.0)
     middles = np.log(np.sqrt(edges[:-1] * edges[1:]))
     return np.asarray(np.exp(np.interp(middles, middles[filled], np.log(np.maximum(total, 1e-300)))))
+
+
+def relative(error: ModelError, measured: Sequence[GripResponse]) -> float:
+    """How large a part of the answer to a current of even spectrum the model's error is, over all grips."""
+    parts = []
+    for one, row in zip(measured, error.power, strict=True):
+        f = one.estimate.frequencies_Hz
+        inside = (f >= TAP_HZ[0]) & (f <= TAP_HZ[1])
+        width = np.gradient(f)[inside]
+        off = np.interp(np.log(f[inside]), np.log(error.frequencies_Hz), row)
+        parts.append(off @ width / (np.abs(one.estimate.response[inside]) ** 2 @ width))
+    return float(np.sqrt(np.mean(parts)))
 
 
 def predict_taps(error: ModelError, taps: Taps) -> Predicted:

@@ -110,7 +110,7 @@ def test_a_device_that_is_no_chain_is_given_to_the_black_box() -> None:
         rig.sweeps((3.0,)), rig.transients((3.0,)), replace(SETTINGS, scene_plant=None, kind=Kind.AUTO, order=8)
     )
     assert result.chosen.kind is Kind.STATE_SPACE
-    assert result.chosen.error < 0.5 * result.other.error
+    assert result.chosen.off < 0.3 * result.other.off
     part = device_part(result)
     assert part.kind == "state_space"
     assert_near(part.plant(3.0), four_masses())
