@@ -95,7 +95,7 @@ EFFECTS = {
     "pink": Effect(pink_m_s2=0.5, pink_A=0.01),
     "hum": Effect(("hum",), hum_m_s2=0.5, hum_A=0.02),
     "tremor": Effect(("tremor",), tremor_N=0.1),
-    "jitter": Effect(("clock",), jitter_s=10e-6),
+    "jitter": Effect(("jittered sampling",), jitter_s=10e-6),
     "clock": Effect(("clock",), clock=1.01),
     "daq": Effect(("clock",), daq=True),
     "mode_600": Effect(("resonance",), device=_mode(0.002, 600.0, 0.03)),

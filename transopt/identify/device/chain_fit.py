@@ -38,6 +38,7 @@ SAME = 0.05  # sums of squares of the first stage that differ by less count as t
 EXPLAINED = 2.0  # mean square of the residuals below which no further start is tried
 UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
 SIGNIFICANT = 5.0  # deviations of a nuisance from its nominal value that the records must show to keep it
+WHOLLY = 1.3  # mean square of the residuals up to which a fit leaves nothing unexplained
 BETTER = 4.0  # times smaller a misfit that nuisances leave behind, where they do not explain all of it
 SUSPECTED_HZ = 3000.0  # where the search for a pole begins that no file states
 NUISANCES = ("accelerometer_pole", "late", "gain")
@@ -142,44 +143,45 @@ class ChainFit:
 
 
 class _Model:
-    """Responses of all grips and their slopes by theta: the chain's unknowns, then those of `INSTRUMENT`."""
+    """Responses of all grips and their slopes by theta: the chain's unknowns, then those of `INSTRUMENT`.
+
+    A group is a grip, its outputs and whether the command goes in (see `GripResponse`).
+    """
 
     def __init__(
         self,
-        measured: Sequence[GripResponse],
+        groups: Sequence[tuple[float, tuple[int, ...], bool]],
         coordinates: Coordinates,
         instrument: Instrument,
         force_per_current_N_A: float,
         free: NDArray[np.bool_],
     ) -> None:
-        self._measured, self._coordinates = measured, coordinates
+        self._groups, self._coordinates = groups, coordinates
         self._instrument, self._force = instrument, force_per_current_N_A
         self._moved = tuple(name for name, moves in zip(INSTRUMENT, free[coordinates.size :], strict=True) if moves)
 
     def __call__(self, theta: FloatArray, j: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        one, coordinates, n, h = self._measured[j], self._coordinates, len(SHARED), len(HAND)
+        (grip_N, outputs, commanded), coordinates, n, h = self._groups[j], self._coordinates, len(SHARED), len(HAND)
         device = coordinates.device(theta[: coordinates.size], self._force)
         instrument = _instrument(theta[coordinates.size :], self._instrument)
-        parameters = device.parameters(one.grip_N)
+        parameters = device.parameters(grip_N)
         plant, by_log = log_slopes(parameters, self._force)
-        position = max(one.outputs) > ACCELERATION
+        position = max(outputs) > ACCELERATION
         value, moved = responses(plant, instrument, frequencies_Hz, by_log, position=position, moved=self._moved)
         slope = np.zeros((theta.size, *value.shape), dtype=complex)
         slope[:n] = moved[:n]
-        if one.grip_N > 0:
-            for end, (end_N, share) in enumerate(
-                zip(coordinates.ends_N, coordinates.shares(one.grip_N), strict=True)
-            ):
+        if grip_N > 0:
+            for end, (end_N, share) in enumerate(zip(coordinates.ends_N, coordinates.shares(grip_N), strict=True)):
                 part = share * device.hand_at(end_N) / parameters[n:]
                 slope[n + end * h : n + (end + 1) * h] = part[:, None, None] * moved[n : n + h]
         for name, by in zip(self._moved, moved[parameters.size :], strict=True):
             slope[coordinates.size + INSTRUMENT.index(name)] = (
                 instrument.dt_s * by if name == "amplifier_delay" else by
             )
-        if not one.commanded:
+        if not commanded:
             slope = (slope - value / value[CURRENT] * slope[:, CURRENT, None]) / value[CURRENT]
             value = value / value[CURRENT]
-        wanted = list(one.outputs)
+        wanted = list(outputs)
         return value[wanted], slope[:, wanted]
 
 
@@ -228,7 +230,8 @@ class _Search:
         loose: float = 0.0,
         step: int = 1,
     ) -> None:
-        model = _Model(measured, coordinates, instrument, force_per_current_N_A, free)
+        groups = [(one.grip_N, one.outputs, one.commanded) for one in measured]
+        model = _Model(groups, coordinates, instrument, force_per_current_N_A, free)
         self.likelihood = Likelihood([one.data for one in measured], model, loose=loose, step=step)
         self._coordinates, self._free, self._rate = coordinates, free, 1 / instrument.dt_s
 
@@ -384,7 +387,7 @@ def fit_chain(
         return _Search(measured, coordinates, known, force, moving).maximum(start), known
 
     final, known = with_nuisances(kept)
-    if kept and final.scatter > EXPLAINED:
+    if kept and final.scatter > WHOLLY:
         # What is no chain can be bent towards one by any nuisance: none is named that does not explain most of it.
         plain = with_nuisances(())
         if plain[0].scatter < BETTER * final.scatter:
@@ -441,15 +444,18 @@ def refit(fit: ChainFit, measured: Sequence[GripResponse]) -> ChainFit:
     return _result(found, coordinates, fit.instrument, force, measured, kept, 1, 1)
 
 
+def response_slopes(fit: ChainFit, grip_N: float, frequencies_Hz: FloatArray) -> ComplexArray:
+    """(size, m) derivatives of the chain's acceleration over current by its unknowns."""
+    free = np.arange(fit.maximum.unknowns.size) < fit.coordinates.size
+    force = fit.device.force_per_current_N_A
+    model = _Model([(grip_N, (ACCELERATION,), False)], fit.coordinates, fit.instrument, force, free)
+    return model(fit.maximum.unknowns, 0, frequencies_Hz)[1][: fit.coordinates.size, 0]
+
+
 def response_variance(fit: ChainFit, one: GripResponse) -> FloatArray:
     """(m,) of the chain's acceleration over current at the bins of an estimate, E|.|^2 by the covariance."""
-    coordinates = fit.coordinates
-    alone = replace(one, outputs=(ACCELERATION,), commanded=False)
-    free = np.arange(fit.maximum.unknowns.size) < coordinates.size
-    model = _Model([alone], coordinates, fit.instrument, fit.device.force_per_current_N_A, free)
-    _, slope = model(fit.maximum.unknowns, 0, one.estimate.frequencies_Hz)
-    by_chain = slope[: coordinates.size, 0]
-    return np.asarray(np.einsum("im,ij,jm->m", by_chain.conj(), fit.covariance, by_chain).real)
+    slopes = response_slopes(fit, one.grip_N, one.estimate.frequencies_Hz)
+    return np.asarray(np.einsum("im,ij,jm->m", slopes.conj(), fit.covariance, slopes).real)
 
 
 def _result(

@@ -16,6 +16,7 @@ from scipy import fft
 from transopt.base.signals import FloatArray, Signal, highpass
 from transopt.identify.amplifier import simulate_current
 from transopt.identify.device.chain import DriveChain
+from transopt.identify.device.chain_fit import ChainFit, response_slopes
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import felt_current
 from transopt.identify.device.validation import HIGHPASS_HZ, PADDING_S, Model, predict
@@ -26,9 +27,9 @@ from transopt.scene.model_error import AtUse, ModelError
 
 QUIET = 0.02  # of the predicted peak: below, a record shows its noise alone
 LEAST_QUIET_S = 0.02
+ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
-COLOURED = 4.0  # times as uncertain is the energy of noise whose neighbouring samples are alike
-EXPLAINS = 0.35  # of what was missed: a candidate that explains less is not named
+EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
 SHORTFALL = 0.01  # of the current that the amplifier may miss before it is named
 
 
@@ -61,7 +62,7 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     itself where the prediction rests.
     """
     recorded = run.require("acceleration", "acceleration_m_s2")
-    current = felt_current(run if run.command is None else replace(run, current=None), instrument.amplifier)
+    current = _commanded(run, instrument)
 
     def passed(values: FloatArray) -> FloatArray:
         return highpass(Signal(recorded.start_s, recorded.dt_s, values), HIGHPASS_HZ).values
@@ -82,10 +83,38 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     if np.count_nonzero(quiet) * recorded.dt_s >= LEAST_QUIET_S:
         noise = float(np.mean(residual[quiet] ** 2))
         n, rest = int(np.count_nonzero(busy)), int(np.count_nonzero(quiet))
-        uncertain = noise * n * float(np.sqrt(2 * COLOURED * (1 / max(n, 1) + 1 / rest)))
+        alike = _alike(residual[quiet])
+        uncertain = noise * n * float(np.sqrt(2 * alike * (1 / max(n, 1) + 1 / rest)))
     excess = float(np.sum(residual[busy] ** 2)) - noise * np.count_nonzero(busy)
     scale = max(energy, np.finfo(float).tiny)
     return Missed(run, at_rest, residual, energy, excess / scale, uncertain / scale)
+
+
+def _commanded(run: Measurement, instrument: Instrument) -> Signal:
+    """The current that a design expects: the command's, laid over the measured one in time.
+
+    A card of its own may read the command late; what is a shift is no error of the model.
+    """
+    if run.command is None or run.current is None:
+        return felt_current(run, instrument.amplifier)
+    expected, measured = felt_current(replace(run, current=None), instrument.amplifier), run.current
+    size = fft.next_fast_len(2 * expected.values.size, real=True)
+    w = 2 * np.pi * fft.rfftfreq(size, expected.dt_s)
+    given, read = (fft.rfft(x.values - np.median(x.values), size) for x in (expected, measured))
+    cross = read * given.conj()
+    weight = np.where(w < 2 * np.pi * ALIGNED_HZ, np.abs(cross), 0.0)
+    shift_s = -float(np.sum(weight * w * np.angle(cross)) / max(np.sum(weight * w**2), np.finfo(float).tiny))
+    moved = fft.irfft(fft.rfft(expected.values, size) * np.exp(-1j * w * shift_s), size)[: expected.values.size]
+    return Signal(expected.start_s, expected.dt_s, moved)
+
+
+def _alike(noise: FloatArray) -> float:
+    """How many times as uncertain the energy of this noise is as that of white noise: the sum of its squared
+    autocorrelations (Bartlett 1946)."""
+    size = fft.next_fast_len(2 * noise.size, real=True)
+    power = np.abs(fft.rfft(noise - noise.mean(), size)) ** 2
+    along = fft.irfft(power, size)[: noise.size // 2]
+    return float(1 + 2 * np.sum((along[1:] / max(along[0], np.finfo(float).tiny)) ** 2))
 
 
 def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
@@ -106,8 +135,11 @@ def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
     return stated
 
 
-def named(device: DriveChain, instrument: Instrument, found: Sequence[Missed]) -> list[tuple[str, float]]:
-    """Candidates that explain what the records missed, and which part of it; the best first.
+def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:
+    """The candidate that explains most of what the records missed, and which part of it; none where none does.
+
+    An effect bends the linear fit to the sweeps as well: so the chain's parameters may move too, by the same for all
+    records, and a candidate has to explain what is left of the residuals then.
 
     Parameters
     ----------
@@ -115,25 +147,42 @@ def named(device: DriveChain, instrument: Instrument, found: Sequence[Missed]) -
     """
     if not found:
         return []
+    wanted = np.concatenate([one.residual for one in found])
+    linear = np.concatenate([_slopes(fit, one.run) for one in found])
+    scale = np.maximum(np.linalg.norm(linear, axis=0), np.finfo(float).tiny)
+    Q, _ = np.linalg.qr(linear / scale)
+    left = wanted - Q @ (Q.T @ wanted)
+    noise = sum(float(np.sum(one.residual**2)) - max(one.excess, 0.0) * one.energy for one in found)
     fitted: dict[str, float] = {}
     for name in ("friction", "backlash", "stiffening"):
-        explained, wanted = 0.0, 0.0
-        for one in found:
-            shape = _shape(name, device, instrument, one.run)
-            along = float(shape @ one.residual)
-            if along > 0:  # the other sign is no such effect
-                explained += along**2 / max(float(shape @ shape), np.finfo(float).tiny)
-            wanted += max(one.excess, 0.0) * one.energy
-        fitted[name] = explained / max(wanted, np.finfo(float).tiny)
+        shape = np.concatenate([_shape(name, fit.device, fit.instrument, one.run) for one in found])
+        shape -= Q @ (Q.T @ shape)
+        along = max(float(shape @ left), 0.0)  # the other sign is no such effect
+        explained = along**2 / max(float(shape @ shape), np.finfo(float).tiny)
+        fitted[name] = explained / max(float(left @ left) - noise, np.finfo(float).tiny)
     best = max(fitted, key=lambda name: fitted[name])
     return [(best, min(fitted[best], 1.0))] if fitted[best] > EXPLAINS else []
+
+
+def _slopes(fit: ChainFit, run: Measurement) -> FloatArray:
+    """(n, p) what the chain's unknowns change of a predicted acceleration after the high-pass [m/s^2]."""
+    assert run.grip_N is not None
+    current = _commanded(run, fit.instrument)
+    size = fft.next_fast_len(current.values.size + round(PADDING_S / current.dt_s), real=True)
+    frequencies = np.maximum(fft.rfftfreq(size, current.dt_s), 0.1)
+    ratio = response_slopes(fit, run.grip_N, frequencies)
+    given = fft.rfft(current.values - np.median(current.values[: max(3, current.values.size // 50)]), size)
+    moved = fft.irfft(given * ratio, size)[:, : current.values.size]
+    return np.stack(
+        [highpass(Signal(current.start_s, current.dt_s, one), HIGHPASS_HZ).values for one in moved], axis=1
+    )
 
 
 def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measurement) -> FloatArray:
     """(n,) acceleration after the high-pass that a candidate of some size adds [m/s^2]."""
     assert run.grip_N is not None
     plant = device.plant(run.grip_N)
-    current = felt_current(run, instrument.amplifier)
+    current = _commanded(run, instrument)
     values = current.values - np.median(current.values[: max(3, current.values.size // 50)])
     n = plant.order // 2
     masses = np.concatenate([device.shared[:2], device.hand_at(run.grip_N)[:1]])[:n]

@@ -336,8 +336,8 @@ def _causes(
                 "raise the supply"
             )
             say("amplifier saturation", "current_A", text)
-        if isinstance(chosen.model, DriveChain):
-            for cause, share in named(chosen.model, chosen.instrument, loud):
+        if chain is not None:
+            for cause, share in named(chain, loud):
                 text = (
                     f"explains {100 * share:.0f} % of what taps at full current miss ({100 * worst:.2g} %): "
                     f"{REMEDIES[cause]}"
