@@ -35,6 +35,7 @@ from typing import Any
 
 import numpy as np
 import typer
+from common.measuring import on_one_thread
 from common.page import write_part
 from rich.table import Table
 
@@ -281,6 +282,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/verdicts"))
     parser.add_argument("--page", type=Path, help="page of results whose marked part is written anew")
     arguments = parser.parse_args()
+    on_one_thread()
     terminal.make_folder(arguments.out)
     grips = tuple(float(grip) for grip in arguments.grips.split(","))
     work = [

@@ -66,25 +66,45 @@ def _spread_words(scene: Scene) -> list[str]:
     return ["", f"Robust: each command serves the identified device and, besides, {' and '.join(words)}."]
 
 
-def below_the_model(build: Build) -> list[Entry]:
-    """Entries whose error by design is smaller than what their model was found to be off by."""
+def model_errors(build: Build) -> list[tuple[Entry, float]]:
+    """Admitted entries with the NRMSE between their prediction and the device, as the model file tells it."""
     model = build.scene.model
     if not isinstance(model, IdentifiedModel):
         return []
-    admitted = [entry for entry in build.all_entries() if entry.status is Status.OPTIMAL]
-    return [entry for entry in admitted if entry.nrmse < model.error_at(entry.grip_N)]
+    found = []
+    for entry in build.all_entries():
+        if entry.status is Status.OPTIMAL:
+            energy = float(np.sum(entry.predicted_m_s2**2))
+            error = model.error_of(entry.grip_N, entry.current_A, entry.problem.grid.dt_s, energy)
+            if np.isfinite(error):
+                found.append((entry, error))
+    return found
+
+
+def below_the_model(build: Build) -> list[Entry]:
+    """Entries whose error by design is smaller than what their model is expected to be off by."""
+    return [entry for entry, error in model_errors(build) if entry.nrmse < error]
 
 
 def model_warning(build: Build) -> str:
-    """One line where the design promises more than the model can know; empty if nowhere."""
-    entries, model = below_the_model(build), build.scene.model
-    if not entries or not isinstance(model, IdentifiedModel):
+    """One line on what the model itself misses, and where the design promises more; empty where nothing is known."""
+    errors = model_errors(build)
+    if not errors:
         return ""
-    worst = max(entries, key=lambda entry: model.error_at(entry.grip_N) - entry.nrmse)
+    worst, error = max(errors, key=lambda one: one[1])
+    middle = float(np.median([one for _, one in errors]))
+    text = (
+        f"model error {percent(middle)} % of a tap (median; at most {percent(error)} %, at {worst.speed_m_s:g} m/s, "
+        f"{worst.grip_N:g} N)"
+    )
+    below = below_the_model(build)
+    if not below:
+        return text
+    one = min(below, key=lambda entry: entry.nrmse)
     return (
-        f"below the model's own error: {len(entries)} of {sum(1 for _ in build.all_entries())} entries; at "
-        f"{worst.speed_m_s:g} m/s, {worst.grip_N:g} N the design says {percent(worst.nrmse)} %, the model missed "
-        f"transients it had not seen by {percent(model.error_at(worst.grip_N))} %: expect that on the device"
+        f"{text}: above the design's own in {len(below)} of {sum(1 for _ in build.all_entries())} entries, as at "
+        f"{one.speed_m_s:g} m/s, {one.grip_N:g} N, where the design says {percent(one.nrmse)} %: expect the model's "
+        "error on the device"
     )
 
 
@@ -145,7 +165,9 @@ def identified_lines(build: Build) -> list[str]:
     lines += _outside(scene, model)
     if model.device is not None and model.device.nrmse:
         errors = ", ".join(f"{grip} N: {percent(value)} %" for grip, value in model.device.nrmse.items())
-        lines += ["", f"Held-out NRMSE of the model on trials outside its fit: {errors}."]
+        lines += ["", f"NRMSE of the model on single trials outside its fit, their noise included: {errors}."]
+    if model.device is not None and model.device.causes:
+        lines += ["", f"Found beside the model: {', '.join(model.device.causes)}."]
     if said := unfit_model(scene):
         lines += ["", f"**{said}.** It was accepted by the one who solved."]
     warning = model_warning(build)
@@ -170,6 +192,7 @@ def identified_rows(build: Build) -> dict[str, Any] | None:
             if (part := getattr(model, name)) is not None
         },
         "model_nrmse": None if model.device is None else model.device.nrmse,
+        "model_error": [[entry.speed_m_s, entry.grip_N, error] for entry, error in model_errors(build)],
         "below_the_model": [[entry.speed_m_s, entry.grip_N] for entry in below_the_model(build)],
     }
 

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
 from transopt.plant.motor import Tip
 from transopt.plant.state_space import StateSpace
 from transopt.scene.fitted import FittedPart, ModelPart
@@ -71,9 +72,21 @@ class IdentifiedModel(ModelParts):
         """
         check_grip(self.moving.grips_N, grip_N)
 
-    def error_at(self, grip_N: float) -> float:
-        """Held-out NRMSE of the model at a grip; NaN where the file states none."""
-        return float("nan") if self.device is None else self.device.error_at(grip_N)
+    def error_of(self, grip_N: float, current_A: FloatArray, dt_s: float, energy: float) -> float:
+        """NRMSE between a tap as the model predicts it and as the device will do it; NaN where the file says nothing.
+
+        A file that states no spectrum of its error has the held-out NRMSE of the grip, noise included.
+
+        Parameters
+        ----------
+        current_A : (N,) of the tap, sampled every `dt_s`.
+        energy : sum of the squares of its N samples of acceleration [(m/s^2)^2].
+        """
+        if self.device is None:
+            return float("nan")
+        if self.device.error is None:
+            return self.device.error_at(grip_N)
+        return self.device.error.nrmse(grip_N, current_A, dt_s, energy)
 
     def plant(self, grip_N: float, force_per_current_N_A: float | None, *, struck: bool = False) -> StateSpace:
         """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.

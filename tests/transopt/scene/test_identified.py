@@ -264,9 +264,9 @@ class TestReport:
         below = {(entry.speed_m_s, entry.grip_N) for entry in below_the_model(identified)}
         assert below == {(e.speed_m_s, e.grip_N) for e in identified.all_entries() if e.nrmse < 0.03}
         assert len(below) == 4
-        assert "below the model's own error: 4 of 6 entries" in model_warning(identified)
-        assert "3.00 %" in model_warning(identified)
-        assert build_markdown(identified).count("Below the model's own error") == 1
+        assert "above the design's own in 4 of 6 entries" in model_warning(identified)
+        assert "model error 3.00 % of a tap" in model_warning(identified)
+        assert build_markdown(identified).count("Model error 3.00 %") == 1
 
     def test_sources_name_the_model_file_and_what_it_was_fitted_to(self, identified: Build, tmp_path: Path) -> None:
         sources = identified.library.meta["sources"]

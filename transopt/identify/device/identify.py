@@ -262,8 +262,8 @@ def _two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
         return []
     return [
         f"clock: the files state {1 / recorded_s:.6g} samples per second, the scene's servo has {1 / servo_s:.6g}: "
-        f"one of the two is {100 * abs(recorded_s / servo_s - 1):.2g} % off, and with it every spring and mass; state "
-        "the servo's own time in the files, or its period in the scene (time.dt_s)"
+        f"one of the two is {100 * abs(recorded_s / servo_s - 1):.2g} % off, and with it every spring and mass; "
+        "state the servo's own time in the files, or its period in the scene (time.dt_s)"
     ]
 
 
