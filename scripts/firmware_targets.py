@@ -35,7 +35,8 @@ EMULATOR = FIRMWARE / "port" / "emulator"
 LIBRARY = FIRMWARE / "src"
 ARM, QEMU = "arm-none-eabi-gcc", "qemu-system-arm"
 RUN_S = 120.0
-WRAPPED = ("main", "td_servo_step", "td_device_step", "td_device_start", "td_device_receive")
+WRAPPED = ("main", "td_servo_step", "td_servo_answer", "td_servo_applied")
+WRAPPED += ("td_device_step", "td_device_start", "td_device_receive")
 SECTIONS = ("-O2", "-ffunction-sections", "-fdata-sections")
 PROGRAMS = {"runs": ("td_replay.c", "replay_main.c"), "talks": ("td_probe.c", "talk_main.c")}
 M4F = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16")
