@@ -150,7 +150,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         raise InputError(f"{place(at + 1)}: {order}; sort the rows and remove repeated ones")
     low, high = step_range_s
     if not low <= median <= high:
-        limit = f"must be {low:g} to {high:g} s; is time in the unit its name states?"
+        limit = f"must be {low:g} to {high:g} s: check the unit of the time"
         raise InputError(f"median time step {median:g} s: {limit}")
     periods = _periods(times, median)
     at = int(np.argmax(periods > 1 + _IN_A_ROW))
