@@ -22,9 +22,7 @@ from transopt.study.rows import OPTIMAL, Row, number
 MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
 MOST_WRITTEN = 80  # cells of a heat map with their figures written in
 LEAST_PERCENT = 0.1
-MANY_TICKS = (
-    30.0  # from this ratio of the largest to the smallest on, a narrow panel has no room for 1, 2, 5 of each decade
-)
+MANY_TICKS = 30.0  # ratio of the largest to the smallest value, beyond which 1, 2, 5 of each decade collide
 DASHES = ("-", "--", ":", "-.")
 
 
