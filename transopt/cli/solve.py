@@ -61,7 +61,9 @@ def solve(
         typer.Option(help="Add nodes until a blend between them is this close to the optimum; 0.02: 2 %."),
     ] = None,
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
-    figures: Annotated[bool, typer.Option(help="Draw transients, methods and Bode plots into the folder.")] = True,
+    figures: Annotated[
+        bool, typer.Option(help="Draw transients, methods, Bode plot and trade-off into the folder.")
+    ] = True,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up.
 

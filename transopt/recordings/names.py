@@ -10,6 +10,7 @@ A unit is never guessed: 9.81 lies between the two that are usual for an acceler
 """
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -154,9 +155,14 @@ def _quantity(base: str, words: Vocabulary) -> str | None:
     return next(named, None)
 
 
+def _quantity_of(name: str, words: Vocabulary) -> str | None:
+    """The quantity that a column means by its name, with or without a unit; None if none."""
+    return words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+
+
 def looks_known(name: str, words: Vocabulary) -> bool:
     """Whether a name means a quantity, with or without its unit."""
-    return name in words.columns or _quantity(_apart(name)[0], words) is not None
+    return _quantity_of(name, words) is not None
 
 
 def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
@@ -184,22 +190,24 @@ def _lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
     return name not in words.columns and quantity is not None and _stated_unit(name, quantity, units) is None
 
 
-def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> tuple[str, float]:
+def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> tuple[str, float]:
     """Quantity and factor to SI of a column.
 
     Parameters
     ----------
     units : as a user states them, see `Layout`; they take the place of the unit in the file.
+    names : of all columns, in order, for the message that says how to skip this one.
 
     Raises
     ------
     InputError : a name that means nothing here, or a unit that is none of the quantity.
     """
-    quantity = words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+    quantity = _quantity_of(name, words)
     if quantity is None:
         known = ", ".join(words.columns)
         usual = "time [s], acc [g] and the like"
-        remedy = 'rename it, or name all columns (--columns, recordings.columns; "-" skips one)'
+        kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
+        remedy = f"rename it, or skip it: --columns {shlex.quote(kept)} (in a scene recordings.columns)"
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
     unit = _stated_unit(name, quantity, units)
     if unit is None and name in words.columns:
@@ -237,7 +245,7 @@ def meanings(
             f"example --units {','.join(stated)} (in a scene recordings.units = {{ {in_scene} }}); known: {known}"
         )
     for name in used:
-        said[name] = meaning(name, words, units)
+        said[name] = meaning(name, words, units, names)
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     for quantity in words.quantities:

@@ -93,6 +93,15 @@ def test_names_and_units_that_cannot_be(tmp_path: Path, header: str, options: di
     assert refusal(tmp_path, f"{header}\n{IN_G}", **options).startswith(words)
 
 
+def test_the_refusal_of_a_column_of_ones_own_says_how_to_skip_it(tmp_path: Path) -> None:
+    rows = [line.replace(",", ",21.5,") for line in IN_G.splitlines()]
+    content = "\n".join(["time [s],temperature,acc [g]", *rows])
+    said = refusal(tmp_path, content)
+    assert "--columns 'time [s],-,acc [g]'" in said
+    columns = said.partition("--columns '")[2].partition("'")[0].split(",")
+    np.testing.assert_allclose(load(tmp_path, content, columns=columns).acceleration.values, TAP_M_S2, atol=1e-6)
+
+
 def test_a_stated_unit_goes_before_that_of_the_file(tmp_path: Path) -> None:
     for key in ("acc", "acc [m/s^2]", "acceleration"):
         recording = load(tmp_path, f"time [s],acc [m/s^2]\n{IN_G}", units={key: "g"})
