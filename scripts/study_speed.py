@@ -21,6 +21,7 @@ from typing import Annotated
 
 import numpy as np
 from common.command import at_least, run
+from common.measuring import on_one_thread
 from common.page import PageFile, write_part
 
 import problems
@@ -172,4 +173,5 @@ def main(
 
 
 if __name__ == "__main__":
+    on_one_thread()
     run(main)
