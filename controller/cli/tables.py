@@ -104,7 +104,7 @@ def figures_table(
         (
             "",
             figure("nrmse_reference", 100, ".2f", "%"),
-            f"against the reference (the motor's share of the recorded tap); floor {floor}",
+            f"against the reference; floor {floor}",
         ),
         ("peak", figure("peak_m_s2", 1 / g, ".2f", "g"), f"predicted {predicted}, reference {reference}"),
         ("spectral error", figure("spectral_error_dB", 1, ".2f", "dB"), "rms over third octaves 10 Hz to 1 kHz"),
