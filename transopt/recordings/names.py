@@ -215,7 +215,10 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Seque
     factor = UNITS[quantity].get(_plain(unit or ""))
     if factor is None:
         known = ", ".join(UNITS[quantity])
-        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}")
+        hint = (
+            "; divide a sensor's voltage by its sensitivity first" if _plain(unit or "") in UNITS["voltage"] else ""
+        )
+        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}{hint}")
     return quantity, factor
 
 

@@ -57,10 +57,12 @@ def implausible_time(x: Signal) -> str:
     length_s = pulse_length_s(x)
     if PULSE_S[0] <= length_s <= PULSE_S[1]:
         return ""
-    guess = "s called ms?" if length_s < PULSE_S[0] else "ms called s?"
+    guess = (
+        "s called ms?)" if length_s < PULSE_S[0] else "ms called s?), and that the acceleration is no other column"
+    )
     return (
         f"the pulse lasts {1e3 * length_s:.3g} ms, a tap's {1e3 * PULSE_S[0]:g} to {1e3 * PULSE_S[1]:g} ms: "
-        f"check the unit of the time ({guess})"
+        f"check the unit of the time ({guess}"
     )
 
 

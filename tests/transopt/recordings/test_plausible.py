@@ -106,6 +106,14 @@ def test_noise_and_ringing_do_not_shorten_a_pulse() -> None:
     assert pulse_length_s(Signal(0.0, 1e-6, rough)) == pytest.approx(plain, rel=0.5)
 
 
+def test_the_position_in_the_place_of_the_acceleration() -> None:
+    tap = recordings_of(problems.load("wood_on_foam"))[0]
+    assert tap.position is not None
+    taken = replace(tap, acceleration=replace(tap.position, values=100 * tap.position.values))
+    with_ramp = prepare(taken, SETTINGS.model_copy(update={"onset_s": 0.03})).implausible
+    assert "that the acceleration is no other column" in with_ramp
+
+
 def test_refused_unless_accepted() -> None:
     wrong = stretched(recordings_of(problems.load("wood_on_foam"))[0], acceleration=0.1)
     with pytest.raises(InputError, match=r"unit of the acceleration.*recordings.implausible = \"accept\""):
