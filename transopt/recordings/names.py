@@ -18,6 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 SKIPPED = "-"
+LONGEST_SHOWN = 300  # characters of all names together, which a message repeats
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
 _WITH_UNIT = re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>[^\[\](){}]*)[\])}]|/\s*(?P<behind>\S+))")
@@ -206,7 +207,9 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Seque
     if quantity is None:
         known = ", ".join(words.columns)
         usual = "time [s], acc [g] and the like"
-        kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
+        kept = "time_s,-,..."
+        if sum(map(len, names)) < LONGEST_SHOWN:
+            kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
         remedy = f"rename it, or skip it: --columns {shlex.quote(kept)} (in a scene recordings.columns)"
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
     unit = _stated_unit(name, quantity, units)
