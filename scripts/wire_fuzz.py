@@ -139,7 +139,7 @@ class Ends:
 
     def __init__(self) -> None:
         sessions = cycle((1, 2))
-        self.device, self.session = CoreDevice(1), Session(lambda: next(sessions))
+        self.device, self.session = CoreDevice(1, simulated=True), Session(lambda: next(sessions))
         self.tick = self.greetings = self.driven = 0
         self._greet()
 

@@ -221,7 +221,7 @@ class CoreDevice:
         hardware: Hardware | None = None,
         flags: tuple[str, ...] = (),
         *,
-        simulated: bool = True,
+        simulated: bool = False,
         heat_C: tuple[float, float] | None = (25.0, 25.0),
     ) -> None:
         self._library, self.tick = _probe(flags), 0

@@ -119,7 +119,7 @@ def core_end(settings: Settings, samples: int = 0, longest: int = 0) -> CoreDevi
         f"-D{name}={size << (wanted // size).bit_length()}" for name, (size, wanted) in sizes.items() if wanted > size
     )
     try:
-        return CoreDevice(BOOT, hardware, flags)
+        return CoreDevice(BOOT, hardware, flags, simulated=True)
     except NoCompilerError as missing:
         why = f"--simulate runs the device's own C code, which needs the wheel or a compiler: {missing}"
         if flags:

@@ -93,7 +93,7 @@ class Judged:
     """
 
     def __init__(self, boot: int, hand: TappingHand) -> None:
-        self._core, self._hand = CoreDevice(boot), hand
+        self._core, self._hand = CoreDevice(boot, simulated=True), hand
         self._decoder, self._session, self._last, self._tick = Decoder(), 0, 0, 0
         self.state = State.IDLE
         self.breaches: list[str] = []

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +52,10 @@ Start = Callable[..., CoreDevice]
 
 @pytest.fixture(params=[(), ("-DTD_REAL_FLOAT",)], ids=["double", "single"])
 def start(request: pytest.FixtureRequest) -> Start:
-    return lambda **others: CoreDevice(9, others.pop("hardware", HARDWARE), request.param, **others)
+    def started(*, hardware: Hardware = HARDWARE, simulated: bool = True, **others: Any) -> CoreDevice:
+        return CoreDevice(9, hardware, request.param, simulated=simulated, **others)
+
+    return started
 
 
 class Plant:

@@ -263,7 +263,7 @@ def device() -> Talker:
 
 
 def test_the_core_outlives_a_host_that_asks_and_never_listens() -> None:
-    core, decoder = CoreDevice(1), Decoder()
+    core, decoder = CoreDevice(1, simulated=True), Decoder()
     for session in range(1000):
         core.receive(encode(m.Frame(1, session, m.Hello(m.MAGIC, m.PROTOCOL, 0)).payload()))
     assert core.look().lost_frames > 100

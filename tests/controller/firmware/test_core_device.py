@@ -16,7 +16,7 @@ from controller.firmware.replay import REPLAY
 from controller.protocol import wire
 from controller.servo.interface import State
 from scripts.campaign.recorded import BOOT, Conversation, load, save
-from scripts.device_conversations import SCENES, VECTORS, random_talk, said, scene, taps
+from scripts.device_conversations import SCENES, VECTORS, random_talk, said, scene, taps, vouched
 from scripts.wire_fuzz import fuzz
 from tests.benches.device import World, clean_answers
 
@@ -28,7 +28,7 @@ RECORDED = load(VECTORS)
 @pytest.mark.parametrize("conversation", RECORDED, ids=lambda one: one.name)
 def test_the_device_says_and_does_what_was_recorded(conversation: Conversation) -> None:
     """Every byte and every command; `scripts/device_conversations.py` says how they were recorded, and how anew."""
-    assert conversation.differs(CoreDevice(BOOT)) == ""
+    assert conversation.differs(CoreDevice(BOOT, simulated=True)) == ""
 
 
 def test_much_is_said_in_these_conversations() -> None:
@@ -45,21 +45,21 @@ def test_much_is_said_in_these_conversations() -> None:
 def test_a_difference_would_be_seen() -> None:
     """A device of another start differs in its first answer, and the last bit of one command is seen."""
     (recorded,) = (one for one in RECORDED if one.name == taps.__name__)
-    assert "tick 1: said" in recorded.differs(CoreDevice(BOOT + 1))
+    assert "tick 1: said" in recorded.differs(CoreDevice(BOOT + 1, simulated=True))
     ticks = recorded.ticks.copy()
     playing = np.flatnonzero(ticks["state"] == b"playing")
     ticks["command_A"][playing[5]] = np.nextafter(ticks["command_A"][playing[5]], 9.0)
     changed = Conversation("changed", ticks, recorded.arrived, recorded.said)
-    assert f"changed, tick {playing[5]}: Output" in changed.differs(CoreDevice(BOOT))
+    assert f"changed, tick {playing[5]}: Output" in changed.differs(CoreDevice(BOOT, simulated=True))
 
 
 def test_what_is_recorded_anew_is_kept_whole(tmp_path: Path) -> None:
-    made = [scene(taps, CoreDevice), random_talk(4, 0.1, 1, ticks=500)]
+    made = [scene(taps, vouched), random_talk(4, 0.1, 1, ticks=500)]
     save(tmp_path / "made.npz", made)
     for one, kept in zip(made, load(tmp_path / "made.npz"), strict=True):
         assert (one.name, one.arrived, one.said) == (kept.name, kept.arrived, kept.said)
         assert one.ticks.tobytes() == kept.ticks.tobytes()
-        assert kept.differs(CoreDevice(BOOT)) == ""
+        assert kept.differs(CoreDevice(BOOT, simulated=True)) == ""
 
 
 def test_corrupted_frames_are_neither_accepted_nor_seen_differently() -> None:
@@ -111,7 +111,7 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("flags", "real_bytes"), [((), 8), (("-DTD_REAL_FLOAT",), 4)], ids=["double", "single"])
 def test_the_host_session_brings_the_core_up_and_arms_it(flags: tuple[str, ...], real_bytes: int) -> None:
     """And the core goes safe within its lease when the host falls silent."""
-    world, core = World(), CoreDevice(100, flags=flags)
+    world, core = World(), CoreDevice(100, flags=flags, simulated=True)
     world.device = core  # type: ignore[assignment]
     world.armed()
     assert world.session.device is not None
