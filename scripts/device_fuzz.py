@@ -19,7 +19,7 @@ from typer import Option
 
 from controller.firmware.build import CORE, FIRMWARE, sources
 
-HARNESS = FIRMWARE / "fuzz" / "fuzz_device.c"
+HARNESS = FIRMWARE / "fuzz"
 PRECISIONS: dict[str, tuple[str, ...]] = {"double": (), "single": ("-DTD_REAL_FLOAT",)}
 # Small capacities, so that a device starts fast.
 FLAGS = (
@@ -33,7 +33,7 @@ LONGEST_INPUT = 600
 def built(precision: str, folder: Path) -> Path:
     """The harness with the core; raises CalledProcessError if they do not compile."""
     program = folder / f"fuzz_{precision}"
-    files = [*map(str, sources(CORE)), str(HARNESS)]
+    files = map(str, [*sources(CORE), *sources(HARNESS)])
     command = ["clang", *FLAGS, *PRECISIONS[precision], f"-I{CORE}", *files, "-lm", "-o", str(program)]
     subprocess.run(command, check=True)
     return program

@@ -7,7 +7,7 @@ import pytest
 
 from controller.firmware.build import NoCompilerError, compiler
 from scripts import firmware_targets
-from scripts.firmware_targets import TARGETS, MissingToolError, Target, need_tools, play, record, rows
+from scripts.firmware_targets import TARGETS, Found, MissingToolError, Target, misses, need_tools, play, record, rows
 from transopt.base.errors import InputError
 
 CORTEX_M7 = TARGETS[1]
@@ -34,7 +34,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Path], tmp_path: Path) -> None:
     found = play(target, records, tmp_path)
     assert set(found.hashes) == {"runs", "talks"}
-    assert found.alike(), found.hashes
+    assert not misses({target: found})
     assert found.counts["runs servo"][0] == found.counts["talks device"][0] == 3000
     for _, average, most in found.counts.values():
         assert 0 < average <= most
@@ -44,6 +44,21 @@ def test_a_target_answers_as_the_host_does(target: Target, records: dict[str, Pa
         # What src/transopt_port.h promises: RAM2 of a Teensy with room for USB, and a third of 192 kB for others.
         assert found.device_bytes < (470_000 if "Teensy" in target.name else 120_000)
     assert f"{target.name} | {target.precision} | {found.text_bytes}" in "".join(rows({target: found}))
+
+
+@pytest.mark.parametrize(
+    ("command", "device", "said"),
+    [
+        (500, 10_000, ""),
+        (540, 10_000, "540 instructions beside the servo before the command is out"),
+        (500, 16_800, "a tick of"),
+    ],
+)
+def test_a_tick_that_is_too_long_is_told(command: int, device: int, said: str) -> None:
+    found = Found(counts={"talks command_own": (1, 1.0, command), "talks device": (1, 1.0, device)})
+    lines = misses({TARGETS[0]: found})
+    assert len(lines) == (1 if said else 0)
+    assert said in "".join(lines)
 
 
 def test_contracted_products_would_be_seen(records: dict[str, Path], tmp_path: Path) -> None:

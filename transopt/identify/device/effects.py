@@ -29,7 +29,8 @@ QUIET = 0.02  # of the predicted peak: below, a record shows its noise alone
 LEAST_QUIET_S = 0.02
 ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
-EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
+EXPLAINS = 0.2  # of what was missed: a candidate that explains less is not named
+SLOW, PLAY = 0.02, 0.1  # of the largest speed and stretch: over which friction and play change their sign
 SHORTFALL = 0.01  # of the current that the amplifier may miss before it is named
 
 
@@ -189,10 +190,10 @@ def _shape(name: str, device: DriveChain, instrument: Instrument, run: Measureme
     velocities, stretches = np.eye(plant.order)[n : n + n], np.eye(plant.order)[:n]
     if name == "friction":
         motion = _through(plant, plant.B[:, 0], velocities[0], 0.0, current.dt_s, values)
-        forces = {0: -np.tanh(motion / (0.02 * np.abs(motion).max(initial=1e-12)))}
+        forces = {0: -np.tanh(motion / (SLOW * np.abs(motion).max(initial=1e-12)))}
     elif name == "backlash":
         stretch = _through(plant, plant.B[:, 0], stretches[0], 0.0, current.dt_s, values)
-        part = np.tanh(stretch / (0.02 * np.abs(stretch).max(initial=1e-12)))
+        part = np.tanh(stretch / (PLAY * np.abs(stretch).max(initial=1e-12)))
         forces = {0: part, 1: -part}
     else:
         if n < 3:

@@ -95,10 +95,11 @@ static uint64_t ticks;
 static uint32_t tick_began, late_cycles;
 static bool powered; /* the amplifier is enabled */
 
-/* The coil's temperature over a reset: general-purpose registers of the battery-backed domain (SNVS_LPGPR0 to 2), where
- * there is one. A check word tells them from what a battery left that was empty. */
+/* The coil's temperature over a reset: three general-purpose registers of the battery-backed domain, which lie one after
+ * the other (SNVS_LPGPR0 to 2, by the name that Teensyduino's imxrt.h gives them). A check word tells them from what a
+ * battery left that was empty. */
 #ifdef __arm__
-static volatile uint32_t *const KEPT = (volatile uint32_t *)0x400D4100;
+static volatile uint32_t *const KEPT = &SNVS_LPGPR0;
 #else
 static volatile uint32_t KEPT[3];
 #endif

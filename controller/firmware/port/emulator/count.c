@@ -26,7 +26,10 @@ typedef struct {
 
 static counter servo = {"servo", 0, 0, 0}, device = {"device", 0, 0, 0}, receive = {"receive", 0, 0, 0},
                held = {"held", 0, 0, 0}, command = {"command", 0, 0, 0};
+/* Of the device's tick: what its servo takes, and what the device adds to it until the command is out and until the end. */
+static counter inner = {"inner", 0, 0, 0}, command_own = {"command_own", 0, 0, 0}, device_own = {"device_own", 0, 0, 0};
 static uint32_t tick_since; /* when the device's tick began */
+static uint32_t answer_steps, inner_steps; /* of the servo within it: until its answer, and both its halves */
 static uint32_t empty_steps, empty_calls; /* of nothing, measured in the same way */
 
 static uint32_t elapsed(uint32_t since)
@@ -34,18 +37,25 @@ static uint32_t elapsed(uint32_t since)
     return (since - SYST_CVR) & SYST_MOST; /* it counts down */
 }
 
-static void add(counter *to, uint32_t since)
+static void add_steps(counter *to, uint32_t steps)
 {
-    const uint32_t steps = elapsed(since);
-
     to->calls++;
     to->steps += steps;
     if (steps > to->most)
         to->most = steps;
 }
 
+static void add(counter *to, uint32_t since)
+{
+    add_steps(to, elapsed(since));
+}
+
 void __real_td_servo_step(td_servo *to, const td_readings *readings, td_output *output);
 void __wrap_td_servo_step(td_servo *to, const td_readings *readings, td_output *output);
+void __real_td_servo_answer(td_servo *to, const td_readings *readings, td_output *output);
+void __wrap_td_servo_answer(td_servo *to, const td_readings *readings, td_output *output);
+void __real_td_servo_applied(td_servo *to, td_real command_A);
+void __wrap_td_servo_applied(td_servo *to, td_real command_A);
 void __real_td_device_step(td_device *to, const td_readings *readings, td_output *output);
 void __wrap_td_device_step(td_device *to, const td_readings *readings, td_output *output);
 void __real_td_device_receive(td_device *to, const uint8_t *bytes, size_t size);
@@ -63,11 +73,33 @@ void __wrap_td_servo_step(td_servo *to, const td_readings *readings, td_output *
     add(&servo, since);
 }
 
+void __wrap_td_servo_answer(td_servo *to, const td_readings *readings, td_output *output)
+{
+    const uint32_t since = SYST_CVR;
+
+    __real_td_servo_answer(to, readings, output);
+    answer_steps = inner_steps = elapsed(since);
+}
+
+void __wrap_td_servo_applied(td_servo *to, td_real command_A)
+{
+    const uint32_t since = SYST_CVR;
+
+    __real_td_servo_applied(to, command_A);
+    inner_steps += elapsed(since);
+}
+
 void __wrap_td_device_step(td_device *to, const td_readings *readings, td_output *output)
 {
+    uint32_t steps;
+
+    answer_steps = inner_steps = 0;
     tick_since = SYST_CVR;
     __real_td_device_step(to, readings, output);
-    add(&device, tick_since);
+    steps = elapsed(tick_since);
+    add_steps(&device, steps);
+    add_steps(&inner, inner_steps);
+    add_steps(&device_own, steps > inner_steps ? steps - inner_steps : 0);
 }
 
 void __wrap_td_device_receive(td_device *to, const uint8_t *bytes, size_t size)
@@ -95,7 +127,10 @@ static void watch_hold(void *context, bool hold)
 /* How long after the tick's beginning the command goes out. */
 static void watch_put(void *context, td_real command_A, bool enabled)
 {
-    add(&command, tick_since);
+    const uint32_t steps = elapsed(tick_since);
+
+    add_steps(&command, steps);
+    add_steps(&command_own, steps > answer_steps ? steps - answer_steps : 0);
     if (watched.put != NULL)
         watched.put(context, command_A, enabled);
 }
@@ -156,6 +191,9 @@ int __wrap_main(int argc, char **argv)
     print(&receive);
     print(&held);
     print(&command);
+    print(&inner);
+    print(&command_own);
+    print(&device_own);
     printf("stack %lu bytes\n", painted_over(top));
     printf("device %lu bytes\n", (unsigned long)sizeof(td_device));
     return result;

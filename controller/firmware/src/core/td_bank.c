@@ -49,6 +49,7 @@ bool td_bank_open(td_bank *bank, const uint8_t *image, size_t size)
         bank->grip_N[j] = td_get_f64(axes + 8 * (speeds + j));
     bank->grip_min_N = td_get_f64(image + TD_IMAGE_GRIP_MIN_N);
     bank->scale_A = (td_real)td_get_f64(image + TD_IMAGE_SCALE_A);
+    bank->root_ticks = sqrt((td_wide)bank->samples + 1);
     bank->by_grip = (flags & TD_IMAGE_BY_GRIP) != 0;
     bank->nearest = (flags & TD_IMAGE_NEAREST) != 0;
     bank->feedback_A = axes + 8 * ((size_t)speeds + grips);
@@ -68,14 +69,21 @@ typedef struct {
 static interval find(const td_wide *nodes, int32_t count, td_wide value, bool nearest)
 {
     interval found = {0, 0, false};
+    int32_t beyond = count - 1; /* the first node that is known to lie behind the interval's beginning */
     td_wide place;
 
     if (count == 1) {
         found.outside = value < nodes[0] || value > nodes[0];
         return found;
     }
-    while (found.first + 2 < count && value >= nodes[found.first + 1])
-        found.first++;
+    while (beyond - found.first > 1) {
+        const int32_t middle = found.first + (beyond - found.first) / 2;
+
+        if (value >= nodes[middle])
+            found.first = middle;
+        else
+            beyond = middle;
+    }
     place = (value - nodes[found.first]) / (nodes[found.first + 1] - nodes[found.first]);
     found.outside = place < 0 || place > 1;
     found.place = place < 0 ? 0 : (place > 1 ? 1 : place);

@@ -14,6 +14,7 @@ typedef struct {
     td_wide speed_m_s[TD_MAX_SPEEDS], grip_N[TD_MAX_GRIPS]; /* strictly increasing */
     td_wide grip_min_N;                                     /* nothing plays below it; 0 for the free device */
     td_real scale_A;                                        /* per count of a waveform */
+    td_wide root_ticks; /* sqrt(samples + 1): how long a waveform lasts, for td_guard_scale at a contact */
     bool by_grip;                                           /* a table that knows no grip is never outside it */
     bool nearest;                                           /* take the nearest node instead of a blend */
     td_wide transient_A[TD_MAX_SPEEDS * TD_MAX_GRIPS];      /* (speeds, grips) scale_A sqrt(sum count^2) */

@@ -16,6 +16,7 @@ void td_device_start(td_device *device, const td_port *port)
     td_evidence_start(&device->evidence);
     td_ring_start(&device->ring, &port->hardware, port->winding_C, port->housing_C);
     device->records.hold_ticks = td_device_ticks(device, TD_TELEMETRY_HOLD_MS);
+    device->silence_ticks = td_device_ticks(device, TD_LINK_SILENCE_MS);
 }
 
 uint8_t td_device_state(const td_device *device)
@@ -46,7 +47,7 @@ bool td_device_is_active(const td_device *device)
 
 bool td_device_is_heard(const td_device *device)
 {
-    return device->open && device->silent_ticks < td_device_ticks(device, TD_LINK_SILENCE_MS);
+    return device->open && device->silent_ticks < device->silence_ticks;
 }
 
 /* ------------------------------------------------------------------------------------------------ bytes out */

@@ -51,7 +51,8 @@ typedef struct {
     bool stop_remains;    /* before there is a servo: the cause of what is latched */
     uint8_t stop_latched; /* and what it is, TD_WHAT_..., 0 without */
     bool trial;                                   /* armed for the tap of the bring-up check */
-    int32_t lease_ticks, lease_left, silent_ticks;
+    int32_t lease_ticks, lease_left;
+    int32_t silent_ticks, silence_ticks; /* since the host was heard, and from how many on it counts as gone */
     int32_t settled_ticks; /* since the approach began to be looked at anew: before a whole window nobody is at rest */
     td_pulse pulse;
     td_ring ring;

@@ -30,9 +30,9 @@ static td_wide high_pass(td_wide value, td_wide part, td_wide *low)
 
 static void close_block(td_motion *motion, td_wide count_m, td_wide dt_s)
 {
-    const td_wide part = TD_MOTION_RATE_1_S * dt_s, fading = 1 - dt_s / TD_MOTION_S;
+    const td_wide part = TD_MOTION_RATE_1_S * dt_s, fading = motion->fading;
     const td_wide m_s2 = motion->open_m_s2 / motion->open;
-    td_wide encoder = motion->open_counts / motion->open * count_m, accelerometer;
+    td_wide encoder = (td_wide)motion->open_counts / motion->open * count_m, accelerometer;
     int32_t j;
 
     for (j = 0; j < 3; j++)
@@ -44,28 +44,32 @@ static void close_block(td_motion *motion, td_wide count_m, td_wide dt_s)
     motion->by_encoder = fading * motion->by_encoder + encoder * encoder;
     motion->by_accelerometer = fading * motion->by_accelerometer + accelerometer * accelerometer;
     motion->open = 0;
-    motion->open_counts = motion->open_m_s2 = 0;
+    motion->open_counts = 0;
+    motion->open_m_s2 = 0;
     if (motion->blocks < INT32_MAX)
         motion->blocks++;
 }
 
 void td_evidence_see(td_evidence *evidence, const td_config *config, const td_readings *seen)
 {
-    const int32_t size = (int32_t)ceil(TD_MOTION_BLOCK_S / config->dt_s), counts = seen->encoder_counts;
-    const td_wide acceleration = (td_wide)seen->acceleration_m_s2;
+    const int32_t counts = seen->encoder_counts;
     td_motion *motion = &evidence->motion;
 
-    if (!(fabs(acceleration) < 1e6) || counts > TD_ENCODER_MOST_COUNTS || counts < -TD_ENCODER_MOST_COUNTS) {
+    if (!(td_size(seen->acceleration_m_s2) < (td_real)1e6) || counts > TD_ENCODER_MOST_COUNTS || counts < -TD_ENCODER_MOST_COUNTS) {
         memset(motion, 0, sizeof *motion);
         return;
     }
     if (motion->blocks == 0 && motion->open == 0)
         motion->origin = counts;
-    motion->open_counts += (td_wide)(counts - motion->origin);
-    motion->open_m_s2 += acceleration;
+    if (motion->open == 0) {
+        motion->size = (int32_t)ceil(TD_MOTION_BLOCK_S / config->dt_s);
+        motion->fading = 1 - motion->size * config->dt_s / TD_MOTION_S;
+    }
+    motion->open_counts += counts - motion->origin;
+    motion->open_m_s2 += (td_wide)seen->acceleration_m_s2;
     motion->open++;
-    if (motion->open >= size)
-        close_block(motion, config->count_m, size * config->dt_s);
+    if (motion->open >= motion->size)
+        close_block(motion, config->count_m, motion->size * config->dt_s);
 }
 
 /* The encoder's motion on the accelerometer's; NaN before the filter has settled, without a motion to compare, and

@@ -14,7 +14,9 @@
  * where the encoder's zero is shows, and no rest has to be waited for, which a trembling hand never gives. */
 typedef struct {
     int32_t open, blocks, origin; /* readings of the block under way; whole blocks so far; counts of the first reading */
-    td_wide open_counts, open_m_s2;
+    int32_t size;                 /* of a block; it and `fading` follow from the servo period, once per block */
+    int64_t open_counts;
+    td_wide open_m_s2, fading;
     td_wide low[3];    /* of the position: what each stage takes off it [m] */
     td_wide way[2];    /* of the acceleration: leaky integral and double integral [m/s], [m] */
     td_wide way_low;   /* and what the third stage takes off that */

@@ -52,29 +52,22 @@ bool td_guard_too_hot(const td_guard *guard, const td_coil *coil)
     return !(guard->winding_C + coming_K <= coil->limit_C);
 }
 
-/* Bound on the winding's rise over a transient played at `scale` [K]. */
-static td_wide rise_K(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A,
-                      int32_t ticks, td_wide scale)
+td_wide td_guard_scale(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks,
+                       td_wide root_ticks)
 {
-    const td_wide norm = scale * transient_A + feedback_A + PWM_RIPPLE_A * sqrt((td_wide)ticks);
-    const td_wide warmer = guard->housing_C - guard->winding_C;
+    const td_wide left = coil->play_limit_C - guard->winding_C, warmer = guard->housing_C - guard->winding_C;
+    const td_wide inflow_K = warmer > 0 ? (td_wide)ticks * coil->from_housing * warmer : 0;
+    const td_wide ripple = PWM_RIPPLE_A * root_ticks, whole = transient_A + feedback_A + ripple;
+    td_wide steady, without, allowed;
 
-    return coil->rise_K * norm * norm + (warmer > 0 ? (td_wide)ticks * coil->from_housing * warmer : 0);
-}
-
-td_wide td_guard_scale(
-    const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks)
-{
-    const td_wide left = coil->play_limit_C - guard->winding_C;
-    td_wide without, steady, allowed;
-
-    if (rise_K(guard, coil, transient_A, feedback_A, ticks, 1) <= left)
+    /* Bound on the winding's rise [K]: the energy of a sum of currents is at most that of the sum of their norms. */
+    if (coil->rise_K * whole * whole + inflow_K <= left)
         return 1;
-    without = rise_K(guard, coil, 0, feedback_A, ticks, 0);
+    steady = feedback_A + ripple;
+    without = coil->rise_K * steady * steady + inflow_K;
     if (!(without < left && transient_A > 0))
         return 0;
     /* rise = a (s n_t + m)^2 + h with a m^2 + h = `without` */
-    steady = feedback_A + PWM_RIPPLE_A * sqrt((td_wide)ticks);
     allowed = (sqrt(steady * steady + (left - without) / coil->rise_K) - steady) / transient_A;
     return allowed >= coil->least_scale ? allowed : 0;
 }

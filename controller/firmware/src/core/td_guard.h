@@ -20,8 +20,9 @@ void td_guard_step(td_guard *guard, const td_coil *coil, td_real current_A);
 bool td_guard_too_hot(const td_guard *guard, const td_coil *coil);
 
 /* Largest scale <= 1 that keeps the winding at or below the play limit; 0 if not even the least one does.
- * `transient_A`, `feedback_A`: norms sqrt(sum i^2) over the `ticks` servo periods that the transient takes. */
-td_wide td_guard_scale(
-    const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks);
+ * `transient_A`, `feedback_A`: norms sqrt(sum i^2) over the `ticks` servo periods that the transient takes; their root
+ * comes from the caller, since a square root in software costs more than all the rest at a contact. */
+td_wide td_guard_scale(const td_guard *guard, const td_coil *coil, td_wide transient_A, td_wide feedback_A, int32_t ticks,
+                       td_wide root_ticks);
 
 #endif

@@ -113,9 +113,9 @@ void td_records_restart(td_records *records, uint16_t every)
 /* For a float32: what is beyond its range is infinite. */
 static float narrow(td_real value)
 {
-    if ((td_wide)value > (td_wide)FLT_MAX)
+    if (value > (td_real)FLT_MAX)
         return (float)INFINITY;
-    if ((td_wide)value < -(td_wide)FLT_MAX)
+    if (value < -(td_real)FLT_MAX)
         return -(float)INFINITY;
     return (float)value;
 }

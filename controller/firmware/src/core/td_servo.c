@@ -213,7 +213,8 @@ bool td_servo_excite(td_servo *servo, bool negative)
     if (play->silent)
         return false;
     if (config->coil.present &&
-        td_guard_scale(&servo->guard, &config->coil, play->transient_A, play->feedback_A, bank->samples + 1) < 1)
+        td_guard_scale(&servo->guard, &config->coil, play->transient_A, play->feedback_A, bank->samples + 1,
+                       bank->root_ticks) < 1)
         return false;
     servo->scale = negative ? -1 : 1;
     servo->held = !loose(servo);
@@ -245,8 +246,8 @@ static void touch(td_servo *servo, td_output *output, uint64_t tick)
         return;
     }
     if (config->coil.present)
-        scale = td_guard_scale(
-            &servo->guard, &config->coil, servo->play.transient_A, servo->play.feedback_A, servo->bank->samples + 1);
+        scale = td_guard_scale(&servo->guard, &config->coil, servo->play.transient_A, servo->play.feedback_A,
+                               servo->bank->samples + 1, servo->bank->root_ticks);
     if (scale <= 0) {
         note(servo, output, tick, TD_WHAT_TOO_HOT_TO_PLAY, speed, grip);
         return;

@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #define DMAMEM
+#define SNVS_LPGPR0 (*(volatile uint32_t *)0x400d4100) /* as in imxrt.h: IMXRT_SNVS_ADDRESS and its offset 0x100 */
 #define HIGH 1
 #define LOW 0
 #define INPUT_PULLUP 2

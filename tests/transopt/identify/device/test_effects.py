@@ -1,0 +1,122 @@
+"""What taps at full current show that no response does: told from noise, and apart by name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
+from transopt.base.signals import FloatArray, Signal
+from transopt.identify.device.chain_fit import ChainFit, fit_chain
+from transopt.identify.device.effects import (
+    at_use,
+    current_shortfall,
+    missed,
+    named,
+)
+from transopt.identify.device.trials import sort_trials
+from transopt.identify.measurement import Measurement
+from transopt.scene.model_error import ModelError
+
+GRIPS_N = (1.0, 3.0, 5.0)
+NOTHING = ModelError(grips_N=[3.0], frequencies_Hz=[100.0], power=[[0.0]])
+EFFECTS = ("friction", "backlash", "stiffening")
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return Rig(mismatched(0.1, 8))
+
+
+@pytest.fixture(scope="module")
+def fit(rig: Rig) -> ChainFit:
+    records = sort_trials(rig.sweeps(GRIPS_N), [], AMPLIFIER, None)
+    return fit_chain([grip.response for grip in records.grips], records.instrument, DEFAULT)
+
+
+@pytest.fixture(scope="module")
+def taps(rig: Rig) -> list[Measurement]:
+    return [replace(run, held_out=True) for seed in range(3) for run in rig.transients(GRIPS_N, seed=seed)]
+
+
+def newmark(device: object, grip_N: float, current_A: FloatArray, effect: str, size: float) -> FloatArray:
+    """Acceleration of the stylus with an effect inside the chain, by small explicit steps: written for this test."""
+    chain = DEFAULT.__class__(DEFAULT.force_per_current_N_A, device.shared, device.hand)  # type: ignore[attr-defined]
+    motor, stylus, k, c = chain.shared.tolist()
+    hand, skin_k, skin_c, arm_k, arm_c = chain.hand_at(grip_N).tolist()
+    steps, z, v, found = 40, np.zeros(3), np.zeros(3), np.empty(current_A.size)
+    h = DT_S / steps
+    for n, current in enumerate(current_A.tolist()):
+        for step in range(steps):
+            drawn = k * (z[0] - z[1]) + c * (v[0] - v[1])
+            if effect == "backlash":
+                drawn -= size * np.tanh((z[0] - z[1]) / 1e-8)
+            skin = skin_k * (z[1] - z[2]) + skin_c * (v[1] - v[2])
+            if effect == "stiffening":
+                skin += size * (z[1] - z[2]) ** 3
+            drag = size * np.tanh(v[0] / 1e-3) if effect == "friction" else 0.0
+            a = np.array(
+                [
+                    (1.25 * current - drawn - drag) / motor,
+                    (drawn - skin) / stylus,
+                    (skin - arm_k * z[2] - arm_c * v[2]) / hand,
+                ]
+            )
+            if step == 0:
+                found[n] = a[1]
+            v += h * a
+            z += h * v
+    return found
+
+
+def with_effect(rig: Rig, run: Measurement, effect: str, size: float) -> Measurement:
+    """The record with what the effect adds: the difference of two simulations of other make."""
+    assert run.grip_N is not None
+    current = Rig(rig.device, noise=0.0).record("", run.grip_N, run.require("command", "").values, 0)
+    given = current.require("current", "").values
+    added = newmark(rig.device, run.grip_N, given, effect, size) - newmark(rig.device, run.grip_N, given, "", 0.0)
+    acceleration = run.require("acceleration", "")
+    return replace(run, acceleration=replace(acceleration, values=acceleration.values + added))
+
+
+SIZES = {"friction": 0.15, "backlash": 0.1, "stiffening": 3e10}
+
+
+def test_a_tap_that_the_model_explains_has_no_excess(fit: ChainFit, taps: list[Measurement]) -> None:
+    found = [missed(fit.device, run.grip_N or 0.0, fit.instrument, run) for run in taps]
+    assert all(abs(one.excess) < 5 * one.deviation for one in found)
+    assert [tap.excess for tap in at_use(found, NOTHING)] == pytest.approx([0.0] * len(found), abs=1e-9)
+    assert named(fit, []) == []
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_an_effect_is_named_and_its_size_is_what_is_missed(
+    effect: str, rig: Rig, fit: ChainFit, taps: list[Measurement]
+) -> None:
+    spoilt = [with_effect(rig, run, effect, SIZES[effect]) for run in taps[:3]]
+    found = [missed(fit.device, run.grip_N or 0.0, fit.instrument, run) for run in spoilt]
+    used = at_use(found, NOTHING)
+    for run, clean, tap in zip(spoilt, taps, used, strict=False):
+        added = run.require("acceleration", "").values - clean.require("acceleration", "").values
+        whole = run.require("acceleration", "").values
+        # The excess is counted where the tap lasts, after the high-pass.
+        expected = np.linalg.norm(added) / np.linalg.norm(whole)
+        assert tap.excess == pytest.approx(expected, rel=0.25)
+    ((name, share),) = named(fit, [one for one, tap in zip(found, used, strict=True) if tap.excess > 0])
+    assert name == effect
+    assert share > 0.3
+
+
+def test_an_amplifier_that_gives_way_is_known_by_its_current(fit: ChainFit, taps: list[Measurement]) -> None:
+    run = taps[0]
+    current = run.require("current", "")
+    assert current_shortfall(fit.instrument, run) < 0.005
+    soft = Signal(current.start_s, current.dt_s, 5.0 * np.tanh(current.values / 5.0))
+    assert current_shortfall(fit.instrument, replace(run, current=soft)) > 0.03
+
+
+def test_noise_that_no_rest_tells_gives_no_verdict(fit: ChainFit, taps: list[Measurement]) -> None:
+    run = taps[0]
+    signals = {name: run.require(name, "") for name in ("command", "current", "acceleration")}
+    cut = replace(run, **{name: replace(x, values=x.values[195:320]) for name, x in signals.items()})
+    assert np.isinf(missed(fit.device, 1.0, fit.instrument, cut).deviation)

@@ -1,0 +1,83 @@
+"""The verdict is what the device will show: against the true error of the fitted response, and in words."""
+
+import numpy as np
+import pytest
+
+from tests.benches.identification import DEFAULT, mismatched
+from tests.transopt.identify.device.conftest import INSTRUMENT, Respond
+from transopt.identify.device.chain import DriveChain
+from transopt.identify.device.chain_fit import fit_chain, response_variance
+from transopt.identify.device.response import sampled_response
+from transopt.identify.device.verdict import model_error, relative, short_of, verdict
+from transopt.scene.model_error import Predicted
+
+GRIPS_N = (1.0, 3.0, 5.0)
+
+
+def true_and_predicted(respond: Respond, truth: DriveChain, seed: int) -> tuple[float, float]:
+    """Mean square of the fitted response's error over 5 to 600 Hz and over the response's own, true and expected."""
+    random = np.random.default_rng(seed)
+    measured = [respond(truth.plant(grip), grip, random=random) for grip in GRIPS_N]
+    fit = fit_chain(measured, INSTRUMENT, DEFAULT, random_starts=0)
+    error = model_error(measured, fit.device, fit.instrument, lambda one: response_variance(fit, one))
+    parts = []
+    for one in measured:
+        f = one.estimate.frequencies_Hz
+        f = f[(f >= 5) & (f <= 600)]
+        found, right = (sampled_response(d.plant(one.grip_N), INSTRUMENT, f)[0] for d in (fit.device, truth))
+        width = np.gradient(f)
+        parts.append(np.abs(found - right) ** 2 @ width / (np.abs(right) ** 2 @ width))
+    return float(np.sqrt(np.mean(parts))), relative(error, measured)
+
+
+def test_where_the_model_is_right_the_predicted_error_is_the_true_one(respond: Respond) -> None:
+    found = np.array([true_and_predicted(respond, mismatched(0.2, seed), seed) for seed in range(8)])
+    true, predicted = np.sqrt(np.mean(found**2, axis=0))
+    assert true < 1e-3
+    assert 0.6 < predicted / true < 1.7
+
+
+def test_where_the_hand_is_no_line_over_grip_the_predicted_error_is_the_true_one(respond: Respond) -> None:
+    class Bent(DriveChain):
+        def hand_at(self, grip_N: float) -> np.ndarray:
+            straight = super().hand_at(grip_N)
+            return np.asarray(straight * np.array([1.0, 1.0 - 0.3 * (grip_N == 3.0), 1.0, 1.0, 1.0]))
+
+    bent = Bent(DEFAULT.force_per_current_N_A, DEFAULT.shared, DEFAULT.hand)
+    true, predicted = true_and_predicted(respond, bent, 1)
+    assert true > 0.01
+    assert 0.8 < predicted / true < 1.25
+
+
+def predicted(worst: float) -> Predicted:
+    return Predicted(speeds_m_s=[0.1, 0.4], grips_N=[1.0, 5.0], nrmse=[[0.001, 0.001], [0.001, worst]])
+
+
+def test_the_words_say_model_error_and_noise_apart() -> None:
+    text = verdict(predicted(0.004), {1.0: 0.017, 5.0: 0.016, 3.0: float("nan")})
+    assert text == (
+        "model error 0.1 % of a tap (worst 0.4 %, at 0.4 m/s, 5 N): design errors below that are the model's; one "
+        "recorded trial misses 1.7 %, its noise included"
+    )
+    assert verdict(predicted(0.7), {}).startswith("supports no design: predicted to miss 70 % of the tap at 0.4 m/s")
+    assert "--scene" in verdict(None, {})
+
+
+def test_what_falls_short_names_the_grip_and_the_tap() -> None:
+    assert short_of(predicted(0.04)) == []
+    (said,) = short_of(predicted(0.06))
+    assert said.startswith("5 N: predicted to miss 6 % of the tap at 0.4 m/s, limit 5 %")
+    assert short_of(None) == []
+
+
+@pytest.mark.long
+def test_intervals_cover_the_truth_in_500_draws(respond: Respond) -> None:
+    inside = []
+    for seed in range(500):
+        random = np.random.default_rng([seed, 5])
+        measured = [respond(DEFAULT.plant(grip), grip, random=random) for grip in GRIPS_N]
+        fit = fit_chain(measured, INSTRUMENT, DEFAULT, random_starts=0)
+        off = fit.unknowns - fit.coordinates.of(DEFAULT)
+        inside.append(np.abs(off) < 1.96 * np.sqrt(np.diag(fit.covariance)))
+    assert 0.92 <= np.mean(inside) <= 0.98
+    assert np.min(np.mean(inside, axis=0)) > 0.9
