@@ -165,7 +165,7 @@ def _boot() -> int:
 
 def main() -> None:
     """Entry point."""
-    terminal.run(app)
+    terminal.run(app, "transopt-device")
 
 
 if __name__ == "__main__":

@@ -47,4 +47,4 @@ def play(context: typer.Context) -> None:
 
 def main() -> None:
     """Entry point."""
-    terminal.run(app)
+    terminal.run(app, "transopt-play")

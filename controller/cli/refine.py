@@ -159,7 +159,7 @@ def _finish(before: "Library", refined: "Refined", path: Path, out: Path) -> Non
     from transopt.base.plotting import save_figure
 
     console = terminal.console()
-    console.print(refine_table(before, refined, f"{path}, NRMSE against the recorded tap in %"))
+    console.print(refine_table(before, refined, f"{path}, NRMSE against the reference in %"))
     console.print(LEGEND, style="dim", highlight=False)
     for (iv, ig), why in refined.kept.items():
         console.print(

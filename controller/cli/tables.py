@@ -83,7 +83,7 @@ def figures_table(
         return mean((getattr(tap.compared, name) for tap in compared), size, form, unit)
 
     floor = mean((tap.prediction.floor for tap in compared), 100, ".2f", "%")
-    predicted, recorded = (figure(f"{name}_peak_m_s2", 1 / g, ".2f", "g") for name in ("predicted", "reference"))
+    predicted, reference = (figure(f"{name}_peak_m_s2", 1 / g, ".2f", "g") for name in ("predicted", "reference"))
     hardness = (tap.rate_hardness_N_m(yardstick.force_per_current_N_A) for tap in compared)
     real = _number(yardstick.real_rate_hardness_N_m, ".0f", "N/m")
     peak_A = max((tap.peak_current_A for tap in taps), default=np.nan)
@@ -101,8 +101,12 @@ def figures_table(
     for row in (
         ("latency", figure("latency_s", 1e6, ".1f", "µs"), "the one shift that aligns played and predicted"),
         ("NRMSE after the shift", figure("nrmse", 100, ".2f", "%"), by_hand),
-        ("", figure("nrmse_reference", 100, ".2f", "%"), f"against the recorded tap; floor {floor}"),
-        ("peak", figure("peak_m_s2", 1 / g, ".2f", "g"), f"predicted {predicted}, recorded {recorded}"),
+        (
+            "",
+            figure("nrmse_reference", 100, ".2f", "%"),
+            f"against the reference; floor {floor}",
+        ),
+        ("peak", figure("peak_m_s2", 1 / g, ".2f", "g"), f"predicted {predicted}, reference {reference}"),
         ("spectral error", figure("spectral_error_dB", 1, ".2f", "dB"), "rms over third octaves 10 Hz to 1 kHz"),
         (
             "rate-hardness",

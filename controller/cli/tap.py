@@ -218,7 +218,7 @@ def _play(
     if remark:
         console.print(remark, highlight=False)
     if out is not None:
-        drawn = _draw(played, title, out)
+        drawn = _draw(played, title, out, walled=settings.wall is not None)
         console.print(recorder.in_words().removeprefix("; ") + drawn, highlight=False, soft_wrap=True)
     finished = shown.events[Notice.FINISHED] > 0 and played_at > 0
     if shown.faults:
@@ -252,7 +252,7 @@ def _yardstick(library: "Library", played: "list[PlayedTap]") -> "Yardstick":
     return Yardstick(device.force_per_current_N_A, real)
 
 
-def _draw(played: "list[PlayedTap]", title: str, out: Path) -> str:
+def _draw(played: "list[PlayedTap]", title: str, out: Path, *, walled: bool) -> str:
     """The first tap that could be compared, else the first; the figure's name, to be put behind others."""
     from controller.cli.tap_figure import tap_figure
     from transopt.base.plotting import save_figure
@@ -260,5 +260,5 @@ def _draw(played: "list[PlayedTap]", title: str, out: Path) -> str:
     shown = next((tap for tap in played if not tap.why), played[0] if played else None)
     if shown is None:
         return ""
-    save_figure(tap_figure(shown, title), out / "tap.png")
+    save_figure(tap_figure(shown, title, walled=walled), out / "tap.png")
     return "; tap.png"

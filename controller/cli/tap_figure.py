@@ -10,6 +10,7 @@ from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 BEFORE_MS = 5.0
 REFERENCE = "0.6"
+WANTED = "reference, the motor's share of the recorded tap"
 
 
 def _axis(axes: Axes, label: str) -> None:
@@ -20,8 +21,13 @@ def _axis(axes: Axes, label: str) -> None:
     axes.axvline(0.0, color="0.75", linewidth=0.8, zorder=1)
 
 
-def tap_figure(tap: PlayedTap, title: str) -> Figure:
-    """Four panels over one time axis, contact at 0, all from the device's own sensors."""
+def tap_figure(tap: PlayedTap, title: str, *, walled: bool) -> Figure:
+    """Four panels over one time axis, contact at 0, all from the device's own sensors.
+
+    Parameters
+    ----------
+    walled : whether the library has a wall, without which only the transient holds the stylus up.
+    """
     figure = Figure(figsize=(7.0, 7.6), layout="constrained")
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[1, 1.8, 1.3, 0.8])
     position, acceleration, current, temperature = panels
@@ -29,7 +35,7 @@ def tap_figure(tap: PlayedTap, title: str) -> Figure:
     # What the library looks at: the waveform, and how the stylus comes to rest after it.
     predicted_ms = np.append(prediction.times_s, prediction.after_times_s) * 1e3
     predicted = np.append(prediction.acceleration_m_s2, prediction.after_m_s2)
-    recorded = np.append(prediction.reference_m_s2, prediction.reference_after_m_s2)
+    reference = np.append(prediction.reference_m_s2, prediction.reference_after_m_s2)
     shown = (-BEFORE_MS, float(predicted_ms[-1]))
     inside = (tap.times_s * 1e3 >= shown[0]) & (tap.times_s * 1e3 <= shown[1])
     times_s = tap.times_s[inside]
@@ -38,13 +44,21 @@ def tap_figure(tap: PlayedTap, title: str) -> Figure:
     straight = -contact.speed_m_s * times_s * 1e3
     position.plot(ms, straight, color=REFERENCE, linestyle="--", linewidth=1.0, label="incoming motion, continued")
     position.plot(ms, visible_mm, color=DARK, linewidth=1.2, label="encoder")
+    pushes = (
+        "its wall pushes back by feedback" if walled else "no wall in this library, only the transient pushes back"
+    )
     _axis(position, "position mm")
     if visible_mm.size:
         margin = 0.08 * float(np.ptp(visible_mm)) + 0.05
-        position.set_ylim(float(visible_mm.min()) - margin, float(visible_mm.max()) + margin)
+        lowest = float(visible_mm.min()) - margin
+        position.set_ylim(lowest, float(visible_mm.max()) + margin)
+        position.axhspan(
+            min(lowest, 0.0), 0.0, color="0.94", linewidth=0, zorder=0, label=f"inside the object; {pushes}"
+        )
+        position.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
 
     g = STANDARD_GRAVITY_M_S2
-    acceleration.plot(predicted_ms, tap.gain * recorded / g, color=REFERENCE, linewidth=3.0, label="recorded tap")
+    acceleration.plot(predicted_ms, tap.gain * reference / g, color=REFERENCE, linewidth=3.0, label=WANTED)
     acceleration.plot(predicted_ms, predicted / g, color=SEED, linewidth=1.2, label="predicted")
     played = tap.acceleration_m_s2[inside] / g
     acceleration.plot(ms, played, color=OPTIMUM, linestyle="--", linewidth=1.0, label="played, as measured")
@@ -67,10 +81,10 @@ def tap_figure(tap: PlayedTap, title: str) -> Figure:
         temperature.text(0.5, 0.5, "no motor data", transform=temperature.transAxes, ha="center", fontsize=SMALL_PT)
         _axis(temperature, "temperature")
 
-    for panel in panels:
+    # Positions fall and temperatures rise; accelerations die down; currents do either, by the wall.
+    places = {position: "lower left", acceleration: "upper right", current: "best", temperature: "lower right"}
+    for panel, place in places.items():
         if panel.get_legend_handles_labels()[0]:
-            # Temperatures rise to the upper right, everything else has died down there.
-            place = "lower right" if panel is temperature else "upper right"
             panel.legend(fontsize=SMALL_PT, frameon=False, loc=place)
     temperature.set_xlabel("time from contact ms", fontsize=LABEL_PT)
     temperature.set_xlim(*shown)

@@ -95,7 +95,7 @@ def _tap(axes: Axes, before: Library, refined: Refined) -> None:
     shown = times <= REACTION_S
     ms = 1e3 * times[shown]
     wanted = smooth(before.reference_m_s2[node[0]], grid.dt_s)[shown]
-    axes.plot(ms, wanted / g, color="0.6", linewidth=3.0, label="recorded tap")
+    axes.plot(ms, wanted / g, color="0.6", linewidth=3.0, label="reference")
     first, last = rounds[0][node], rounds[kept][node]
     for results, number, colour, style in ((first, 0, SEED, "-"), (last, kept, OPTIMUM, "--")):
         label = f"round {number}, {100 * results.nrmse:.1f} %"

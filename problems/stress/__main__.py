@@ -81,7 +81,7 @@ def main() -> None:
     """Run the command line."""
     app = typer.Typer(add_completion=False)
     app.command()(stress)
-    terminal.run(app)
+    terminal.run(app, "python -m problems.stress")
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ TINY_PT = 6.5
 SMALL_DPI = 120
 EXACT = "exact hold"  # what every solver's curve has anyway
 NAME_HEIGHT = 6.0  # what a name takes up on the logarithmic axis, as a factor
-OFFSETS_PT = {"seed inversion": (-3, -8), "clipped optimum": (-3, 8)}  # of a point's name
+OFFSETS_PT = {"seed inversion": (-3, 16), "clipped optimum": (-3, 8)}  # of a point's name
 # Okabe and Ito's colours; a method keeps its look in every panel.
 LOOKS: dict[str, dict[str, Any]] = {
     "casadi-piqp": {"color": "#0072B2", "marker": "o"},
@@ -119,8 +119,8 @@ def work_precision(cases: Sequence[Case], rows: Sequence[Row]) -> Figure:
     for column, case in enumerate(cases):
         own = [row for row in rows if row.case == case.name]
         upper, lower = panels[0, column], panels[1, column]
-        _style(upper, ERROR_FLOOR, 30.0)
-        _style(lower, NRMSE_FLOOR, 3.0)
+        _style(upper, ERROR_FLOOR, 300.0)
+        _style(lower, NRMSE_FLOOR, 30.0)
         upper.axhspan(ERROR_FLOOR / 10, max(case.optimum.agreement, ERROR_FLOOR), color="0.93", zorder=0)
         upper.axhline(SOLVED, color=DARK, linewidth=0.8, linestyle="--", zorder=0)
         _curves(upper, own, "error", ERROR_FLOOR)

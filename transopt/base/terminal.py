@@ -73,7 +73,7 @@ def make_folder(folder: Path) -> None:
 _ClickException: type[Exception] = typer.BadParameter.__mro__[2]
 
 
-def run(app: Callable[..., object]) -> None:
+def run(app: Callable[..., object], name: str | None = None) -> None:
     """Run a command line: errors a user can cause end in one line, never in a traceback.
 
     The process ends with the code that `app` returns (0 if it returns none), with 2 after an error of the user's,
@@ -82,6 +82,7 @@ def run(app: Callable[..., object]) -> None:
     Parameters
     ----------
     app : a Typer application, or a function without arguments.
+    name : of the command, as its usage and its errors call it, however Python was started; None for a function.
     """
     # Matrices are small here: threads of the linear algebra, waiting for each other, take a quarter more of the
     # processor and gain nothing. The variable is read when numpy is loaded, which happens inside the commands.
@@ -91,7 +92,7 @@ def run(app: Callable[..., object]) -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     with _signals_end_it() as came:
-        code = _code(app, came)
+        code = _code(app, name, came)
         if came:
             _leave(code)
     sys.exit(code)
@@ -102,10 +103,10 @@ def takes_its_time() -> None:
     faulthandler.cancel_dump_traceback_later()
 
 
-def _code(app: Callable[..., object], came: list[int]) -> int:
+def _code(app: Callable[..., object], name: str | None, came: list[int]) -> int:
     """The exit code of a command line, its errors said."""
     try:
-        code = app(standalone_mode=False) if isinstance(app, typer.Typer) else app()
+        code = app(standalone_mode=False, prog_name=name) if isinstance(app, typer.Typer) else app()
     except InputError as error:
         typer.echo(f"error: {harmless(str(error))}", err=True)
         return 2

@@ -58,4 +58,4 @@ def first(
 
 def main() -> None:
     """Entry point."""
-    terminal.run(app)
+    terminal.run(app, "transopt")

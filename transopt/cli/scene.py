@@ -43,6 +43,9 @@ def scene_show(name: str) -> None:
     typer.echo(builtin.scene_path(name).read_text(encoding="utf-8"), nl=False)
 
 
+FORCE_HELP = "Write over a file of that name."
+
+
 @app.command("new", epilog="Example: transopt scene new mine.toml --from own_taps")
 def scene_new(
     file: Path,
@@ -50,6 +53,7 @@ def scene_new(
     model: Annotated[
         Path | None, typer.Option(help="Model file of transopt identify, which the scene shall be solved with.")
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help=FORCE_HELP)] = False,
 ) -> None:
     """Copy a built-in scene to a file of your own, to be changed and solved by its path."""
     from transopt.scene import builtin
@@ -60,24 +64,24 @@ def scene_new(
     if model is not None:
         # What the scene would be refused for is said before there is a file.
         text = on_model(text, model, file.parent, builtin.load_scene(source, model=model).grid.grips_N)
-    write_new(file, text)
+    write_new(file, text, force=force)
     typer.echo(f"{file} written; edit it, then: transopt solve {shlex.quote(str(file))}")
 
 
-def write_new(file: Path, text: str) -> None:
-    """Write a scene file that is not there.
+def write_new(file: Path, text: str, *, force: bool) -> None:
+    """Write a scene file that is not there, or in the place of one that is.
 
     Raises
     ------
-    InputError : it is, has another suffix than .toml, or cannot be written.
+    InputError : it is there and `force` is not set, has another suffix than .toml, or cannot be written.
     """
     if file.suffix != ".toml":
         raise InputError(f"{file}: a scene file ends in .toml")
     try:
-        with file.open("x", encoding="utf-8") as new:
+        with file.open("w" if force else "x", encoding="utf-8") as new:
             new.write(text)
     except FileExistsError:
-        raise InputError(f"{file}: exists already; choose another name") from None
+        raise InputError(f"{file}: exists already; choose another name, or --force writes over it") from None
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror}); choose another place") from None
 

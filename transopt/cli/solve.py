@@ -61,7 +61,9 @@ def solve(
         typer.Option(help="Add nodes until a blend between them is this close to the optimum; 0.02: 2 %."),
     ] = None,
     grid_cap: Annotated[int, typer.Option(help="Most entries that --grid-tolerance may lead to.")] = 400,
-    figures: Annotated[bool, typer.Option(help="Draw transients, methods and Bode plots into the folder.")] = True,
+    figures: Annotated[
+        bool, typer.Option(help="Draw transients, methods, Bode plot and trade-off into the folder.")
+    ] = True,
 ) -> None:
     """Solve a scene: certified library of current transients, report, figures; the last line sums up.
 
@@ -181,6 +183,7 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
     from transopt.report.identified import model_warning, moving_target
     from transopt.report.tables import LEGEND, build_table, refinement_summary, refusal, summary, warnings
+    from transopt.report.taps import implausible_lines
 
     def line(text: str, style: str | None = None) -> None:
         console.print(text, style=style, highlight=False, soft_wrap=True)
@@ -197,6 +200,8 @@ def _print(console: "Console", build: "Build", written: str, unfit: str) -> None
     if build.refinement is not None:
         line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
     line(written)
+    for said in implausible_lines([tap for reference in build.references for tap in reference.taps]):
+        line(f'{said} (recordings.implausible = "accept")', "red")
     if unfit:
         line(f"{unfit} (--accept-unfit-model)", "red")
     line(summary(build), "red" if build.refused else None)

@@ -189,7 +189,7 @@ def run(request: Request, scene: str) -> int:
 
 def _command() -> str:
     """What was typed."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    return shlex.join(["transopt", *sys.argv[1:]])
 
 
 def _vary(request: Request, plan: "Plan", pool: "Pool") -> int:

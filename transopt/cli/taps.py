@@ -37,15 +37,19 @@ def taps(
         Path | None,
         typer.Option(metavar="FILE.toml", help="Write a scene of these recordings and the built-in device."),
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="With --scene: write over a file of that name.")] = False,
 ) -> None:
-    """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping."""
+    """Look at recordings before solving: rate, onset, offset, polarity, speed, peak, clipping.
+
+    Exit 1: a recording cannot be a tap in the units that are stated; the line says which to check.
+    """
     from pydantic import ValidationError
 
     from transopt.cli.scene import write_new
     from transopt.recordings.names import stated_units
     from transopt.recordings.settings import Recordings
-    from transopt.recordings.tap import prepare, read_recordings
-    from transopt.report.taps import scene_lines, scene_of_taps, taps_table
+    from transopt.recordings.tap import check_speed, prepare, read_recordings
+    from transopt.report.taps import implausible_lines, scene_lines, scene_of_taps, taps_table
     from transopt.scene.builtin import scene_path
 
     try:
@@ -62,8 +66,7 @@ def taps(
         )
     except ValidationError as error:
         raise InputError(_refusal(error)) from None
-    recordings = read_recordings(settings)
-    prepared = [prepare(recording, settings, speed_needed=False) for recording in recordings]
+    prepared = [prepare(recording, settings) for recording in read_recordings(settings)]
     console = terminal.console()
     console.print(taps_table(prepared))
     if out is not None:
@@ -73,15 +76,23 @@ def taps(
         terminal.make_folder(out)
         save_figure(taps_figure(prepared), out / "taps.png")
         console.print(f"overlay: {out / 'taps.png'}")
-    for recording in recordings:
-        prepare(recording, settings)  # refuses one without a speed, which a scene needs
+    wrong = implausible_lines(prepared)
+    for line in wrong:
+        console.print(line, style="red", highlight=False, soft_wrap=True)
+    for one in prepared:
+        check_speed(one)  # a scene needs it
     if scene is not None:
         template = scene_path("own_taps").read_text(encoding="utf-8")
-        write_new(scene, scene_of_taps(template, prepared, files, settings, scene.parent))
-        typer.echo(f"{scene} written; next: transopt solve {shlex.quote(str(scene))}")
-        return
-    console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
-    typer.echo(scene_lines(prepared, files, settings))
+        write_new(scene, scene_of_taps(template, prepared, files, settings, scene.parent), force=force)
+        after = (
+            "solve refuses it until that is put right" if wrong else f"next: transopt solve {shlex.quote(str(scene))}"
+        )
+        typer.echo(f"{scene} written; {after}")
+    else:
+        console.print("\nLines for your scene (transopt scene new mine.toml --from own_taps):\n", style="bold")
+        typer.echo(scene_lines(prepared, files, settings))
+    if wrong:
+        raise typer.Exit(1)
 
 
 def _refusal(error: "ValidationError") -> str:

@@ -10,6 +10,7 @@ A unit is never guessed: 9.81 lies between the two that are usual for an acceler
 """
 
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 
 SKIPPED = "-"
+LONGEST_SHOWN = 300  # characters of all names together, which a message repeats
 # An unknown name that ends like this is more likely a misspelt quantity than something of the user's own.
 UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORECASE)
 _WITH_UNIT = re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>[^\[\](){}]*)[\])}]|/\s*(?P<behind>\S+))")
@@ -154,9 +156,14 @@ def _quantity(base: str, words: Vocabulary) -> str | None:
     return next(named, None)
 
 
+def _quantity_of(name: str, words: Vocabulary) -> str | None:
+    """The quantity that a column means by its name, with or without a unit; None if none."""
+    return words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+
+
 def looks_known(name: str, words: Vocabulary) -> bool:
     """Whether a name means a quantity, with or without its unit."""
-    return name in words.columns or _quantity(_apart(name)[0], words) is not None
+    return _quantity_of(name, words) is not None
 
 
 def stated_for(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
@@ -184,22 +191,26 @@ def _lacks_unit(name: str, words: Vocabulary, units: Mapping[str, str]) -> bool:
     return name not in words.columns and quantity is not None and _stated_unit(name, quantity, units) is None
 
 
-def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> tuple[str, float]:
+def meaning(name: str, words: Vocabulary, units: Mapping[str, str], names: Sequence[str]) -> tuple[str, float]:
     """Quantity and factor to SI of a column.
 
     Parameters
     ----------
     units : as a user states them, see `Layout`; they take the place of the unit in the file.
+    names : of all columns, in order, for the message that says how to skip this one.
 
     Raises
     ------
     InputError : a name that means nothing here, or a unit that is none of the quantity.
     """
-    quantity = words.columns[name][0] if name in words.columns else _quantity(_apart(name)[0], words)
+    quantity = _quantity_of(name, words)
     if quantity is None:
         known = ", ".join(words.columns)
         usual = "time [s], acc [g] and the like"
-        remedy = 'rename it, or name all columns (--columns, recordings.columns; "-" skips one)'
+        kept = "time_s,-,..."
+        if sum(map(len, names)) < LONGEST_SHOWN:
+            kept = ",".join(SKIPPED if _quantity_of(each, words) is None else each for each in names)
+        remedy = f"rename it, or skip it: --columns {shlex.quote(kept)} (in a scene recordings.columns)"
         raise InputError(f"unknown column {quote(name)}; known: {known}, or {usual}; {remedy}")
     unit = _stated_unit(name, quantity, units)
     if unit is None and name in words.columns:
@@ -207,7 +218,10 @@ def meaning(name: str, words: Vocabulary, units: Mapping[str, str]) -> tuple[str
     factor = UNITS[quantity].get(_plain(unit or ""))
     if factor is None:
         known = ", ".join(UNITS[quantity])
-        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}")
+        hint = (
+            "; divide a sensor's voltage by its sensitivity first" if _plain(unit or "") in UNITS["voltage"] else ""
+        )
+        raise InputError(f"column {quote(name)}: {quote(unit or '')} is no unit of {quantity}; known: {known}{hint}")
     return quantity, factor
 
 
@@ -237,7 +251,7 @@ def meanings(
             f"example --units {','.join(stated)} (in a scene recordings.units = {{ {in_scene} }}); known: {known}"
         )
     for name in used:
-        said[name] = meaning(name, words, units)
+        said[name] = meaning(name, words, units, names)
         if found and name not in found:
             raise InputError(f"no variable {name}; found: {present}; correct the name")
     for quantity in words.quantities:

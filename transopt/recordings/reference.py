@@ -19,7 +19,7 @@ from transopt.plant.discretise import TimeGrid
 from transopt.problem.objective.target import Target
 from transopt.recordings.recording import Recording
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import PreparedTap, prepare
+from transopt.recordings.tap import PreparedTap, check_usable, prepare
 
 ALIGNMENT_S = 1e-3  # repeats are shifted against each other by at most this
 SETTLING_S = 20e-3  # the filters start this long before contact
@@ -228,11 +228,13 @@ def assign(
 
     Raises
     ------
-    InputError : a tap too far from every grid speed; a grid speed without a tap.
+    InputError : a tap of unknown speed or in implausible units (`check_usable`), or too far from every grid speed;
+        a grid speed without a tap.
     """
     nodes = np.asarray(speeds_m_s, dtype=float)
     groups: list[list[tuple[PreparedTap, float]]] = [[] for _ in nodes]
     for tap in taps:
+        check_usable(tap, settings)
         if np.isnan(tap.speed_m_s):
             for group, node in zip(groups, nodes, strict=True):
                 group.append((tap, float(node)))

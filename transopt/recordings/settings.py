@@ -54,6 +54,7 @@ class Recordings(Section):
     speed_tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.15
     time_scale: Annotated[float, Field(ge=1e-3, le=1e3)] = 1.0
     amplitude_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | Literal["to_grid_speed"] = 1.0
+    implausible: Literal["refuse", "accept"] = "refuse"  # see `transopt.recordings.plausible`
     simulated: SimulatedTaps | None = None
 
     def layout(self) -> Layout:

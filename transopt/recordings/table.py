@@ -27,6 +27,7 @@ _MISSING = 0.01  # of all samples: so many may be missing and are interpolated
 _IN_A_ROW = 1  # missing samples, beyond which a spline invents what it should interpolate
 _JITTER = 0.35  # steps, rms: beyond it nobody knows when the samples were taken
 _BESIDE = 8  # stamps on either side of a long step that say whether a row was lost
+_DISORDER = 0.1  # of all steps: with so many that go back, it is no time at all
 _TINY = 1e-300
 _NEIGHBOURS = 21  # stamps that a stamp is compared with
 
@@ -166,10 +167,12 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
     at = int(np.argmax(steps <= 0))
     if steps[at] <= 0:
         order = f"time {times[at + 1]:.15g} s does not increase, before it {times[at]:.15g} s"
-        raise InputError(f"{place(at + 1)}: {order}; sort the rows and remove repeated ones")
+        many = np.count_nonzero(steps <= 0) > _DISORDER * steps.size
+        remedy = "is another column the time's?" if many else "sort the rows and remove repeated ones"
+        raise InputError(f"{place(at + 1)}: {order}; {remedy}")
     low, high = step_range_s
     if not low <= median <= high:
-        limit = f"must be {low:g} to {high:g} s; is time in the unit its name states?"
+        limit = f"must be {low:g} to {high:g} s: check the unit of the time"
         raise InputError(f"median time step {median:g} s: {limit}")
     periods = _periods(times, median)
     at = int(np.argmax(periods > 1 + _IN_A_ROW))

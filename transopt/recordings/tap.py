@@ -16,17 +16,17 @@ import scipy
 from transopt.base.errors import InputError
 from transopt.base.files import is_file
 from transopt.base.shown import brief
-from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray, Signal, highpass, lowpass
+from transopt.base.signals import FloatArray, Signal, highpass, lowpass
 from transopt.base.sizes import MOST_FILES
+from transopt.recordings.plausible import HAND_M_S, implausible_motion, implausible_time
 from transopt.recordings.recording import Recording, load_recording
 from transopt.recordings.settings import Recordings
+from transopt.recordings.speed import FITTED, UNKNOWN, incoming_speed
 from transopt.recordings.split import split
 
-UNKNOWN = "unknown"  # source of a speed that nobody knows
 BASELINE_GUARD_S = 1e-3  # of the recording's own time, kept free before the onset
 AT_THE_START_S = 0.5e-3  # before an onset, and there is no record of what it rose from
 BASELINE_SAMPLES = 8  # fewer are no baseline
-SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
 LEAST_PEAK_TO_NOISE = 6.0  # below it nothing stands out
 CLEAR_PEAK_TO_NOISE = 20.0  # below it noise alone may pass the 30 % of the peak by which the onset is found
 TOE_SHARE = 1e-4  # of a pulse's energy before the onset, 1 % of NRMSE: contact is then put where the pulse begins
@@ -78,7 +78,11 @@ def read_recordings(settings: Recordings) -> list[Recording]:
     found = []
     for path in paths:
         whole = load_recording(path, settings.layout())
-        for recording in [whole] if settings.onset_s != "auto" else split(whole, settings.taps_by_file):
+        # In times of a wrong unit every ripple would be a tap.
+        entire = settings.onset_s != "auto" or (
+            settings.implausible == "refuse" and implausible_time(whole.acceleration)
+        )
+        for recording in [whole] if entire else split(whole, settings.taps_by_file):
             stated = settings.speed_m_s if recording.speed_m_s is None else recording.speed_m_s
             grip = settings.grip_N if recording.grip_N is None else recording.grip_N
             speed = by_file.get(recording.name, by_file.get(path.name, stated))
@@ -111,6 +115,7 @@ class PreparedTap:
     amplitude : similarity factor that `acceleration` has been multiplied by.
     clipped_samples : samples that sit at the sensor's end stop.
     notes : what a user should know about this recording, one sentence each.
+    implausible : why it cannot be a tap in the units that are stated; empty if it can, and where it was simulated.
     """
 
     recording: Recording
@@ -124,6 +129,7 @@ class PreparedTap:
     amplitude: float
     clipped_samples: int
     notes: tuple[str, ...]
+    implausible: str
 
     __repr__ = brief
 
@@ -222,35 +228,6 @@ def _clipped(values: FloatArray, offset: float) -> int:
     return count
 
 
-def _speed(recording: Recording, onset_s: float, *, needed: bool) -> tuple[float, str]:
-    """Incoming speed [m/s] and its source."""
-    if recording.speed_m_s is not None:
-        return recording.speed_m_s, "stated"
-    if recording.position is None and not needed:
-        return float("nan"), UNKNOWN
-    if recording.position is None:
-        raise InputError(
-            f"{recording.name}: no incoming speed: state it in the file (`# speed_m_s: ...`), record a position_m "
-            f'column, or name it: recordings.speed_by_file_m_s = {{ "{recording.name}" = 0.2 }} (`transopt taps`: '
-            "--speed 0.2)"
-        )
-    t, z = recording.position.times_s, recording.position.values
-    before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
-    if np.count_nonzero(before) < BASELINE_SAMPLES:
-        raise InputError(
-            f"{recording.name}: position_m has {np.count_nonzero(before)} samples in the {SPEED_FIT_S * 1e3:g} ms "
-            f"before contact, {BASELINE_SAMPLES} needed to fit the speed: state `# speed_m_s: ...`"
-        )
-    fit = np.polynomial.Polynomial.fit(t[before], z[before], 2)
-    speed = -float(fit.deriv()(onset_s))
-    if not speed > 0:
-        raise InputError(
-            f"{recording.name}: speed fitted from position_m = {speed:g} m/s: must be > 0 (z is positive out of "
-            "the object): check the sign of position_m or state `# speed_m_s: ...`"
-        )
-    return speed, "position"
-
-
 def _noise(x: Signal) -> float:
     """Size (rms) of the white noise in a recording, from its steps: the tap itself is smooth and adds little."""
     return float(scipy.stats.median_abs_deviation(np.diff(x.values), scale="normal") / np.sqrt(2))
@@ -261,25 +238,21 @@ def _doubts(raw: Signal, speed_m_s: float, peak_m_s2: float, noise_m_s2: float) 
     notes = []
     if peak_m_s2 < CLEAR_PEAK_TO_NOISE * noise_m_s2:
         notes.append(f"peak is only {peak_m_s2 / noise_m_s2:.1f} times the noise: the onset may be wrong")
-    if speed_m_s > 3:
+    if speed_m_s > HAND_M_S[1]:
         notes.append(f"{speed_m_s:g} m/s is faster than a hand taps: check the unit of the speed")
-    if not np.isnan(speed_m_s) and not 0.2 <= peak_m_s2 / STANDARD_GRAVITY_M_S2 <= 200:
-        notes.append("peak is far from a tap's 0.5 to 100 g: check the unit of the acceleration")
     if raw.rate_Hz < 2000:
         notes.append(f"sampled at {raw.rate_Hz:.0f} Hz: what a tap has above {raw.rate_Hz / 2:.0f} Hz is missing")
     return notes
 
 
-def prepare(recording: Recording, settings: Recordings, *, speed_needed: bool = True) -> PreparedTap:
+def prepare(recording: Recording, settings: Recordings) -> PreparedTap:
     """Offset, polarity, onset, speed, similarity scaling and low-pass of one recording.
 
-    Parameters
-    ----------
-    speed_needed : whether a recording of unknown speed is refused; else its speed is NaN and its source `UNKNOWN`.
+    What nobody states and no position tells has the speed NaN and the source `UNKNOWN`; `check_usable` refuses it.
 
     Raises
     ------
-    InputError : no way to know the speed, or no tap in the recording.
+    InputError : no tap in the recording, or a position that no speed can be fitted to.
     """
     raw = recording.acceleration
     offset, notes = _offset(raw, settings)
@@ -308,7 +281,19 @@ def prepare(recording: Recording, settings: Recordings, *, speed_needed: bool = 
             more.append(f"{found} recordings.onset_s, of which only the waveform's lead is played: state it earlier")
     if settings.onset_s == "auto" and onset - upright.start_s < AT_THE_START_S:
         more.append("the contact is at the start of the file (a trigger without pre-roll): what came before is lost")
-    speed, source = _speed(recording, onset, needed=speed_needed)
+    doubtful = "" if settings.simulated else implausible_time(raw)
+    try:
+        speed, source, unsure = incoming_speed(recording, onset)
+    except InputError:
+        if doubtful:  # a speed cannot be fitted over times of a wrong unit, and that is what has to be said
+            raise InputError(f"{recording.name}: {doubtful}") from None
+        raise
+    more += unsure
+    if not (settings.simulated or doubtful):
+        # Where no baseline gave the offset, the signal holds gravity, which the median takes out.
+        rest = float(np.median(upright.values)) if notes else 0.0
+        freed = replace(upright, values=upright.values - rest)
+        doubtful = implausible_motion(freed, onset, speed, settings, fitted=source == FITTED)
     clipped = _clipped(raw.values, offset)
     if clipped:
         more.append(f"{clipped} samples at the end stop: the true peak is higher; use a sensor of larger range")
@@ -316,7 +301,9 @@ def prepare(recording: Recording, settings: Recordings, *, speed_needed: bool = 
     stretch = settings.time_scale
     if settings.amplitude_scale == "to_grid_speed":
         # Linear contact: time stretches by s, acceleration scales by v' / (v s); v' follows at each grid speed.
-        factor, speed, source = 1 / (speed * stretch), float("nan"), f"{source}, scaled to every grid speed"
+        if source != UNKNOWN:
+            source += ", scaled to every grid speed"
+        factor, speed = 1 / (speed * stretch), float("nan")
     else:
         factor = settings.amplitude_scale
         if (stretch, factor) != (1.0, 1.0):
@@ -338,4 +325,34 @@ def prepare(recording: Recording, settings: Recordings, *, speed_needed: bool = 
         factor,
         clipped,
         (*recording.notes, *notes, *more),
+        doubtful,
     )
+
+
+def check_speed(tap: PreparedTap) -> None:
+    """Refuse a tap whose speed nobody knows.
+
+    Raises
+    ------
+    InputError : it is such a one.
+    """
+    if tap.speed_source == UNKNOWN:
+        name = tap.recording.name
+        raise InputError(
+            f"{name}: no incoming speed: state it in the file (`# speed_m_s: ...`), record a position_m "
+            f'column, or name it: recordings.speed_by_file_m_s = {{ "{name}" = 0.2 }} (`transopt taps`: '
+            "--speed 0.2)"
+        )
+
+
+def check_usable(tap: PreparedTap, settings: Recordings) -> None:
+    """Refuse a tap that no library should be made from: of unknown speed, or implausible unless that is accepted.
+
+    Raises
+    ------
+    InputError : it is such a one.
+    """
+    check_speed(tap)
+    if tap.implausible and settings.implausible == "refuse":
+        accept = 'if it is right as it is, state recordings.implausible = "accept" in the scene'
+        raise InputError(f"{tap.recording.name}: {tap.implausible}; `transopt taps` shows more; {accept}")

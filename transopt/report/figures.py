@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from transopt.base.plotting import CLIPPED, LABEL_PT, OPTIMUM, SEED, SMALL_PT, colours, plain, style
-from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.figures import QUIET, grip_label, legend_above
 from transopt.library.library import Library
 from transopt.plant.state_space import StateSpace
@@ -71,9 +72,39 @@ def _methods(build: "Build") -> list[_Method]:
     ]
 
 
-def _entry_label(entry: "Entry", separator: str) -> str:
-    refused = [] if entry.status is Status.OPTIMAL else ["refused"]
-    return separator.join([f"{entry.speed_m_s:g} m/s", f"{entry.grip_N:g} N", *refused])
+def _refused(entry: "Entry") -> list[str]:
+    return [] if entry.status is Status.OPTIMAL else ["refused"]
+
+
+def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> None:
+    """The grip below each entry and its speed below each stripe; above, the NRMSE of the optimum.
+
+    Many entries are turned, each with speed and grip of its own.
+    """
+    entries, positions = list(build.all_entries()), np.arange(optimum_percent.size)
+    crowded = len(entries) > 20
+    rotation = 90 if crowded else 0
+    if crowded:
+        labels = [", ".join([f"{e.speed_m_s:g} m/s", f"{e.grip_N:g} N", *_refused(e)]) for e in entries]
+    else:
+        labels = ["\n".join([f"{e.grip_N:g} N", *_refused(e)]) for e in entries]
+        below = axes.secondary_xaxis("bottom")
+        below.set_xticks(_middles(build), [f"{group[0].speed_m_s:g} m/s" for group in build.entries])
+        lines = 1 + max(label.count("\n") for label in labels)
+        below.tick_params(length=0, pad=6 + 1.4 * lines * SMALL_PT, labelsize=SMALL_PT)
+        below.spines["bottom"].set_visible(False)
+    axes.set_xticks(positions, labels, rotation=rotation, fontsize=SMALL_PT)
+    above = axes.secondary_xaxis("top")
+    numbers = [f"{value:#.3g}".rstrip(".") for value in optimum_percent]
+    above.set_xticks(positions, numbers, rotation=rotation, fontsize=SMALL_PT)
+    above.tick_params(length=0)
+    above.set_xlabel("NRMSE of the optimum [%]", fontsize=LABEL_PT)
+
+
+def _middles(build: "Build") -> FloatArray:
+    """(number of speeds,) where the stripe of each speed has its middle."""
+    sizes = np.array([len(group) for group in build.entries])
+    return np.asarray(np.cumsum(sizes) - 0.5 - 0.5 * sizes)
 
 
 def method_figure(build: "Build") -> Figure:
@@ -89,7 +120,6 @@ def method_figure(build: "Build") -> Figure:
     shown = shown[np.isfinite(shown) & (shown > 0)]
     bottom, top = 0.7 * float(shown.min()), 1.5 * float(shown.max())
 
-    crowded = len(entries) > 20
     figure = Figure(figsize=(float(np.clip(1.5 + 0.48 * len(entries), 5.0, 16.0)), 4.6), layout="constrained")
     axes = figure.subplots()
     style(axes)
@@ -116,19 +146,11 @@ def method_figure(build: "Build") -> Figure:
     axes.set_xlim(-0.5, len(entries) - 0.5)
     if len(entries) > MOST_LABELLED:
         # One label for each speed, and what stands in its stripe.
-        middles = np.cumsum([len(group) for group in build.entries]) - 0.5 - 0.5 * len(build.entries[0])
-        axes.set_xticks(middles, [f"{group[0].speed_m_s:.3g}" for group in build.entries], fontsize=SMALL_PT)
+        axes.set_xticks(_middles(build), [f"{group[0].speed_m_s:.3g}" for group in build.entries], fontsize=SMALL_PT)
         grips = [entry.grip_N for entry in build.entries[0]]
         axes.set_xlabel(f"speed [m/s], grips {grips[0]:g} to {grips[-1]:g} N in each stripe", fontsize=LABEL_PT)
     else:
-        rotation = 90 if crowded else 0
-        labels = [_entry_label(entry, ", " if crowded else "\n") for entry in entries]
-        axes.set_xticks(positions, labels, rotation=rotation, fontsize=SMALL_PT)
-        above = axes.secondary_xaxis("top")
-        numbers = [f"{value:#.3g}".rstrip(".") for value in percent[0]]
-        above.set_xticks(positions, numbers, rotation=rotation, fontsize=SMALL_PT)
-        above.tick_params(length=0)
-        above.set_xlabel("NRMSE of the optimum [%]", fontsize=LABEL_PT)
+        _label_entries(axes, build, percent[0])
 
     handles, _ = axes.get_legend_handles_labels()
     legend_above(figure, handles, entry_in=1.8)

@@ -89,7 +89,8 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
             f"{r.raw_m_s2.max() / STANDARD_GRAVITY_M_S2:.2f} | {sources} |"
         )
     notes = {f"{tap.recording.name}: {note}" for r in references for tap in r.taps for note in tap.notes}
-    shown = sorted(notes)
+    doubts = {f"**{tap.recording.name}: {tap.implausible}**" for r in references for tap in r.taps if tap.implausible}
+    shown = [*sorted(doubts), *sorted(notes)]
     more = [f"- and {len(shown) - 10} more"] if shown[10:] else []
     if derived:
         rule = "r = v ((1 - w) r_1 / v_1 + w r_2 / v_2), w = (v - v_1) / (v_2 - v_1)"

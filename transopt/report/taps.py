@@ -12,8 +12,10 @@ from rich.table import Table
 
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.recordings.settings import Recordings
-from transopt.recordings.tap import UNKNOWN, PreparedTap
+from transopt.recordings.speed import UNKNOWN
+from transopt.recordings.tap import PreparedTap
 
+MOST_LINES = 3  # of one kind; a whole folder is wrong in the same way
 CLUSTER_WIDTH = 0.1  # relative; well within the 15 % by which a tap may be scaled to its grid speed
 
 
@@ -50,6 +52,13 @@ def taps_table(taps: Sequence[PreparedTap]) -> Table:
             "; ".join(tap.notes) or "-",
         )
     return table
+
+
+def implausible_lines(taps: Sequence[PreparedTap]) -> list[str]:
+    """What cannot be a tap in the units that are stated: the first few in a line each, then how many more."""
+    found = list(dict.fromkeys(f"{tap.recording.name}: {tap.implausible}" for tap in taps if tap.implausible))
+    more = len(found) - MOST_LINES
+    return [*found[:MOST_LINES], *([f"and {more} recordings more"] if more > 0 else [])]
 
 
 def _speed_cell(tap: PreparedTap) -> str:

@@ -22,6 +22,7 @@ from transopt.study.rows import OPTIMAL, Row, number
 MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
 MOST_WRITTEN = 80  # cells of a heat map with their figures written in
 LEAST_PERCENT = 0.1
+MANY_TICKS = 30.0  # ratio of the largest to the smallest value, beyond which 1, 2, 5 of each decade collide
 DASHES = ("-", "--", ":", "-.")
 
 
@@ -52,9 +53,11 @@ def _prepared(axes: Axes, axis: Axis) -> FloatArray:
     if not axis.numeric:
         axes.set_xticks(range(len(axis.labels)), axis.labels, rotation=30, ha="right")
         return np.arange(len(axis.labels), dtype=float)
+    values = np.array(axis.values, dtype=float)
     if _logarithmic(axis):
         percent_axis(axes, x=True)
-    values = np.array(axis.values, dtype=float)
+        if values.max() > MANY_TICKS * values.min():
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     if unit_of(axis.key) == "s" and values.max() < 0.1:
         axes.set_xlabel(f"{axis.key} [ms]", fontsize=LABEL_PT)
         values = 1e3 * values

@@ -35,6 +35,15 @@ def test_help_once(line: str, code: int, terminal: Terminal) -> None:
     assert (outcome.out + outcome.err).count("Usage:") == 1
 
 
+@pytest.mark.parametrize(("module", "name"), [("transopt", "transopt"), ("controller", "transopt-play")])
+def test_python_runs_them_as_modules(module: str, name: str) -> None:
+    """As one does where the folder of commands is not on the path; usage and errors name the command all the same."""
+    line = [sys.executable, "-m", module, "--nosuch"]
+    done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == f"error: --nosuch: no such option; `{name} --help` lists what there is\n"
+
+
 def test_the_version(terminal: Terminal) -> None:
     outcome = terminal("transopt", "--version")
     assert outcome.code == 0

@@ -61,11 +61,50 @@ class TestTaps:
         Path("impact.txt").write_text(f"# time, acceleration\n{rows}\n")
         assert_refused(run("taps", "impact.txt"), "impact.txt", "columns")
         columns = ("--columns", "time_s,acceleration_g")
-        assert_refused(run("taps", "impact.txt", *columns), "no incoming speed")
+        refused = run("taps", "impact.txt", *columns)
+        assert (refused.code, refused.err.count("\n")) == (2, 1)
+        assert "no incoming speed" in refused.err
         outcome = run("taps", "impact.txt", *columns, "--speed", 1.0, "--time-scale", 10, "--amplitude-scale", 0.02)
         assert outcome.code == 0
         assert "similarity-scaled" in outcome.out
         assert "time_scale = 10.0" in outcome.out
+
+    def test_a_wrong_unit_is_named_and_not_solved_unless_accepted(self, run: Run) -> None:
+        for number, file in enumerate(sorted(EXAMPLES.glob("*.csv"))):
+            text = file.read_text().replace("acceleration_g", "acceleration_m_s2")
+            Path(f"tap_{number}.csv").write_text(text)
+        files = sorted(Path().glob("tap_*.csv"))
+        outcome = run("taps", *files, "--scene", "mine.toml")
+        assert outcome.code == 1
+        assert outcome.out.count("check the unit of the acceleration (g called m/s^2?)") == 3
+        assert outcome.out.endswith("mine.toml written; solve refuses it until that is put right\n")
+        assert_refused(run("solve", "mine.toml"), "tap_0.csv", "of the acceleration", 'implausible = "accept"')
+        text = Path("mine.toml").read_text().replace("[recordings]", '[recordings]\nimplausible = "accept"')
+        Path("mine.toml").write_text(text.replace("[1.0, 3.0, 5.0]", "[3.0]"))
+        outcome = run("solve", "mine.toml", "--out", "mine")
+        assert outcome.code == 0
+        assert '(g called m/s^2?), or of the speed (recordings.implausible = "accept")' in outcome.out
+        assert "**tap_0.csv: the pulse changes the speed" in Path("mine/report.md").read_text()
+        assert run("taps", *files, "--units", "acceleration=g", "--scene", "mine.toml", "--force").code == 0
+        assert 'units = { "acceleration" = "g" }' in Path("mine.toml").read_text()
+
+    def test_many_files_of_one_fault_are_a_few_lines(self, run: Run) -> None:
+        text = (EXAMPLES / "tap_0.2_m_s.csv").read_text().replace("acceleration_g", "acceleration_m_s2")
+        for number in range(5):
+            Path(f"tap_{number}.csv").write_text(text)
+        outcome = run("taps", *sorted(Path().glob("tap_*.csv")))
+        assert outcome.out.count("check the unit") == 3
+        assert "and 2 recordings more" in outcome.out
+
+    def test_times_of_a_wrong_unit_are_named_before_what_follows_from_them(self, run: Run) -> None:
+        """Nothing is split into ripples, and no position is asked for."""
+        text = (EXAMPLES / "tap_0.2_m_s.csv").read_text().replace("time_s", "time_ms")
+        Path("tap.csv").write_text(text.replace("# speed_m_s: 0.2090\n", ""))
+        assert_refused(run("taps", "tap.csv"), "tap.csv: the pulse lasts 0.00", "unit of the time (s called ms?)")
+        rows = "\n".join(f"{0.02 * k:.6f},{100 * np.exp(-(((k - 300) / 60) ** 2)):.4f}" for k in range(1500))
+        Path("impact.csv").write_text(f"time_s,acceleration_g\n{rows}\n")
+        outcome = run("taps", "impact.csv", "--speed", 1.0)
+        assert outcome.out.count("check the unit of the time (ms called s?)") == 1
 
     def test_refusals(self, run: Run) -> None:
         assert_refused(run("taps", "absent.csv"), "absent.csv")

@@ -83,6 +83,7 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
     ("header", "options", "words"),
     [
         ("time [s],a [furlong]", {}, "column 'a [furlong]': 'furlong' is no unit of acceleration; known: m/s^2"),
+        ("time [s],a [mV]", {}, "column 'a [mV]': 'mV' is no unit of acceleration; known: m/s^2"),
         ("time [s],Temp [C]", {}, "unknown column 'Temp [C]'; known: time_s"),
         ("time [s],a [g]", {"units": {"accel": "g"}}, "--units accel: no column of that name; the file has"),
         ("time [s],acc", {"units": {"acc": "g", "time": "V"}}, "column 'time [s]': 'V' is no unit of time"),
@@ -91,6 +92,24 @@ def test_variables_that_are_given_units(tmp_path: Path, pack: object) -> None:
 )
 def test_names_and_units_that_cannot_be(tmp_path: Path, header: str, options: dict[str, object], words: str) -> None:
     assert refusal(tmp_path, f"{header}\n{IN_G}", **options).startswith(words)
+
+
+def test_the_refusal_of_a_column_of_ones_own_says_how_to_skip_it(tmp_path: Path) -> None:
+    rows = [line.replace(",", ",21.5,") for line in IN_G.splitlines()]
+    content = "\n".join(["time [s],temperature,acc [g]", *rows])
+    said = refusal(tmp_path, content)
+    assert "--columns 'time [s],-,acc [g]'" in said
+    columns = said.partition("--columns '")[2].partition("'")[0].split(",")
+    np.testing.assert_allclose(load(tmp_path, content, columns=columns).acceleration.values, TAP_M_S2, atol=1e-6)
+
+
+def test_columns_in_the_wrong_order(tmp_path: Path) -> None:
+    """A time that goes back all the while is none; one that goes back once has rows out of order."""
+    swapped = "\n".join(",".join(reversed(line.split(","))) for line in IN_G.splitlines())
+    assert "is another column the time's?" in refusal(tmp_path, f"time [s],acc [g]\n{swapped}")
+    rows = IN_G.splitlines()
+    rows[20], rows[21] = rows[21], rows[20]
+    assert "sort the rows" in refusal(tmp_path, "\n".join(["time [s],acc [g]", *rows]))
 
 
 def test_a_stated_unit_goes_before_that_of_the_file(tmp_path: Path) -> None:

@@ -228,4 +228,4 @@ def test_time_that_does_not_increase(tmp_path: Path) -> None:
 @pytest.mark.parametrize("factor", [1e4, 1e-7])
 def test_time_in_the_wrong_unit(tmp_path: Path, factor: float) -> None:
     message = refusal(tmp_path, csv(factor * TIMES_S))
-    assert f"median time step {factor * DT_S:g} s: must be 1e-09 to 0.05 s; is time in the unit" in message
+    assert f"median time step {factor * DT_S:g} s: must be 1e-09 to 0.05 s: check the unit of the time" in message

@@ -94,7 +94,7 @@ class TestPrepare:
 
     def test_no_speed_is_refused(self) -> None:
         with pytest.raises(InputError, match=r"tap: no incoming speed: state it in the file \(`# speed_m_s"):
-            prepare(pulse(speed=None), SETTINGS)
+            assign([prepare(pulse(speed=None), SETTINGS)], [0.2], SETTINGS)
 
     def test_receding_position_is_refused(self) -> None:
         away = Signal(0.0, 1e-4, 0.1 * np.arange(800) * 1e-4)
@@ -113,7 +113,6 @@ class TestPrepare:
         ("recording", "doubt"),
         [
             (pulse(height=50.0, speed=20.0), "faster than a hand taps"),
-            (pulse(height=0.5), "check the unit of the acceleration"),
             (pulse(rate_Hz=500.0, duration_s=0.2), "sampled at 500 Hz"),
         ],
     )
@@ -171,12 +170,12 @@ class TestPrepare:
 
     def test_to_grid_speed_makes_the_velocity_change_match(self) -> None:
         settings = SETTINGS.model_copy(update={"time_scale": 10.0, "amplitude_scale": "to_grid_speed"})
-        tap = prepare(pulse(rate_Hz=50e3, speed=1.0), settings)
+        tap = prepare(pulse(rate_Hz=50e3, speed=0.2), settings)
         groups = assign([tap], [0.1, 0.4], settings)
         assert [factor for ((_, factor),) in groups] == [0.1, 0.4]
         plain = pulse(rate_Hz=50e3).acceleration
         change = 0.4 * tap.acceleration.values.sum() * tap.acceleration.dt_s
-        assert change == pytest.approx(0.4 / 1.0 * plain.values.sum() * plain.dt_s, rel=1e-3)
+        assert change == pytest.approx(0.4 / 0.2 * plain.values.sum() * plain.dt_s, rel=1e-3)
 
 
 class TestAssign:

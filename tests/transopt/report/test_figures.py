@@ -11,6 +11,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 from tests.benches.libraries import resized
 from transopt.base.signals import STANDARD_GRAVITY_M_S2 as G
@@ -45,6 +46,16 @@ def shaded(axes: Axes) -> list[tuple[float, float]]:
     """Horizontal extents of the shaded spans [ms]."""
     spans = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
     return [(span.get_x(), span.get_x() + span.get_width()) for span in spans]
+
+
+def stripes(axes: Axes) -> list[str]:
+    """The labels below the stripes of the methods."""
+    return [label.get_text() for label in axes.child_axes[0].get_xticklabels()]
+
+
+def assert_apart(labels: list[Text]) -> None:
+    boxes = [label.get_window_extent() for label in labels]
+    assert not any(a.overlaps(b) for a, b in pairwise(boxes))
 
 
 def assert_nothing_clipped(figure: Figure) -> None:
@@ -179,11 +190,12 @@ class TestMethods:
         for name, shares in wanted.items():
             np.testing.assert_allclose(drawn[name], 100 * np.asarray(shares), err_msg=name)
         labels = [label.get_text() for label in axes.get_xticklabels()]
-        assert labels[::11] == ["0.1 m/s\n1 N", "0.4 m/s\n5 N"]
+        assert labels[::11] == ["1 N", "5 N"]
+        assert stripes(axes) == ["0.1 m/s", "0.2 m/s", "0.3 m/s", "0.4 m/s"]
 
     def test_refused_entries_are_marked_and_what_is_unknown_is_left_out(self, build: Build) -> None:
         refused = method_figure(with_entry(build, status=Status.NOT_CERTIFIED))
-        assert refused.axes[0].get_xticklabels()[0].get_text() == "0.1 m/s\n1 N\nrefused"
+        assert refused.axes[0].get_xticklabels()[0].get_text() == "1 N\nrefused"
         unknown = [[replace(entry, repeatability=float("nan")) for entry in row] for row in build.entries]
         figure = method_figure(replace(build, entries=unknown))
         assert "repeatability of the taps" not in legend_texts(figure)
@@ -208,8 +220,21 @@ class TestMethods:
     def test_any_number_of_entries_fits_on_the_paper(self, build: Build, speeds: int, grips: int) -> None:
         figure = method_figure(of_size(build, speeds, grips))
         assert_nothing_clipped(figure)
-        boxes = [label.get_window_extent() for label in figure.axes[0].get_xticklabels()]
-        assert not any(a.overlaps(b) for a, b in pairwise(boxes))
+        assert_apart(figure.axes[0].get_xticklabels())
+
+    def test_speeds_of_many_digits_do_not_collide(self, build: Build) -> None:
+        """Of a single grip, whose stripes are as narrow as an entry, and of three."""
+        for grips in (1, 3):
+            long = [[replace(e, speed_m_s=e.speed_m_s + 0.0034) for e in row[:grips]] for row in build.entries]
+            figure = method_figure(replace(build, entries=long))
+            assert_nothing_clipped(figure)
+            axes = figure.axes[0]
+            assert stripes(axes)[0] == "0.1034 m/s"
+            below = axes.child_axes[0].get_xticklabels()
+            assert_apart(below)
+            assert not any(
+                a.get_window_extent().overlaps(b.get_window_extent()) for a in below for b in axes.get_xticklabels()
+            )
 
 
 def test_bode_figure_is_the_response_in_g_per_ampere_and_degrees(library: Library, scene: Scene) -> None:

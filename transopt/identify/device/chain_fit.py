@@ -37,6 +37,7 @@ DECIMATION = 4
 SAME = 0.05  # sums of squares of the first stage that differ by less count as the same device
 EXPLAINED = 2.0  # mean square of the residuals below which no further start is tried
 UNKNOWN = 0.5  # standard deviation of a logarithm from which on a parameter counts as not identified
+VARIES = 4.0  # observed variance between trials over the noise's, from which on a hand is said to vary
 SIGNIFICANT = 5.0  # deviations of a nuisance from its nominal value that the records must show to keep it
 WHOLLY = 1.3  # mean square of the residuals up to which a fit leaves nothing unexplained
 BETTER = 4.0  # times smaller a misfit that nuisances leave behind, where they do not explain all of it
@@ -97,6 +98,7 @@ class ChainFit:
     coordinates : how the chain was sought; its unknowns are the first of `maximum`.
     maximum : all unknowns, those of `INSTRUMENT` last.
     grips_N : of the responses.
+    trials : of all held grips together.
     starts, agreeing : how many starts there were, and how many of them led to the best device.
     """
 
@@ -106,6 +108,7 @@ class ChainFit:
     coordinates: Coordinates
     maximum: Maximum
     grips_N: tuple[float, ...]
+    trials: int
     starts: int
     agreeing: int
 
@@ -118,6 +121,17 @@ class ChainFit:
     def covariance(self) -> FloatArray:
         """(size, size) of the chain's unknowns."""
         return self.maximum.covariance[: self.coordinates.size, : self.coordinates.size]
+
+    @property
+    def varying(self) -> NDArray[np.bool_]:
+        """(size,) unknowns of the hand that differ from trial to trial by more than noise makes them."""
+        of_hand = np.arange(self.coordinates.size) >= len(SHARED)
+        return np.asarray(of_hand & (self.maximum.between[: self.coordinates.size] > VARIES))
+
+    @property
+    def trials_to_an_end(self) -> float:
+        """How many trials tell of the hand at either of the two grips that it is stated at."""
+        return max(self.trials / max(len(self.coordinates.ends_N), 1), 1.0)
 
     @property
     def scatter(self) -> float:
@@ -452,10 +466,16 @@ def response_slopes(fit: ChainFit, grip_N: float, frequencies_Hz: FloatArray) ->
     return model(fit.maximum.unknowns, 0, frequencies_Hz)[1][: fit.coordinates.size, 0]
 
 
-def response_variance(fit: ChainFit, one: GripResponse) -> FloatArray:
-    """(m,) of the chain's acceleration over current at the bins of an estimate, E|.|^2 by the covariance."""
+def response_variance(fit: ChainFit, one: GripResponse) -> tuple[FloatArray, FloatArray]:
+    """(m,) of the chain's acceleration over current at the bins of an estimate, E|.|^2: of the fitted one against the
+    mean of what was recorded, and against the next tap's, whose hand is another one where hands were seen to vary."""
     slopes = response_slopes(fit, one.grip_N, one.estimate.frequencies_Hz)
-    return np.asarray(np.einsum("im,ij,jm->m", slopes.conj(), fit.covariance, slopes).real)
+    spread = np.sqrt(np.where(fit.varying, fit.trials_to_an_end, 1.0))
+    found = [
+        np.einsum("im,ij,jm->m", slopes.conj(), fit.covariance * np.outer(factor, factor), slopes).real
+        for factor in (np.ones(spread.size), spread)
+    ]
+    return np.asarray(found[0]), np.asarray(found[1])
 
 
 def _result(
@@ -483,6 +503,7 @@ def _result(
         coordinates=coordinates,
         maximum=found,
         grips_N=tuple(one.grip_N for one in measured),
+        trials=sum(one.data.normal.shape[0] for one in measured if one.grip_N > 0),
         starts=starts,
         agreeing=agreeing,
     )

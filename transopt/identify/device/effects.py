@@ -14,24 +14,26 @@ import numpy as np
 from scipy import fft
 
 from transopt.base.signals import FloatArray, Signal, highpass
-from transopt.identify.amplifier import simulate_current
+from transopt.identify.checks import JITTER_NOTED
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, response_slopes
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import felt_current
-from transopt.identify.device.validation import HIGHPASS_HZ, PADDING_S, Model, predict
+from transopt.identify.device.validation import PADDING_S, Model, predict
 from transopt.identify.measurement import Measurement
 from transopt.identify.spectrum import ComplexArray
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import AtUse, ModelError
 
+HIGHPASS_HZ = 25.0  # what is slower in a held hand is its tremor, and little of a tap
 QUIET = 0.02  # of the predicted peak: below, a record shows its noise alone
 LEAST_QUIET_S = 0.02
 ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
-EXPLAINS = 0.2  # of what was missed: a candidate that explains less is not named
+EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
 SLOW, PLAY = 0.02, 0.1  # of the largest speed and stretch: over which friction and play change their sign
-SHORTFALL = 0.01  # of the current that the amplifier may miss before it is named
+SHORTFALL = 0.01  # of the largest current that the amplifier may miss before it is named
+CROSSOVER, CROSSOVERS = 2e-3, 40  # A, the least that is looked for; and how many are, up to a tenth of the peak
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
         n, rest = int(np.count_nonzero(busy)), int(np.count_nonzero(quiet))
         alike = _alike(residual[quiet])
         uncertain = noise * n * float(np.sqrt(2 * alike * (1 / max(n, 1) + 1 / rest)))
+    if run.off_grid > JITTER_NOTED:
+        uncertain = np.inf  # stamps that are off make samples off by their slope, which no rest shows
     excess = float(np.sum(residual[busy] ** 2)) - noise * np.count_nonzero(busy)
     scale = max(energy, np.finfo(float).tiny)
     return Missed(run, at_rest, residual, energy, excess / scale, uncertain / scale)
@@ -221,16 +225,33 @@ def _through(
     return np.asarray(fft.irfft(fft.rfft(values, size) * ratio, size)[: values.size])
 
 
-def current_shortfall(instrument: Instrument, run: Measurement) -> float:
-    """Part of the current that the amplifier fell short of, as the cube of the command shows it; 0 if none."""
+@dataclass(frozen=True)
+class CurrentMissed:
+    """How a measured current differs from what the amplifier's pole and delay make of the command.
+
+    Attributes
+    ----------
+    shortfall : part of the largest current that is missing, as the cube of the command shows it; 0 if none.
+    crossover_A : half the width of the commands that the amplifier does not follow; 0 if none.
+    """
+
+    shortfall: float
+    crossover_A: float
+
+
+def current_missed(instrument: Instrument, run: Measurement) -> CurrentMissed:
+    """What an amplifier does that is no pole and delay; nothing where command and current were not both read."""
     if run.current is None or run.command is None or instrument.amplifier is None:
-        return 0.0
-    amplifier = instrument.amplifier
-    expected = instrument.amplifier_gain * simulate_current(
-        run.command.values, amplifier.pole_Hz, amplifier.delay_s, run.command.dt_s
-    )
+        return CurrentMissed(0.0, 0.0)
+    expected = _commanded(run, instrument).values
     measured = run.current.values - np.median(run.current.values[: max(3, expected.size // 50)])
     peak = max(float(np.abs(expected).max()), 1e-12)
-    shapes = np.stack([expected, expected**3 / peak**2], axis=1)
-    _, cube = np.linalg.lstsq(shapes, measured, rcond=None)[0]
-    return max(float(-cube), 0.0)
+    shapes = [expected, expected**3 / peak**2]
+    wanted, dead_A, cube = np.inf, 0.0, 0.0
+    for half_A in (0.0, *np.geomspace(CROSSOVER, 0.1 * peak, CROSSOVERS)):
+        lost = replace(run.command, values=np.clip(run.command.values, -half_A, half_A))
+        course = measured + instrument.amplifier_gain * _commanded(replace(run, command=lost), instrument).values
+        found, left, *_ = np.linalg.lstsq(np.stack(shapes, axis=1), course, rcond=None)
+        if left.size and left[0] < wanted:
+            wanted, dead_A, cube = float(left[0]), float(half_A), float(found[1])
+    return CurrentMissed(max(-cube, 0.0), dead_A)

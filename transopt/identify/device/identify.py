@@ -1,7 +1,7 @@
 """Identification of a device: the likeliest chain, a black box where no chain explains the records, and a verdict."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -24,7 +24,7 @@ from transopt.identify.device.chain_fit import (
     response_variance,
 )
 from transopt.identify.device.delay import delay_samples, finding, without_delay
-from transopt.identify.device.effects import SHORTFALL, Missed, at_use, current_shortfall, missed, named
+from transopt.identify.device.effects import CROSSOVER, SHORTFALL, Missed, at_use, current_missed, missed, named
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import (
     BAND_HZ,
@@ -47,7 +47,6 @@ from transopt.scene.model_parts import DriveDevice, StateSpaceDevice
 PREFERENCE = 0.9  # a black box must be that much better than the chain, whose parameters mean something
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
-VARIES = 4.0  # observed variance between trials over the noise's, from which on the hand is said to vary
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
 CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative: closer is one clock, farther another rate
 SIGMAS = 1.959964  # 95 %
@@ -316,26 +315,32 @@ def _causes(
         if abs(gain - 1) > 0.02:
             text = f"{gain:.4g} A per A of command: correct the scale of the command or of the current monitor"
             say("monitor scale", "current_A", text)
-    if chain is not None:
-        of_hand = chain.maximum.between[len(SHARED) : chain.coordinates.size]
-        if of_hand.max(initial=0.0) > VARIES:
-            text = (
-                f"the hand differs between trials by {np.sqrt(of_hand.max()):.2g} times what their noise explains: "
-                "the intervals are that much wider; hold the stylus steadily, or add trials"
-            )
-            say("varying hand", "trials", text)
+    if chain is not None and chain.varying.any():
+        most = float(np.sqrt(chain.maximum.between[: chain.coordinates.size][chain.varying].max()))
+        text = (
+            f"the hand differs between trials by {most:.2g} times what their noise explains: "
+            "the intervals are that much wider; hold the stylus steadily, or add trials"
+        )
+        say("varying hand", "trials", text)
     loud = [
         one for one, tap in zip([m for m in used if m.run.period_s is None], error.at_use, strict=True) if tap.excess
     ]
     if loud:
         worst = max(tap.excess for tap in error.at_use)
-        fallen = max(current_shortfall(chosen.instrument, one.run) for one in used)
+        currents = [current_missed(chosen.instrument, one.run) for one in loud]
+        fallen, crossover_A = (max(values) for values in zip(*map(astuple, currents), strict=True))
         if fallen > SHORTFALL:
             text = (
                 f"the current falls {100 * fallen:.2g} % short of the largest command: lower limits.current_A, or "
                 "raise the supply"
             )
             say("amplifier saturation", "current_A", text)
+        elif crossover_A > CROSSOVER:
+            text = (
+                f"the amplifier follows no command below {1e3 * crossover_A:.2g} mA, so small currents lose most: "
+                "identify the amplifier too, and refine the library on the device"
+            )
+            say("amplifier crossover", "current_A", text)
         if chain is not None:
             for cause, share in named(chain, loud):
                 text = (
@@ -406,8 +411,9 @@ def _validated_chain(fit: ChainFit, records: Records, measured: Sequence[GripRes
 def _validated_box(box: BlackBox, records: Records, measured: Sequence[GripResponse]) -> Candidate:
     """The black box; as many real unknowns as twice its order share the information of all lines evenly."""
 
-    def variance(one: GripResponse) -> FloatArray:
-        return 2 * one.deviation**2 * box.order / one.deviation.size
+    def variance(one: GripResponse) -> tuple[FloatArray, FloatArray]:
+        known = 2 * one.deviation**2 * box.order / one.deviation.size
+        return known, known
 
     error = model_error(measured, box, records.instrument, variance)
     return _validated(Kind.STATE_SPACE, box, records.instrument, box.without, records, error)

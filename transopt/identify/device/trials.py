@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,7 @@ ALIKE = 0.5  # correlation of measured and expected acceleration from which on s
 MOST_GAIN = 2.0  # by which current and command may differ either way
 LEAST_COUNTS = 2.0  # of the encoder, below which it shows its own steps rather than a motion
 ONE_POLE = 3.0  # mean square of what one pole and a delay leave of the current over the noise's, at most
+CERTAIN = 6.0  # deviations of a rate that jittered stamps tell
 MOST_LAG = 20  # ticks searched for a shift between them
 BAND_HZ = (2.0, 800.0)  # where a design needs the model
 FREE_BAND_HZ = (20.0, 800.0)  # below, a free device only drifts, further than its stroke
@@ -198,6 +200,22 @@ def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate
     return _unlike(run.name, along < 0, ratio, f"the sweeps of {where}")
 
 
+def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measurement]:
+    """The runs at the rate of the first one, where theirs is another only by the jitter of their time stamps."""
+    wanted = first.require("acceleration", "acceleration_m_s2").dt_s
+    alike = []
+    for run in runs:
+        x = run.require("acceleration", "acceleration_m_s2")
+        slack = CERTAIN * max(run.off_grid, first.off_grid) / x.values.size
+        if x.dt_s != wanted and abs(x.dt_s / wanted - 1) < slack:
+            signals = {name: getattr(run, name) for name in ("command", "current", "acceleration", "position")}
+            moved: dict[str, Any] = {name: replace(y, dt_s=wanted) for name, y in signals.items() if y is not None}
+            alike.append(replace(run, **moved))
+        else:
+            alike.append(run)
+    return alike
+
+
 def _too_short(where: str, estimate: TransferEstimate) -> list[Finding]:
     """A response of too few bins for any fit."""
     bins = estimate.frequencies_Hz.size
@@ -230,6 +248,7 @@ def sort_trials(
     ------
     InputError : a fatal finding, with what to record again.
     """
+    runs, transients = _one_rate(runs, runs[0]), _one_rate(transients, runs[0])
     together = [*runs, *transients]
     found = refuse(finding for run in together for finding in check_measurement(run, QUANTITIES))
     trials_of = {

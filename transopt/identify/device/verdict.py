@@ -49,19 +49,20 @@ def model_error(
     measured: Sequence[GripResponse],
     model: Model,
     instrument: Instrument,
-    variance: Callable[[GripResponse], FloatArray],
+    variance: Callable[[GripResponse], tuple[FloatArray, FloatArray]],
 ) -> ModelError:
     """The expected square of the error of a fitted response.
 
     Parameters
     ----------
-    variance : (m,) of the fitted response at the bins of an estimate, E|.|^2.
+    variance : (m,) of the fitted response at the bins of an estimate, E|.|^2, against the mean of what was recorded
+        and against what the next tap will meet.
     """
     low = min(one.estimate.frequencies_Hz[0] for one in measured)
     high = max(one.estimate.frequencies_Hz[-1] for one in measured)
     bands = max(int(np.ceil(BANDS_PER_OCTAVE * np.log2(high / low))), 1)
     edges = np.geomspace(low, high * (1 + 1e-9), bands + 1)
-    rows = [_row(one, model, instrument, variance(one), edges) for one in measured]
+    rows = [_row(one, model, instrument, *variance(one), edges) for one in measured]
     return ModelError(
         grips_N=[one.grip_N for one in measured],
         frequencies_Hz=np.sqrt(edges[:-1] * edges[1:]).tolist(),
@@ -70,12 +71,18 @@ def model_error(
 
 
 def _row(
-    one: GripResponse, model: Model, instrument: Instrument, variance: FloatArray, edges: FloatArray
+    one: GripResponse,
+    model: Model,
+    instrument: Instrument,
+    variance: FloatArray,
+    coming: FloatArray,
+    edges: FloatArray,
 ) -> FloatArray:
     """(bands,) of one grip."""
     # Where an excitation ends a response is no polynomial over the lines of a bin.
     inner = slice(EDGE, -EDGE) if one.estimate.response.size > 4 * EDGE else slice(None)
     f, noise, variance = one.estimate.frequencies_Hz[inner], 2 * one.deviation[inner] ** 2, variance[inner]
+    coming = coming[inner]
     modelled = np.zeros(f.size, dtype=complex)
     for plant, weight in model.shares(one.grip_N):
         modelled += weight * sampled_response(plant, instrument, f)[0]
@@ -90,12 +97,12 @@ def _row(
         return np.asarray(np.bincount(band, values, edges.size - 1)[filled] / count[filled])
 
     excess, level = mean(beyond / seen), mean(noise / seen)
-    # Squares of complex errors: 2 degrees of freedom each.
-    ratio = 1 + excess / level
-    clear = stats.chi2.sf(2 * count[filled] * ratio, 2 * count[filled]) < CHANCE
-    if stats.chi2.sf(2 * (count[filled] * ratio).sum(), 2 * count.sum()) < CHANCE:
+    # Squares of complex errors have 2 degrees of freedom each, the noise those that it was estimated from.
+    ratio, degrees = 1 + excess / level, mean(one.estimate.degrees[inner])
+    clear = stats.f.sf(ratio, 2 * count[filled], degrees) < CHANCE
+    if stats.f.sf(np.average(ratio, weights=count[filled]), 2 * count.sum(), degrees.sum()) < CHANCE:
         clear |= excess > 0  # too little in any one band, but not in all together
-    total = mean(variance / seen) + np.where(clear, np.maximum(excess, 0.0), 0.0)
+    total = mean(coming / seen) + np.where(clear, np.maximum(excess, 0.0), 0.0)
     middles = np.log(np.sqrt(edges[:-1] * edges[1:]))
     return np.asarray(np.exp(np.interp(middles, middles[filled], np.log(np.maximum(total, 1e-300)))))
 

@@ -10,7 +10,7 @@ from transopt.base.signals import FloatArray, Signal
 from transopt.identify.device.chain_fit import ChainFit, fit_chain
 from transopt.identify.device.effects import (
     at_use,
-    current_shortfall,
+    current_missed,
     missed,
     named,
 )
@@ -107,12 +107,17 @@ def test_an_effect_is_named_and_its_size_is_what_is_missed(
     assert share > 0.3
 
 
-def test_an_amplifier_that_gives_way_is_known_by_its_current(fit: ChainFit, taps: list[Measurement]) -> None:
+def test_an_amplifier_that_gives_way_is_known_by_its_current(
+    rig: Rig, fit: ChainFit, taps: list[Measurement]
+) -> None:
     run = taps[0]
     current = run.require("current", "")
-    assert current_shortfall(fit.instrument, run) < 0.005
+    assert current_missed(fit.instrument, run).shortfall < 0.005
+    assert current_missed(fit.instrument, run).crossover_A < 2e-3
     soft = Signal(current.start_s, current.dt_s, 5.0 * np.tanh(current.values / 5.0))
-    assert current_shortfall(fit.instrument, replace(run, current=soft)) > 0.03
+    assert current_missed(fit.instrument, replace(run, current=soft)).shortfall > 0.03
+    dead = Rig(rig.device, crossover_A=0.02).transients((1.0,))[0]
+    assert current_missed(fit.instrument, dead).crossover_A == pytest.approx(0.02, rel=0.2)
 
 
 def test_noise_that_no_rest_tells_gives_no_verdict(fit: ChainFit, taps: list[Measurement]) -> None:

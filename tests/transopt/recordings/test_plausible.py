@@ -1,0 +1,131 @@
+"""Recordings that cannot be taps in the units that are stated, and the unit that is to be checked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import problems
+from tests.benches.places import IMPACTS
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.recordings.plausible import pulse_length_s
+from transopt.recordings.recording import Recording
+from transopt.recordings.reference import assign
+from transopt.recordings.settings import Recordings
+from transopt.recordings.tap import prepare, read_recordings
+from transopt.scene.recordings import recordings_of
+
+SETTINGS = Recordings(files=["unused"])
+KINDS = ["wood_on_foam", "hard_metal", "soft_rubber", "firm_fast"]
+
+
+def stretched(tap: Recording, *, time: float = 1.0, acceleration: float = 1.0, position: float = 1.0) -> Recording:
+    """A tap whose columns are read in units that are off by factors."""
+    a, z = tap.acceleration, tap.position
+    assert z is not None
+    return replace(
+        tap,
+        acceleration=Signal(time * a.start_s, time * a.dt_s, acceleration * a.values),
+        position=Signal(time * z.start_s, time * z.dt_s, position * z.values),
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+class TestEveryObject:
+    """From rubber to metal: the taps pass, and with any column in another unit the right one is blamed."""
+
+    def taps(self, kind: str) -> list[Recording]:
+        return recordings_of(problems.load(kind))
+
+    def test_taps_pass(self, kind: str) -> None:
+        for tap in self.taps(kind):
+            assert not prepare(tap, SETTINGS).implausible
+            assert not prepare(stretched(tap, acceleration=-1), SETTINGS).implausible
+
+    @pytest.mark.parametrize(
+        ("factors", "words"),
+        [
+            ({"time": 1e-3}, "check the unit of the time (s called ms?)"),
+            ({"time": 1e3}, "check the unit of the time (ms called s?)"),
+            ({"acceleration": 1 / STANDARD_GRAVITY_M_S2}, "check the unit of the acceleration (g called m/s^2?)"),
+            ({"acceleration": STANDARD_GRAVITY_M_S2}, "check the unit of the acceleration (m/s^2 called g?)"),
+        ],
+    )
+    def test_the_right_unit_is_blamed(self, kind: str, factors: dict[str, float], words: str) -> None:
+        for tap in self.taps(kind):
+            assert words in prepare(stretched(tap, **factors), SETTINGS).implausible
+
+
+def test_a_position_or_a_speed_of_another_unit() -> None:
+    tap = recordings_of(problems.load("wood_on_foam"))[0]
+    fitted = replace(tap, speed_m_s=None)
+    for factor in (1e-3, 1e3):
+        said = prepare(stretched(fitted, position=factor), SETTINGS).implausible
+        assert "check the unit of the position that the speed is fitted to" in said
+    assert "check the unit of the speed" in prepare(replace(tap, speed_m_s=10.0), SETTINGS).implausible
+
+
+def test_what_a_scene_states_itself_is_named() -> None:
+    tap = recordings_of(problems.load("wood_on_foam"))[0]
+    turned = SETTINGS.model_copy(update={"polarity": "negative"})
+    assert 'recordings.polarity = "negative"' in prepare(tap, turned).implausible
+    late = SETTINGS.model_copy(update={"onset_s": 0.1})
+    assert "recordings.onset_s" in prepare(tap, late).implausible
+
+
+def test_without_a_speed_the_peak_is_looked_at() -> None:
+    tap = replace(recordings_of(problems.load("wood_on_foam"))[0], speed_m_s=None, position=None)
+    assert not prepare(tap, SETTINGS).implausible
+    for factor in (0.05, 5000.0):
+        said = prepare(stretched_acceleration(tap, factor), SETTINGS).implausible
+        assert "check the unit of the acceleration" in said
+
+
+def stretched_acceleration(tap: Recording, factor: float) -> Recording:
+    return replace(tap, acceleration=replace(tap.acceleration, values=factor * tap.acceleration.values))
+
+
+def test_gravity_without_a_baseline_blames_nobody() -> None:
+    """A recorder that triggers on the pulse leaves nothing to find the offset from."""
+    tap = recordings_of(problems.load("wood_on_foam"))[0]
+    onset = prepare(tap, SETTINGS).onset_s
+    first = int(onset / tap.acceleration.dt_s)
+    cut = Signal(0.0, tap.acceleration.dt_s, tap.acceleration.values[first:] + STANDARD_GRAVITY_M_S2)
+    prepared = prepare(replace(tap, acceleration=cut, position=None), SETTINGS)
+    assert "no baseline" in prepared.notes[0]
+    assert not prepared.implausible
+
+
+def test_noise_and_ringing_do_not_shorten_a_pulse() -> None:
+    t = np.arange(0, 0.1, 1e-6)
+    pulse = np.where((t > 0.03) & (t < 0.038), np.sin(np.pi * (t - 0.03) / 0.008), 0.0)
+    plain = pulse_length_s(Signal(0.0, 1e-6, pulse))
+    assert plain == pytest.approx(0.008, rel=0.5)
+    rough = pulse + 0.1 * np.random.default_rng(0).standard_normal(t.size) + 0.2 * np.sin(2 * np.pi * 2e4 * t) * pulse
+    assert pulse_length_s(Signal(0.0, 1e-6, rough)) == pytest.approx(plain, rel=0.5)
+
+
+def test_the_position_in_the_place_of_the_acceleration() -> None:
+    ramp = Signal(0.0, 1e-4, -0.2 * (np.arange(2500) * 1e-4 - 0.06))
+    said = prepare(
+        Recording(name="tap", source="", sha256="", acceleration=ramp, speed_m_s=0.2), SETTINGS
+    ).implausible
+    assert "that the acceleration is no other column" in said
+
+
+def test_refused_unless_accepted() -> None:
+    wrong = stretched(recordings_of(problems.load("wood_on_foam"))[0], acceleration=0.1)
+    with pytest.raises(InputError, match=r"unit of the acceleration.*recordings.implausible = \"accept\""):
+        assign([prepare(wrong, SETTINGS)], [0.1], SETTINGS)
+    accepted = SETTINGS.model_copy(update={"implausible": "accept"})
+    ((tap, _),) = assign([prepare(wrong, accepted)], [0.1], accepted)[0]
+    assert tap.implausible
+
+
+@pytest.mark.skipif(not IMPACTS.is_dir(), reason="the recorded impacts (CC BY-SA) are not part of the project")
+def test_recorded_impacts_pass() -> None:
+    settings = Recordings(folder=str(IMPACTS), files=["acc_base_a*.txt"], speed_m_s=1.14)
+    taps = [prepare(recording, settings) for recording in read_recordings(settings)]
+    assert len(taps) == 25
+    assert not any(tap.implausible for tap in taps)

@@ -1,0 +1,112 @@
+"""Whether a recording can be a tap at all, which a wrong unit makes impossible.
+
+A column that is called by a wrong unit is off by a factor of 9.81, 60 or 1000 and looks like any other. Two figures
+give it away, and neither depends on the object that was struck:
+
+- how long the pulse lasts. Taps on metal last some tenths of a millisecond, on foam some tens; the unit of the time
+  decides it, the other units do not touch it.
+- how much it changes the stylus's speed, over the speed that the stylus came with. To stop, the stylus has to lose
+  all of its speed, and an object that throws it back gives it at most as much again:
+
+      q = max over t of (integral of a from contact to t) / v,   about 1 to 2 whatever the object.
+
+  The taps of the built-in scenes have 0.78 (soft rubber, which the hand helps) to 1.38 (metal), the shock-table
+  impacts that these limits were tried on 1.1. g read as m/s^2 divides q by 9.81, m/s^2 read as g multiplies by it.
+
+Where nobody knows the speed, the height of the peak is the only thing to go by.
+"""
+
+import numpy as np
+
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, Signal
+from transopt.recordings.settings import Recordings
+
+PULSE_S = (30e-6, 0.1)  # at half its height
+SPEED_CHANGE = (0.25, 5.0)  # over the incoming speed
+CHANGE_WITHIN_S = 0.05  # of contact; later the hand lifts the stylus
+PEAK_G = (0.3, 2000.0)  # where no speed is known
+HAND_M_S = (0.01, 3.0)  # speeds that a hand taps with
+FINE = 100_000  # samples that a recording is looked at with
+GROWTH = 1.2  # from one length to the next that is tried as the pulse's
+
+
+def pulse_length_s(x: Signal) -> float:
+    """How long a pulse lasts at about half its height [s].
+
+    It is the longest stretch whose mean is half of the peak, which noise and ringing on the pulse do not shorten. The
+    median of the recording counts as rest, so that an offset that nobody knows does not lengthen it, and the larger
+    deviation from it as up.
+    """
+    # Of a long recording means of a few samples are enough, to a hundred thousandth of its length.
+    few = max(x.values.size // FINE, 1)
+    values = x.values[: x.values.size // few * few].reshape(-1, few).mean(axis=1)
+    values -= np.median(values)
+    values *= np.sign(values[np.argmax(np.abs(values))])
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    half, longest, length = 0.5 * float(values.max()), 1, 1
+    # No stretch has a larger mean than the better one of its halves: beyond twice the longest there is none.
+    while length < min(values.size, 2 * GROWTH * longest + 1):
+        if float((total[length:] - total[:-length]).max()) >= half * length:
+            longest = length
+        length = max(length + 1, round(GROWTH * length))
+    return longest * few * x.dt_s
+
+
+def implausible_time(x: Signal) -> str:
+    """Why the times of a recording cannot be those of a tap; empty if they can.
+
+    Parameters
+    ----------
+    x : as recorded, of one tap or several, in the recording's own time.
+    """
+    length_s = pulse_length_s(x)
+    if PULSE_S[0] <= length_s <= PULSE_S[1]:
+        return ""
+    guess = (
+        "s called ms?)" if length_s < PULSE_S[0] else "ms called s?), and that the acceleration is no other column"
+    )
+    return (
+        f"the pulse lasts {1e3 * length_s:.3g} ms, a tap's {1e3 * PULSE_S[0]:g} to {1e3 * PULSE_S[1]:g} ms: "
+        f"check the unit of the time ({guess}"
+    )
+
+
+def implausible_motion(x: Signal, onset_s: float, speed_m_s: float, settings: Recordings, *, fitted: bool) -> str:
+    """Why acceleration and speed cannot be those of one tap, and which unit to check; empty if they can.
+
+    Parameters
+    ----------
+    x : without offset, positive where the tap decelerates the stylus [m/s^2], in the recording's own time.
+    onset_s : contact.
+    speed_m_s : incoming speed before any scaling; NaN where it is unknown.
+    settings : for what they state themselves, which may be what is wrong.
+    fitted : whether the speed is fitted to a position, whose unit is then the one to check.
+    """
+    if np.isnan(speed_m_s):
+        return _height(float(x.values.max()) / STANDARD_GRAVITY_M_S2)
+    during = (x.times_s >= onset_s) & (x.times_s <= onset_s + CHANGE_WITHIN_S)
+    change = np.cumsum(x.values[during]) * x.dt_s
+    up, down = float(change.max(initial=0.0)), float(-change.min(initial=0.0))
+    ratio = up / speed_m_s
+    if SPEED_CHANGE[0] <= ratio <= SPEED_CHANGE[1]:
+        return ""
+    times = f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.2g}"
+    found = (
+        f"the pulse changes the speed by {up:.3g} m/s, {times} times the incoming {speed_m_s:.3g} m/s (limits "
+        f"{SPEED_CHANGE[0]:g} and {SPEED_CHANGE[1]:g})"
+    )
+    if down > up and settings.polarity != "auto":
+        return f'{found}: check recordings.polarity = "{settings.polarity}", the pulse has the other sign'
+    column = "of the position that the speed is fitted to" if fitted else "of the speed"
+    if not HAND_M_S[0] <= speed_m_s <= HAND_M_S[1]:
+        return f"{found}: check the unit {column} (a hand taps with {HAND_M_S[0]:g} to {HAND_M_S[1]:g} m/s)"
+    guess = "g called m/s^2?" if ratio < 1 else "m/s^2 called g?"
+    places = {"onset_s": settings.onset_s != "auto", "offset_m_s2": settings.offset_m_s2 != "baseline"}
+    stated = "".join(f", or recordings.{key}" for key, is_stated in places.items() if is_stated)
+    return f"{found}: check the unit of the acceleration ({guess}), or {column}{stated}"
+
+
+def _height(peak_g: float) -> str:
+    if PEAK_G[0] <= peak_g <= PEAK_G[1]:
+        return ""
+    return f"peak {peak_g:.3g} g, a tap's {PEAK_G[0]:g} to {PEAK_G[1]:g} g: check the unit of the acceleration"

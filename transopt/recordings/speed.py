@@ -1,0 +1,84 @@
+"""The speed that the stylus came with: as the file states it, or fitted to the position before contact.
+
+The fit is a quadratic over the last 10 ms, whose slope at contact is the speed. With less before contact, or with a
+coarse encoder, that slope soon means nothing: for n readings of scatter s over a time T its standard deviation is
+about s sqrt(192 / n) / T. So it comes with an interval, which is said where it is wide.
+"""
+
+import numpy as np
+import scipy
+
+from transopt.base.errors import InputError
+from transopt.base.signals import FloatArray
+from transopt.recordings.recording import Recording
+
+UNKNOWN = "unknown"  # source of a speed that nobody knows
+FITTED = "position"  # of one that is fitted
+SPEED_FIT_S = 10e-3  # a quadratic over 10 ms before contact: a line would be biased by the hand's acceleration
+LEAST_SAMPLES = 8
+UNSURE_SPEED = 0.05  # of the speed, half of its 95 % interval: beyond it a note says so
+UNKNOWN_SPEED = 0.2  # beyond it the fit says nothing
+WHOLE_COUNTS = 0.01  # counts: positions that change by multiples of a count, to within this, come from an encoder
+
+
+def incoming_speed(recording: Recording, onset_s: float) -> tuple[float, str, list[str]]:
+    """Incoming speed [m/s], NaN where nobody knows it; its source and notes.
+
+    Raises
+    ------
+    InputError : a position with too few samples before contact, that goes the other way, or that scatters so much
+        that the speed is known to no better than 20 %.
+    """
+    if recording.speed_m_s is not None:
+        return recording.speed_m_s, "stated", []
+    if recording.position is None:
+        return float("nan"), UNKNOWN, []
+    t, z = recording.position.times_s, recording.position.values
+    before = (t >= onset_s - SPEED_FIT_S) & (t <= onset_s)
+    lead_ms = 1e3 * min(SPEED_FIT_S, onset_s - float(t[0]))
+    remedy = f"record {SPEED_FIT_S * 1e3:g} ms before contact, or state `# speed_m_s: ...`"
+    if np.count_nonzero(before) < LEAST_SAMPLES:
+        raise InputError(
+            f"{recording.name}: position_m has {np.count_nonzero(before)} samples in the {SPEED_FIT_S * 1e3:g} ms "
+            f"before contact, {LEAST_SAMPLES} needed to fit the speed: {remedy}"
+        )
+    slope, error = _end_slope(t[before] - onset_s, z[before], _count(z))
+    speed, share = -slope, abs(error / slope) if slope else np.inf
+    if not speed > 0 and speed + error <= 0:
+        raise InputError(
+            f"{recording.name}: speed fitted from position_m = {speed:g} m/s: must be > 0 (z is positive out of "
+            "the object): check the sign of position_m or state `# speed_m_s: ...`"
+        )
+    found = f"speed fitted to the position of the {lead_ms:.2g} ms before contact: {speed:.3g} +- {error:.2g} m/s"
+    if not (speed > 0 and share <= UNKNOWN_SPEED):
+        limit = f"limit +- {100 * UNKNOWN_SPEED:g} % (95 %)"
+        raise InputError(f"{recording.name}: {found}, {limit}: {remedy}")
+    return speed, FITTED, [f"{found} (95 %): {remedy}"] if share > UNSURE_SPEED else []
+
+
+def _end_slope(t: FloatArray, z: FloatArray, count: float) -> tuple[float, float]:
+    """Slope at t = 0 of a quadratic through (n,) points, and half of its 95 % interval.
+
+    The scatter is that of the residuals, and at least that of an encoder with the given count, count / sqrt(12): a
+    few counts may happen to lie on a parabola.
+    """
+    powers = np.vander(t, 3, increasing=True)
+    scale = np.abs(powers).max(axis=0)
+    inverse = np.linalg.pinv(powers / scale)
+    solution = inverse @ z
+    rest = z - powers / scale @ solution
+    free = t.size - 3
+    scatter = max(float(np.sqrt(rest @ rest / free)), count / np.sqrt(12.0))
+    slope, error = (float(value / scale[1]) for value in (solution[1], np.linalg.norm(inverse[1])))
+    return slope, float(scipy.stats.t.ppf(0.975, free)) * scatter * error
+
+
+def _count(z: FloatArray) -> float:
+    """What one count of an encoder stands for; 0 for positions that are not counted."""
+    steps = np.abs(np.diff(z))
+    steps = steps[steps > 0]
+    if steps.size == 0:
+        return 0.0
+    counts = steps / steps.min()
+    whole = np.abs(counts - np.rint(counts)) <= WHOLE_COUNTS
+    return float(steps.min()) if np.all(whole) else 0.0
