@@ -13,8 +13,8 @@ within 0.1 points of it where the true one is below 0.2 %, or if the model was r
 right cause named. On the plain device any shortfall is a false alarm.
 
 "against taps" is the NRMSE of what the device does against the recorded taps, mean over the entries, with the
-identified library and with the nominal device's. Last come the parameters' errors on the plain device and how many of
-the 95 % intervals hold the truth.
+identified library and with the nominal device's. Last come the parameters' errors on the plain device, how many of
+the 95 % intervals hold the truth, and where a cause was named that is none (which alone fails on the plain device).
 
 Prints a table, writes verdicts.json. Exit code 1 if a verdict does not hold.
 """
@@ -107,6 +107,11 @@ class Verdict:
             right = EFFECTS[self.effect].causes
             return "" if set(self.causes) & set(right) or _is_right(*self.pairs) else "refused without the cause"
         return "" if _is_right(*self.pairs) else "wrong"
+
+    @property
+    def false_causes(self) -> list[str]:
+        """Named causes that are none of the effect's."""
+        return [cause for cause in self.causes if cause not in EFFECTS[self.effect].causes]
 
     @property
     def pairs(self) -> list[tuple[float, float]]:
@@ -312,6 +317,9 @@ def main() -> None:
         console.print(errors)
         console.print(f"intervals: {held} of {all_} hold the truth ({held / all_:.0%})")
     write_part(arguments.page, markdown_table(HEAD, rows(verdicts)))
+    rightly = sum(len(one.causes) > len(one.false_causes) for one in verdicts)
+    falsely = [f"{one.effect} {one.seed} ({', '.join(one.false_causes)})" for one in verdicts if one.false_causes]
+    console.print(f"a right cause named in {rightly}, a false one in {len(falsely)}: {'; '.join(falsely) or 'none'}")
     wrong = [one for one in verdicts if one.shortcoming]
     console.print(f"{len(verdicts) - len(wrong)} of {len(verdicts)} verdicts hold; {arguments.out / 'verdicts.json'}")
     sys.exit(1 if wrong else 0)

@@ -20,12 +20,12 @@ typedef struct {
     double half_gap;                           /* m: the transmission's spring is free within +- this */
     double skin_cubic;                         /* N/m^3 */
     double soft_limit;                         /* A: the amplifier gives S tanh(c / S); 0: it gives c */
-    double drift;                              /* skin and arm grow linearly by this part over the run, about its middle */
+    double drift;                              /* 1/s: skin and arm grow by this part in a second, about the run's middle */
 } device;
 
-static double rates(const device *d, const double *x, double command, double push, double part, double *dx)
+static double rates(const device *d, const double *x, double command, double push, double since, double *dx)
 {
-    double grown = 1 + d->drift * (part - 0.5);
+    double grown = 1 + d->drift * since;
     double stretch = x[MOTOR] - x[STYLUS];
     double gap = stretch > d->half_gap ? d->half_gap : stretch < -d->half_gap ? -d->half_gap : stretch;
     double transmission = d->transmission_stiffness * (stretch - gap)
@@ -77,7 +77,8 @@ void simulate(const device *d, const double *command, const double *push, size_t
             }
             for (int i = 0; i < STATES; i++)
                 y[i] = x[i] + at[stage] * h * k[i];
-            double acceleration = rates(d, y, c, force, t / ticks, k);
+            double since = (t - 0.5 * ticks) * steps * h; /* the middle of the run */
+            double acceleration = rates(d, y, c, force, since, k);
             if (stage == 0 && n % stride == 0) {
                 *out++ = x[CURRENT];
                 *out++ = x[SENSOR];

@@ -28,6 +28,7 @@ _IN_A_ROW = 1  # missing samples, beyond which a spline invents what it should i
 _JITTER = 0.35  # steps, rms: beyond it nobody knows when the samples were taken
 _BESIDE = 8  # stamps on either side of a long step that say whether a row was lost
 _DISORDER = 0.1  # of all steps: with so many that go back, it is no time at all
+_TINY = 1e-300
 _NEIGHBOURS = 21  # stamps that a stamp is compared with
 
 
@@ -58,13 +59,14 @@ class _Clock:
 
     Attributes
     ----------
-    step_s : mean step.
+    start_s, step_s : of the grid.
     kept : (n,) rows of the file whose samples are kept.
     size : of the grid.
     off_grid, missing : see `Table`.
     uniform : whether every stamp is on the grid and none is missing.
     """
 
+    start_s: float
     step_s: float
     kept: NDArray[np.intp]
     size: int
@@ -118,12 +120,29 @@ def _signals(table: RawTable, words: Vocabulary) -> tuple[dict[str, Signal], _Cl
     times = si.pop("time")
     clock = _clock(times, table.place, words.step_s)
     if not clock.uniform:
-        grid = times[0] + clock.step_s * np.arange(clock.size)
-        si = {
+        grid = clock.start_s + clock.step_s * np.arange(clock.size)
+        moved = {
             quantity: np.asarray(scipy.interpolate.CubicSpline(times[clock.kept], values[clock.kept])(grid))
             for quantity, values in si.items()
         }
-    return {quantity: Signal(float(times[0]), clock.step_s, values) for quantity, values in si.items()}, clock
+        if clock.missing or not _stamped_late(si, moved):
+            si = moved
+    return {quantity: Signal(clock.start_s, clock.step_s, values) for quantity, values in si.items()}, clock
+
+
+def _stamped_late(as_read: Mapping[str, FloatArray], moved: Mapping[str, FloatArray]) -> bool:
+    """Whether samples were taken on the grid and only stamped off it, as by a host that stamps what a timer sampled.
+
+    Moved to where their stamps say, such samples become rougher; those that were taken off the grid become smoother.
+    The roughness is that of fourth differences, mean of its logarithm over the quantities. A command is a staircase,
+    which no interpolation makes smoother.
+    """
+    ratios = [
+        np.log((np.sum(np.diff(moved[name], 4) ** 2) + _TINY) / (np.sum(np.diff(values, 4) ** 2) + _TINY))
+        for name, values in as_read.items()
+        if name != "command"
+    ]
+    return bool(np.mean(ratios) > 0) if ratios else True
 
 
 def _to_si(name: str, values: FloatArray, table: RawTable) -> FloatArray:
@@ -162,7 +181,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         remedy = f"at most {_IN_A_ROW} in a row is interpolated; keep the rows before or behind it, or record again"
         raise InputError(f"after {place(at)} ({times[at]:.15g} s): {found}; {remedy}")
     index = np.concatenate([[0.0], np.cumsum(periods)])
-    mean, late, jitter = _against_grid(times, index)
+    start, mean, late, jitter = _against_grid(times, index)
     good = np.abs(jitter) <= _ASTRAY
     size = int(index[-1] - index[0]) + 1
     lost = size - int(np.count_nonzero(good))
@@ -181,7 +200,7 @@ def _clock(times: FloatArray, place: Callable[[int], str], step_range_s: tuple[f
         raise InputError(f"time stamps lie {rms:.2g} steps (rms) off a uniform grid: {limit}")
     uniform = not lost and float(np.abs(late).max()) <= _UNIFORM
     off_grid = float(np.sqrt(np.mean(late[good] ** 2)))
-    return _Clock(mean, np.flatnonzero(good), size, off_grid, missing, uniform)
+    return _Clock(start, mean, np.flatnonzero(good), size, off_grid, missing, uniform)
 
 
 def _periods(times: FloatArray, median_s: float) -> FloatArray:
@@ -201,17 +220,23 @@ def _periods(times: FloatArray, median_s: float) -> FloatArray:
     return periods
 
 
-def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Mean step [s] of stamps (n,) at places (n,) of a grid; how late each is, and how late against its neighbours.
+def _against_grid(times: FloatArray, index: FloatArray) -> tuple[float, float, FloatArray, FloatArray]:
+    """Start and step [s] of the grid of stamps (n,) at places (n,); how late each is, also against its neighbours.
 
-    Both in steps. The stamps are compared, not the steps: steps 1 % too long and later 1 % too short would each pass,
-    yet shift the middle of 1000 samples by five. A clock may well run fast and then slow; a single stamp that is late
-    shows against the median of its neighbours.
+    Places count from 0, lateness is in steps. The stamps are compared, not the steps: steps 1 % too long and later
+    1 % too short would each pass, yet shift the middle of 1000 samples by five. A clock may well run fast and then
+    slow; a single stamp that is late shows against the median of its neighbours. The first and the last stamp are no
+    better than the others: where any is off, the grid is the line through all that say something.
     """
-    mean = float((times[-1] - times[0]) / (index[-1] - index[0]))
-    late = (times - times[0]) / mean - (index - index[0])
+    mean = float((times[-1] - times[0]) / index[-1])
+    late = (times - times[0]) / mean - index
     usual = scipy.ndimage.median_filter(late, _NEIGHBOURS, mode="nearest")
-    return mean, late, late - scipy.ndimage.uniform_filter(usual, 3 * _NEIGHBOURS, mode="nearest")
+    jitter = late - scipy.ndimage.uniform_filter(usual, 3 * _NEIGHBOURS, mode="nearest")
+    good = np.abs(jitter) <= _ASTRAY
+    if np.abs(late).max() <= _UNIFORM or np.count_nonzero(good) < 2:
+        return float(times[0]), mean, late, jitter
+    slope, first = np.polyfit(index[good], late[good], 1)
+    return float(times[0] + first * mean), float(mean * (1 + slope)), late - first - slope * index, jitter
 
 
 def _stated(header: Mapping[str, object], quantity: str, words: Vocabulary) -> float | None:

@@ -152,6 +152,15 @@ def test_jitter_is_resampled_with_a_splines_order(tmp_path: Path) -> None:
     assert errors[-1] < 1e-5
 
 
+def test_samples_on_the_grid_are_left_whatever_their_stamps_say(tmp_path: Path) -> None:
+    late_s = 0.1 * DT_S * np.random.default_rng(3).standard_normal(TIMES_S.size)
+    recording = load(tmp_path, csv(TIMES_S + late_s, smooth(TIMES_S)))
+    np.testing.assert_allclose(recording.acceleration.values, smooth(TIMES_S), atol=1e-6)
+    # No worse for a bad first stamp, and nearer than the first and the last stamp tell.
+    assert recording.acceleration.dt_s == pytest.approx(DT_S, rel=5e-4)
+    assert recording.acceleration.start_s == pytest.approx(TIMES_S[0], abs=0.05 * DT_S)
+
+
 def test_every_quantity_is_resampled_alike(tmp_path: Path) -> None:
     recording = load_smooth(tmp_path, TIMES_S + 0.2 * DT_S * np.sin(np.arange(TIMES_S.size)))
     np.testing.assert_array_equal(recording.position.values, recording.acceleration.values)
