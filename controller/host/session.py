@@ -372,6 +372,9 @@ class Session:
             else:
                 asked = self._requests.frame(now_s)
                 frames += [] if asked is None else [asked]
+                if asked is not None and isinstance(self._requests.open, m.Arm):
+                    # The heartbeat of a device at rest may be slower than the lease that begins here.
+                    self._next_lease_s = min(self._next_lease_s, now_s)
             if self._leasing and now_s >= self._next_lease_s:
                 armed = self.state is SessionState.ARMED or isinstance(self._requests.open, m.Arm)
                 self._next_lease_s = now_s + min(
