@@ -338,7 +338,7 @@ def main() -> None:
     for line in words:
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"{arguments.out / 'verdicts.json'}", highlight=False)
-    write_part(arguments.page, [*markdown_table(HEAD, rows(verdicts)), "", f"{'; '.join(words)}."])
+    write_part(arguments.page, [*markdown_table(HEAD, rows(verdicts)), f"{'; '.join(words)}."])
     sys.exit(1 if wrong else 0)
 
 
