@@ -28,11 +28,13 @@ from transopt.scene.model_error import AtUse, ModelError
 HIGHPASS_HZ = 25.0  # what is slower in a held hand is its tremor, and little of a tap
 QUIET = 0.02  # of the predicted peak: below, a record shows its noise alone
 LEAST_QUIET_S = 0.02
+OFFSET = 0.1  # of what an offset makes of a record, that has to lie where it rests
 ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
 EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
 SLOW, PLAY = 0.02, 0.1  # of the largest speed and stretch: over which friction and play change their sign
 SHORTFALL = 0.01  # of the largest current that the amplifier may miss before it is named
+SIGNIFICANT = 50.0  # variances of the noise that a dead band takes off the residual of a current
 CROSSOVER, CROSSOVERS = 2e-3, 40  # A, the least that is looked for; and how many are, up to a tenth of the peak
 
 
@@ -78,7 +80,8 @@ def missed(model: Model, grip_N: float, instrument: Instrument, run: Measurement
     least = QUIET * size.max(initial=0.0)
     # Not yet begun, or rung down for good.
     quiet = (np.maximum.accumulate(size) < least) | (np.maximum.accumulate(size[::-1])[::-1] < least)
-    offset = float(step[quiet] @ residual[quiet] / max(step[quiet] @ step[quiet], 1e-300)) if quiet.any() else 0.0
+    known = float(step[quiet] @ step[quiet])  # the high-pass lets an offset through only where a record begins
+    offset = float(step[quiet] @ residual[quiet]) / known if known > OFFSET * float(step @ step) else 0.0
     residual = residual - offset * step
     busy = ~quiet
     energy = float(np.sum((measured - offset * step)[busy] ** 2))
@@ -252,6 +255,8 @@ def current_missed(instrument: Instrument, run: Measurement) -> CurrentMissed:
         lost = replace(run.command, values=np.clip(run.command.values, -half_A, half_A))
         course = measured + instrument.amplifier_gain * _commanded(replace(run, command=lost), instrument).values
         found, left, *_ = np.linalg.lstsq(np.stack(shapes, axis=1), course, rcond=None)
-        if left.size and left[0] < wanted:
+        # A dead band is believed where it takes more off the residual than chance does.
+        worth = 1 - (SIGNIFICANT / expected.size if half_A and not dead_A else 0.0)
+        if left.size and left[0] < worth * wanted:
             wanted, dead_A, cube = float(left[0]), float(half_A), float(found[1])
     return CurrentMissed(max(-cube, 0.0), dead_A)

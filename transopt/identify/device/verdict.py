@@ -96,9 +96,9 @@ def _row(
     def mean(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(band, values, edges.size - 1)[filled] / count[filled])
 
-    excess, level = mean(beyond / seen), mean(noise / seen)
+    excess = mean(beyond / seen)
     # Squares of complex errors have 2 degrees of freedom each, the noise those that it was estimated from.
-    ratio, degrees = 1 + excess / level, mean(one.estimate.degrees[inner])
+    ratio, degrees = 1 + mean(beyond / noise), mean(one.estimate.degrees[inner])
     clear = stats.f.sf(ratio, 2 * count[filled], degrees) < CHANCE
     if stats.f.sf(np.average(ratio, weights=count[filled]), 2 * count.sum(), degrees.sum()) < CHANCE:
         clear |= excess > 0  # too little in any one band, but not in all together
