@@ -32,6 +32,7 @@ OFFSET = 0.1  # of what an offset makes of a record, that has to lie where it re
 ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
 EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
+LEAST_PERIODS, EXCITED = 2, 1e-6  # after the transient; of the largest line, from which on a line is excited
 SLOW, PLAY = 0.02, 0.1  # of the largest speed and stretch: over which friction and play change their sign
 SHORTFALL = 0.01  # of the largest current that the amplifier may miss before it is named
 SIGNIFICANT = 50.0  # variances of the noise that a dead band takes off the residual of a current
@@ -141,6 +142,54 @@ def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
             )
         )
     return stated
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """What a periodic excitation finds at lines that it does not excite.
+
+    Attributes
+    ----------
+    even, odd : rms of the acceleration at even and at odd detection lines over that at the excited ones, per line,
+        less what is noise; 0 where it is no more than noise.
+    """
+
+    even: float
+    odd: float
+
+
+def distortion(run: Measurement) -> Distortion | None:
+    """Even and odd distortion by the detection lines of a periodic record; None of one that has none.
+
+    The first period is the transient. A linear device answers at excited lines alone; what scatters between the
+    periods is noise (Pintelon & Schoukens 2012, Ch. 4).
+    """
+    x, period_s = run.acceleration, run.period_s
+    given = run.command if run.command is not None else run.current
+    if x is None or given is None or period_s is None:
+        return None
+    size = round(period_s / x.dt_s)
+    periods = x.values.size // size - 1
+    if periods < LEAST_PERIODS:
+        return None
+    lines = np.fft.rfft(x.values[size : size * (periods + 1)].reshape(periods, size), axis=1)
+    put = np.abs(np.fft.rfft(given.values[size : 2 * size]))
+    excited = put > EXCITED * put.max()
+    first, last = np.flatnonzero(excited)[[0, -1]]
+    inside = np.arange(put.size)
+    inside = (inside >= max(first, 1)) & (inside <= last) & ~excited
+    power = np.abs(lines.mean(axis=0)) ** 2
+    noise = lines.var(axis=0, ddof=1) / periods
+    scale = float(np.mean((power - noise)[excited]))
+
+    def level(kind: int) -> float:
+        some = inside & (np.arange(put.size) % 2 == kind)
+        if not some.any():
+            return 0.0
+        beyond, deviation = (power - noise)[some].mean(), noise[some].mean() / np.sqrt(some.sum())
+        return float(np.sqrt(beyond / scale)) if beyond > CERTAIN * deviation else 0.0
+
+    return Distortion(level(0), level(1))
 
 
 def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:

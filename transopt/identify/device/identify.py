@@ -24,7 +24,16 @@ from transopt.identify.device.chain_fit import (
     response_variance,
 )
 from transopt.identify.device.delay import delay_samples, finding, without_delay
-from transopt.identify.device.effects import CROSSOVER, SHORTFALL, Missed, at_use, current_missed, missed, named
+from transopt.identify.device.effects import (
+    CROSSOVER,
+    SHORTFALL,
+    Missed,
+    at_use,
+    current_missed,
+    distortion,
+    missed,
+    named,
+)
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.trials import (
     BAND_HZ,
@@ -48,6 +57,7 @@ PREFERENCE = 0.9  # a black box must be that much better than the chain, whose p
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
+DISTORTED = 0.01  # of the answer, from which on distortion is said
 CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative: closer is one clock, farther another rate
 SIGMAS = 1.959964  # 95 %
 REMEDIES = {
@@ -225,8 +235,9 @@ def identify(
     if others and others[0].off < PREFERENCE * chosen.off:
         chosen, others = others[0], [chosen]
     own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
-    error, used = _at_use(chosen, [*transients, *repeated], [grip.grip_N for grip in grips])
+    error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
     causes, found = _causes(chosen, chain, grips, used, error)
+    found += [said for run in repeated if (said := _distorted(run)) is not None]
     advice = _advice(grips, chosen, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
         advice += _about_chain(chain, own_hands)
@@ -277,13 +288,24 @@ def _at_use(
     """How far the chosen model is off, taps at the amplitude of use included, and what each such record missed."""
     known = [run for run in runs if run.grip_N is not None and _within(run.grip_N, recorded_N)]
     used = [missed(chosen.model, run.grip_N or 0.0, chosen.instrument, run) for run in known]
-    taps = [one for one in used if one.run.period_s is None]
-    return chosen.error.model_copy(update={"at_use": at_use(taps, chosen.error)}), used
+    return chosen.error.model_copy(update={"at_use": at_use(used, chosen.error)}), used
 
 
 def _within(grip_N: float, recorded_N: Sequence[float]) -> bool:
     alike = [grip for grip in recorded_N if (grip > 0) == (grip_N > 0)]
     return bool(alike) and min(alike) <= grip_N <= max(alike)
+
+
+def _distorted(run: Measurement) -> Finding | None:
+    """What the detection lines of a periodic record say; None where they are quiet."""
+    found = distortion(run)
+    if found is None or max(found.even, found.odd) < DISTORTED:
+        return None
+    text = (
+        f"{100 * found.odd:.2g} % odd and {100 * found.even:.2g} % even distortion at lines that were not excited: "
+        "the device is not linear at this amplitude, and no model of a response predicts it nearer than that"
+    )
+    return Finding(Fault.BESIDE, run.name, text, False)
 
 
 def _causes(
@@ -322,9 +344,7 @@ def _causes(
             "the intervals are that much wider; hold the stylus steadily, or add trials"
         )
         say("varying hand", "trials", text)
-    loud = [
-        one for one, tap in zip([m for m in used if m.run.period_s is None], error.at_use, strict=True) if tap.excess
-    ]
+    loud = [one for one, tap in zip(used, error.at_use, strict=True) if tap.excess]
     if loud:
         worst = max(tap.excess for tap in error.at_use)
         currents = [current_missed(chosen.instrument, one.run) for one in loud]

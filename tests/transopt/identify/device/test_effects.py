@@ -1,5 +1,6 @@
 """What taps at full current show that no response does: told from noise, and apart by name."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from transopt.identify.device.chain_fit import ChainFit, fit_chain
 from transopt.identify.device.effects import (
     at_use,
     current_missed,
+    distortion,
     missed,
     named,
 )
@@ -125,3 +127,40 @@ def test_noise_that_no_rest_tells_gives_no_verdict(fit: ChainFit, taps: list[Mea
     signals = {name: run.require(name, "") for name in ("command", "current", "acceleration")}
     cut = replace(run, **{name: replace(x, values=x.values[195:320]) for name, x in signals.items()})
     assert np.isinf(missed(fit.device, 1.0, fit.instrument, cut).deviation)
+
+
+def periodic(shape: Callable[[FloatArray], FloatArray], noise: float = 0.0) -> Measurement:
+    """Four periods of odd lines of which every fourth is left out, through a shape and a low-pass."""
+    size, random = 2000, np.random.default_rng(4)
+    lines = np.array([line for line in range(1, 300, 2) if line % 8 != 5])
+    spectrum = np.zeros(size // 2 + 1, dtype=complex)
+    spectrum[lines] = np.exp(2j * np.pi * random.uniform(size=lines.size))
+    command = np.tile(np.fft.irfft(spectrum), 4)
+    command /= np.abs(command).max()
+    answer = shape(command) + noise * random.standard_normal(command.size)
+    return Measurement(
+        name="multisine.npz",
+        source="",
+        sha256="0" * 64,
+        command=Signal(0.0, DT_S, command),
+        acceleration=Signal(0.0, DT_S, answer),
+        grip_N=3.0,
+        period_s=size * DT_S,
+    )
+
+
+def test_detection_lines_tell_even_from_odd_distortion_and_both_from_noise() -> None:
+    linear, even, odd = (
+        distortion(periodic(shape, noise=0.01))
+        for shape in (lambda x: 3 * x, lambda x: 3 * x + 0.5 * x**2, lambda x: 3 * x - 0.5 * x**3)
+    )
+    assert linear is not None
+    assert even is not None
+    assert odd is not None
+    assert max(linear.even, linear.odd) < 0.002
+    assert even.even > 0.01 > even.odd
+    assert odd.odd > 0.01 > odd.even
+
+
+def test_a_record_that_does_not_repeat_has_no_detection_lines(taps: list[Measurement]) -> None:
+    assert distortion(taps[0]) is None
