@@ -41,7 +41,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from tests.benches.other_device import HAND, FloatArray
+from tests.benches.other_device import FloatArray
 from tests.benches.other_records import EFFECTS, GRIPS_N, TAPS, make_records, played, truth
 from transopt.base import terminal
 from transopt.base.errors import InputError
@@ -63,6 +63,8 @@ SHARED = {
     "transmission_stiffness_N_m": "transmission_stiffness",
     "transmission_damping_N_s_m": "transmission_damping",
 }
+# In the order of `Truth.hand`.
+HAND = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")
 
 
 @dataclass(frozen=True)
@@ -152,16 +154,11 @@ def _errors(effect: str, seed: int, library: Library) -> tuple[FloatArray, Float
     return predicted, recorded
 
 
-def _predicted(device: dict[str, Any], library: Library) -> FloatArray:
-    """(ng, nv) as the model file says; without such a table the held-out error at each grip, for all speeds."""
-    told = device.get("predicted")
-    if told:
-        where = [told["grips_N"].index(grip) for grip in library.grips_N.tolist()]
-        speeds = [told["speeds_m_s"].index(speed) for speed in library.speeds_m_s.tolist()]
-        return np.array(told["nrmse"], dtype=float)[np.ix_(where, speeds)]
-    held_out = {float(grip): value for grip, value in device["nrmse"].items()}
-    rows = [held_out.get(float(grip), np.nan) for grip in library.grips_N]
-    return np.repeat(np.array(rows)[:, np.newaxis], library.speeds_m_s.size, axis=1)
+def _predicted(told: dict[str, Any], library: Library) -> FloatArray:
+    """(ng, nv) as the model file says."""
+    where = [told["grips_N"].index(grip) for grip in library.grips_N.tolist()]
+    speeds = [told["speeds_m_s"].index(speed) for speed in library.speeds_m_s.tolist()]
+    return np.array(told["nrmse"], dtype=float)[np.ix_(where, speeds)]
 
 
 def _parameters(device: dict[str, Any], effect: str, seed: int) -> dict[str, tuple[float, float, float, float]]:
@@ -170,11 +167,9 @@ def _parameters(device: dict[str, Any], effect: str, seed: int) -> dict[str, tup
         return {}
     true = truth(effect, seed)
     values = {name: (device[name], getattr(true.shared, ours)) for name, ours in SHARED.items()}
-    for row, ours in enumerate(HAND):
-        name = ("mass_kg", "skin_stiffness_N_m", "skin_damping_N_s_m", "arm_stiffness_N_m", "arm_damping_N_s_m")[row]
-        for column, part in enumerate(("constant", "per_newton")):
-            values[f"hand.{name}.{part}"] = (device["hand"][name][part], float(true.hand[row, column]))
-        assert ours in HAND
+    for name, row in zip(HAND, true.hand.tolist(), strict=True):
+        for part, really in zip(("constant", "per_newton"), row, strict=True):
+            values[f"hand.{name}.{part}"] = (device["hand"][name][part], really)
     spans = device.get("intervals", {})
     return {
         name: (float(found), *map(float, spans.get(name, (np.nan, np.nan))), float(really))
@@ -193,21 +188,25 @@ def judge(
     sweeps_only: bool = False,
 ) -> Verdict:
     """Record, identify, solve, play."""
-    taps = () if sweeps_only else TAPS
-    files = make_records(folder / "records", effect, seed, grips_N=grips_N, trials=trials, multisines=not sweeps_only,
-                         taps=taps)  # fmt: skip
+    more = {"grips_N": grips_N, "trials": trials, "multisines": not sweeps_only, "taps": () if sweeps_only else TAPS}
+    files = make_records(folder / "records", effect, seed, **more)
     model, began = folder / "model.json", time.perf_counter()
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(typer.Exit):
             identify_device(files, model, SCENE)
     except InputError as refused:
-        return Verdict(effect, seed, shortfalls=[str(refused)], causes=[
-            cause for cause in EFFECTS[effect].causes if cause in str(refused)
-        ], seconds=time.perf_counter() - began)  # fmt: skip
+        said, seconds = str(refused), time.perf_counter() - began
+        named = [cause for cause in EFFECTS[effect].causes if cause in said]
+        return Verdict(effect, seed, shortfalls=[said], causes=named, seconds=seconds)
     seconds = time.perf_counter() - began
     device = json.loads(model.read_text(encoding="utf-8"))["device"]
-    known = {"seconds": seconds, "kind": device["kind"], "causes": list(device.get("causes", ())),
-             "shortfalls": list(device["shortfalls"]), "parameters": _parameters(device, effect, seed)}  # fmt: skip
+    known: dict[str, Any] = {
+        "seconds": seconds,
+        "kind": device["kind"],
+        "causes": list(device.get("causes", ())),
+        "shortfalls": list(device["shortfalls"]),
+        "parameters": _parameters(device, effect, seed),
+    }
     _, recorded, nominal = _nominal()
     build = build_library(builtin.load_scene(SCENE, model=model), recorded)
     library = build.library
@@ -218,7 +217,7 @@ def judge(
     return Verdict(
         effect,
         seed,
-        predicted=_predicted(device, library).tolist(),
+        predicted=_predicted(device["predicted"], library).tolist(),
         true=true.tolist(),
         against_taps=float(np.mean(against)),
         nominal_against_taps=float(np.mean(_errors(effect, seed, nominal)[1])),
@@ -241,7 +240,7 @@ def rows(verdicts: Iterable[Verdict]) -> list[list[str]]:
     found = []
     for one in verdicts:
         (median, true_median), (worst, true_worst) = one.pairs
-        found.append([
+        row = [
             one.effect,
             str(one.seed),
             percent(median),
@@ -255,12 +254,26 @@ def rows(verdicts: Iterable[Verdict]) -> list[list[str]]:
             "refused" if one.shortfalls else "unsolved" if one.unsolved else one.kind,
             f"{one.seconds:.1f}",
             one.shortcoming or "holds",
-        ])  # fmt: skip
+        ]
+        found.append(row)
     return found
 
 
-HEAD = ["effect", "seed", "predicted median %", "true", "ratio", "predicted worst %", "true", "ratio",
-        "against taps, nominal %", "causes", "model", "s", "verdict"]  # fmt: skip
+HEAD = [
+    "effect",
+    "seed",
+    "predicted median %",
+    "true",
+    "ratio",
+    "predicted worst %",
+    "true",
+    "ratio",
+    "against taps, nominal %",
+    "causes",
+    "model",
+    "s",
+    "verdict",
+]
 
 
 def parameter_rows(verdicts: Iterable[Verdict]) -> tuple[list[list[str]], int, int]:
@@ -310,18 +323,22 @@ def main() -> None:
         for text in (*one.shortfalls, *one.unsolved):
             console.print(f"{one.effect} {one.seed}: {text}", soft_wrap=True, highlight=False)
     parameters, held, all_ = parameter_rows(verdicts)
+    words = []
     if parameters:
         errors = Table("parameter", "rms error %", "in its 95 % interval", title="plain device")
         for row in parameters:
             errors.add_row(*row)
         console.print(errors)
-        console.print(f"intervals: {held} of {all_} hold the truth ({held / all_:.0%})")
-    write_part(arguments.page, markdown_table(HEAD, rows(verdicts)))
+        words.append(f"95 % intervals on the plain device: {held} of {all_} hold the truth")
     rightly = sum(len(one.causes) > len(one.false_causes) for one in verdicts)
     falsely = [f"{one.effect} {one.seed} ({', '.join(one.false_causes)})" for one in verdicts if one.false_causes]
-    console.print(f"a right cause named in {rightly}, a false one in {len(falsely)}: {'; '.join(falsely) or 'none'}")
+    words.append(f"a right cause named in {rightly}, a false one in {len(falsely)}: {'; '.join(falsely) or 'none'}")
     wrong = [one for one in verdicts if one.shortcoming]
-    console.print(f"{len(verdicts) - len(wrong)} of {len(verdicts)} verdicts hold; {arguments.out / 'verdicts.json'}")
+    words.append(f"{len(verdicts) - len(wrong)} of {len(verdicts)} verdicts hold")
+    for line in words:
+        console.print(line, soft_wrap=True, highlight=False)
+    console.print(f"{arguments.out / 'verdicts.json'}", highlight=False)
+    write_part(arguments.page, [*markdown_table(HEAD, rows(verdicts)), f"{'; '.join(words)}."])
     sys.exit(1 if wrong else 0)
 
 

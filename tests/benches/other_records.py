@@ -214,22 +214,20 @@ def _converted(values: FloatArray, span: float, bits: int) -> FloatArray:
 
 def _read(motion: Motion, command: FloatArray, what: Effect, random: np.random.Generator) -> dict[str, FloatArray]:
     """Times and what the sensors have at them, without noise: at the ticks or by a card with a clock of its own."""
+    late = np.zeros(what.late_ticks)
+    signals = {
+        "current_A": motion.current_A,
+        "acceleration_m_s2": np.concatenate([late, motion.sensed_m_s2])[: motion.sensed_m_s2.size],
+        "position_m": motion.position_m,
+    }
     if not what.daq:
-        times = TICK_S * np.arange(command.size)
-        late = np.concatenate([np.zeros(what.late_ticks), motion.sensed_m_s2])[: command.size]
-        return {"time_s": times, "command_A": command, "current_A": motion.current_A, "acceleration_m_s2": late,
-                "position_m": motion.position_m}  # fmt: skip
+        return {"time_s": TICK_S * np.arange(command.size), "command_A": command, **signals}
     step = DAQ_STEP_S * (1 + 50e-6 * random.uniform(-1, 1))
     own = np.arange(random.uniform(0, step), TICK_S * (command.size - 1), step)
     fine = motion.dt_s * np.arange(motion.current_A.size)
-    signals = {
-        "current_A": motion.current_A,
-        "acceleration_m_s2": motion.sensed_m_s2,
-        "position_m": motion.position_m,
-    }
+    read = {name: CubicSpline(fine, values)(own) for name, values in signals.items()}
     held = command[np.floor(own / TICK_S).astype(int)]
-    return {"time_s": DAQ_STEP_S * np.arange(own.size), "command_A": held,
-            **{name: CubicSpline(fine, values)(own) for name, values in signals.items()}}  # fmt: skip
+    return {"time_s": DAQ_STEP_S * np.arange(own.size), "command_A": held, **read}
 
 
 def record(effect: str, seed: int, grip_N: float, command_A: FloatArray, number: int) -> dict[str, Any]:
