@@ -69,6 +69,10 @@ def record_sweep(
         float | None, typer.Option(help="Of the sine's middle in A; default 0, amplifier both 0 and 0.5.")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Of each sweep; default 2.")] = None,
+    tap_current: Annotated[
+        float | None,
+        typer.Option(help="Peak in A of two taps at each grip besides, by which identify judges its model."),
+    ] = None,
     gain: Gain = None,
     patience: Annotated[float, typer.Option(help="How long to wait for the hand, in s.")] = 60.0,
     library: Annotated[
@@ -98,7 +102,10 @@ def record_sweep(
         amplitude_A=amplitude,
         offset_A=offset,
         seconds=seconds,
+        tap_A=tap_current,
     )
+    if tap_current is not None:
+        within("tap-current", tap_current, 0.01, 100.0, " A")
     within("patience", patience, 0.1, 3600.0, " s")
     within("gain", gain, 1e-3, 1.0)
     from controller.cli.describe import described, sensing

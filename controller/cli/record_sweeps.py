@@ -115,7 +115,7 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                             say(f"trial {len(written) + 1} of {len(planned)}")
                             taken = sweeps.trial(negative=trial.polarity < 0, tell=say)
                             path = next(names)
-                            taken.write(path, series.device.accelerometer.bandwidth_Hz)
+                            taken.write(path, series.device.accelerometer.bandwidth_Hz, held_out=trial.tap)
                             written.append((path, taken))
             except StoppedError:
                 stopped = True
@@ -157,13 +157,15 @@ def simulated_series(
     terminal.make_folder(out)
     names = [trial.file_name for trial in planned]
     refuse_old(out, names)
+    taps = sum(trial.tap for trial in planned)
+    words = f"{taps} taps and {len(planned) - taps} sweeps" if taps else f"{len(planned)} sweeps"
     bench, settings = holding_bench(truth, wrong, seed, max(trial.seconds for trial in planned), device)
     series = Series(
         planned,
         [out / name for name in names],
         lambda _: settings,
         told=(
-            f"{out}: {len(planned)} sweeps of {planned[0].seconds:g} s, {names[0]} to {names[-1]}\n"
+            f"{out}: {words} of {planned[0].seconds:g} s, {names[0]} to {names[-1]}\n"
             f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json"
         ),
         gain=gain,

@@ -59,8 +59,9 @@ class Trial:
     negative: bool
     cut_ticks: int
 
-    def write(self, path: Path, accelerometer_Hz: float) -> None:
-        """
+    def write(self, path: Path, accelerometer_Hz: float, *, held_out: bool = False) -> None:
+        """Into a file; `held_out` for a trial to validate with, which is never fitted.
+
         Raises
         ------
         InputError : the place cannot be written.
@@ -72,7 +73,8 @@ class Trial:
             "acceleration_m_s2": self.acceleration_m_s2,
             "position_m": self.position_m,
         }
-        write_measurement(path, columns, {"grip_N": self.grip_N, "accelerometer_Hz": accelerometer_Hz})
+        scalars = {"grip_N": self.grip_N, "accelerometer_Hz": accelerometer_Hz}
+        write_measurement(path, columns, {**scalars, "held_out": 1.0} if held_out else scalars)
 
 
 @dataclass

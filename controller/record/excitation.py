@@ -7,6 +7,7 @@ from transopt.base.signals import FloatArray
 
 RISE_PART, RISE_PERIODS, FALL_PERIODS = 0.05, 0.5, 10.0
 LEAST_SAMPLES = 16
+TAP_S, TAP_FADES_S, TAP_HZ = 0.1, 5e-3, 120.0  # of a burst like a tap
 
 
 def sweep_command(
@@ -69,3 +70,28 @@ def sweep_command(
     window = 0.25 * (1 - np.cos(np.pi * np.clip(times / rise, 0, 1)))
     window *= 1 - np.cos(np.pi * np.clip((last - times) / fall, 0, 1))
     return np.asarray(window * (offset_A + amplitude_A * np.sin(phase)))
+
+
+def tap_command(peak_A: float, dt_s: float) -> FloatArray:
+    """A burst like the transient of a tap: a decaying sine of 120 Hz, with which the device is met at full current.
+
+    Parameters
+    ----------
+    peak_A : largest current, > 0.
+
+    Returns
+    -------
+    (N,) commands [A] over 0.1 s, the first and the last zero.
+
+    Raises
+    ------
+    InputError : the current is out of its range, or the servo too slow for such a burst.
+    """
+    if not 0 < peak_A < np.inf:
+        raise InputError(f"tap: peak {peak_A:g} A: must be above 0 and finite")
+    if not 0.1 / dt_s > TAP_HZ:
+        raise InputError(f"tap: a servo of {1 / dt_s:g} Hz is too slow for a burst of {TAP_HZ:g} Hz")
+    times = dt_s * np.arange(round(TAP_S / dt_s))
+    burst = np.exp(-times / TAP_FADES_S) * np.sin(2 * np.pi * TAP_HZ * times)
+    burst[-1] = 0.0
+    return np.asarray(peak_A * burst / np.abs(burst).max())

@@ -1,11 +1,11 @@
 """Which sweeps identify an amplifier or a device: the trials, one file each, on a port and on the simulator alike."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
-from controller.record.excitation import sweep_command
+from controller.record.excitation import TAP_S, sweep_command, tap_command
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 
@@ -40,12 +40,13 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class PlannedSweep:
-    """One sweep.
+    """One sweep, or a tap at the current of use.
 
     Attributes
     ----------
     grip_N : at which the stylus is held still; 0 is the free device. number : from 1, among those alike.
     polarity : +1 or -1, of sine and offset together.
+    tap : whether it is a tap of this amplitude, which is kept out of every fit.
     """
 
     purpose: Purpose
@@ -57,6 +58,7 @@ class PlannedSweep:
     amplitude_A: float
     offset_A: float
     seconds: float
+    tap: bool = False
 
     def command(self, dt_s: float) -> FloatArray:
         """(N,) command to be issued at k dt and held [A].
@@ -65,12 +67,14 @@ class PlannedSweep:
         ------
         InputError : see `excitation.sweep_command`.
         """
+        if self.tap:
+            return self.polarity * tap_command(self.amplitude_A, dt_s)
         sweep = sweep_command(self.low_Hz, self.high_Hz, self.seconds, self.amplitude_A, dt_s, self.offset_A)
         return self.polarity * sweep
 
     @property
     def file_name(self) -> str:
-        offset = f"_{self.offset_A:g}A" if self.offset_A else ""
+        offset = "_tap" if self.tap else f"_{self.offset_A:g}A" if self.offset_A else ""
         sign = "pos" if self.polarity > 0 else "neg"
         return f"{self.purpose.value}_{self.grip_N:g}N{offset}_{self.number}_{sign}.npz"
 
@@ -85,12 +89,14 @@ def sweep_plan(
     amplitude_A: float | None = None,
     offset_A: float | None = None,
     seconds: float | None = None,
+    tap_A: float | None = None,
 ) -> list[PlannedSweep]:
     """Trials grip by grip, offset by offset, of alternating polarity; what is None is as in `PRESETS`.
 
     Parameters
     ----------
     trials : of each grip and offset.
+    tap_A : largest current of two taps of either sign at each grip, after its sweeps; None for none.
 
     Raises
     ------
@@ -124,4 +130,7 @@ def sweep_plan(
                     seconds=preset.seconds if seconds is None else seconds,
                 )
                 planned.append(trial)
+        if tap_A is not None:
+            tap = replace(planned[-1], amplitude_A=tap_A, offset_A=0.0, seconds=TAP_S, tap=True)
+            planned += [replace(tap, number=number, polarity=sign) for number, sign in ((1, 1), (2, -1))]
     return planned

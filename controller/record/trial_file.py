@@ -21,7 +21,7 @@ COLUMNS = (
     "ambient_C",
     "voltage_V",
 )
-SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s")
+SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s", "held_out")
 
 
 def refuse_old(folder: Path, names: Iterable[str]) -> None:
@@ -44,6 +44,7 @@ def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Ma
     columns : some of `COLUMNS`, `time_s` among them; (n,) each, finite. What was measured, at `time_s[k]`; the
         command of row k is held from there to the next row.
     scalars : some of `SCALARS`. grip_N : mean over the trial. accelerometer_Hz : bandwidth, one pole.
+        held_out : 1 for a trial to validate with, which is never fitted.
 
     Raises
     ------

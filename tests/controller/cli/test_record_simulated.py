@@ -42,6 +42,22 @@ def test_sweeps_of_a_series(play: Run) -> None:
     assert len(list(Path("sweeps").iterdir())) == 6
 
 
+def test_taps_at_the_current_of_use_are_marked_as_kept_out_of_the_fit(play: Run) -> None:
+    arguments = ("--grips", 3, "--trials", 1, "--seconds", 0.3, "--low", 20, "--tap-current", 3.5)
+    outcome = play(*SWEEP, *arguments)
+    assert outcome.code == 0, outcome.err
+    assert "2 taps and 1 sweeps" in outcome.out
+    taps = [load_measurement(path) for path in sorted(Path("sweeps").glob("*_tap_*.npz"))]
+    assert [one.name for one in taps] == ["device_3N_tap_1_pos.npz", "device_3N_tap_2_neg.npz"]
+    assert all(one.held_out for one in taps)
+    for one, sign in zip(taps, (1, -1), strict=True):
+        current = sign * one.require("current", "").values
+        assert current.max() == pytest.approx(3.5, rel=0.05)
+        assert current.max() > -current.min()
+    assert not load_measurement(Path("sweeps/device_3N_1_pos.npz")).held_out
+    assert_refused(play(*SWEEP, "--tap-current", 0), "--tap-current")
+
+
 def test_the_transfer_function_of_the_truth(play: Run, scene: Scene) -> None:
     """Spectra of two polarities: acceleration over current is the chain behind the sensor's pole."""
     outcome = play(*SWEEP, "--grips", 3, "--trials", 2, "--high", 1000, "--low", 5, "--seconds", 1, "--crossover", 0)

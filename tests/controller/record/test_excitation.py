@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from controller.record.excitation import sweep_command
+from controller.record.excitation import sweep_command, tap_command
 from controller.record.sweep_plan import FREE_LOW_HZ, Purpose, sweep_plan
 from controller.record.trial_file import write_measurement
 from transopt.base.errors import InputError
@@ -109,6 +109,16 @@ def test_a_measurement_comes_back_as_it_was(tmp_path) -> None:
         assert read["grip_N"].shape == ()
         assert read["grip_N"] == 2.5
     assert [one.name for one in tmp_path.iterdir()] == ["trial_01.npz"]
+
+
+def test_a_tap_reaches_its_peak_and_ends_at_rest() -> None:
+    command = tap_command(4.0, DT_S)
+    assert np.abs(command).max() == pytest.approx(4.0)
+    assert (command[0], command[-1]) == (0.0, 0.0)
+    assert np.abs(command[-100:]).max() < 1e-4
+    for peak_A, dt_s in ((0.0, DT_S), (np.nan, DT_S), (4.0, 1e-3)):
+        with pytest.raises(InputError, match="tap: "):
+            tap_command(peak_A, dt_s)
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,7 @@ PREFERENCE = 0.9  # a black box must be that much better than the chain, whose p
 MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5 dB), from where the fit is lacking
 SMOOTHED_BINS = 9
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
+READ_LATE = 0.02  # samples, from which on it is said
 DISTORTED = 0.01  # of the answer, from which on distortion is said
 CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative: closer is one clock, farther another rate
 SIGMAS = 1.959964  # 95 %
@@ -324,10 +325,10 @@ def _causes(
                 about = "no file states it" if stated is None else f"the files state {stated:g} Hz"
                 text = f"{one.value:.4g} +- {2 * one.deviation:.2g} Hz found, {about}: taken out of the records"
                 say("unstated accelerometer pole", "accelerometer pole", text)
-            elif one.name == "late":
+            elif one.name == "late" and abs(one.value) > READ_LATE:
                 text = f"read {one.value:+.3g} samples after the current: taken out; read both at the same tick"
                 say("read delay", "acceleration", text)
-            elif abs(one.value - 1) > 0.01:
+            elif one.name == "gain" and abs(one.value - 1) > 0.01:
                 text = (
                     f"{one.value:.4g} times what the encoder says: taken for the accelerometer's gain and taken out; "
                     "check the scales of both"
