@@ -24,27 +24,28 @@ SHOWN_DEG = 60.0  # a wider phase interval than this is drawn as no interval at 
 
 
 def device_figure(result: DeviceResult) -> Figure:
-    """One column of magnitude [g/A] and phase [deg] per grip: measured with 95 % band, and the chosen model.
+    """One column per grip: magnitude, phase, and what the chosen model is off by; measured with its 95 % band.
 
     The accelerometer's pole is in both, so that measured and fitted are the same quantity.
     """
     columns = min(COLUMNS, len(result.grips))
     rows = -(-len(result.grips) // columns)
-    figure = Figure(figsize=(3.3 * columns + 0.6, 3.6 * rows + 0.7), layout="constrained")
-    axes = figure.subplots(2 * rows, columns, squeeze=False, sharex=True, height_ratios=[1.6, 1.0] * rows)
+    figure = Figure(figsize=(3.3 * columns + 0.6, 4.4 * rows + 0.7), layout="constrained")
+    axes = figure.subplots(3 * rows, columns, squeeze=False, sharex=True, height_ratios=[1.6, 1.0, 0.8] * rows)
     for j, grip in enumerate(result.grips):
-        above, below = axes[2 * (j // columns), j % columns], axes[2 * (j // columns) + 1, j % columns]
-        _grip(above, below, result, grip)
+        above, below, under = (axes[3 * (j // columns) + row, j % columns] for row in range(3))
+        _grip(above, below, under, result, grip)
         if j % columns == 0:
             above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
             below.set_ylabel("phase [deg]", fontsize=LABEL_PT)
+            under.set_ylabel("off by [% of it]", fontsize=LABEL_PT)
         last = j + columns >= len(result.grips)
         if last:
-            below.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
-            below.tick_params(labelbottom=True)
+            under.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
+            under.tick_params(labelbottom=True)
     for j in range(len(result.grips), rows * columns):
-        axes[2 * (j // columns), j % columns].set_visible(False)
-        axes[2 * (j // columns) + 1, j % columns].set_visible(False)
+        for row in range(3):
+            axes[3 * (j // columns) + row, j % columns].set_visible(False)
     figure.legend(handles=_handles(result), loc="outside upper center", ncols=3, fontsize=SMALL_PT, frameon=False)
     return figure
 
@@ -53,12 +54,12 @@ def _handles(result: DeviceResult) -> Sequence[Line2D | Patch]:
     name = "drive chain" if result.chosen.kind == "drive" else "state space"
     return [
         Line2D([], [], color=DARK, linestyle="", marker=".", markersize=4, label="measured (ETFE)"),
-        Patch(color=BAND_COLOUR, label="95 % of the measured"),
+        Patch(color=BAND_COLOUR, label="95 % of what is measured, by its noise"),
         Line2D([], [], color=FIT_COLOUR, label=name),
     ]
 
 
-def _grip(above: Axes, below: Axes, result: DeviceResult, grip: Grip) -> None:
+def _grip(above: Axes, below: Axes, under: Axes, result: DeviceResult, grip: Grip) -> None:
     estimate = grip.response.estimate
     measured_Hz, size = estimate.frequencies_Hz, np.abs(estimate.response) / STANDARD_GRAVITY_M_S2
     low, high = (limit / STANDARD_GRAVITY_M_S2 for limit in estimate.magnitude_band())
@@ -89,7 +90,15 @@ def _grip(above: Axes, below: Axes, result: DeviceResult, grip: Grip) -> None:
         called(grip.grip_N) + (f", held-out NRMSE {100 * error:.1f} %" if np.isfinite(error) else ", not validated"),
         fontsize=LABEL_PT,
     )
-    for axes in (above, below):
+    at_bins = np.zeros(measured_Hz.size, dtype=complex)
+    for plant, weight in result.chosen.model.shares(grip.grip_N):
+        at_bins += weight * sampled_response(plant, result.chosen.instrument, measured_Hz)[0]
+    scale = np.abs(estimate.response)
+    under.fill_between(measured_Hz, 1e-9, 100 * estimate.radius() / scale, color=BAND_COLOUR, linewidth=0)
+    under.plot(measured_Hz, 100 * np.abs(at_bins - estimate.response) / scale, ".", color=FIT_COLOUR, markersize=2.5)
+    under.set(yscale="log", ylim=(0.01, 100.0))
+    under.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    for axes in (above, below, under):
         axes.tick_params(labelsize=SMALL_PT)
         axes.grid(color="0.9", linewidth=0.6)
         axes.set_axisbelow(True)
