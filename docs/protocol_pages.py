@@ -21,45 +21,35 @@ What a host and a device say to each other, complete enough to write another hos
 
 ## Framing
 
-A frame on the line is `COBS(payload + CRC-32) + 0x00`: the CRC is zlib's (IEEE 802.3), 4 bytes, little-endian,
-of the
-payload; COBS replaces every zero (Cheshire and Baker 1999), so that 0x00 ends a frame and nothing else. What
-does not decode
-is dropped in silence. A payload is a header of {messages.HEADER.size} bytes (kind u8, flags u8 = 0, sequence
-u16, session u32) and a body
-of at most {messages.BODY_LIMIT} bytes. All numbers are little-endian without padding, floating point is IEEE 754.
-`protocol_vectors.json` has one frame of every kind, byte for byte.
+A frame on the line is `COBS(payload + CRC-32) + 0x00`: the CRC is zlib's (IEEE 802.3), 4 bytes, little-endian, of
+the payload; COBS replaces every zero (Cheshire and Baker 1999), so that 0x00 ends a frame and nothing else. What
+does not decode is dropped in silence. A payload is a header of {messages.HEADER.size} bytes (kind u8, flags u8 =
+0, sequence u16, session u32) and a body of at most {messages.BODY_LIMIT} bytes. All numbers are little-endian
+without padding, floating point is IEEE 754. `protocol_vectors.json` has one frame of every kind, byte for byte.
 
 ## A session
 
 The host chooses a session number (not 0) and says HELLO with magic 0x{messages.MAGIC:08X}; HELLO_REPLY tells the
-device. Of
-another version of the protocol a device answers with its own, and the remedy is to bring host and firmware to
-one version.
-Each request has the sequence of the one before plus 1, modulo 2^16, and one is open at a time: it is answered
-with the same
-sequence, by DONE, by REFUSED with a reason, or as the table says. The same sequence again gets the same answer
-and is not
-carried out twice. LEASE, DATA and EVENT_ACK stand beside that: their sequence is not looked at.
+device. Of another version of the protocol a device answers with its own, and the remedy is to bring host and
+firmware to one version. Each request has the sequence of the one before plus 1, modulo 2^16, and one is open at a
+time: it is answered with the same sequence, by DONE, by REFUSED with a reason, or as the table says. The same
+sequence again gets the same answer and is not carried out twice. LEASE, DATA and EVENT_ACK stand beside that:
+their sequence is not looked at.
 
-To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the
-last ACK),
-COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence of
-its own:
-PULSE with pairs, ARM with trial 1 and a tap.
+To play: HELLO, CONFIGURE in parts, CONFIGURE_COMMIT, UPLOAD_BEGIN, DATA (at most `upload_frames` ahead of the last
+ACK), COMMIT, then ARM, and LEASE at least every `lease_ms`. A device that is not simulated arms only with evidence
+of its own: PULSE with pairs, ARM with trial 1 and a tap.
 
 A part of CONFIGURE or DATA has at most {messages.DATA_LIMIT} bytes. Each hash is the SHA-256 of all bytes of the
-configuration or of the
-image, header included. The device returns the nonce of HELLO, so that an old answer is not taken for a new one.
-Requests and DATA that
-get no answer within some 0.2 s are sent again. EVENT has the session of the last HELLO, goes on in number over
-sessions, and
-HELLO_REPLY's `event` is the oldest that has not been acknowledged; EVENT_ACK names the next number that is wanted,
-and so acknowledges all before. A fault (event codes from 64 on), LEASE_LOST and DISARM end the arming.
+configuration or of the image, header included. The device returns the nonce of HELLO, so that an old answer is not
+taken for a new one. Requests and DATA that get no answer within some 0.2 s are sent again. EVENT has the session
+of the last HELLO, goes on in number over sessions, and HELLO_REPLY's `event` is the oldest that has not been
+acknowledged; EVENT_ACK names the next number that is wanted, and so acknowledges all before. A fault (event codes
+from 64 on), LEASE_LOST and DISARM end the arming.
 
 ## A second host
 
-Written from this page alone, with Python's standard library:
+Written from this page alone, with pyserial for the line:
 
 ```{{literalinclude}} second_host.py
 :language: python
@@ -67,7 +57,6 @@ Written from this page alone, with Python's standard library:
 
 It is run as `python second_host.py PORT CONFIGURATION IMAGE`, with configuration and image as files of bytes
 (`controller.host.payload.payload(path)` makes both of a library).
-
 
 ## Timing
 
@@ -86,28 +75,22 @@ It is run as `python second_host.py PORT CONFIGURATION IMAGE`, with configuratio
 IMAGE = f"""## Image of a library, version {image.IMAGE_VERSION}
 
 Magic 0x{image.IMAGE_MAGIC:08X}. Header, then speeds [m/s] and grips [N] as f64, the feedback's norms [A] f64 by
-speed and grip, and
-the waveforms as i16 counts of `scale_A`, one after the other: speed by speed, within it grip by grip, within
-that sample by sample.
-Flag 1: the grip counts; without it the contact's grip outside the grid is no event. Flag 2: the nearest waveform
-instead of a blend. The device computes the transients' norms itself: `scale_A sqrt(sum
-count^2)`.
+speed and grip, and the waveforms as i16 counts of `scale_A`, one after the other: speed by speed, within it grip
+by grip, within that sample by sample. Flag 1: the grip counts; without it the contact's grip outside the grid is
+no event. Flag 2: the nearest waveform instead of a blend. The device computes the transients' norms itself:
+`scale_A sqrt(sum count^2)`.
 """
 CONFIGURATION = f"""## Configuration, version {configuration.CONFIGURATION_VERSION}
 
 Magic u32 0x{configuration.CONFIGURATION_MAGIC:08X}, version u16, count u16 = {len(configuration.NAMES)}, then
-these numbers as f64, in order; their
-unit ends their name. Flags are 0 or 1, what is not there is 0. Only stated numbers travel. From them follow,
-with dt the
-servo period and w = 2 pi pole_Hz: decay exp(-w dt) of the amplifier, exp(-w dt (1 + tolerance)) of the fastest and
-exp(-w dt (1 - tolerance)) of the slowest, prefilter 1 / (1 - decay) and -decay / (1 - decay), durations in whole
-periods (halves to the
-even neighbour, one at least), skip = ceil(delay / dt) + 1 periods and push = min(5 ms, pulse) of a test pulse.
-Readings are corrected before anything looks at them: counts times `encoder_direction`, acceleration times scale
-less
-`acceleration_rest_m_s2`, grip times scale less `grip_zero_N`, current times `monitor_scale`; the amplifier is
-asked for the
-command over `amplifier_scale`.
+these numbers as f64, in order; their unit ends their name. Flags are 0 or 1, what is not there is 0. Only stated
+numbers travel. From them follow, with dt the servo period and w = 2 pi pole_Hz: decay exp(-w dt) of the amplifier,
+exp(-w dt (1 + tolerance)) of the fastest and exp(-w dt (1 - tolerance)) of the slowest, prefilter 1 / (1 - decay)
+and -decay / (1 - decay), durations in whole periods (halves to the even neighbour, one at least), skip =
+ceil(delay / dt) + 1 periods and push = min(5 ms, pulse) of a test pulse. Readings are corrected before anything
+looks at them: counts times `encoder_direction`, acceleration times scale less `acceleration_rest_m_s2`, grip times
+scale less `grip_zero_N`, current times `monitor_scale`; the amplifier is asked for the command over
+`amplifier_scale`.
 
 """
 

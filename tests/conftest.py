@@ -204,6 +204,16 @@ def short_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
 
 
 @pytest.fixture(scope="session")
+def tailed_case(make_problem: ProblemMaker, short_scene: Scene) -> Any:
+    """The short case with as many instants after the window, in which the tap goes on."""
+    problem = make_problem(stages=STAGES)
+    after = make_problem().reference_m_s2[STAGES : 2 * STAGES]
+    target = replace(problem.target, after_m_s2=after)
+    problem = replace(problem, target=target, grid=replace(problem.grid, after_stages=after.size))
+    return make_case("tailed", short_scene, problem, 0.4, 5.0)
+
+
+@pytest.fixture(scope="session")
 def hot_problem(make_problem: ProblemMaker, scene: Scene) -> TransientProblem:
     """The coil's temperature binds, so that there is no QP."""
     problem, coil = make_problem(stages=STAGES), scene.coil()

@@ -25,7 +25,7 @@ from transopt.solvers.options import SolverOptions
 from transopt.solvers.program import Shape, program_shape, state_program
 from transopt.solvers.statement import state
 
-DUMP_SCHEMA = 1
+DUMP_SCHEMA = 2
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,11 @@ class QP:
     A : (m + b, V) sparse: `rows` = m rows of dynamics and hand-over, all equalities, stage by stage; then b rows of
         the identity, one for each variable `boxed` that has bounds. l, u : (m + b,).
     boxed : (b,) indices of variables. command_at : (N,) indices of the commands.
-    A_d : (n, n), B_d : (n, 1), C_d : (1, n) acceleration divided by |r|. units : (n,) SI unit of each state.
+    A_d : (n, n), B_d : (n, 1), C_d : (1, n) acceleration divided by sqrt(E). units : (n,) SI unit of each state.
     current_limit_A, command_limit_A : |i(t)| and |c|. hand_over_samples : last commands, zero.
-    reference_m_s2 : (N,) r at the switching instants. tracking_weights : (N,). movement_weight : of dc^2 [1/A^2].
+    reference_m_s2 : (N + M,) r at the switching instants, and at the M instants after the window, in which the
+        command is zero and the error counts too; energy_m2_s4 : E, by which all squares are divided.
+    tracking_weights : (N + M,). movement_weight : of dc^2 [1/A^2].
     dt_s : servo period.
     solution : (V,) reference solution, multipliers : (m + b,), objective : J of the solution, by its rollout.
     """
@@ -68,6 +70,7 @@ class QP:
     command_limit_A: float
     hand_over_samples: int
     reference_m_s2: FloatArray
+    energy_m2_s4: float
     tracking_weights: FloatArray
     movement_weight: float
     dt_s: float
@@ -137,7 +140,7 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
     identity = sparse.csc_array((np.ones(boxed.size), (np.arange(boxed.size), boxed)), shape=(boxed.size, V))
     order = stage_order(statement.shape)
     rows = sparse.csc_array(data["A"].sparse())[order]
-    r, shape = problem.reference_m_s2, statement.shape
+    tracking, shape = problem.tracking, statement.shape
     return QP(
         name=name,
         P=sparse.csc_array(data["H"].sparse()),
@@ -156,13 +159,14 @@ def quadratic_program(name: str, problem: TransientProblem) -> QP:
         current_limit_A=problem.limits.current_A,
         command_limit_A=problem.limits["command"].stated,
         hand_over_samples=problem.hand_over_samples,
-        reference_m_s2=r,
-        tracking_weights=problem.tracking_weights,
+        reference_m_s2=problem.target.continued_m_s2,
+        energy_m2_s4=problem.target.energy_m2_s4,
+        tracking_weights=tracking.all_weights,
         movement_weight=problem.movement.weight,
         dt_s=problem.grid.dt_s,
         objective_scale=OBJECTIVE_SCALE,
         # What remains of the tracking error where nothing moves.
-        constant=float(problem.tracking_weights @ r**2 / (r @ r)),
+        constant=tracking.value(np.zeros(problem.target.continued_m_s2.size)),
         solution=np.zeros(V),
         multipliers=np.zeros(order.size + boxed.size),
         objective=float("nan"),

@@ -165,23 +165,23 @@ def condensed(qp: QP) -> dict[str, FloatArray]:
     """The same problem in the F free commands alone, in their unit: H (F, F), f (F,), A (N - 1, F) of the currents at
     tau_1 to tau_(N-1), and bounds of the commands followed by those of the currents.
     """
-    N = qp.stages
+    N, all_instants = qp.stages, qp.reference_m_s2.size
     F, n = N - qp.hand_over_samples, len(qp.A_d)
-    z, output, current = np.zeros(n), np.empty(N), np.empty(N)
-    for k in range(N):
+    z, output, current = np.zeros(n), np.empty(all_instants), np.empty(all_instants)
+    for k in range(all_instants):
         output[k], current[k] = qp.C_d[0] @ z, z[n - 2]
         # A command that is held for one period.
         z = qp.A_d @ z + qp.B_d[:, 0] * (1.0 if k == 0 else -1.0 if k == 1 else 0.0)
-    tracking = linalg.toeplitz(output, np.zeros(N))[:, :F]
+    tracking = linalg.toeplitz(output, np.zeros(F))
     moving = np.eye(N, F) - np.eye(N, F, k=-1)
     weighted = qp.tracking_weights[:, None] * tracking
     smooth = qp.movement_weight * qp.current_unit_A**2
     upper = np.append(np.full(F, qp.command_limit_A), np.full(N - 1, qp.current_limit_A)) / qp.current_unit_A
-    wanted = qp.reference_m_s2 / np.linalg.norm(qp.reference_m_s2)
+    wanted = qp.reference_m_s2 / np.sqrt(qp.energy_m2_s4)
     return {
         "H": 2 / qp.objective_scale * (tracking.T @ weighted + smooth * moving.T @ moving),
         "f": -2 / qp.objective_scale * (weighted.T @ wanted),
-        "A": linalg.toeplitz(current, np.zeros(N))[1:, :F],
+        "A": linalg.toeplitz(current[:N], np.zeros(F))[1:],
         "bupper": upper,
         "blower": -upper,
     }

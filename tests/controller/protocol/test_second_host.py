@@ -50,7 +50,7 @@ def test_a_file_of_another_version_ends_in_one_line(given: tuple[Path, Path], wh
     data[4] += 1
     given[which].write_bytes(data)
     done = host("nowhere", *given)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
     assert "version" in done.stderr
     assert "export it again" in done.stderr
@@ -73,7 +73,7 @@ def test_a_device_of_another_version_ends_in_one_line(given: tuple[Path, Path]) 
         thread.start()
         done = host(f"socket://localhost:{server.getsockname()[1]}", *given)
         thread.join(10.0)
-    assert (done.returncode, done.stdout) == (2, "")
+    assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.count("\n") == 1
     assert f"the device speaks protocol {m.PROTOCOL + 1}" in done.stderr
     assert "bring host and firmware to one version" in done.stderr
@@ -81,5 +81,5 @@ def test_a_device_of_another_version_ends_in_one_line(given: tuple[Path, Path]) 
 
 def test_it_ends_in_one_line_where_nobody_is(given: tuple[Path, Path]) -> None:
     done = host("/dev/no-such-port", *given)
-    assert done.returncode == 2
+    assert done.returncode == 1
     assert done.stderr.count("\n") == 1
