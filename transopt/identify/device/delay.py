@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy import fft
 
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.checks import Fault, Finding
@@ -36,20 +37,20 @@ def _likeness(run: Measurement, amplifier: Amplifier | None, plant: StateSpace, 
     is then sharp, while the plain correlation of a resonant device has one hump per period of the resonance.
     """
     current, recorded = felt_current(run, amplifier), run.require("acceleration", "acceleration_m_s2")
-    size = 2 * recorded.values.size
-    lines = np.fft.rfftfreq(size, recorded.dt_s)
-    given = np.fft.rfft(current.values - current.values.mean(), size)
+    size = fft.next_fast_len(2 * recorded.values.size, real=True)
+    lines = fft.rfftfreq(size, recorded.dt_s)
+    given = fft.rfft(current.values - current.values.mean(), size)
     inside = (lines >= BAND_HZ[0]) & (lines <= min(BAND_HZ[1], 0.4 * recorded.rate_Hz))
     inside &= np.abs(given) > EXCITED * np.abs(given).max()
     if np.count_nonzero(inside) < FEWEST_LINES:
         return np.zeros(1)
     coarse = np.linspace(lines[inside][0], lines[inside][-1], 4000)
     nominal = np.interp(lines[inside], coarse, sampled_response(plant, instrument, coarse)[0])
-    answer = np.fft.rfft(recorded.values - recorded.values.mean(), size)[inside]
+    answer = fft.rfft(recorded.values - recorded.values.mean(), size)[inside]
     cross = np.zeros(lines.size, dtype=complex)
     product = answer * (nominal * given[inside]).conj()
     cross[inside] = product / np.maximum(np.abs(product), np.finfo(float).tiny)
-    course = np.fft.irfft(cross, size) * size / (2 * np.count_nonzero(inside))
+    course = fft.irfft(cross, size) * size / (2 * np.count_nonzero(inside))
     return np.asarray(course[: min(round(LONGEST_S / recorded.dt_s), recorded.values.size)])
 
 

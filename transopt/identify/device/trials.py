@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
@@ -129,10 +130,10 @@ def _current_against_command(run: Measurement, amplifier: Amplifier | None) -> l
     modelled = felt_current(replace(run, current=None), amplifier).values
     modelled = modelled - modelled.mean()
     measured = run.current.values - run.current.values.mean()
-    size, power = 2 * measured.size, float(modelled @ modelled)
+    size, power = fft.next_fast_len(2 * measured.size, real=True), float(modelled @ modelled)
     if power == 0:
         return []
-    along = np.fft.irfft(np.fft.rfft(measured, size) * np.fft.rfft(modelled, size).conj(), size)
+    along = fft.irfft(fft.rfft(measured, size) * fft.rfft(modelled, size).conj(), size)
     lags = np.concatenate([along[-MOST_LAG:], along[: MOST_LAG + 1]])
     best = int(np.argmax(np.abs(lags)))
     gain, lag = float(lags[best]) / power, best - MOST_LAG

@@ -1,114 +1,145 @@
-"""The figure of an identified device, like the seed's Fig. 7: magnitude and phase per grip, measured and fitted."""
-
-from collections.abc import Sequence
+"""The figure of an identified device: the responses of all grips, as in the seed's Fig. 7, and beside them for each
+grip what the model is off by and one recorded motion that was kept out of the fit, measured and predicted.
+"""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
-from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT
+from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
-from transopt.identify.device.identify import DeviceResult
+from transopt.identify.device.identify import Candidate, DeviceResult
 from transopt.identify.device.response import sampled_response
 from transopt.identify.device.trials import Grip
-from transopt.identify.device.validation import called
+from transopt.identify.device.validation import Transient, called
+from transopt.identify.spectrum import ComplexArray
 
-POINTS = 400
-COLUMNS = 3
-BAND_COLOUR, FIT_COLOUR = "0.75", "#D55E00"
-MAGNITUDE_G_A = 1e-3, 30.0
+POINTS = 300
+BAND_COLOUR = "0.82"
+MAGNITUDE_G_A = 1e-3  # below, a response is all noise
 SHOWN_DEG = 60.0  # a wider phase interval than this is drawn as no interval at all
+SHOWN_S, BEFORE = 40e-3, 0.25  # of a motion that was kept out, and which part of it before its peak
+OFF_PERCENT = 0.01, 100.0
+ROW_IN, LEAST_IN = 1.35, 5.4
 
 
 def device_figure(result: DeviceResult) -> Figure:
-    """One column per grip: magnitude, phase, and what the chosen model is off by; measured with its 95 % band.
+    """Left: magnitude and phase of all grips; right: a row per grip with error over frequency and motion over time.
 
-    The accelerometer's pole is in both, so that measured and fitted are the same quantity.
+    The accelerometer's pole is in measurement and model, so that both are the same quantity.
     """
-    columns = min(COLUMNS, len(result.grips))
-    rows = -(-len(result.grips) // columns)
-    figure = Figure(figsize=(3.3 * columns + 0.6, 4.4 * rows + 0.7), layout="constrained")
-    axes = figure.subplots(3 * rows, columns, squeeze=False, sharex=True, height_ratios=[1.6, 1.0, 0.8] * rows)
-    for j, grip in enumerate(result.grips):
-        above, below, under = (axes[3 * (j // columns) + row, j % columns] for row in range(3))
-        _grip(above, below, under, result, grip)
-        if j % columns == 0:
-            above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
-            below.set_ylabel("phase [deg]", fontsize=LABEL_PT)
-            under.set_ylabel("off by [% of it]", fontsize=LABEL_PT)
-        last = j + columns >= len(result.grips)
-        if last:
-            under.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
-            under.tick_params(labelbottom=True)
-    for j in range(len(result.grips), rows * columns):
-        for row in range(3):
-            axes[3 * (j // columns) + row, j % columns].set_visible(False)
-    figure.legend(handles=_handles(result), loc="outside upper center", ncols=3, fontsize=SMALL_PT, frameon=False)
+    grips = result.grips
+    figure = Figure(figsize=(12.0, max(LEAST_IN, ROW_IN * len(grips) + 1.3)), layout="constrained")
+    places = figure.add_gridspec(2 * len(grips), 3, width_ratios=[1.25, 1.0, 1.0])
+    above = figure.add_subplot(places[: len(grips), 0])
+    below = figure.add_subplot(places[len(grips) :, 0], sharex=above)
+    first: tuple[Axes, Axes] | None = None
+    for j, (grip, colour) in enumerate(zip(grips, colours(len(grips)), strict=True)):
+        _response(above, below, result.chosen, grip, tuple(colour))
+        rows = slice(2 * j, 2 * j + 2)
+        off = figure.add_subplot(places[rows, 1], sharex=above)
+        motion = figure.add_subplot(places[rows, 2], sharex=None if first is None else first[1])
+        first = first or (off, motion)
+        _error(off, result.chosen, grip, tuple(colour))
+        _motion(motion, result.chosen.transients.get(grip.grip_N, []))
+        off.set_ylabel(called(grip.grip_N), fontsize=LABEL_PT)
+        for axes in (off, motion):
+            axes.tick_params(labelbottom=j == len(grips) - 1)
+    assert first is not None
+    first[0].set_title("model off by [% of the response]", fontsize=LABEL_PT)
+    first[1].set_title("kept out of the fit: acceleration [g]", fontsize=LABEL_PT)
+    above.set_ylabel("acceleration / current [g/A]", fontsize=LABEL_PT)
+    below.set_ylabel("phase [deg]", fontsize=LABEL_PT)
+    above.tick_params(labelbottom=False)
+    for axes in (below, off):
+        axes.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
+    motion.set_xlabel("time about the peak [ms]", fontsize=LABEL_PT)
+    figure.legend(handles=_handles(result), loc="outside upper center", ncols=5, fontsize=SMALL_PT, frameon=False)
     return figure
 
 
-def _handles(result: DeviceResult) -> Sequence[Line2D | Patch]:
+def _handles(result: DeviceResult) -> list[Line2D | Patch]:
     name = "drive chain" if result.chosen.kind == "drive" else "state space"
     return [
-        Line2D([], [], color=DARK, linestyle="", marker=".", markersize=4, label="measured (ETFE)"),
+        Line2D([], [], color=DARK, linestyle="", marker=".", markersize=4, label="measured response"),
         Patch(color=BAND_COLOUR, label="95 % of what is measured, by its noise"),
-        Line2D([], [], color=FIT_COLOUR, label=name),
+        Line2D([], [], color=DARK, linewidth=1.1, label=f"{name}, light: firmer grip"),
+        Line2D([], [], color=DARK, linewidth=2.2, alpha=0.4, label="measured motion"),
+        Line2D([], [], color=SEED, linewidth=1.0, label="predicted motion"),
     ]
 
 
-def _grip(above: Axes, below: Axes, under: Axes, result: DeviceResult, grip: Grip) -> None:
+def _modelled(chosen: Candidate, grip_N: float, frequencies_Hz: FloatArray) -> ComplexArray:
+    found = np.zeros(frequencies_Hz.size, dtype=complex)
+    for plant, weight in chosen.model.shares(grip_N):
+        found += weight * sampled_response(plant, chosen.instrument, frequencies_Hz)[0]
+    return found
+
+
+def _response(above: Axes, below: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...]) -> None:
+    """One grip among all: measured magnitude and phase, and the model's."""
     estimate = grip.response.estimate
     measured_Hz, size = estimate.frequencies_Hz, np.abs(estimate.response) / STANDARD_GRAVITY_M_S2
-    low, high = (limit / STANDARD_GRAVITY_M_S2 for limit in estimate.magnitude_band())
     dense_Hz = np.geomspace(measured_Hz[0], measured_Hz[-1], POINTS)
-    modelled = np.zeros(POINTS, dtype=complex)
-    for plant, weight in result.chosen.model.shares(grip.grip_N):
-        modelled += weight * sampled_response(plant, result.chosen.instrument, dense_Hz)[0]
+    modelled = _modelled(chosen, grip.grip_N, dense_Hz)
     model_deg = np.degrees(np.unwrap(np.angle(modelled)))
     if model_deg[0] < -SHOWN_DEG:
         model_deg += 360.0
     # The measured phase is drawn on the turn that lies next to the model's.
     at = np.interp(measured_Hz, dense_Hz, model_deg)
-    phase = at + _turned(np.degrees(np.angle(estimate.response)) - at)
+    phase = at + (np.degrees(np.angle(estimate.response)) - at + 180.0) % 360.0 - 180.0
     half = estimate.phase_half_width_deg()
     half = np.where(half > SHOWN_DEG, np.nan, half)
+    low, high = (limit / STANDARD_GRAVITY_M_S2 for limit in estimate.magnitude_band())
 
     above.fill_between(measured_Hz, np.maximum(low, 1e-9), high, color=BAND_COLOUR, linewidth=0)
-    above.plot(measured_Hz, size, ".", color=DARK, markersize=2.5)
-    above.plot(dense_Hz, np.abs(modelled) / STANDARD_GRAVITY_M_S2, color=FIT_COLOUR, linewidth=1.1)
-    above.set(xscale="log", yscale="log", ylim=_span(size))
     below.fill_between(measured_Hz, phase - half, phase + half, color=BAND_COLOUR, linewidth=0)
-    below.plot(measured_Hz, phase, ".", color=DARK, markersize=2.5)
-    below.plot(dense_Hz, model_deg, color=FIT_COLOUR, linewidth=1.1)
-    below.set_yticks(np.arange(-360, 361, 90))
-    below.set_ylim(*(np.clip([model_deg.min() - 40, model_deg.max() + 40], -360, 360)))
-    error = result.chosen.recorded[grip.grip_N]
-    above.set_title(
-        called(grip.grip_N) + (f", held-out NRMSE {100 * error:.1f} %" if np.isfinite(error) else ", not validated"),
-        fontsize=LABEL_PT,
-    )
-    at_bins = np.zeros(measured_Hz.size, dtype=complex)
-    for plant, weight in result.chosen.model.shares(grip.grip_N):
-        at_bins += weight * sampled_response(plant, result.chosen.instrument, measured_Hz)[0]
+    for axes, measured, model in (
+        (above, size, np.abs(modelled) / STANDARD_GRAVITY_M_S2),
+        (below, phase, model_deg),
+    ):
+        axes.plot(measured_Hz, measured, ".", color=colour, markersize=2.5)
+        axes.plot(dense_Hz, model, color=colour, linewidth=1.1)
+        style(axes)
+    least, most = above.get_ylim() if above.get_yscale() == "log" else (np.inf, 0.0)
+    above.set(xscale="log", yscale="log")
+    above.set_ylim(min(least, max(0.5 * float(size.min()), MAGNITUDE_G_A)), max(most, 2.0 * float(size.max())))
+    above.xaxis.set_major_formatter(FuncFormatter(plain))
+    above.yaxis.set_major_formatter(FuncFormatter(plain))
+    below.yaxis.set_major_locator(MultipleLocator(90))
+
+
+def _error(axes: Axes, chosen: Candidate, grip: Grip, colour: tuple[float, ...]) -> None:
+    """What the model is off by at each bin, over what the noise alone makes of a right one."""
+    estimate = grip.response.estimate
     scale = np.abs(estimate.response)
-    under.fill_between(measured_Hz, 1e-9, 100 * estimate.radius() / scale, color=BAND_COLOUR, linewidth=0)
-    under.plot(measured_Hz, 100 * np.abs(at_bins - estimate.response) / scale, ".", color=FIT_COLOUR, markersize=2.5)
-    under.set(yscale="log", ylim=(0.01, 100.0))
-    under.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    for axes in (above, below, under):
-        axes.tick_params(labelsize=SMALL_PT)
-        axes.grid(color="0.9", linewidth=0.6)
-        axes.set_axisbelow(True)
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    above.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    off = np.abs(_modelled(chosen, grip.grip_N, estimate.frequencies_Hz) - estimate.response)
+    axes.fill_between(estimate.frequencies_Hz, 1e-9, 100 * estimate.radius() / scale, color=BAND_COLOUR, linewidth=0)
+    axes.plot(estimate.frequencies_Hz, 100 * off / scale, ".", color=colour, markersize=2.5)
+    axes.set(yscale="log", ylim=OFF_PERCENT)
+    axes.yaxis.set_major_locator(LogLocator(numticks=3))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(plain))
+    style(axes)
 
 
-def _turned(degrees: FloatArray) -> FloatArray:
-    return np.asarray((degrees + 180.0) % 360.0 - 180.0)
-
-
-def _span(size: FloatArray) -> tuple[float, float]:
-    return max(0.5 * float(size.min()), MAGNITUDE_G_A[0]), 2.0 * float(size.max())
+def _motion(axes: Axes, transients: list[Transient]) -> None:
+    """The loudest stretch of one record: of a tap at the amplitude of use where there is one, else of a sweep."""
+    style(axes)
+    if not transients:
+        axes.text(0.5, 0.5, "nothing was kept out", ha="center", va="center", transform=axes.transAxes)
+        return
+    one = next((found for found in transients if found.run.held_out), transients[-1])
+    recorded = one.run.require("acceleration", "acceleration_m_s2")
+    peak = int(np.argmax(np.abs(one.measured)))
+    shown = slice(max(peak - round(BEFORE * SHOWN_S / recorded.dt_s), 0), peak + round(SHOWN_S / recorded.dt_s))
+    times_ms = 1e3 * recorded.dt_s * (np.arange(one.measured.size)[shown] - peak)
+    axes.plot(times_ms, one.measured[shown] / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=2.2, alpha=0.4)
+    axes.plot(times_ms, one.predicted[shown] / STANDARD_GRAVITY_M_S2, color=SEED, linewidth=1.0)
+    kind = "tap" if one.run.held_out else "sweep"
+    words = f"{kind}, NRMSE {100 * one.nrmse:.2g} %"
+    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
+    axes.annotate(words, (0.985, 0.95), xycoords="axes fraction", ha="right", va="top", fontsize=SMALL_PT, bbox=paper)
