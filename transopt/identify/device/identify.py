@@ -35,6 +35,7 @@ from transopt.identify.device.effects import (
     named,
 )
 from transopt.identify.device.response import Instrument, sampled_response
+from transopt.identify.device.slow import without_leakage
 from transopt.identify.device.trials import (
     BAND_HZ,
     Grip,
@@ -223,6 +224,12 @@ def identify(
             random_starts=settings.random_starts,
             tick=lambda: tick("drive chain"),
         )
+        calm = [without_leakage(grip, chain.device, chain.instrument) for grip in grips]
+        if any(calm):
+            grips = [new or old for new, old in zip(calm, grips, strict=True)]
+            measured = [grip.response for grip in grips]
+            records = replace(records, grips=grips)
+            chain = refit(chain, measured)
     if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and (chain is None or _unexplained(chain))):
         box = fit_black_box(measured, records.instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []

@@ -286,7 +286,7 @@ def sort_trials(
         for run in kept:
             again += _against_response(run, trials_of[id(run)], estimate, where)
         found += refuse(again)
-        grips.append(Grip(grip_N, _response(grip_N, estimate, fitted, instrument), tuple(fitted), tuple(kept)))
+        grips.append(Grip(grip_N, response_of(grip_N, estimate, fitted, instrument), tuple(fitted), tuple(kept)))
         tick()
     between = [run for run in apart if not _outside(run, list(groups))]
     for run in between:
@@ -299,7 +299,7 @@ def sort_trials(
     return Records(grips, instrument, between, found)
 
 
-def _response(
+def response_of(
     grip_N: float, estimate: TransferEstimate, runs: Sequence[Measurement], instrument: Instrument
 ) -> GripResponse:
     """What all lines of the runs of a grip say.
