@@ -24,7 +24,7 @@ NOTICED = 0.05  # of the noise's energy there, from which on it is taken out
 
 
 def leakage(residual_m_s2: FloatArray, dt_s: float) -> tuple[FloatArray, float]:
-    """(n,) what the slow part of a residual (n,) leaks into faster lines, and its energy there over all the rest's."""
+    """(n,) what the slow part of a residual (n,) leaks into faster lines, and its energy there over the rest."""
     n = residual_m_s2.size
     parts = fft.dct(residual_m_s2, norm="ortho")
     parts[int(2 * n * dt_s * SLOW_HZ) + 1 :] = 0.0  # the k-th cosine has k half periods in the record
