@@ -123,9 +123,7 @@ def _unfit(scene: "Scene", accepted: bool) -> str:
     ------
     InputError : it is not, and that is not accepted.
     """
-    from transopt.report.identified import unfit_model
-
-    said = unfit_model(scene)
+    said = scene.unfit_model()
     if said and not accepted:
         raise InputError(f"{said}; identify it again, or solve with it as it is by --accept-unfit-model")
     return said

@@ -26,6 +26,7 @@ def build(
     options: SolverOptions | None = None,
     grid_tolerance: float | None = None,
     grid_cap: int = DEFAULT_CAP,
+    accept_unfit_model: bool = False,
 ) -> Build:
     """Design, certify and replay every entry of a scene; the answer has the refused ones too.
 
@@ -36,12 +37,15 @@ def build(
     options : solver and its tolerance; the default is the project's own method.
     grid_tolerance : nodes are added until a blend between them is this close to the optimum (0.02: 2 %), but not
         beyond `grid_cap`; without it the scene's grid is taken as it stands.
+    accept_unfit_model : design although the scene's model file says that it is not fit to design with.
 
     Raises
     ------
     InputError : a scene, a recording or an option that cannot be used.
     """
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    if not accept_unfit_model and (said := loaded.unfit_model()):
+        raise InputError(f"{said}; identify it again, or pass accept_unfit_model=True")
     options = SolverOptions() if options is None else options
     check_name(options.solver)
     if grid_tolerance is not None:
@@ -60,6 +64,7 @@ def solve(
     options: SolverOptions | None = None,
     grid_tolerance: float | None = None,
     grid_cap: int = DEFAULT_CAP,
+    accept_unfit_model: bool = False,
 ) -> Library:
     """The library of a scene, every entry certified and replayed; parameters as of `build`.
 
@@ -67,7 +72,14 @@ def solve(
     ------
     InputError : what `build` refuses; or entries that are refused, with the first one's reason.
     """
-    made = build(scene, recordings, options=options, grid_tolerance=grid_tolerance, grid_cap=grid_cap)
+    made = build(
+        scene,
+        recordings,
+        options=options,
+        grid_tolerance=grid_tolerance,
+        grid_cap=grid_cap,
+        accept_unfit_model=accept_unfit_model,
+    )
     if made.library is not None:
         return made.library
     first, count = made.refused[0], sum(1 for _ in made.all_entries())

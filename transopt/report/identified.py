@@ -108,15 +108,6 @@ def model_warning(build: Build) -> str:
     )
 
 
-def unfit_model(scene: Scene) -> str:
-    """One line: which parts of the scene's model file are not fit to design with, and why; empty if there is none."""
-    if not isinstance(scene.model, IdentifiedModel):
-        return ""
-    parts = scene.model.unfit(coil=scene.motor is not None)
-    said = "; ".join(f"{name}: {'; '.join(reasons)}" for name, reasons in parts.items())
-    return f"{scene.model.file} is not fit to design with: {said}" if said else ""
-
-
 def moving_target(scene: Scene) -> str:
     """One line where the taps to be reproduced are made with the identified device; empty if they are not."""
     model = scene.model
@@ -168,7 +159,7 @@ def identified_lines(build: Build) -> list[str]:
         lines += ["", f"NRMSE of the model on single trials outside its fit, their noise included: {errors}."]
     if model.device is not None and model.device.causes:
         lines += ["", f"Found beside the model: {', '.join(model.device.causes)}."]
-    if said := unfit_model(scene):
+    if said := scene.unfit_model():
         lines += ["", f"**{said}.** It was accepted by the one who solved."]
     warning = model_warning(build)
     return [*lines, *(["", f"**{warning[0].upper()}{warning[1:]}.**"] if warning else []), *_spread_words(scene)]

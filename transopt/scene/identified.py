@@ -1,9 +1,11 @@
 """A scene's model where it comes from a model file, and other devices that the uncertainty of the fit allows."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Annotated, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from transopt.base.errors import InputError
@@ -15,6 +17,10 @@ from transopt.scene.model_parts import DriveDevice, HandPart, ModelParts, StateS
 
 SEED = 7  # of the draws, always the same, so that a library can be made again
 TRIES = 200  # for one draw or pair of draws
+TAP_HZ = 5.0, 600.0  # where a tap has its energy
+SMALL = 1e-4  # relative change of a parameter by which responses are differentiated
+
+ComplexArray = NDArray[np.complex128]
 
 
 class IdentifiedModel(ModelParts):
@@ -111,10 +117,13 @@ class IdentifiedModel(ModelParts):
                 return hand.plant(grip_N, force_per_current_N_A=1.0 if struck else force_per_current_N_A)
 
     def drawn(self, samples: int, grips_N: Sequence[float]) -> list[Self]:
-        """Models with parameters drawn from the covariance of the fit, passive at all recorded and given grips.
+        """Models with parameters drawn around those of the fit, passive at all recorded and given grips.
 
-        Seeded; in pairs of opposite errors, so that the mean over the spread is the identified model (an odd last one
-        stands alone). One draw is one device: it has the same parameters at every grip.
+        Their errors have the shape of the fit's covariance and the size of the file's own verdict: where the records
+        show more error than the covariance explains (a structure that the model lacks, friction at the amplitude of
+        use), they are that much larger (`stretch`). Seeded; in pairs of opposite errors, so that the mean over the
+        spread is the identified model (an odd last one stands alone). One draw is one device: it has the same
+        parameters at every grip.
 
         Raises
         ------
@@ -123,7 +132,7 @@ class IdentifiedModel(ModelParts):
         part = self.moving
         if not isinstance(part, FittedPart) or not part.parameters:
             raise InputError(f"{self.file}: the model has no covariance to draw from")
-        random, values, factor = np.random.default_rng(SEED), part.values(), part.factor()
+        random, values, factor = np.random.default_rng(SEED), part.values(), self.stretch * part.factor()
         found: list[Self] = []
         for _ in range(TRIES * samples):
             error = factor @ random.standard_normal(values.size)
@@ -139,6 +148,30 @@ class IdentifiedModel(ModelParts):
             "are passive: record more and identify again"
         )
 
+    @cached_property
+    def stretch(self) -> float:
+        """How many times as far devices are off as the covariance of the fit says, by its `error`; at least 1.
+
+        The ratio of two root mean squares over the recorded grips and the band of a tap: of the response's error as
+        the records and the taps at the amplitude of use show it, and of what one standard deviation of the parameters
+        makes of the response, to first order.
+        """
+        part = self.moving
+        if not isinstance(part, DriveDevice) or part.error is None:
+            return 1.0
+        known = np.array(part.error.frequencies_Hz)
+        inside = (known >= TAP_HZ[0]) & (known <= TAP_HZ[1])
+        s, shown, explained = 2j * np.pi * known[inside], 0.0, 0.0
+        for grip_N, power in zip(part.error.grips_N, part.error.power, strict=True):
+            if grip_N not in part.grips_N or not inside.any():
+                continue
+            # Relative to the response, so that a resonance counts no more than what lies beside it.
+            scale = np.abs(_response(part, grip_N, s)) ** 2
+            beyond = max((tap.excess for tap in part.error.at_use if tap.grip_N == grip_N), default=0.0)
+            shown += float(np.mean(np.array(power)[inside] / scale)) + beyond**2
+            explained += float(np.mean(_variance(part, grip_N, s) / scale))
+        return float(np.sqrt(max(shown / explained, 1.0))) if explained > 0 else 1.0
+
     def _with(self, part: DriveDevice | HandPart, grips_N: Sequence[float]) -> Self:
         """The model with another device or hand, refused by an InputError where that is not passive at a grip."""
         for grip_N in grips_N:
@@ -147,3 +180,21 @@ class IdentifiedModel(ModelParts):
             else:
                 part.plant(grip_N, force_per_current_N_A=1.0)
         return self.model_copy(update={"device" if isinstance(part, DriveDevice) else "hand": part})
+
+
+def _response(part: DriveDevice, grip_N: float, s: ComplexArray) -> ComplexArray:
+    """(m,) acceleration over current at complex frequencies s [rad/s]."""
+    plant = part.plant(grip_N)
+    states = np.linalg.solve(s[:, None, None] * np.eye(plant.order) - plant.A, plant.B.astype(complex))
+    return np.asarray((plant.C @ states)[:, 0, 0] + plant.D[0, 0])
+
+
+def _variance(part: DriveDevice, grip_N: float, s: ComplexArray) -> FloatArray:
+    """(m,) E|.|^2 of the response by the covariance of the parameters, to first order."""
+    values, found = part.values(), np.zeros(s.size)
+    for column in part.factor().T:
+        # So small that every device is passive; the response is linear in it.
+        step = SMALL / max(float(np.max(np.abs(column) / np.maximum(np.abs(values), np.finfo(float).tiny))), SMALL)
+        moved = [_response(part.with_values(values + sign * step * column), grip_N, s) for sign in (1.0, -1.0)]
+        found += np.abs((moved[0] - moved[1]) / (2 * step)) ** 2
+    return found

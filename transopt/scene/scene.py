@@ -329,6 +329,14 @@ class Scene(Section):
             return None
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
+    def unfit_model(self) -> str:
+        """Which parts of the model file are not fit to design with, and why, in one line; empty if there is none."""
+        if not isinstance(self.model, IdentifiedModel):
+            return ""
+        parts = self.model.unfit(coil=self.motor is not None)
+        said = "; ".join(f"{name}: {'; '.join(reasons)}" for name, reasons in parts.items())
+        return f"{self.model.file} is not fit to design with: {said}" if said else ""
+
     def error_filter(self) -> ErrorFilter | None:
         """The filter by which the tracking error is weighed; None for none."""
         return error_filter(self.weights.error_filter, self.time.dt_s)

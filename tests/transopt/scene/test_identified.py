@@ -12,6 +12,7 @@ from controller.sim.true_device import device_of
 from tests.benches.model_parts import (
     BOX,
     DRIVE,
+    GRIPS_N,
     ON_FILE,
     POLE,
     ROBUST,
@@ -29,7 +30,9 @@ from tests.benches.model_parts import (
     state_space_device,
 )
 from transopt.base.errors import InputError
-from transopt.design.build import Build
+from transopt.base.signals import FloatArray
+from transopt.design.build import Build, build_library
+from transopt.design.solve import solve
 from transopt.library.file import load_library
 from transopt.library.library import Library
 from transopt.plant.second_order import second_order
@@ -39,7 +42,9 @@ from transopt.report.markdown import build_json, build_markdown
 from transopt.scene.file import with_model
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.keys import find_key, keys, with_values
+from transopt.scene.model_error import AtUse, ModelError
 from transopt.scene.model_file import load_model
+from transopt.scene.model_parts import DriveDevice
 from transopt.scene.scene import Scene
 
 
@@ -285,3 +290,60 @@ class TestReport:
 
 def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def with_error(relative: float, excess: float) -> DriveDevice:
+    """The chain, known to 0.1 %, by records that show an error of the response and, at full current, of a tap."""
+    part = drive_device(1e-3)
+    bands = np.geomspace(2.0, 1000.0, 30)
+    power = [(relative**2 * np.abs(part.plant(grip).response(bands)) ** 2).tolist() for grip in part.grips_N]
+    error = ModelError(
+        grips_N=part.grips_N,
+        frequencies_Hz=bands.tolist(),
+        power=power,
+        at_use=[AtUse(grip_N=grip, peak_A=3.0, excess=excess) for grip in part.grips_N],
+    )
+    return part.model_copy(update={"error": error})
+
+
+class TestSpread:
+    """Devices that a robust design serves are as far off as the model file's own verdict says."""
+
+    @pytest.mark.parametrize(("relative", "excess"), [(1e-4, 0.05), (0.05, 0.0)])
+    def test_as_far_as_the_verdict(self, make: Make, relative: float, excess: float) -> None:
+        scene = make(ON_FILE + ROBUST, {"device": with_error(relative, excess)})
+        model = scene.model
+        assert isinstance(model, IdentifiedModel)
+        bands = np.geomspace(5.0, 600.0, 40)
+
+        def response(device: IdentifiedModel, grip_N: float) -> np.ndarray:
+            return np.asarray(device.plant(grip_N, None).response(bands))
+
+        off = [
+            float(np.mean(np.abs(response(device, grip) / response(model, grip) - 1) ** 2))
+            for device in model.drawn(40, GRIPS_N)
+            for grip in GRIPS_N
+        ]
+        assert np.sqrt(np.mean(off)) == pytest.approx(0.05, rel=0.35)
+
+    def test_never_nearer_than_the_covariance(self, make: Make) -> None:
+        scene = make(ON_FILE + ROBUST, {"device": with_error(1e-9, 0.0)})
+        assert isinstance(scene.model, IdentifiedModel)
+        assert scene.model.stretch == pytest.approx(1.0)
+
+    def test_it_changes_commands_where_it_should(self, make: Make, taps: list[Recording]) -> None:
+        def commands(part: DriveDevice) -> FloatArray:
+            library = build_library(make(ON_FILE + ROBUST, {"device": part}), taps).library
+            assert library is not None
+            return library.command_A
+
+        sure, unsure = commands(with_error(1e-9, 0.0)), commands(with_error(1e-4, 0.1))
+        assert np.linalg.norm(unsure - sure) > 5e-3 * np.linalg.norm(sure)
+
+
+def test_python_refuses_an_unfit_model_too(make: Make, taps: list[Recording]) -> None:
+    part = drive_device().model_copy(update={"shortfalls": ["3 N: predicted to miss 12 %"]})
+    scene = make(ON_FILE, {"device": part})
+    with pytest.raises(InputError, match=r"not fit to design with: device: 3 N: .*accept_unfit_model=True"):
+        solve(scene, taps)
+    assert solve(scene, taps, accept_unfit_model=True).command_A.shape[0] == 4
