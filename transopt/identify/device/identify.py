@@ -231,7 +231,7 @@ def identify(
             measured = [grip.response for grip in grips]
             records = replace(records, grips=grips)
             chain = refit(chain, measured)
-    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and (chain is None or _unexplained(chain))):
+    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and _worth_a_box(chain, repeated)):
         box = fit_black_box(measured, records.instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []
     if chain is not None:
@@ -286,9 +286,9 @@ def _two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
     ]
 
 
-def _unexplained(chain: ChainFit) -> bool:
-    """Whether the acceleration has more in it than a chain makes: only then is a black box worth its while."""
-    return chain.scatter > EXPLAINED
+def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
+    """Whether a black box could do better: where there is more in the records than a chain makes, and it is linear."""
+    return chain is None or (chain.scatter > EXPLAINED and not named_by_lines(chain, repeated))
 
 
 def _at_use(
