@@ -287,7 +287,7 @@ def _two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
 
 
 def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
-    """Whether a black box could do better: where there is more in the records than a chain makes, and it is linear."""
+    """Whether a black box could do better: where a chain leaves something unexplained that is linear."""
     return chain is None or (chain.scatter > EXPLAINED and not named_by_lines(chain, repeated))
 
 
