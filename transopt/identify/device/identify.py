@@ -266,7 +266,8 @@ def identify(
     )
     wrong = _two_clocks(records.instrument.dt_s, settings.servo_s)
     if wrong:
-        result = replace(result, causes=["clock", *causes], short=wrong)
+        # What else was found (a gain, a pole) makes up for the clock.
+        result = replace(result, causes=["clock"], findings=[*late, *records.findings], short=wrong)
     taps = None if settings.taps is None else settings.taps(device_part(result))
     if taps is None:
         return result
