@@ -35,6 +35,7 @@ from transopt.identify.device.effects import (
     named,
     named_by_lines,
 )
+from transopt.identify.device.noise import noise_findings
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.slow import without_leakage
 from transopt.identify.device.trials import (
@@ -246,6 +247,7 @@ def identify(
     own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
     causes, found = _causes(chosen, chain, grips, used, error, repeated)
+    found += noise_findings(grips)
     found += [said for run in repeated if (said := _distorted(run)) is not None]
     advice = _advice(grips, chosen, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
