@@ -6,9 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
 
 from transopt.base.plotting import LABEL_PT, OPTIMUM, SEED, SMALL_PT
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.amplifier import AmplifierFit
-from transopt.identify.spectrum import ComplexArray
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
 
 POINTS = 400
