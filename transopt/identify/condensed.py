@@ -8,6 +8,7 @@ polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7), and
 noise, with no model of the device in it.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -95,30 +96,6 @@ class Condensed:
         )
 
 
-@dataclass(frozen=True)
-class _Bin:
-    """Lines of all trials in one bin.
-
-    Attributes
-    ----------
-    frequency_Hz : (s,).
-    input : (s,) spectrum.
-    outputs : (s, o) spectra.
-    trial : (s,) number of the trial.
-    """
-
-    frequency_Hz: FloatArray
-    input: ComplexArray
-    outputs: ComplexArray
-    trial: NDArray[np.int_]
-
-    @property
-    def places(self) -> FloatArray:
-        """(s,) where the lines lie in the bin, from -1 to 1."""
-        off = self.frequency_Hz - self.frequency_Hz.mean()
-        return np.asarray(off / max(float(np.abs(off).max()), np.finfo(float).tiny))
-
-
 def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> Condensed:
     """Condense trials.
 
@@ -136,42 +113,42 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     ------
     InputError : records too short.
     """
-    bins = _bins(inputs, outputs, dt_s)
-    if not bins:
+    lines = _lines(inputs, outputs, dt_s)
+    chosen = lines.chosen()
+    if not chosen.size:
         shortest = min(given.size for given in inputs) * dt_s
         raise InputError(f"records of {shortest:g} s are too short for a spectrum; sweep longer")
-    K, o = len(inputs), outputs[0].shape[0]
-    middles, surplus = np.array([one.frequency_Hz.mean() for one in bins]), np.empty(len(bins))
-    frequencies, used = np.repeat(middles[:, None], NODES, axis=1), np.zeros((len(bins), NODES), dtype=bool)
-    normal = np.zeros((K, len(bins), NODES, NODES), dtype=complex)
-    right = np.zeros((K, o, len(bins), NODES), dtype=complex)
-    residual, power = np.empty((len(bins), o, o), dtype=complex), np.empty((o, len(bins)))
-    for b, one in enumerate(bins):
-        nodes, shapes = _basis(one)
+    K, B, o = len(inputs), chosen.size, outputs[0].shape[0]
+    frequencies, used = np.empty((B, NODES)), np.zeros((B, NODES), dtype=bool)
+    normal, right = np.zeros((K, B, NODES, NODES), dtype=complex), np.zeros((K, o, B, NODES), dtype=complex)
+    middles, surplus, power = np.empty(B), np.empty(B), np.empty((o, B))
+    residual = np.empty((B, o, o), dtype=complex)
+    for b, starts in enumerate(lines.starts[chosen]):
+        inside, trials = slice(starts[0], starts[-1]), list(itertools.pairwise(starts - starts[0]))
+        frequency, outs = lines.frequency_Hz[inside], lines.outputs[inside]
+        middles[b], power[:, b] = frequency.mean(), np.mean(np.abs(outs) ** 2, axis=0)
+        reach = max(float(np.abs(frequency - middles[b]).max()), np.finfo(float).tiny)
+        places = (frequency - middles[b]) / reach
+        nodes = _nodes(places)
         q = nodes.size
-        used[b, :q] = True
-        frequencies[b, :q] += np.abs(one.frequency_Hz - middles[b]).max() * nodes
-        outs, surplus[b] = one.outputs.copy(), one.input.size - q
-        power[:, b] = np.mean(np.abs(outs) ** 2, axis=0)
-        basis: ComplexArray = shapes * one.input[:, None]
-        if one.input.size >= LEAST_LINES_OF_TRANSIENT * K:
-            ends = one.places[:, None] ** np.arange(ORDER_OF_TRANSIENT + 1)
-            for k in range(K):
-                of = one.trial == k
-                Q, _ = np.linalg.qr(ends[of])
-                basis[of] -= Q @ (Q.T @ basis[of])
-                outs[of] -= Q @ (Q.T @ outs[of])
-            surplus[b] -= K * ends.shape[1]
-        for k in range(K):
-            of = one.trial == k
-            adjoint = basis[of].conj().T
-            normal[k, b, :q, :q], right[k, :, b, :q] = adjoint @ basis[of], (adjoint @ outs[of]).T
+        used[b, :q], frequencies[b] = True, middles[b]
+        frequencies[b, :q] += reach * nodes
+        surplus[b] = places.size - q
+        both: ComplexArray = np.hstack([lagrange(nodes, places) * lines.input[inside], outs])
+        if places.size >= LEAST_LINES_OF_TRANSIENT * K:
+            for first, end in trials:
+                ends, _ = np.linalg.qr(places[first:end, None] ** np.arange(ORDER_OF_TRANSIENT + 1))
+                both[first:end] -= ends @ (ends.T @ both[first:end])
+            surplus[b] -= K * (ORDER_OF_TRANSIENT + 1)
+        basis, outs = both[:, :q], both[:, q:]
+        for k, (first, end) in enumerate(trials):
+            products = basis[first:end].conj().T @ both[first:end]
+            normal[k, b, :q, :q], right[k, :, b, :q] = products[:, :q], products[:, q:].T
         Q, _ = np.linalg.qr(basis)
         left = outs - Q @ (Q.conj().T @ outs)
         residual[b] = left.T @ left.conj() / surplus[b]
-    own = np.einsum("boo->ob", residual).real
-    spread = [pooled(middles, one, 2 * surplus) for one in own]
-    least = np.finfo(float).eps ** 2 * np.array([np.mean(np.abs(right[:, j]) ** 2) for j in range(o)])
+    spread = [pooled(middles, own, 2 * surplus) for own in np.einsum("boo->ob", residual).real]
+    least = np.finfo(float).eps ** 2 * np.mean(np.abs(right) ** 2, axis=(0, 2, 3)) + np.finfo(float).tiny
     return Condensed(
         middles_Hz=middles,
         frequencies_Hz=frequencies,
@@ -181,62 +158,85 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
         residual=residual,
         surplus=surplus,
         power=power,
-        noise=np.maximum([one for one, _ in spread], least[:, None] + np.finfo(float).tiny),
-        degrees=np.array([of for _, of in spread]),
-        known=np.ones((o, len(bins)), dtype=bool),
+        noise=np.maximum([noise for noise, _ in spread], least[:, None]),
+        degrees=np.array([degrees for _, degrees in spread]),
+        known=np.ones((o, B), dtype=bool),
         dt_s=dt_s,
     )
 
 
-def _bins(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> list[_Bin]:
-    """All lines between 0 and half the rate, both exclusive, in bins of at least as many as a fit needs.
+@dataclass(frozen=True)
+class _Lines:
+    """All lines between 0 and half the rate, both exclusive, bin by bin and in each of them trial by trial.
 
-    A bin is a 24th of an octave wide where the lines are dense; elsewhere it takes as many lines as it needs, one
-    with at least six trials of one length. Bins count where the input's energy per octave is at least 3 % of its
-    highest, and between two such.
+    A bin is a 24th of an octave wide where the lines are dense; elsewhere it takes as many lines as a fit needs, one
+    with at least six trials of one length.
+
+    Attributes
+    ----------
+    frequency_Hz : (s,).
+    input : (s, 1) spectrum.
+    outputs : (s, o) spectra.
+    starts : (bins, K + 1) where the lines of each trial begin, and where those of the last one end.
     """
-    lengths = [given.size for given in inputs]
-    spacing = 1 / (min(lengths) * dt_s)
-    needed = -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // len(inputs))
-    if max(lengths) != min(lengths):
+
+    frequency_Hz: FloatArray
+    input: ComplexArray
+    outputs: ComplexArray
+    starts: NDArray[np.int_]
+
+    def chosen(self) -> NDArray[np.int_]:
+        """Bins with lines enough of every trial, from the first to the last that the input excites."""
+        count = self.starts[:, -1] - self.starts[:, 0]
+        full = np.flatnonzero((count > LEAST_SURPLUS) & np.all(np.diff(self.starts, axis=1) > 0, axis=1))
+        inside = [slice(self.starts[b, 0], self.starts[b, -1]) for b in full]
+        return full[
+            excited(np.array([self.frequency_Hz[i].mean() * np.mean(np.abs(self.input[i]) ** 2) for i in inside]))
+        ]
+
+
+def _lines(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> _Lines:
+    lengths, K = np.array([given.size for given in inputs]), len(inputs)
+    numbers = [np.arange(1, (length + 1) // 2) for length in lengths]
+    frequency = np.concatenate([lines / (length * dt_s) for lines, length in zip(numbers, lengths, strict=True)])
+    trial = np.repeat(np.arange(K), [lines.size for lines in numbers])
+    spacing, needed = 1 / (lengths.min() * dt_s), -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // K)
+    if lengths.max() != lengths.min():
         needed = max(needed, 2)  # lines of different trials at different frequencies: no mean without a slope
-    spectra: list[tuple[FloatArray, ComplexArray, ComplexArray, NDArray[np.int_]]] = []
-    for j, (given, answers) in enumerate(zip(inputs, outputs, strict=True)):
-        lines = np.arange(1, (lengths[j] + 1) // 2)
-        size = np.sqrt(lengths[j])  # noise of one variance whatever the length
-        spectrum: ComplexArray = np.fft.rfft(given)[lines] / size
-        read: ComplexArray = np.fft.rfft(answers)[:, lines].T / size
-        spectra.append((lines / (lengths[j] * dt_s), spectrum, read, np.full(lines.size, j)))
-    frequency = np.concatenate([one[0] for one in spectra])
-    order = np.argsort(frequency, kind="stable")
-    frequency = frequency[order]
-    excitation, answer, trial_of = (np.concatenate([one[j] for one in spectra])[order] for j in (1, 2, 3))
-    bins: list[_Bin] = []
-    low = 0.5 * spacing
-    while True:
-        high = max(low * 2 ** (1 / BINS_PER_OCTAVE), low + needed * spacing)
-        if high > 0.5 / dt_s:  # a rest of the lines just below half the rate would be a bin too small
-            break
-        inside = slice(*np.searchsorted(frequency, [low, high]).tolist())
-        if trial_of[inside].size >= LEAST_SURPLUS + 1 and np.unique(trial_of[inside]).size == len(inputs):
-            bins.append(_Bin(frequency[inside], excitation[inside], answer[inside], trial_of[inside]))
-        low = high
-    middle = np.array([one.frequency_Hz.mean() for one in bins])
-    energy = middle * np.array([np.mean(np.abs(one.input) ** 2) for one in bins])
+    edges = [0.5 * spacing]
+    while edges[-1] <= 0.5 / dt_s:
+        edges.append(max(edges[-1] * 2 ** (1 / BINS_PER_OCTAVE), edges[-1] + needed * spacing))
+    # Bin 0 is below all others; what is left just below half the rate would be a bin too small.
+    number, bins = np.searchsorted(edges[:-1], frequency, side="right"), max(len(edges) - 2, 0)
+    order = np.lexsort((trial, number))
+    ends = np.cumsum(np.bincount(number * K + trial, minlength=(bins + 2) * K))
+    starts = ends[K - 1 + np.arange(bins)[:, None] * K + np.arange(K + 1)]
+    spectra = [
+        np.concatenate(
+            [
+                # Noise of one variance whatever the length.
+                np.fft.rfft(values)[:, lines].T / np.sqrt(values.shape[1])
+                for values, lines in zip(signals, numbers, strict=True)
+            ]
+        )[order]
+        for signals in ([given[None] for given in inputs], outputs)
+    ]
+    return _Lines(frequency[order], spectra[0], spectra[1], starts)
+
+
+def excited(energy: FloatArray) -> slice:
+    """From the first to the last bin whose energy per octave is at least 3 % of its highest."""
     strong = np.flatnonzero(energy >= EXCITED * energy.max(initial=0.0))
-    return bins[strong[0] : strong[-1] + 1] if strong.size else []
+    return slice(strong[0], strong[-1] + 1) if strong.size else slice(0)
 
 
-def _basis(one: _Bin) -> tuple[FloatArray, FloatArray]:
-    """(q,) nodes from -1 to 1 and (s, q) the polynomials that are 1 at one of them and 0 at the others."""
-    x = one.places
-    distinct = np.unique(np.round(x, 9))
-    order = min(MOST_ORDER, distinct.size - 1, x.size - 1 - LEAST_SURPLUS)
+def _nodes(places: FloatArray) -> FloatArray:
+    """(q,) of a bin's polynomial, from -1 to 1, for lines at these places (s,)."""
+    distinct = np.unique(np.round(places, 9))
+    order = min(MOST_ORDER, distinct.size - 1, places.size - 1 - LEAST_SURPLUS)
     if distinct.size == order + 1:
-        nodes = distinct  # nothing between the lines is asked for
-    else:
-        nodes = SPAN * np.array({0: [0.0], 1: [-1.0, 1.0], 2: [-1.0, 0.0, 1.0]}[order])
-    return nodes, lagrange(nodes, x)
+        return distinct  # nothing between the lines is asked for
+    return np.linspace(-SPAN, SPAN, order + 1) if order else np.zeros(1)
 
 
 def lagrange(nodes: FloatArray, places: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from scipy import special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray, Signal
-from transopt.identify.condensed import Condensed, around, condense, lagrange, pooled
+from transopt.identify.condensed import Condensed, around, condense, excited, lagrange, pooled
 
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
 SCATTERED = 1.5  # variance between trials over that within them, above which the trials' number counts
@@ -168,6 +168,10 @@ def transfer(data: Condensed, output: int = 0, over: int | None = None) -> Trans
     output : whose response it is.
     over : the output that it is a response to; None is the input.
     """
+    if over is not None:
+        # By what of the input is no transient: where that is gone, a ratio of outputs is one of their noise.
+        moved = data.normal.sum(axis=(0, 2, 3)).real
+        data = data.some(excited(data.middles_Hz * moved / data.surplus))
     places = [
         lagrange(nodes[used], np.array([middle]))[0]
         for nodes, used, middle in zip(data.frequencies_Hz, data.used, data.middles_Hz, strict=True)
