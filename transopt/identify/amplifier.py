@@ -4,11 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize, signal, special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.checks import COHERENT, Fault, Finding
+from transopt.identify.checks import COHERENT, Fault, Finding, check_bins
 from transopt.identify.condensed import Condensed
 from transopt.identify.likelihood import Likelihood, Maximum
 from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, transfer
@@ -222,6 +223,12 @@ def fit_pole(data: Condensed, shape: Shape = sampled, start: tuple[float, float]
     return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, free)
 
 
+def _share(good: NDArray[np.bool_]) -> str:
+    """How many bins are coherent, and how many have to be."""
+    count = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
+    return f"{count}, at least {LEAST_BINS} are needed"
+
+
 @dataclass(frozen=True)
 class _Fit:
     """All lines, the response, and pole [Hz], delay [s] and gain with their covariance."""
@@ -238,10 +245,7 @@ def _fit(trials: Sequence[Trial], shape: Shape = sampled, most_Hz: float = np.in
     estimate = transfer(data)
     good = (estimate.coherence >= COHERENT) & (estimate.frequencies_Hz <= most_Hz)
     if np.count_nonzero(good) < LEAST_BINS:
-        share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
-        raise InputError(
-            f"from command to current {share}, at least {LEAST_BINS} are needed; sweep with more current"
-        )
+        raise InputError(f"from command to current {_share(good)}; sweep with more current")
     data = replace(data, known=good[None])
     found = fit_pole(data, shape)
     pole = float(np.exp(found.unknowns[0]))
@@ -320,12 +324,10 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     for name, one in zip(names, estimates, strict=True):
         good = one.coherence >= COHERENT
         if good.size < LEAST_BINS:
-            text = f"resolves {good.size} bands of frequency, at least {LEAST_BINS} are needed; sweep longer"
-            found.append(Finding(Fault.TOO_FEW_CYCLES, name, text, True))
+            found += check_bins(name, one, LEAST_BINS)
             continue
         if np.count_nonzero(good) < LEAST_BINS:
-            share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
-            text = f"the current does not follow the command: {share}, at least {LEAST_BINS} are needed; {again}"
+            text = f"the current does not follow the command: {_share(good)}; {again}"
             found.append(Finding(Fault.INCOHERENT, name, text, True))
             continue
         w, phase = 2 * np.pi * one.frequencies_Hz[good], np.unwrap(np.angle(one.response[good]))

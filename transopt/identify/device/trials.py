@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from transopt.base.errors import InputError
@@ -17,14 +16,16 @@ from transopt.identify.checks import (
     Fault,
     Finding,
     by_grip,
+    check_bins,
     check_cycles,
     check_gravity,
     check_grips,
     check_measurement,
     check_passive,
     check_rates,
-    off_by_gravity,
+    check_unit,
     refuse,
+    runs_of,
 )
 from transopt.identify.condensed import Condensed, condense
 from transopt.identify.device.chain_fit import GripResponse
@@ -182,10 +183,7 @@ def _unlike(name: str, turned: bool, ratio: float, others: str) -> list[Finding]
         text = f"acceleration answers the current the other way than in {others}"
         remedy = "turn the accelerometer or the current's sign in this file, or record it again"
         found.append(Finding(Fault.POLARITY, name, f"{text}; {remedy}", True))
-    if off_by_gravity(ratio) is not None:
-        text = f"acceleration is {ratio:.3g} times that of {others}"
-        found.append(Finding(Fault.UNITS, name, f"{text}; is its column in g or in m/s^2?", True))
-    return found
+    return found + check_unit(name, ratio, others)
 
 
 def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate, where: str) -> list[Finding]:
@@ -220,15 +218,6 @@ def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measureme
         else:
             alike.append(run)
     return alike
-
-
-def _too_short(where: str, estimate: TransferEstimate) -> list[Finding]:
-    """A response of too few bins for any fit."""
-    bins = estimate.frequencies_Hz.size
-    if bins >= LEAST_BINS:
-        return []
-    text = f"the sweeps resolve {bins} bands of frequency, at least {LEAST_BINS} are needed; sweep longer and wider"
-    return [Finding(Fault.TOO_FEW_CYCLES, where, text, True)]
 
 
 def sort_trials(
@@ -280,7 +269,7 @@ def sort_trials(
         response = response_of(grip_N, fitted, instrument)
         estimate = response.estimate
         # What is too short answers any way: that comes first.
-        again = _too_short(where, estimate)
+        again = check_bins(where, estimate, LEAST_BINS)
         again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
         for run in (*fitted, *kept):
             again += _current_against_command(run, amplifier)
@@ -393,14 +382,3 @@ def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
     if e.frequencies_Hz[-1] < high / 1.5:
         bands.append((float(e.frequencies_Hz[-1]), high))
     return bands
-
-
-def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """First and last frequency of each run of `bad` bins; single good bins between do not end one."""
-    bands: list[list[int]] = []
-    for j in np.flatnonzero(bad):
-        if bands and j - bands[-1][1] <= 2:
-            bands[-1][1] = int(j)
-        else:
-            bands.append([int(j), int(j)])
-    return [(float(frequencies_Hz[a]), float(frequencies_Hz[b])) for a, b in bands]
