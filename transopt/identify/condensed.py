@@ -40,6 +40,7 @@ class Condensed:
     middles_Hz : (b,) mean frequency of the lines of each bin, strictly increasing.
     frequencies_Hz : (b, q) nodes; those of a bin with fewer lie in its middle and weigh nothing.
     used : (b, q) which nodes there are.
+    middle : (b, q) weights of the responses at the nodes in that at `middles_Hz`.
     normal : (K, b, q, q) complex, of the responses at the nodes; the same for every output.
     right : (K, o, b, q) complex.
     residual : (b, o, o) complex, covariance of what the polynomial leaves of a line of the outputs.
@@ -54,6 +55,7 @@ class Condensed:
     middles_Hz: FloatArray
     frequencies_Hz: FloatArray
     used: NDArray[np.bool_]
+    middle: FloatArray
     normal: ComplexArray
     right: ComplexArray
     residual: ComplexArray
@@ -84,6 +86,7 @@ class Condensed:
             middles_Hz=self.middles_Hz[bins],
             frequencies_Hz=self.frequencies_Hz[bins],
             used=self.used[bins],
+            middle=self.middle[bins],
             normal=self.normal[:, bins],
             right=self.right[:, outputs, bins],
             residual=self.residual[bins, outputs, outputs],
@@ -121,7 +124,7 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     K, B, o = len(inputs), chosen.size, outputs[0].shape[0]
     frequencies, used = np.empty((B, NODES)), np.zeros((B, NODES), dtype=bool)
     normal, right = np.zeros((K, B, NODES, NODES), dtype=complex), np.zeros((K, o, B, NODES), dtype=complex)
-    middles, surplus, power = np.empty(B), np.empty(B), np.empty((o, B))
+    middles, middle, surplus, power = np.empty(B), np.zeros((B, NODES)), np.empty(B), np.empty((o, B))
     residual = np.empty((B, o, o), dtype=complex)
     for b, starts in enumerate(lines.starts[chosen]):
         inside, trials = slice(starts[0], starts[-1]), list(itertools.pairwise(starts - starts[0]))
@@ -131,10 +134,10 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
         places = (frequency - middles[b]) / reach
         nodes = _nodes(places)
         q = nodes.size
-        used[b, :q], frequencies[b] = True, middles[b]
+        used[b, :q], middle[b, :q], frequencies[b] = True, _lagrange(nodes, np.zeros(1))[0], middles[b]
         frequencies[b, :q] += reach * nodes
         surplus[b] = places.size - q
-        both: ComplexArray = np.hstack([lagrange(nodes, places) * lines.input[inside], outs])
+        both: ComplexArray = np.hstack([_lagrange(nodes, places) * lines.input[inside], outs])
         if places.size >= LEAST_LINES_OF_TRANSIENT * K:
             for first, end in trials:
                 ends, _ = np.linalg.qr(places[first:end, None] ** np.arange(ORDER_OF_TRANSIENT + 1))
@@ -153,6 +156,7 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
         middles_Hz=middles,
         frequencies_Hz=frequencies,
         used=used,
+        middle=middle,
         normal=normal,
         right=right,
         residual=residual,
@@ -239,7 +243,7 @@ def _nodes(places: FloatArray) -> FloatArray:
     return np.linspace(-SPAN, SPAN, order + 1) if order else np.zeros(1)
 
 
-def lagrange(nodes: FloatArray, places: FloatArray) -> FloatArray:
+def _lagrange(nodes: FloatArray, places: FloatArray) -> FloatArray:
     """(s, q) at the places (s,) the polynomials that are 1 at one of the nodes (q,) and 0 at the others."""
     columns = [
         np.prod([(places - other) / (node - other) for other in nodes if other != node] or [np.ones(places.size)], 0)

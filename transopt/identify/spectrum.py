@@ -8,7 +8,7 @@ from scipy import special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray, Signal
-from transopt.identify.condensed import Condensed, around, condense, excited, lagrange, pooled
+from transopt.identify.condensed import Condensed, around, condense, excited, pooled
 
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
 SCATTERED = 1.5  # variance between trials over that within them, above which the trials' number counts
@@ -172,44 +172,47 @@ def transfer(data: Condensed, output: int = 0, over: int | None = None) -> Trans
         # By what of the input is no transient: where that is gone, a ratio of outputs is one of their noise.
         moved = data.normal.sum(axis=(0, 2, 3)).real
         data = data.some(excited(data.middles_Hz * moved / data.surplus))
-    places = [
-        lagrange(nodes[used], np.array([middle]))[0]
-        for nodes, used, middle in zip(data.frequencies_Hz, data.used, data.middles_Hz, strict=True)
-    ]
-    middle = np.zeros(data.used.shape)
-    middle[data.used] = np.concatenate(places)
-    values = data.values()
-    all_trials = np.einsum("bi,obi->ob", middle, values)
+    values, middle = data.values(), data.middle
+    together = np.einsum("bi,obi->ob", middle, values)
     # The level of a trial, at the shape that the response has in all trials: what fits the lines of this one best.
     level = data.normal.sum(axis=(2, 3)).real
+    level = np.maximum(level, np.finfo(float).eps * level.max(axis=0))  # of one that does not excite this bin
     own = (data.right - np.einsum("kbij,obj->kobi", data.normal, values)).sum(axis=3) / level[:, None]
-    each = all_trials + own
-    row = np.zeros((data.middles_Hz.size, values.shape[0]), dtype=complex)
+    each, row = together + own, np.zeros((together.shape[1], together.shape[0]), dtype=complex)
     row[:, output] = 1.0
-    scale, response, single = np.ones(row.shape[0]), all_trials[output], each[:, output]
+    response, by_trial, scale = together[output], each[:, output], np.ones(together.shape[1])
     if over is not None:
-        response, single = response / all_trials[over], single / each[:, over]
-        row[:, over], scale = -response, np.abs(all_trials[over]) ** 2
+        response, by_trial = response / together[over], by_trial / each[:, over]
+        row[:, over], scale = -response, np.abs(together[over]) ** 2
     noise = np.einsum("bo,bop,bp->b", row, data.residual, row.conj()).real
     coherence = 1 - noise / np.maximum(data.power[output], np.finfo(float).tiny)
     noise, degrees = pooled(data.middles_Hz, noise, 2 * data.surplus)
     leverage = np.einsum("bi,bi->b", middle, np.linalg.solve(data.whole, middle[..., None])[..., 0]).real
-    K, variance = single.shape[0], noise * leverage / scale
-    if K >= 3:
-        # One bin's scatter has few degrees of freedom: its ratio to the noise's is averaged over its neighbours.
-        scatter = np.sum(np.abs(single - single.mean(axis=0)) ** 2, axis=0) / (K * (K - 1))
-        even = noise * np.mean(1 / level, axis=0) / K / scale
-        summed = around(data.middles_Hz, OCTAVES_OF_SPREAD)
-        ratio = summed(scatter / np.maximum(even, np.finfo(float).tiny)) / summed(np.ones(even.size))
-        more = np.maximum(ratio - 1, 0.0) * even
-        degrees = np.where(variance + more > SCATTERED * variance, np.minimum(degrees, 2.0 * (K - 1)), degrees)
-        variance = variance + more
+    variance = noise * leverage / scale
+    more = _between_trials(data.middles_Hz, by_trial, noise * np.mean(1 / level, axis=0) / scale)
+    few = np.minimum(degrees, 2.0 * (by_trial.shape[0] - 1))
+    degrees = np.where(variance + more > SCATTERED * variance, few, degrees)
+    variance = variance + more
     return TransferEstimate(
         frequencies_Hz=data.middles_Hz,
         response=np.asarray(response),
         deviation=np.sqrt(variance / 2),
         degrees=degrees,
         coherence=np.where(data.power[output] > 0, np.clip(coherence, 0.0, 1.0), 0.0),
-        trial_responses=np.asarray(single),
+        trial_responses=np.asarray(by_trial),
         dt_s=data.dt_s,
     )
+
+
+def _between_trials(frequencies_Hz: FloatArray, by_trial: ComplexArray, variance: FloatArray) -> FloatArray:
+    """(m,) variance of the mean of the trials (K, m) beyond what their noise makes of it, which is `variance` of one.
+
+    One bin's scatter has few degrees of freedom: its ratio to the noise's is averaged over its neighbours.
+    """
+    K = by_trial.shape[0]
+    if K < 3:
+        return np.zeros(variance.size)
+    scatter = np.sum(np.abs(by_trial - by_trial.mean(axis=0)) ** 2, axis=0) / (K - 1)
+    summed = around(frequencies_Hz, OCTAVES_OF_SPREAD)
+    ratio = summed(scatter / np.maximum(variance, np.finfo(float).tiny)) / summed(np.ones(variance.size))
+    return np.maximum(ratio - 1, 0.0) * variance / K
