@@ -116,19 +116,18 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     ------
     InputError : records too short.
     """
-    lines = _lines(inputs, outputs, dt_s)
-    chosen = lines.chosen()
-    if not chosen.size:
-        shortest = min(given.size for given in inputs) * dt_s
+    lines_Hz, given, answers, bins = _lines(inputs, outputs, dt_s)
+    if not bins.size:
+        shortest = min(one.size for one in inputs) * dt_s
         raise InputError(f"records of {shortest:g} s are too short for a spectrum; sweep longer")
-    K, B, o = len(inputs), chosen.size, outputs[0].shape[0]
+    K, B, o = len(inputs), len(bins), outputs[0].shape[0]
     frequencies, used = np.empty((B, NODES)), np.zeros((B, NODES), dtype=bool)
     normal, right = np.zeros((K, B, NODES, NODES), dtype=complex), np.zeros((K, o, B, NODES), dtype=complex)
     middles, middle, surplus, power = np.empty(B), np.zeros((B, NODES)), np.empty(B), np.empty((o, B))
     residual = np.empty((B, o, o), dtype=complex)
-    for b, starts in enumerate(lines.starts[chosen]):
+    for b, starts in enumerate(bins):
         inside, trials = slice(starts[0], starts[-1]), list(itertools.pairwise(starts - starts[0]))
-        frequency, outs = lines.frequency_Hz[inside], lines.outputs[inside]
+        frequency, outs = lines_Hz[inside], answers[inside]
         middles[b], power[:, b] = frequency.mean(), np.mean(np.abs(outs) ** 2, axis=0)
         reach = max(float(np.abs(frequency - middles[b]).max()), np.finfo(float).tiny)
         places = (frequency - middles[b]) / reach
@@ -137,7 +136,7 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
         used[b, :q], middle[b, :q], frequencies[b] = True, _lagrange(nodes, np.zeros(1))[0], middles[b]
         frequencies[b, :q] += reach * nodes
         surplus[b] = places.size - q
-        both: ComplexArray = np.hstack([_lagrange(nodes, places) * lines.input[inside], outs])
+        both: ComplexArray = np.hstack([_lagrange(nodes, places) * given[inside], outs])
         if places.size >= LEAST_LINES_OF_TRANSIENT * K:
             for first, end in trials:
                 ends, _ = np.linalg.qr(places[first:end, None] ** np.arange(ORDER_OF_TRANSIENT + 1))
@@ -169,41 +168,22 @@ def condense(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: 
     )
 
 
-@dataclass(frozen=True)
-class _Lines:
+def _lines(
+    inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float
+) -> tuple[FloatArray, ComplexArray, ComplexArray, NDArray[np.int_]]:
     """All lines between 0 and half the rate, both exclusive, bin by bin and in each of them trial by trial.
 
     A bin is a 24th of an octave wide where the lines are dense; elsewhere it takes as many lines as a fit needs, one
     with at least six trials of one length.
 
-    Attributes
-    ----------
-    frequency_Hz : (s,).
-    input : (s, 1) spectrum.
-    outputs : (s, o) spectra.
-    starts : (bins, K + 1) where the lines of each trial begin, and where those of the last one end.
+    Returns
+    -------
+    (s,) frequencies, (s, 1) spectrum of the input, (s, o) of the outputs, and (bins, K + 1) where the lines of each
+    trial begin and those of the last one end: of bins with lines enough of every trial, where the input excites.
     """
-
-    frequency_Hz: FloatArray
-    input: ComplexArray
-    outputs: ComplexArray
-    starts: NDArray[np.int_]
-
-    def chosen(self) -> NDArray[np.int_]:
-        """Bins with lines enough of every trial, from the first to the last that the input excites."""
-        count = self.starts[:, -1] - self.starts[:, 0]
-        full = np.flatnonzero((count > LEAST_SURPLUS) & np.all(np.diff(self.starts, axis=1) > 0, axis=1))
-        inside = [slice(self.starts[b, 0], self.starts[b, -1]) for b in full]
-        return full[
-            excited(np.array([self.frequency_Hz[i].mean() * np.mean(np.abs(self.input[i]) ** 2) for i in inside]))
-        ]
-
-
-def _lines(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> _Lines:
-    lengths, K = np.array([given.size for given in inputs]), len(inputs)
+    lengths, K = np.array([one.size for one in inputs]), len(inputs)
     numbers = [np.arange(1, (length + 1) // 2) for length in lengths]
     frequency = np.concatenate([lines / (length * dt_s) for lines, length in zip(numbers, lengths, strict=True)])
-    trial = np.repeat(np.arange(K), [lines.size for lines in numbers])
     spacing, needed = 1 / (lengths.min() * dt_s), -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // K)
     if lengths.max() != lengths.min():
         needed = max(needed, 2)  # lines of different trials at different frequencies: no mean without a slope
@@ -212,20 +192,22 @@ def _lines(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: fl
         edges.append(max(edges[-1] * 2 ** (1 / BINS_PER_OCTAVE), edges[-1] + needed * spacing))
     # Bin 0 is below all others; what is left just below half the rate would be a bin too small.
     number, bins = np.searchsorted(edges[:-1], frequency, side="right"), max(len(edges) - 2, 0)
+    trial = np.repeat(np.arange(K), [lines.size for lines in numbers])
     order = np.lexsort((trial, number))
     ends = np.cumsum(np.bincount(number * K + trial, minlength=(bins + 2) * K))
     starts = ends[K - 1 + np.arange(bins)[:, None] * K + np.arange(K + 1)]
-    spectra = [
-        np.concatenate(
-            [
-                # Noise of one variance whatever the length.
-                np.fft.rfft(values)[:, lines].T / np.sqrt(values.shape[1])
-                for values, lines in zip(signals, numbers, strict=True)
-            ]
-        )[order]
-        for signals in ([given[None] for given in inputs], outputs)
-    ]
-    return _Lines(frequency[order], spectra[0], spectra[1], starts)
+    count = np.diff(starts, axis=1)
+    starts = starts[(count.sum(axis=1) > LEAST_SURPLUS) & np.all(count > 0, axis=1)]
+
+    def spectra(signals: Sequence[FloatArray]) -> ComplexArray:
+        """Of noise of one variance whatever the length."""
+        each = zip(signals, numbers, lengths, strict=True)
+        return np.concatenate([np.fft.rfft(one)[:, lines].T / np.sqrt(length) for one, lines, length in each])[order]
+
+    frequency, given = frequency[order], spectra([one[None] for one in inputs])
+    inside = [slice(first[0], first[-1]) for first in starts]
+    energy = np.array([frequency[one].mean() * np.mean(np.abs(given[one]) ** 2) for one in inside])
+    return frequency, given, spectra(outputs), starts[excited(energy)]
 
 
 def excited(energy: FloatArray) -> slice:

@@ -215,4 +215,4 @@ def _between_trials(frequencies_Hz: FloatArray, by_trial: ComplexArray, variance
     scatter = np.sum(np.abs(by_trial - by_trial.mean(axis=0)) ** 2, axis=0) / (K - 1)
     summed = around(frequencies_Hz, OCTAVES_OF_SPREAD)
     ratio = summed(scatter / np.maximum(variance, np.finfo(float).tiny)) / summed(np.ones(variance.size))
-    return np.maximum(ratio - 1, 0.0) * variance / K
+    return np.asarray(np.maximum(ratio - 1, 0.0) * variance / K)
