@@ -71,7 +71,9 @@ def record_sweep(
     seconds: Annotated[float | None, typer.Option(help="Of each sweep; default 2.")] = None,
     tap_current: Annotated[
         float | None,
-        typer.Option(help="Peak in A of two taps at each grip besides, by which identify judges its model."),
+        typer.Option(
+            help="Peak in A of taps at each grip besides, and of a multisine at half of it: identify judges by them."
+        ),
     ] = None,
     gain: Gain = None,
     patience: Annotated[float, typer.Option(help="How long to wait for the hand, in s.")] = 60.0,

@@ -1,6 +1,7 @@
 """`transopt-play record sweep`: trials of an excitation on a device of any kind, to files that `transopt` reads."""
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from controller.host.payload import excitation
 from controller.host.sweeps import AbortedError, Sweeps, Trial
 from controller.protocol.image import sha256
 from controller.protocol.messages import PULSE_SOUND, TRIAL_FINISHED, HelloReply
-from controller.record.sweep_plan import PlannedSweep
+from controller.record.sweep_plan import PlannedSweep, Shape
 from controller.record.trial_file import refuse_old
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import scene_like
@@ -115,7 +116,12 @@ def record_sweeps(bench: Bench, series: Series) -> None:
                             say(f"trial {len(written) + 1} of {len(planned)}")
                             taken = sweeps.trial(negative=trial.polarity < 0, tell=say)
                             path = next(names)
-                            taken.write(path, series.device.accelerometer.bandwidth_Hz, held_out=trial.tap)
+                            taken.write(
+                                path,
+                                series.device.accelerometer.bandwidth_Hz,
+                                held_out=trial.shape is Shape.TAP,
+                                period_s=trial.period_s(settings.dt_s),
+                            )
                             written.append((path, taken))
             except StoppedError:
                 stopped = True
@@ -157,15 +163,16 @@ def simulated_series(
     terminal.make_folder(out)
     names = [trial.file_name for trial in planned]
     refuse_old(out, names)
-    taps = sum(trial.tap for trial in planned)
-    words = f"{taps} taps and {len(planned) - taps} sweeps" if taps else f"{len(planned)} sweeps"
+    counts = Counter(trial.shape for trial in planned)
+    words = f"{counts[Shape.SWEEP]} sweeps of {planned[0].seconds:g} s"
+    words += "".join(f", {counts[shape]} {shape.value}s" for shape in (Shape.TAP, Shape.MULTISINE) if counts[shape])
     bench, settings = holding_bench(truth, wrong, seed, max(trial.seconds for trial in planned), device)
     series = Series(
         planned,
         [out / name for name in names],
         lambda _: settings,
         told=(
-            f"{out}: {words} of {planned[0].seconds:g} s, {names[0]} to {names[-1]}\n"
+            f"{out}: {words}, {names[0]} to {names[-1]}\n"
             f"next: transopt identify {purpose} {out}/{purpose}_*.npz --out MODEL.json"
         ),
         gain=gain,

@@ -59,8 +59,10 @@ class Trial:
     negative: bool
     cut_ticks: int
 
-    def write(self, path: Path, accelerometer_Hz: float, *, held_out: bool = False) -> None:
-        """Into a file; `held_out` for a trial to validate with, which is never fitted.
+    def write(
+        self, path: Path, accelerometer_Hz: float, *, held_out: bool = False, period_s: float | None = None
+    ) -> None:
+        """Into a file; `held_out` for a trial to validate with, which is never fitted; the period of what repeats.
 
         Raises
         ------
@@ -74,7 +76,11 @@ class Trial:
             "position_m": self.position_m,
         }
         scalars = {"grip_N": self.grip_N, "accelerometer_Hz": accelerometer_Hz}
-        write_measurement(path, columns, {**scalars, "held_out": 1.0} if held_out else scalars)
+        if held_out:
+            scalars["held_out"] = 1.0
+        if period_s is not None:
+            scalars["period_s"] = period_s
+        write_measurement(path, columns, scalars)
 
 
 @dataclass

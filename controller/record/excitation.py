@@ -8,6 +8,9 @@ from transopt.base.signals import FloatArray
 RISE_PART, RISE_PERIODS, FALL_PERIODS = 0.05, 0.5, 10.0
 LEAST_SAMPLES = 16
 TAP_S, TAP_FADES_S, TAP_HZ = 0.1, 5e-3, 120.0  # of a burst like a tap
+PERIOD_S, PERIODS, FADE_S = 0.4, 4, 50e-3  # of a multisine; the first period is the device's transient
+LOWEST_HZ, HIGHEST_HZ, LINES = 10.0, 1000.0, 90  # of its lines, equally many per octave
+DRAWINGS, PHASES = 100, 3  # of the phases, and the seed of their draw
 
 
 def sweep_command(
@@ -95,3 +98,51 @@ def tap_command(peak_A: float, dt_s: float) -> FloatArray:
     burst = np.exp(-times / TAP_FADES_S) * np.sin(2 * np.pi * TAP_HZ * times)
     burst[-1] = 0.0
     return np.asarray(peak_A * burst / np.abs(burst).max())
+
+
+def multisine_period_s(dt_s: float) -> float:
+    """Period of `multisine_command`: whole samples, about 0.4 s."""
+    return round(PERIOD_S / dt_s) * dt_s
+
+
+def multisine_command(peak_A: float, dt_s: float) -> FloatArray:
+    """Odd harmonics alone, repeated: what a device answers anywhere else is distortion or noise.
+
+    A linear device answers at the lines that are excited. An odd nonlinearity (friction, backlash, saturation) adds
+    to all odd ones, an even one (unequal stiffness to either side) to even ones; so every third odd line is left out
+    to listen at, and all even ones (Pintelon & Schoukens 2012, System Identification, Ch. 4). Of a hundred drawings
+    of the phases the one with the lowest peak is taken.
+
+    Parameters
+    ----------
+    peak_A : largest current, > 0.
+
+    Returns
+    -------
+    (N,) commands [A]: whole periods of `multisine_period_s`, the first faded in, and 50 ms of a further one, faded
+    out; the first and the last are zero.
+
+    Raises
+    ------
+    InputError : the current is out of its range, or the servo too slow for such lines.
+    """
+    if not 0 < peak_A < np.inf:
+        raise InputError(f"multisine: peak {peak_A:g} A: must be above 0 and finite")
+    if not 0.5 / dt_s > HIGHEST_HZ:
+        raise InputError(f"multisine: a servo of {1 / dt_s:g} Hz is too slow for lines up to {HIGHEST_HZ:g} Hz")
+    samples = round(PERIOD_S / dt_s)
+    wanted = np.geomspace(LOWEST_HZ, HIGHEST_HZ, LINES) * samples * dt_s
+    odd = np.unique(2 * np.round((wanted - 1) / 2).astype(int) + 1)
+    lines = np.delete(odd, slice(2, None, 3))
+    random = np.random.default_rng(PHASES)
+    spectra = np.zeros((DRAWINGS, samples // 2 + 1), dtype=complex)
+    spectra[:, lines] = np.exp(2j * np.pi * random.uniform(size=(DRAWINGS, lines.size)))
+    waves = np.fft.irfft(spectra, samples)
+    best = waves[int(np.argmin(np.abs(waves).max(axis=1)))]
+    wave = np.tile(peak_A / float(np.abs(best).max()) * best, PERIODS + 1)
+    fade = max(round(FADE_S / dt_s), 2)
+    wave = wave[: PERIODS * samples + fade]
+    rising = 0.5 * (1 - np.cos(np.pi * np.arange(fade) / (fade - 1)))
+    wave[:fade] *= rising
+    wave[-fade:] *= rising[::-1]
+    return np.asarray(wave)

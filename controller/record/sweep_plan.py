@@ -5,12 +5,22 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
-from controller.record.excitation import TAP_S, sweep_command, tap_command
+from controller.record.excitation import (
+    FADE_S,
+    PERIOD_S,
+    PERIODS,
+    TAP_S,
+    multisine_command,
+    multisine_period_s,
+    sweep_command,
+    tap_command,
+)
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 
 FREE_LOW_HZ = 20.0  # nothing holds a free stylus: at 1 Hz and 1 A it would go 0.8 m
 MOST_TRIALS = 100
+REPEATED = 0.5  # of the current of a tap: a multisine lasts, and a tap is at its peak for a moment
 
 
 class Purpose(Enum):
@@ -18,6 +28,14 @@ class Purpose(Enum):
 
     AMPLIFIER = "amplifier"
     DEVICE = "device"
+
+
+class Shape(Enum):
+    """What is played; the value is what file names say of it."""
+
+    SWEEP = ""
+    TAP = "tap"
+    MULTISINE = "multisine"
 
 
 class Preset(NamedTuple):
@@ -40,13 +58,13 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class PlannedSweep:
-    """One sweep, or a tap at the current of use.
+    """One sweep; or, at the current of use, a burst like a tap's or a multisine.
 
     Attributes
     ----------
     grip_N : at which the stylus is held still; 0 is the free device. number : from 1, among those alike.
     polarity : +1 or -1, of sine and offset together.
-    tap : whether it is a tap of this amplitude, which is kept out of every fit.
+    shape : what is played with this amplitude; only sweeps are fitted to.
     """
 
     purpose: Purpose
@@ -58,23 +76,30 @@ class PlannedSweep:
     amplitude_A: float
     offset_A: float
     seconds: float
-    tap: bool = False
+    shape: Shape = Shape.SWEEP
 
     def command(self, dt_s: float) -> FloatArray:
         """(N,) command to be issued at k dt and held [A].
 
         Raises
         ------
-        InputError : see `excitation.sweep_command`.
+        InputError : see `excitation`.
         """
-        if self.tap:
+        if self.shape is Shape.TAP:
             return self.polarity * tap_command(self.amplitude_A, dt_s)
+        if self.shape is Shape.MULTISINE:
+            return self.polarity * multisine_command(self.amplitude_A, dt_s)
         sweep = sweep_command(self.low_Hz, self.high_Hz, self.seconds, self.amplitude_A, dt_s, self.offset_A)
         return self.polarity * sweep
 
+    def period_s(self, dt_s: float) -> float | None:
+        """With which it repeats; None for what does not."""
+        return multisine_period_s(dt_s) if self.shape is Shape.MULTISINE else None
+
     @property
     def file_name(self) -> str:
-        offset = "_tap" if self.tap else f"_{self.offset_A:g}A" if self.offset_A else ""
+        shape = f"_{self.shape.value}" if self.shape is not Shape.SWEEP else ""
+        offset = shape or (f"_{self.offset_A:g}A" if self.offset_A else "")
         sign = "pos" if self.polarity > 0 else "neg"
         return f"{self.purpose.value}_{self.grip_N:g}N{offset}_{self.number}_{sign}.npz"
 
@@ -96,7 +121,8 @@ def sweep_plan(
     Parameters
     ----------
     trials : of each grip and offset.
-    tap_A : largest current of two taps of either sign at each grip, after its sweeps; None for none.
+    tap_A : largest current of use: at each grip, after its sweeps, two bursts like a tap's, of either sign, and a
+        multisine of half that current; None for none.
 
     Raises
     ------
@@ -131,6 +157,9 @@ def sweep_plan(
                 )
                 planned.append(trial)
         if tap_A is not None:
-            tap = replace(planned[-1], amplitude_A=tap_A, offset_A=0.0, seconds=TAP_S, tap=True)
+            tap = replace(planned[-1], amplitude_A=tap_A, offset_A=0.0, seconds=TAP_S, shape=Shape.TAP)
             planned += [replace(tap, number=number, polarity=sign) for number, sign in ((1, 1), (2, -1))]
+            lasting = PERIODS * PERIOD_S + FADE_S
+            repeated = replace(tap, amplitude_A=REPEATED * tap_A, seconds=lasting, shape=Shape.MULTISINE)
+            planned.append(replace(repeated, number=1, polarity=1))
     return planned

@@ -21,7 +21,7 @@ COLUMNS = (
     "ambient_C",
     "voltage_V",
 )
-SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s", "held_out")
+SCALARS = ("grip_N", "accelerometer_Hz", "speed_m_s", "held_out", "period_s")
 
 
 def refuse_old(folder: Path, names: Iterable[str]) -> None:
@@ -45,6 +45,7 @@ def write_measurement(path: Path, columns: Mapping[str, FloatArray], scalars: Ma
         command of row k is held from there to the next row.
     scalars : some of `SCALARS`. grip_N : mean over the trial. accelerometer_Hz : bandwidth, one pole.
         held_out : 1 for a trial to validate with, which is never fitted.
+        period_s : with which what is played repeats.
 
     Raises
     ------

@@ -72,6 +72,7 @@ def test_verdicts_in_short(effect: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 @pytest.mark.timeout(1800)
 @pytest.mark.usefixtures("_compiled")
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -81,6 +82,7 @@ def test_every_verdict_holds(seed: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 @pytest.mark.timeout(1800)
 @pytest.mark.usefixtures("_compiled")
 def test_parameters_of_plain_devices_are_as_near_and_as_certain_as_asked(tmp_path: Path) -> None:

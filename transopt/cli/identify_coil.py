@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from transopt.plant.coil import CoilModel
     from transopt.scene.model_parts import CoilPart
 
+RIPPLE_A = 0.02  # `transopt.plant.coil.PWM_RIPPLE_A`, which is loaded when the command runs
 UNITS = {"R_wh_K_W": "K/W", "R_ha_K_W": "K/W", "tau_w_s": "s", "tau_h_s": "s"}
 MEANING = {
     "R_wh_K_W": "winding over housing",
@@ -35,6 +36,10 @@ def identify_coil(
     resistance_ohm: Annotated[
         float | None, typer.Option(help="Resistance at 25 C, in ohm, in place of that of the scene's motor.")
     ] = None,
+    ripple_A: Annotated[
+        float,
+        typer.Option("--ripple-A", help="By which PWM heats beside the recorded current; 0: a linear amplifier."),
+    ] = RIPPLE_A,
     columns: Annotated[str, typer.Option(help=COLUMNS_HELP)] = "",
     units: Annotated[str, typer.Option(help=UNITS_HELP)] = "",
 ) -> None:
@@ -54,7 +59,7 @@ def identify_coil(
     nominal = _coil_of(scene)
     run = load_measurement(file, layout(columns, units))
     R_ohm = nominal.R_ohm if resistance_ohm is None else resistance_ohm
-    fit = fit_coil(heat_record(run, R_ohm), limit_C=nominal.limit_C)
+    fit = fit_coil(heat_record(run, R_ohm, ripple_A), limit_C=nominal.limit_C)
     # Of the identified coil in the scene's surroundings, to be compared with the datasheet.
     continuous_A = replace(fit.coil, ambient_C=nominal.ambient_C).continuous_current_A()
     figure = out.with_name(f"{out.stem}_coil.png")
@@ -90,9 +95,10 @@ def verdict(fit: "CoilFit", nominal: "CoilModel", continuous_A: float) -> str:
     short = fit.shortfalls()
     if short:
         return f"not to be relied upon: {'; '.join(short)}"
+    ripple = "" if fit.record.ripple_A == RIPPLE_A else f"; fitted with {fit.record.ripple_A:g} A of ripple"
     return (
         f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
-        f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C"
+        f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C{ripple}"
     )
 
 

@@ -37,6 +37,7 @@ _GROWTH = 0.03  # of the time since the current last changed: how long one step 
 _CHANGE = 0.1  # of the largest heating
 _LEAST_NOISE_K = 1e-3
 _FAR = np.log(100.0)  # from the guess
+MOST_RIPPLE_A = 0.5
 _STEP = 1e-5
 _WIDE_K = 50.0  # around the first reading, for start temperatures
 
@@ -69,6 +70,7 @@ class HeatRecord:
     ambient_C : mean, None if not recorded.
     ambient_drift_K : its range.
     R_ohm : at 25 C.
+    ripple_A : of the amplifier that heated, beside the recorded current.
     """
 
     dt_s: float
@@ -78,6 +80,7 @@ class HeatRecord:
     ambient_C: float | None
     ambient_drift_K: float
     R_ohm: float
+    ripple_A: float = PWM_RIPPLE_A
 
     @cached_property
     def rise_K(self) -> float:
@@ -176,12 +179,14 @@ def _incredible(coil: CoilModel) -> list[str]:
     ]
 
 
-def heat_record(run: Measurement, R_ohm: float) -> HeatRecord:
+def heat_record(run: Measurement, R_ohm: float, ripple_A: float = PWM_RIPPLE_A) -> HeatRecord:
     """The record of a file; without `winding_C` the winding from voltage over current.
 
     Parameters
     ----------
     R_ohm : resistance at 25 C, > 0.
+    ripple_A : by which the amplifier's PWM heats beside the recorded current; 0 for a linear amplifier, or where the
+        recorded current is an rms value that has it.
 
     Raises
     ------
@@ -190,8 +195,10 @@ def heat_record(run: Measurement, R_ohm: float) -> HeatRecord:
     current = run.require("current", "current_A")
     if not 0 < R_ohm < np.inf:
         raise InputError(f"--resistance-ohm {R_ohm:g}: must be > 0 and finite")
+    if not 0 <= ripple_A <= MOST_RIPPLE_A:
+        raise InputError(f"--ripple-A {ripple_A:g} A: must be 0 to {MOST_RIPPLE_A:g} A; 0 for a linear amplifier")
     largest = float(np.abs(current.values).max())
-    if not largest > PWM_RIPPLE_A:
+    if not largest > max(ripple_A, PWM_RIPPLE_A):
         raise InputError(
             f"{run.name}: current stays below {largest:.2g} A: nothing heats the coil; record current_A "
             "while it is heated"
@@ -205,12 +212,13 @@ def heat_record(run: Measurement, R_ohm: float) -> HeatRecord:
     ambient = run.ambient
     record = HeatRecord(
         dt_s=current.dt_s,
-        heating_A2=effective_square(current.values),
+        heating_A2=effective_square(current.values, ripple_A),
         winding=winding,
         housing=None if run.housing is None else _channel(run.housing, np.ones(current.values.size)),
         ambient_C=None if ambient is None else float(ambient.values.mean()),
         ambient_drift_K=0.0 if ambient is None else _drift(ambient.values),
         R_ohm=R_ohm,
+        ripple_A=ripple_A,
     )
     if np.ptp(record.heating_A2) < _CHANGE * record.heating_A2.max():
         raise InputError(

@@ -18,9 +18,9 @@ PWM_RIPPLE_A = 0.02  # seed Eq. 7: i_eff = i + 0.02 sign(i)
 PAUSE_STEPS = 100  # into which the pause between two taps is divided
 
 
-def effective_square(current_A: FloatArray) -> FloatArray:
+def effective_square(current_A: FloatArray, ripple_A: float = PWM_RIPPLE_A) -> FloatArray:
     """i_eff^2 = (|i| + 0.02 A)^2 of seed Eq. 7: the PWM ripple heats even around zero current [A^2]."""
-    return np.asarray((np.abs(current_A) + PWM_RIPPLE_A) ** 2)
+    return np.asarray((np.abs(current_A) + ripple_A) ** 2)
 
 
 def following_square_mean(before_A: FloatArray, command_A: FloatArray, decays: FloatArray) -> FloatArray:

@@ -46,7 +46,10 @@ def test_taps_at_the_current_of_use_are_marked_as_kept_out_of_the_fit(play: Run)
     arguments = ("--grips", 3, "--trials", 1, "--seconds", 0.3, "--low", 20, "--tap-current", 3.5)
     outcome = play(*SWEEP, *arguments)
     assert outcome.code == 0, outcome.err
-    assert "2 taps and 1 sweeps" in outcome.out
+    assert "1 sweeps of 0.3 s, 2 taps, 1 multisines" in outcome.out
+    repeated = load_measurement(Path("sweeps/device_3N_multisine_1_pos.npz"))
+    assert repeated.period_s == pytest.approx(0.4)
+    assert np.abs(repeated.require("current", "").values).max() == pytest.approx(1.75, rel=0.1)
     taps = [load_measurement(path) for path in sorted(Path("sweeps").glob("*_tap_*.npz"))]
     assert [one.name for one in taps] == ["device_3N_tap_1_pos.npz", "device_3N_tap_2_neg.npz"]
     assert all(one.held_out for one in taps)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from controller.record.excitation import sweep_command, tap_command
+from controller.record.excitation import multisine_command, multisine_period_s, sweep_command, tap_command
 from controller.record.sweep_plan import FREE_LOW_HZ, Purpose, sweep_plan
 from controller.record.trial_file import write_measurement
 from transopt.base.errors import InputError
@@ -119,6 +119,43 @@ def test_a_tap_reaches_its_peak_and_ends_at_rest() -> None:
     for peak_A, dt_s in ((0.0, DT_S), (np.nan, DT_S), (4.0, 1e-3)):
         with pytest.raises(InputError, match="tap: "):
             tap_command(peak_A, dt_s)
+
+
+@pytest.mark.parametrize("dt_s", [DT_S, 5e-5, 4e-4])
+def test_a_multisine_repeats_and_excites_odd_lines_alone(dt_s: float) -> None:
+    command, period_s = multisine_command(2.0, dt_s), multisine_period_s(dt_s)
+    size = round(period_s / dt_s)
+    assert period_s == pytest.approx(size * dt_s)
+    assert (command[0], command[-1]) == (0.0, 0.0)
+    assert np.abs(command).max() <= 2.0 + 1e-12
+    whole = command[size : 4 * size].reshape(3, size)
+    np.testing.assert_allclose(whole, np.broadcast_to(whole[0], whole.shape), atol=1e-12)
+    assert np.abs(whole[0]).max() == pytest.approx(2.0)
+    lines = np.abs(np.fft.rfft(whole[0]))
+    excited = np.flatnonzero(lines > 1e-6 * lines.max())
+    assert np.all(excited % 2 == 1)
+    assert excited[0] / period_s == pytest.approx(10.0, abs=5.0)
+    assert excited[-1] / period_s == pytest.approx(1000.0, abs=60.0)
+    odd = np.arange(excited[0], excited[-1] + 1, 2)
+    assert np.setdiff1d(odd, excited).size > 20  # some are left out to listen at
+    assert np.sqrt(np.mean(whole[0] ** 2)) > 2.0 / 3.5  # not one tall peak
+    for peak_A, period in ((0.0, DT_S), (np.inf, DT_S), (1.0, 1e-3)):
+        with pytest.raises(InputError, match="multisine: "):
+            multisine_command(peak_A, period)
+
+
+def test_at_the_current_of_use_taps_and_a_multisine_follow_the_sweeps_of_each_grip() -> None:
+    planned = sweep_plan(Purpose.DEVICE, [1.0, 3.0], 2, tap_A=4.0)
+    assert [trial.file_name for trial in planned[:5]] == [
+        "device_1N_1_pos.npz",
+        "device_1N_2_neg.npz",
+        "device_1N_tap_1_pos.npz",
+        "device_1N_tap_2_neg.npz",
+        "device_1N_multisine_1_pos.npz",
+    ]
+    assert [np.abs(trial.command(DT_S)).max() for trial in planned[2:5]] == pytest.approx([4.0, 4.0, 2.0])
+    assert [trial.period_s(DT_S) for trial in planned[3:5]] == [None, pytest.approx(0.4)]
+    assert len({trial.file_name for trial in planned}) == 10
 
 
 @pytest.mark.parametrize(

@@ -199,3 +199,22 @@ def test_the_command_refuses_its_options(tmp_path: Path) -> None:
         identify_coil(heat, tmp_path / "coil.txt")
     with pytest.raises(InputError, match=r"nowhere"):
         identify_coil(heat, tmp_path / "coil.json", scene="nowhere")
+
+
+def test_the_ripple_is_that_of_the_amplifier_that_heated() -> None:
+    """Heated without ripple but fitted with the default one, a coil seems better cooled than it is."""
+    run = measured(cooling_s=1500.0)
+    assert run.current is not None
+    ideal = replace(run, current=replace(run.current, values=np.abs(run.current.values) + 0.02))  # ripple and all
+    right, wrong = (fit_coil(heat_record(ideal, R_OHM, ripple), starts=1) for ripple in (0.0, 0.02))
+    total = [fit.coil.R_wh_K_W + fit.coil.R_ha_K_W for fit in (right, wrong)]
+    assert total[0] == pytest.approx(TRUTH["R_wh_K_W"] + TRUTH["R_ha_K_W"], rel=0.01)
+    assert total[1] / total[0] == pytest.approx((1.12 / 1.14) ** 2, rel=5e-3)
+    for ripple in (-0.1, 1.0, np.nan):
+        with pytest.raises(InputError, match="--ripple-A"):
+            heat_record(run, R_OHM, ripple)
+
+
+def test_the_command_takes_the_ripple_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    identify_coil(write(measured(), tmp_path / "heat.npz"), tmp_path / "MODEL.json", ripple_A=0.0)
+    assert "fitted with 0 A of ripple" in " ".join(capsys.readouterr().out.split())

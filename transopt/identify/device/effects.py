@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from transopt.base.signals import ComplexArray, FloatArray, Signal, highpass
@@ -32,6 +33,10 @@ ALIGNED_HZ = 500.0  # below which command and current are laid over each other
 CERTAIN = 4.0  # deviations of the noise's energy that an excess must have
 EXPLAINS = 0.25  # of what was missed: a candidate that explains less is not named
 LEAST_PERIODS, EXCITED = 2, 1e-6  # after the transient; of the largest line, from which on a line is excited
+LOUD = 5.0  # deviations of the noise, from which on the shape of a cause is in the detection lines
+SHOWS, CLEARLY = 0.15, 3.0  # of the distortion that a cause explains, and how much more than another
+PLAYS = 0.02  # of the answer: the distortion from which on play is to be feared
+OF_THE_CURRENT = 0.5  # of the acceleration's distortion that the current must have to be its cause
 SLOW, PLAY = 0.02, 0.1  # of the largest speed and stretch: over which friction and play change their sign
 SHORTFALL = 0.01  # of the largest current that the amplifier may miss before it is named
 SIGNIFICANT = 50.0  # variances of the noise that a dead band takes off the residual of a current
@@ -145,50 +150,152 @@ def at_use(found: Sequence[Missed], error: ModelError) -> list[AtUse]:
 
 @dataclass(frozen=True)
 class Distortion:
-    """What a periodic excitation finds at lines that it does not excite.
+    """What a periodic excitation finds at lines that it does not excite: rms per line over that at excited ones.
+
+    Less what is noise; 0 where it is no more than noise.
 
     Attributes
     ----------
-    even, odd : rms of the acceleration at even and at odd detection lines over that at the excited ones, per line,
-        less what is noise; 0 where it is no more than noise.
+    even, odd : of the acceleration at even and at odd detection lines.
+    current_even, current_odd : of the measured current at the same lines; 0 where it was not measured.
     """
 
     even: float
     odd: float
+    current_even: float = 0.0
+    current_odd: float = 0.0
+
+    @property
+    def largest(self) -> float:
+        """Of the acceleration."""
+        return max(self.even, self.odd)
+
+    def words(self) -> str:
+        """What it says of the device, and what to do about it."""
+        size = (
+            f"{100 * self.odd:.2g} % odd and {100 * self.even:.2g} % even distortion at lines that were not excited"
+        )
+        if max(self.current_even, self.current_odd) > OF_THE_CURRENT * self.largest:
+            current = f"the current has {100 * self.current_odd:.2g} and {100 * self.current_even:.2g} % of its own"
+            return f"{size}; {current}: the amplifier gives way or has a crossover: identify it, or use less current"
+        if self.odd > self.even:
+            kind = "alike in both directions, as friction, play and a spring that stiffens are"
+        else:
+            kind = "different between pushing and pulling, as a preload, a stop or a force that varies with place is"
+        return f"{size}: {kind}; a response predicts no tap nearer than that: refine the library on the device"
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Where a periodic record was excited and where it was not; the first period, its transient, is left out.
+
+    Attributes
+    ----------
+    first, size, periods : sample at which the second period begins, samples of one, and how many whole ones follow.
+    excited, even, odd : (size // 2 + 1,) lines of one period: with excitation, and between those without.
+    """
+
+    first: int
+    size: int
+    periods: int
+    excited: NDArray[np.bool_]
+    even: NDArray[np.bool_]
+    odd: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, run: Measurement) -> "_Lines | None":
+        """Those of a run; None of one that does not repeat, or not often enough."""
+        given, period_s = run.command if run.command is not None else run.current, run.period_s
+        if run.acceleration is None or given is None or period_s is None:
+            return None
+        size = round(period_s / given.dt_s)
+        acts = np.flatnonzero(np.abs(given.values) > EXCITED * np.abs(given.values).max(initial=0.0))
+        first = int(acts[0]) + size if acts.size else given.values.size
+        periods = (int(acts[-1]) + 1 - first) // size if acts.size else 0
+        if periods < LEAST_PERIODS:
+            return None
+        put = np.abs(np.fft.rfft(given.values[first : first + size * periods].reshape(periods, size), axis=1))
+        excited = put.mean(axis=0) > EXCITED * put.max()
+        lowest, highest = np.flatnonzero(excited)[[0, -1]]
+        k = np.arange(excited.size)
+        silent = (k >= max(lowest, 1)) & (k <= highest) & ~excited
+        return cls(first, size, periods, excited, silent & (k % 2 == 0), silent & (k % 2 == 1))
+
+    def mean(self, values: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """(m,) spectrum of the mean period, and the variance of the noise in it, by the scatter of the periods."""
+        whole = values[self.first : self.first + self.size * self.periods].reshape(self.periods, self.size)
+        spectra = np.fft.rfft(whole, axis=1)
+        return spectra.mean(axis=0), spectra.var(axis=0, ddof=1) / self.periods
 
 
 def distortion(run: Measurement) -> Distortion | None:
     """Even and odd distortion by the detection lines of a periodic record; None of one that has none.
 
-    The first period is the transient. A linear device answers at excited lines alone; what scatters between the
-    periods is noise (Pintelon & Schoukens 2012, Ch. 4).
+    A linear device answers at excited lines alone; what scatters between the periods is noise (Pintelon & Schoukens
+    2012, Ch. 4).
     """
-    x, period_s = run.acceleration, run.period_s
-    given = run.command if run.command is not None else run.current
-    if x is None or given is None or period_s is None:
+    lines = _Lines.of(run)
+    if lines is None:
         return None
-    size = round(period_s / x.dt_s)
-    periods = x.values.size // size - 1
-    if periods < LEAST_PERIODS:
-        return None
-    lines = np.fft.rfft(x.values[size : size * (periods + 1)].reshape(periods, size), axis=1)
-    put = np.abs(np.fft.rfft(given.values[size : 2 * size]))
-    excited = put > EXCITED * put.max()
-    first, last = np.flatnonzero(excited)[[0, -1]]
-    inside = np.arange(put.size)
-    inside = (inside >= max(first, 1)) & (inside <= last) & ~excited
-    power = np.abs(lines.mean(axis=0)) ** 2
-    noise = lines.var(axis=0, ddof=1) / periods
-    scale = float(np.mean((power - noise)[excited]))
 
-    def level(kind: int) -> float:
-        some = inside & (np.arange(put.size) % 2 == kind)
-        if not some.any():
-            return 0.0
-        beyond, deviation = (power - noise)[some].mean(), noise[some].mean() / np.sqrt(some.sum())
-        return float(np.sqrt(beyond / scale)) if beyond > CERTAIN * deviation else 0.0
+    def levels(values: FloatArray) -> tuple[float, float]:
+        """At even and at odd detection lines."""
+        mean, noise = lines.mean(values)
+        beyond, found = np.abs(mean) ** 2 - noise, []
+        scale = max(float(beyond[lines.excited].mean()), np.finfo(float).tiny)
+        for some in (lines.even, lines.odd):
+            power = float(beyond[some].mean()) if some.any() else 0.0
+            certain = power > CERTAIN * float(noise[some].mean()) / np.sqrt(some.sum()) if some.any() else False
+            found.append(float(np.sqrt(power / scale)) if certain else 0.0)
+        return found[0], found[1]
 
-    return Distortion(level(0), level(1))
+    own = levels(run.current.values) if run.current is not None and run.command is not None else (0.0, 0.0)
+    return Distortion(*levels(run.require("acceleration", "").values), *own)
+
+
+def named_by_lines(fit: ChainFit, repeated: Sequence[Measurement]) -> list[tuple[str, float]]:
+    """The cause of a distortion, and which part of it at the detection lines it explains; none where all is quiet.
+
+    No error of a linear model reaches these lines, so friction and stiffening are told by their shapes alone. Play
+    that opens and closes has no shape of a small disturbance: it is named where the distortion is strong and neither
+    of the two is in it.
+    """
+    wanted: list[ComplexArray] = []
+    shapes: dict[str, list[ComplexArray]] = {"friction": [], "stiffening": []}
+    energy = noise = strongest = 0.0
+    for run in repeated:
+        lines, found = _Lines.of(run), distortion(run)
+        if lines is None or found is None or run.grip_N is None or not _grips(fit, run.grip_N):
+            continue
+        if max(found.current_even, found.current_odd) > OF_THE_CURRENT * found.largest:
+            continue  # the amplifier's, which is said elsewhere
+        silent = lines.even | lines.odd
+        mean, variance = lines.mean(run.require("acceleration", "").values)
+        wanted.append(mean[silent])
+        energy, noise = energy + float(np.sum(np.abs(mean[silent]) ** 2)), noise + float(np.sum(variance[silent]))
+        strongest = max(strongest, found.odd)
+        for name, parts in shapes.items():
+            parts.append(lines.mean(_shape(name, fit.device, fit.instrument, run))[0][silent])
+    beyond = energy - noise
+    if not wanted or beyond <= 0:
+        return []
+    share = {}
+    for name, parts in shapes.items():
+        shape = np.concatenate(parts)
+        along = max(float(np.vdot(shape, np.concatenate(wanted)).real), 0.0)  # the other sign is no such effect
+        explained = along**2 / max(float(np.vdot(shape, shape).real), np.finfo(float).tiny)
+        chance = noise / (2 * shape.size)  # what noise has along one real direction
+        share[name] = explained / beyond if explained > LOUD**2 * chance else 0.0
+    best, other = sorted(share, key=lambda name: -share[name])
+    if share[best] > SHOWS and share[best] > CLEARLY * share[other]:
+        return [(best, min(share[best], 1.0))]
+    return [("backlash", 1 - share[best])] if strongest > PLAYS and share[best] < SHOWS else []
+
+
+def _grips(fit: ChainFit, grip_N: float) -> bool:
+    """Whether a chain knows a grip."""
+    held = [grip for grip in fit.grips_N if (grip > 0) == (grip_N > 0)]
+    return bool(held) and min(held) <= grip_N <= max(held)
 
 
 def named(fit: ChainFit, found: Sequence[Missed]) -> list[tuple[str, float]]:

@@ -33,7 +33,9 @@ from transopt.identify.device.effects import (
     distortion,
     missed,
     named,
+    named_by_lines,
 )
+from transopt.identify.device.noise import noise_findings
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.slow import without_leakage
 from transopt.identify.device.trials import (
@@ -229,7 +231,7 @@ def identify(
             measured = [grip.response for grip in grips]
             records = replace(records, grips=grips)
             chain = refit(chain, measured)
-    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and (chain is None or _unexplained(chain))):
+    if settings.kind is Kind.STATE_SPACE or (settings.kind is Kind.AUTO and _worth_a_box(chain, repeated)):
         box = fit_black_box(measured, records.instrument, settings.order, tick=lambda: tick("state space"))
     candidates = []
     if chain is not None:
@@ -243,7 +245,8 @@ def identify(
         chosen, others = others[0], [chosen]
     own_hands = [] if chain is None else fit_per_grip(chain, measured, least_coherence=COHERENT)
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
-    causes, found = _causes(chosen, chain, grips, used, error)
+    causes, found = _causes(chosen, chain, grips, used, error, repeated)
+    found += noise_findings(grips)
     found += [said for run in repeated if (said := _distorted(run)) is not None]
     advice = _advice(grips, chosen, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
@@ -264,7 +267,8 @@ def identify(
     )
     wrong = _two_clocks(records.instrument.dt_s, settings.servo_s)
     if wrong:
-        result = replace(result, causes=["clock", *causes], short=wrong)
+        # What else was found (a gain, a pole) makes up for the clock.
+        result = replace(result, causes=["clock"], findings=[*late, *records.findings], short=wrong)
     taps = None if settings.taps is None else settings.taps(device_part(result))
     if taps is None:
         return result
@@ -284,9 +288,9 @@ def _two_clocks(recorded_s: float, servo_s: float | None) -> list[str]:
     ]
 
 
-def _unexplained(chain: ChainFit) -> bool:
-    """Whether the acceleration has more in it than a chain makes: only then is a black box worth its while."""
-    return chain.scatter > EXPLAINED
+def _worth_a_box(chain: ChainFit | None, repeated: Sequence[Measurement]) -> bool:
+    """Whether a black box could do better: where a chain leaves something unexplained that is linear."""
+    return chain is None or (chain.scatter > EXPLAINED and not named_by_lines(chain, repeated))
 
 
 def _at_use(
@@ -306,17 +310,18 @@ def _within(grip_N: float, recorded_N: Sequence[float]) -> bool:
 def _distorted(run: Measurement) -> Finding | None:
     """What the detection lines of a periodic record say; None where they are quiet."""
     found = distortion(run)
-    if found is None or max(found.even, found.odd) < DISTORTED:
+    if found is None or found.largest < DISTORTED:
         return None
-    text = (
-        f"{100 * found.odd:.2g} % odd and {100 * found.even:.2g} % even distortion at lines that were not excited: "
-        "the device is not linear at this amplitude, and no model of a response predicts it nearer than that"
-    )
-    return Finding(Fault.BESIDE, run.name, text, False)
+    return Finding(Fault.BESIDE, run.name, found.words(), False)
 
 
 def _causes(
-    chosen: Candidate, chain: ChainFit | None, grips: Sequence[Grip], used: Sequence[Missed], error: ModelError
+    chosen: Candidate,
+    chain: ChainFit | None,
+    grips: Sequence[Grip],
+    used: Sequence[Missed],
+    error: ModelError,
+    repeated: Sequence[Measurement],
 ) -> tuple[list[str], list[Finding]]:
     """What the records have beside the model, by name, and what to do about it."""
     found: list[tuple[str, Finding]] = []
@@ -351,6 +356,11 @@ def _causes(
             "the intervals are that much wider; hold the stylus steadily, or add trials"
         )
         say("varying hand", "trials", text)
+    by_lines = [] if chain is None else named_by_lines(chain, repeated)
+    for cause, share in by_lines:
+        told = "neither friction nor stiffening explains" if cause == "backlash" else "explains"
+        text = f"{told} {100 * share:.0f} % of what sounds at lines that were not excited: {REMEDIES[cause]}"
+        say(cause, "multisines", text)
     loud = [one for one, tap in zip(used, error.at_use, strict=True) if tap.excess]
     if loud:
         worst = max(tap.excess for tap in error.at_use)
@@ -368,7 +378,8 @@ def _causes(
                 "identify the amplifier too, and refine the library on the device"
             )
             say("amplifier crossover", "current_A", text)
-        if chain is not None:
+        listened = any(distortion(run) is not None for run in repeated)  # detection lines know better than taps
+        if chain is not None and not listened:
             for cause, share in named(chain, loud):
                 text = (
                     f"explains {100 * share:.0f} % of what taps at full current miss ({100 * worst:.2g} %): "

@@ -5,7 +5,6 @@ from matplotlib.figure import Figure
 
 from transopt.base.plotting import CLIPPED, DARK, LABEL_PT, OPTIMUM, SEED, SMALL_PT
 from transopt.identify.coil import CoilFit
-from transopt.plant.coil import PWM_RIPPLE_A
 
 _MOST_POINTS = 4000
 
@@ -30,7 +29,7 @@ def coil_figure(fit: CoilFit) -> Figure:
     above.plot(minutes, fit.winding_C, color=DARK, lw=1.0, label="model")
     above.plot(minutes, fit.housing_C, color=DARK, lw=1.0, ls="--", label="model, housing")
     missed.axhline(0.0, color=DARK, lw=0.8)
-    below.plot(minutes, np.sqrt(record.heating_A2) - PWM_RIPPLE_A, color=SEED, lw=1.0)
+    below.plot(minutes, np.sqrt(record.heating_A2) - record.ripple_A, color=SEED, lw=1.0)
     for axes, label in ((above, "temperature [C]"), (missed, "missed by [K]"), (below, "current [A]")):
         axes.set_ylabel(label, fontsize=LABEL_PT)
         axes.tick_params(labelsize=SMALL_PT)

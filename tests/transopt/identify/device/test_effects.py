@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from controller.record.excitation import multisine_command, multisine_period_s
 from tests.benches.identification import AMPLIFIER, DEFAULT, DT_S, Rig, mismatched
 from transopt.base.signals import FloatArray, Signal
 from transopt.identify.device.chain_fit import ChainFit, fit_chain
@@ -15,6 +16,7 @@ from transopt.identify.device.effects import (
     distortion,
     missed,
     named,
+    named_by_lines,
 )
 from transopt.identify.device.trials import sort_trials
 from transopt.identify.measurement import Measurement
@@ -160,6 +162,45 @@ def test_detection_lines_tell_even_from_odd_distortion_and_both_from_noise() -> 
     assert max(linear.even, linear.odd) < 0.002
     assert even.even > 0.01 > even.odd
     assert odd.odd > 0.01 > odd.even
+
+
+def test_distortion_that_the_current_has_is_the_amplifiers() -> None:
+    run = periodic(lambda x: 3 * x - 0.5 * x**3, noise=0.01)
+    command = run.require("command", "")
+    bent = replace(run, current=replace(command, values=command.values - command.values**3 / 6))
+    straight = replace(run, current=command)
+    amplifiers, devices = distortion(bent), distortion(straight)
+    assert amplifiers is not None
+    assert devices is not None
+    assert "the amplifier gives way" in amplifiers.words()
+    assert "friction, play" in devices.words()
+    assert devices.current_odd < 1e-9
+
+
+def multisines(rig: Rig) -> list[Measurement]:
+    """One per grip, as `record sweep` plays it."""
+    command = multisine_command(1.5, DT_S)
+    rest = np.zeros(500)
+    runs = [
+        rig.record(f"multisine_{grip:g}N.npz", grip, np.concatenate([rest, command, rest]), 7) for grip in GRIPS_N
+    ]
+    return [replace(run, period_s=multisine_period_s(DT_S)) for run in runs]
+
+
+@pytest.mark.parametrize("effect", ["friction", "stiffening"])
+def test_detection_lines_name_the_cause(rig: Rig, fit: ChainFit, effect: str) -> None:
+    size = {"friction": 0.15, "stiffening": 1e11}[effect]
+    found = named_by_lines(fit, [with_effect(rig, run, effect, size) for run in multisines(rig)])
+    assert [name for name, _ in found] == [effect]
+
+
+def test_detection_lines_of_a_linear_device_name_nothing(rig: Rig, fit: ChainFit) -> None:
+    runs = multisines(rig)
+    assert named_by_lines(fit, runs) == []
+    for run in runs:
+        found = distortion(run)
+        assert found is not None
+        assert found.largest < 2e-3
 
 
 def test_a_record_that_does_not_repeat_has_no_detection_lines(taps: list[Measurement]) -> None:

@@ -71,6 +71,7 @@ def test_what_falls_short_names_the_grip_and_the_tap() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_intervals_cover_the_truth_in_500_draws(respond: Respond) -> None:
     inside = []
     for seed in range(500):
