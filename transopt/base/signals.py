@@ -10,6 +10,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 

@@ -144,23 +144,16 @@ def value_table(fit: "AmplifierFit") -> "Table":
     for heading in ("value", "95 % interval"):
         table.add_column(heading, justify="right")
     table.add_column("unit")
+    late = (fit.delay_s, fit.intervals["delay_s"], 1e6)
     rows = [
         ("pole", fit.pole_Hz, fit.intervals["pole_Hz"], 1.0, 0.0, "Hz", ".1f"),
-        ("delay beyond the hold", fit.delay_s, fit.intervals["delay_s"], 1e6, 0.0, "us", ".2f"),
-        (
-            "delay with the hold's half sample",
-            fit.delay_s,
-            fit.intervals["delay_s"],
-            1e6,
-            5e5 * fit.dt_s,
-            "us",
-            ".2f",
-        ),
+        ("delay beyond the hold", *late, 0.0, "us", ".2f"),
+        ("delay with the hold's half sample", *late, 5e5 * fit.dt_s, "us", ".2f"),
         ("gain", fit.gain, fit.intervals["gain"], 1.0, 0.0, "", ".4f"),
     ]
     for name, value, interval, factor, more, unit, form in rows:
-        low, high = (format(factor * bound + more, form) for bound in interval)
-        table.add_row(name, format(factor * value + more, form), f"{low} to {high}", unit)
+        found, low, high = (format(factor * number + more, form) for number in (value, *interval))
+        table.add_row(name, found, f"{low} to {high}", unit)
     crossover = fit.crossover
     if crossover.shows:
         h, half = 1e3 * crossover.half_width_A, 1.96e3 * crossover.deviation_A

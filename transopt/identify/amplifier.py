@@ -4,18 +4,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize, signal, special
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, Signal
-from transopt.identify.checks import COHERENT, Fault, Finding
-from transopt.identify.spectrum import ComplexArray, TransferEstimate, Trial, estimate_transfer
+from transopt.base.signals import ComplexArray, FloatArray
+from transopt.identify.checks import COHERENT, Fault, Finding, check_bins
+from transopt.identify.condensed import Condensed
+from transopt.identify.likelihood import Likelihood, Maximum
+from transopt.identify.spectrum import TransferEstimate, Trial, condense_trials, transfer
 from transopt.plant.discretise import split_delay
 
 PARAMETERS = ("pole_Hz", "delay_s", "gain")
 LEAST_BINS = 12
 POLE_RANGE = 1e-3, 10.0  # of the servo's rate: poles outside leave no trace in the samples
 LATEST_TICKS = 20.0  # of delay
+GAIN_RANGE = 1e6
+MOST_STEPS = 200
+COARSE = 4  # bins, of which one says where to begin
+RESTED = 10.0  # time constants after which a current rests
+ROUNDED = 1e-6  # of a response: rounding, and the polynomial across a bin
 START_POLES, START_STEP, STARTS = (0.01, 0.03, 0.1, 0.3, 1.0), 0.5, 3  # of the rate; ticks of delay; how many to fit
 CROSSOVER_ROUNDS, CROSSOVER_SIGMAS = 3, 4.0
 CROSSOVER_LEAST, CROSSOVER_MOST = 1e-4, 0.3  # of the largest command: no part is played below, none searched above
@@ -23,7 +31,7 @@ POLE_WANTED, DELAY_WANTED_S = 0.02, 3e-6  # half widths of the intervals that a 
 MISFIT_dB, MISFIT_deg = 1.0, 5.0
 CERTAIN = 3.0  # standard deviations by which a misfit must stand out of its noise
 GAIN_WANTED = 0.1  # off one: command and current monitor do not share a scale
-LEVEL = 0.95
+QUANTILE = float(special.ndtri(0.975))  # of the 95 % intervals
 APART_TICKS, APART_GAIN = 0.3, 1.5  # between one trial and the others; a crossover alone takes less off the gain
 
 
@@ -121,15 +129,33 @@ class AmplifierFit:
         return f"one pole and a pure delay miss the current {misses}, {low:.3g} to {high:.4g} Hz; fit to design with"
 
 
-def sampled_response(frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> ComplexArray:
-    """(m,) exact response from commands issued at t_k and held to the current sampled at t_k, before c_k acts.
+Shape = Callable[[FloatArray, float, float, float], tuple[ComplexArray, ComplexArray]]
+"""Frequencies (m,), pole [Hz], delay [s], period [s] -> response of gain one (m,), and its derivatives (2, m) by the
+logarithm of the pole and by the delay."""
+
+
+def sampled(
+    frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """Exact response from commands issued at t_k and held to the current sampled at t_k, before c_k acts: a `Shape`.
 
     Modified z-transform (Jury 1964): with m whole ticks in the delay, e the rest, p = exp(-w dt),
     q = exp(-w (dt - e)),  G(z) = z^-(m+1) ((1 - q) + (q - p) z^-1) / (1 - p z^-1).
     """
     whole, now, before, keep = _difference_equation(pole_Hz, delay_s, dt_s)
     late = np.exp(-2j * np.pi * frequencies_Hz * dt_s)
-    return np.asarray(late ** (whole + 1) * (now + before * late) / (1 - keep * late))
+    ahead, below = late ** (whole + 1), 1 - keep * late
+    value = ahead * (now + before * late) / below
+    q, w = 1 - now, 2 * np.pi * pole_Hz
+    d_q, d_keep = q * np.log(q), keep * np.log(keep)  # by the logarithm of the pole: the exponents are in proportion
+    by_pole = (ahead * (d_q * (late - 1) - d_keep * late) + value * d_keep * late) / below
+    by_delay = ahead * w * q * (late - 1) / below
+    return np.asarray(value), np.array([by_pole, by_delay])
+
+
+def sampled_response(frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> ComplexArray:
+    """(m,) the value of `sampled`."""
+    return sampled(frequencies_Hz, pole_Hz, delay_s, dt_s)[0]
 
 
 def _difference_equation(pole_Hz: float, delay_s: float, dt_s: float) -> tuple[int, float, float, float]:
@@ -141,10 +167,14 @@ def _difference_equation(pole_Hz: float, delay_s: float, dt_s: float) -> tuple[i
     return whole, 1 - q, q - keep, keep
 
 
-def continuous_response(frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float) -> ComplexArray:
-    """(m,) of one pole and a delay without hold or samples."""
-    s = 2j * np.pi * frequencies_Hz
-    return np.asarray(np.exp(-s * delay_s) / (1 + s / (2 * np.pi * pole_Hz)))
+def continuous(
+    frequencies_Hz: FloatArray, pole_Hz: float, delay_s: float, _: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """One pole and a delay without hold or samples: a `Shape`."""
+    s = np.asarray(2j * np.pi * frequencies_Hz, dtype=np.complex128)
+    turn = s / (2 * np.pi * pole_Hz)
+    value = np.exp(-s * delay_s) / (1 + turn)
+    return value, np.array([value * turn / (1 + turn), -s * value])
 
 
 def simulate_current(command_A: FloatArray, pole_Hz: float, delay_s: float, dt_s: float) -> FloatArray:
@@ -159,13 +189,77 @@ def less_dead_band(command_A: FloatArray, half_width_A: float) -> FloatArray:
     return np.asarray(command_A - np.clip(command_A, -half_width_A, half_width_A))
 
 
+def fit_pole(data: Condensed, shape: Shape = sampled, start: tuple[float, float] | None = None) -> Maximum:
+    """Pole, delay and gain of largest likelihood: unknowns logarithm of the pole [Hz], delay [ticks], gain.
+
+    Parameters
+    ----------
+    data : from command to current, its only output.
+    start : pole [Hz] and delay [s] near by. Without them all delays are tried and the best are fitted: the phase
+        winds with the delay, so that the error has many valleys.
+    """
+    dt_s = data.dt_s
+
+    def model(theta: FloatArray, _: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        log_pole, ticks, gain = theta.tolist()
+        value, slopes = shape(frequencies_Hz, float(np.exp(log_pole)), ticks * dt_s, dt_s)
+        return gain * value[None], np.array([gain * slopes[0], gain * dt_s * slopes[1], value])[:, None]
+
+    likelihood, coarse = (Likelihood([data], model, loose=ROUNDED, step=step) for step in (1, COARSE))
+    low, high = np.log(np.array(POLE_RANGE) / dt_s)
+    bounds = np.array([[low, 0.0, -GAIN_RANGE], [high, LATEST_TICKS, GAIN_RANGE]])
+    silent, _ = coarse.evaluate(np.array([low, 0.0, 0.0]))
+    rough: list[tuple[float, FloatArray]] = []
+    poles, delays = np.array(START_POLES) / dt_s, np.arange(0.0, LATEST_TICKS + START_STEP, START_STEP)
+    for pole, ticks in [(start[0], start[1] / dt_s)] if start else [(p, t) for p in poles for t in delays]:
+        moved = coarse.evaluate(np.array([np.log(pole), ticks, 1.0]))[0] - silent
+        gain = -float(moved @ silent) / float(moved @ moved)
+        rough.append((gain * float(moved @ silent), np.array([np.log(pole), ticks, gain])))
+    rough.sort(key=lambda one: one[0])
+    free = np.ones(3, dtype=bool)
+    found = [likelihood.search(begun, bounds[0], bounds[1], free, MOST_STEPS) for _, begun in rough[:STARTS]]
+    best, _ = min(found, key=lambda one: one[1])
+    # A delay of zero is at its bound and as well known as any other.
+    return likelihood.around(best, bounds[0] - 1, bounds[1] + 1, free)
+
+
+def _share(good: NDArray[np.bool_]) -> str:
+    """How many bins are coherent, and how many have to be."""
+    count = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
+    return f"{count}, at least {LEAST_BINS} are needed"
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """All lines, the response, and pole [Hz], delay [s] and gain with their covariance."""
+
+    data: Condensed
+    estimate: TransferEstimate
+    values: FloatArray
+    covariance: FloatArray
+
+
+def _fit(trials: Sequence[Trial], shape: Shape = sampled, most_Hz: float = np.inf) -> _Fit:
+    """The fit to the coherent bins up to `most_Hz`."""
+    data = condense_trials(trials)
+    estimate = transfer(data)
+    good = (estimate.coherence >= COHERENT) & (estimate.frequencies_Hz <= most_Hz)
+    if np.count_nonzero(good) < LEAST_BINS:
+        raise InputError(f"from command to current {_share(good)}; sweep with more current")
+    data = replace(data, known=good[None])
+    found = fit_pole(data, shape)
+    pole = float(np.exp(found.unknowns[0]))
+    scale = np.array([pole, data.dt_s, 1.0])
+    values = np.array([pole, found.unknowns[1] * data.dt_s, found.unknowns[2]])
+    return _Fit(data, estimate, values, found.covariance * np.outer(scale, scale))
+
+
 def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
     """Pole, delay, gain and crossover from sweeps.
 
-    The response is estimated (`spectrum`), then fitted by least squares weighted with its deviations, with the hold
-    and the sampling in the model. The crossover distorts what a linear fit sees, by 4 h / (pi A) in gain (describing
-    function) and by harmonics that fall into the band; so the dead band is estimated in time and taken off the
-    command, and response and fit are made again until it stays.
+    One pole and a delay, with hold and sampling, are fitted to all lines of all trials (`likelihood`). The crossover
+    distorts what a linear fit sees, by 4 h / (pi A) in gain (describing function) and by harmonics that fall into the
+    band; so the dead band is estimated in time and taken off the command, and the fit is made again until it stays.
 
     Parameters
     ----------
@@ -175,35 +269,26 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
     ------
     InputError : too little of the band is coherent.
     """
-    plain = estimate_transfer(trials)
-    dt_s, none = plain.dt_s, Crossover(0.0, float("nan"), False)
-    estimate, crossover = plain, none
-    fitted = _fit(estimate, _sampled(dt_s))
-    for _ in range(CROSSOVER_ROUNDS):
-        found = estimate_crossover(trials, fitted.values[0], fitted.values[1])
-        if not found.shows:
-            crossover, estimate = replace(found, half_width_A=0.0), plain
-            fitted = _fit(estimate, _sampled(dt_s))
+    fit, crossover = _fit(trials), Crossover(0.0, float("nan"), False)
+    plain = fit
+    for again in range(CROSSOVER_ROUNDS):
+        pole, delay, _ = fit.values.tolist()
+        last, crossover = crossover.half_width_A, estimate_crossover(trials, pole, delay)
+        if not crossover.shows:
+            crossover = replace(crossover, half_width_A=0.0)
+        if again and abs(crossover.half_width_A - last) < 0.1 * crossover.deviation_A:
             break
-        settled = abs(found.half_width_A - crossover.half_width_A) < 0.1 * found.deviation_A
-        crossover = found
-        if settled:
-            break
-        estimate = estimate_transfer([_without(trial, found.half_width_A) for trial in trials])
-        fitted = _fit(estimate, _sampled(dt_s))
-    covariance = fitted.covariance
+        fit = _fit([_at_rest(trial, crossover.half_width_A, pole, delay) for trial in trials])
+    covariance, dt_s = fit.covariance, fit.data.dt_s
     if crossover.shows:
         # One standard deviation of the dead band moves pole, delay and gain together.
-        moved = _fit(
-            estimate_transfer([_without(trial, crossover.half_width_A + crossover.deviation_A) for trial in trials]),
-            _sampled(dt_s),
-        )
-        covariance = covariance + np.outer(moved.values - fitted.values, moved.values - fitted.values)
-    pole, delay, gain = (float(value) for value in fitted.values)
-    naive = _fit(plain.between(0.0, 0.4 / dt_s), continuous_response)
-    each = _gains(plain, sampled_response(plain.frequencies_Hz, pole, delay, dt_s))
-    misfit = _misfit(estimate, gain * sampled_response(estimate.frequencies_Hz, pole, delay, dt_s))
-    half = fitted.quantile * np.sqrt(np.diag(covariance))
+        wider_A = crossover.half_width_A + crossover.deviation_A
+        moved = _fit([_at_rest(trial, wider_A, pole, delay) for trial in trials]).values - fit.values
+        covariance = covariance + np.outer(moved, moved)
+    pole, delay, gain = fit.values.tolist()
+    naive = _fit(trials, continuous, 0.4 / dt_s)
+    misfit = _misfit(fit.estimate, gain * sampled_response(fit.estimate.frequencies_Hz, pole, delay, dt_s))
+    half = QUANTILE * np.sqrt(np.diag(covariance))
     intervals = {
         name: (float(max(value - h, 0.0)), float(value + h))
         for name, value, h in zip(PARAMETERS, (pole, delay, gain), half, strict=True)
@@ -217,10 +302,10 @@ def fit_amplifier(trials: Sequence[Trial]) -> AmplifierFit:
         continuous_pole_Hz=float(naive.values[0]),
         continuous_delay_s=float(naive.values[1]),
         crossover=crossover,
-        estimate=estimate,
+        estimate=fit.estimate,
         misfit_dB=misfit[0],
         misfit_deg=misfit[1],
-        trial_gains=each,
+        trial_gains=_gains(plain.data, sampled_response(plain.data.frequencies_Hz, pole, delay, dt_s)),
         dt_s=dt_s,
     )
 
@@ -239,12 +324,10 @@ def check_alike(names: Sequence[str], estimates: Sequence[TransferEstimate]) -> 
     for name, one in zip(names, estimates, strict=True):
         good = one.coherence >= COHERENT
         if good.size < LEAST_BINS:
-            text = f"resolves {good.size} bands of frequency, at least {LEAST_BINS} are needed; sweep longer"
-            found.append(Finding(Fault.TOO_FEW_CYCLES, name, text, True))
+            found += check_bins(name, one, LEAST_BINS)
             continue
         if np.count_nonzero(good) < LEAST_BINS:
-            share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
-            text = f"the current does not follow the command: {share}, at least {LEAST_BINS} are needed; {again}"
+            text = f"the current does not follow the command: {_share(good)}; {again}"
             found.append(Finding(Fault.INCOHERENT, name, text, True))
             continue
         w, phase = 2 * np.pi * one.frequencies_Hz[good], np.unwrap(np.angle(one.response[good]))
@@ -300,75 +383,25 @@ def estimate_crossover(trials: Sequence[Trial], pole_Hz: float, delay_s: float) 
     return Crossover(h, deviation, h > max(CROSSOVER_SIGMAS * deviation, CROSSOVER_LEAST * peak))
 
 
-def _without(trial: Trial, half_width_A: float) -> Trial:
-    """The trial with the dead band taken off its command."""
-    given: Signal = replace(trial.input, values=less_dead_band(trial.input.values, half_width_A))
-    return replace(trial, input=given)
+def _at_rest(trial: Trial, half_width_A: float, pole_Hz: float, delay_s: float) -> Trial:
+    """The trial with the dead band taken off its command, and continued as fitted until the current rests.
 
-
-@dataclass(frozen=True)
-class _Fit:
-    """Pole [Hz], delay [s], gain; their covariance; the t-quantile of the 95 % intervals."""
-
-    values: FloatArray
-    covariance: FloatArray
-    quantile: float
-
-
-def _sampled(dt_s: float) -> Callable[[FloatArray, float, float], ComplexArray]:
-    """`sampled_response` at a servo period, as a function of frequencies, pole and delay."""
-    return lambda f, pole, delay: sampled_response(f, pole, delay, dt_s)
-
-
-def _fit(estimate: TransferEstimate, model: Callable[[FloatArray, float, float], ComplexArray]) -> _Fit:
-    """Weighted nonlinear least squares over pole, delay >= 0 and gain, from several starts.
-
-    The covariance is scaled with the residuals, so that what the model does not explain widens the intervals.
+    What the end of a record cuts off the answer is in the lowest lines, which are too few to tell it from the rest.
     """
-    good = estimate.coherence >= COHERENT
-    if np.count_nonzero(good) < LEAST_BINS:
-        share = f"{np.count_nonzero(good)} of {good.size} bins have a coherence of {COHERENT:g}"
-        raise InputError(
-            f"from command to current {share}, at least {LEAST_BINS} are needed; sweep with more current"
-        )
-    f, measured = estimate.frequencies_Hz[good], estimate.response[good]
-    # No bin is better than one part in a million: rounding, and the polynomial across the bin.
-    deviation = np.hypot(estimate.deviation[good], 1e-6 * np.abs(measured))
-    dt_s, rate = estimate.dt_s, 1 / estimate.dt_s
-    scale = np.array([1.0, dt_s, 1.0])  # logarithm of the pole, ticks, gain
-
-    def residual(x: FloatArray) -> FloatArray:
-        log_pole, delay, gain = x * scale
-        error = (gain * model(f, np.exp(log_pole), delay) - measured) / deviation
-        return np.concatenate([error.real, error.imag])
-
-    bounds = [np.log(POLE_RANGE[0] * rate), 0.0, -np.inf], [np.log(POLE_RANGE[1] * rate), LATEST_TICKS, np.inf]
-    # The phase winds with the delay, so that the error has many valleys: all delays are tried, the best are fitted.
-    starts = []
-    for pole in np.array(START_POLES) * rate:
-        for ticks in np.arange(0.0, LATEST_TICKS + START_STEP, START_STEP):
-            shape = model(f, pole, ticks * dt_s) / deviation
-            along = np.real(np.vdot(shape, measured / deviation))
-            level = along / float(np.sum(np.abs(shape) ** 2))
-            starts.append((-along * level, (np.log(pole), min(ticks, LATEST_TICKS), level)))
-    starts.sort()
-    runs = [optimize.least_squares(residual, start, bounds=bounds, x_scale="jac") for _, start in starts[:STARTS]]
-    best = min(runs, key=lambda run: float(run.cost))
-    log_pole, delay, gain = best.x * scale
-    surplus = 2 * f.size - best.x.size
-    by_si = scale * [np.exp(log_pole), 1.0, 1.0]
-    slopes = np.asarray(best.jac, dtype=float)
-    information = slopes.T @ slopes
-    covariance = np.linalg.pinv(information) * (2 * best.cost / surplus) * np.outer(by_si, by_si)
-    values = np.array([np.exp(log_pole), delay, gain])
-    return _Fit(values, covariance, float(special.stdtrit(surplus, (1 + LEVEL) / 2)))
+    dt_s, recorded = trial.input.dt_s, trial.output.values
+    more = int(np.ceil((delay_s + RESTED / (2 * np.pi * pole_Hz)) / dt_s))
+    command = np.pad(less_dead_band(trial.input.values, half_width_A), (0, more), mode="edge")
+    followed = simulate_current(command, pole_Hz, delay_s, dt_s)
+    gain, offset = np.polyfit(followed[: recorded.size], recorded, 1)
+    current = np.append(recorded, gain * followed[recorded.size :] + offset)
+    return replace(trial, input=replace(trial.input, values=command), output=replace(trial.output, values=current))
 
 
-def _gains(estimate: TransferEstimate, shape: ComplexArray) -> FloatArray:
-    """(K,) real gain of each trial over a response of gain one, weighted."""
-    weight = (estimate.coherence >= COHERENT) / estimate.deviation**2
-    along = np.real(estimate.trial_responses * shape.conj()) @ weight
-    return np.asarray(along / (weight @ np.abs(shape) ** 2))
+def _gains(data: Condensed, shape: ComplexArray) -> FloatArray:
+    """(K,) real gain of each trial over a response (b, q) of gain one."""
+    weight = data.known[0] / data.noise[0]
+    along = np.einsum("bi,kbi,b->k", shape.conj(), data.right[:, 0], weight).real
+    return np.asarray(along / np.einsum("bi,kbij,bj,b->k", shape.conj(), data.normal, shape, weight).real)
 
 
 def _misfit(estimate: TransferEstimate, fit: ComplexArray) -> tuple[float, float]:

@@ -4,7 +4,6 @@ A finding that makes a fit worthless is fatal and refuses the records. One that 
 passed on to the user beside the result.
 """
 
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -228,19 +227,30 @@ def check_sign(where: str, estimate: TransferEstimate, what: str, remedy: str) -
     return [Finding(Fault.POLARITY, where, f"{what}: {phase}; {remedy}", True)]
 
 
+def check_bins(where: str, estimate: TransferEstimate, least: int) -> list[Finding]:
+    """A response of too few bins for any fit."""
+    bins = estimate.frequencies_Hz.size
+    text = f"resolves {bins} bands of frequency, at least {least} are needed; sweep longer and wider"
+    return [Finding(Fault.TOO_FEW_CYCLES, where, text, True)] if bins < least else []
+
+
+def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """First and last frequency of each run of `bad` bins; single good bins between do not end one."""
+    at = np.flatnonzero(bad)
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 2) + 1) if at.size else []
+    return [(float(frequencies_Hz[run[0]]), float(frequencies_Hz[run[-1]])) for run in runs]
+
+
 def low_coherence(where: str, estimate: TransferEstimate) -> list[Finding]:
     """Each stretch of the band whose output is mostly something else than the answer to the input."""
-    low = np.concatenate([[0], (estimate.coherence < COHERENT).astype(int), [0]])
-    starts, ends = np.flatnonzero(np.diff(low) == 1), np.flatnonzero(np.diff(low) == -1)
-    f = estimate.frequencies_Hz
-    found = []
-    for a, b in zip(starts, ends, strict=True):
-        if b - a < LEAST_STRETCH:
+    f, low, found = estimate.frequencies_Hz, estimate.coherence < COHERENT, []
+    for first, last in runs_of(f, low):
+        inside = low & (f >= first) & (f <= last)
+        if np.count_nonzero(inside) < LEAST_STRETCH:
             continue  # a bin or two are the luck of the noise
-        band = f"{f[a]:.3g} to {f[b - 1]:.3g} Hz"
-        worst = float(estimate.coherence[a:b].min())
-        text = f"{worst:.2f} at {band}, must be {COHERENT:g}; record again there, longer or with more current"
-        found.append(Finding(Fault.INCOHERENT, where, text, False))
+        text = f"{estimate.coherence[inside].min():.2f} at {first:.3g} to {last:.3g} Hz, must be {COHERENT:g}"
+        remedy = "record again there, longer or with more current"
+        found.append(Finding(Fault.INCOHERENT, where, f"{text}; {remedy}", False))
     return found
 
 
@@ -275,14 +285,21 @@ def check_passive(where: str, estimate: TransferEstimate) -> list[Finding]:
     return [Finding(Fault.POLARITY, where, f"{text}; {remedy}", True)]
 
 
-def off_by_gravity(ratio: float) -> float | None:
-    """9.81 or its inverse, whichever of the two a ratio of accelerations is near; None if neither."""
-    factors = (STANDARD_GRAVITY_M_S2, 1 / STANDARD_GRAVITY_M_S2)
-    return next((factor for factor in factors if abs(np.log(ratio / factor)) < np.log1p(GRAVITY_TOLERANCE)), None)
+def check_unit(where: str, ratio: float, against: str) -> list[Finding]:
+    """Acceleration `ratio` times that of `against`: in the wrong unit where this is near 9.81 or its inverse."""
+    for factor, which, is_, called in (
+        (STANDARD_GRAVITY_M_S2, "9.81", "m/s^2", "acceleration_g"),
+        (1 / STANDARD_GRAVITY_M_S2, "9.81 inverted", "g", "acceleration_m_s2"),
+    ):
+        if abs(np.log(ratio / factor)) < np.log1p(GRAVITY_TOLERANCE):
+            text = f"acceleration is {ratio:.3g} times that of {against}, {which}"
+            remedy = f"is the column in {is_} but named {called}? Correct its name"
+            return [Finding(Fault.UNITS, where, f"{text}; {remedy}", True)]
+    return []
 
 
 def check_gravity(where: str, estimate: TransferEstimate, expected: FloatArray, against: str) -> list[Finding]:
-    """Acceleration in the wrong unit: the gain off by 9.81 or its inverse.
+    """The unit of an acceleration over current, by its coherent bins.
 
     Parameters
     ----------
@@ -292,33 +309,21 @@ def check_gravity(where: str, estimate: TransferEstimate, expected: FloatArray, 
     good = (estimate.coherence >= COHERENT) & (expected > 0)
     if not np.any(good):
         return []
-    ratio = float(np.exp(np.median(np.log(np.abs(estimate.response[good]) / expected[good]))))
-    factor = off_by_gravity(ratio)
-    if factor is None:
-        return []
-    which, is_, called = (
-        ("9.81", "m/s^2", "acceleration_g") if factor > 1 else ("9.81 inverted", "g", "acceleration_m_s2")
-    )
-    text = f"acceleration is {ratio:.3g} times that of {against}, {which}"
-    remedy = f"is the column in {is_} but named {called}? Correct its name"
-    return [Finding(Fault.UNITS, where, f"{text}; {remedy}", True)]
+    ratio = np.exp(np.median(np.log(np.abs(estimate.response[good]) / expected[good])))
+    return check_unit(where, float(ratio), against)
 
 
 def by_grip(runs: Sequence[Measurement]) -> Mapping[float, list[Measurement]]:
     """Runs of one grip together, in order of the grips: their mean [N] -> runs; those without a grip are left out."""
-    groups: dict[int, list[Measurement]] = defaultdict(list)
-    stated = sorted((run for run in runs if run.grip_N is not None), key=lambda run: run.grip_N or 0.0)
-    last, group = -np.inf, -1
-    for run in stated:
-        assert run.grip_N is not None
+    groups: list[list[tuple[float, Measurement]]] = []
+    stated = [(run.grip_N, run) for run in runs if run.grip_N is not None]
+    for grip, run in sorted(stated, key=lambda one: one[0]):
+        last = groups[-1][-1][0] if groups else -np.inf
         # The free device is never one group with a held one.
-        if run.grip_N - last >= GRIP_STEP_N or (last == 0 < run.grip_N):
-            group += 1
-        last = run.grip_N
-        groups[group].append(run)
-    return {
-        float(np.mean([run.grip_N for run in group if run.grip_N is not None])): group for group in groups.values()
-    }
+        if grip - last >= GRIP_STEP_N or last == 0 < grip:
+            groups.append([])
+        groups[-1].append((grip, run))
+    return {float(np.mean([grip for grip, _ in group])): [run for _, run in group] for group in groups}
 
 
 def check_grips(runs: Sequence[Measurement]) -> list[Finding]:

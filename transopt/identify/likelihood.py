@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.condensed import Condensed
-from transopt.identify.spectrum import ComplexArray
 
 TOLERANCE = 1e-10
 LEAST_TRIALS = 3  # of all grips together, whose differences mean something
@@ -67,7 +66,7 @@ class Likelihood:
 
     def __init__(self, groups: Sequence[Condensed], model: Model, *, loose: float = 0.0, step: int = 1) -> None:
         self._model = model
-        self.groups = [group.every(step) if step > 1 else group for group in groups]
+        self.groups = [group.some(slice(step // 2, None, step)) if step > 1 else group for group in groups]
         self._roots, self._wanted = [], []
         for group in self.groups:
             roots, values = group.roots(), group.values()

@@ -1,25 +1,16 @@
 """Experimental transfer-function estimate (ETFE) from several trials with swept sines (seed Sec. 4.1, Figs. 6, 7)."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray, Signal
+from transopt.base.signals import ComplexArray, FloatArray, Signal
+from transopt.identify.condensed import Condensed, around, condense, excited, pooled
 
-ComplexArray = NDArray[np.complex128]
-
-BINS_PER_OCTAVE = 24
-MOST_ORDER = 2  # of the local polynomial: curvature across a bin is followed, not averaged
-LEAST_LINES_OF_TRANSIENT, ORDER_OF_TRANSIENT = 16, 1  # of each trial in a bin, from where its transient can be fitted
-LEAST_SURPLUS = 3  # samples in a bin beyond the polynomial's coefficients, to estimate the noise from
-EXCITED = 0.03  # of the strongest energy per octave: below, a bin counts as not excited
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
-OCTAVES_OF_NOISE = 0.25  # the same, for the noise within them
-ODD_ONE_OUT = 1e-3  # chance at which a bin's own noise is taken for higher than its neighbours'
 SCATTERED = 1.5  # variance between trials over that within them, above which the trials' number counts
 LEVEL = 0.95
 
@@ -57,7 +48,7 @@ class Trial:
 class TransferEstimate:
     """Sampled frequency response from input to output in bins of neighbouring lines of the spectrum.
 
-    No line is in two bins, so the errors of different bins are independent. m bins, K trials.
+    The errors of different bins are independent. m bins, K trials.
 
     Attributes
     ----------
@@ -66,7 +57,8 @@ class TransferEstimate:
     deviation : (m,) standard deviation of its real and of its imaginary part.
     degrees : (m,) real degrees of freedom in `deviation`.
     coherence : (m,) in [0, 1]: the part of the output's power that the input explains, SNR / (1 + SNR).
-    trial_responses : (K, m) complex, of each trial alone.
+    trial_responses : (K, m) complex, of each trial: it may be larger or smaller than in all trials together, and
+        turned, by one amount all over the bin.
     dt_s : sampling period of the records.
     """
 
@@ -103,6 +95,15 @@ class TransferEstimate:
         ratio = self.half_width(level) / np.maximum(np.abs(self.response), np.finfo(float).tiny)
         return np.where(ratio < 1, np.degrees(np.arcsin(np.minimum(ratio, 1.0))), 180.0)
 
+    def over(self, response: ComplexArray) -> "TransferEstimate":
+        """Divided by a response (m,) that is known."""
+        return replace(
+            self,
+            response=self.response / response,
+            deviation=self.deviation / np.abs(response),
+            trial_responses=self.trial_responses / response,
+        )
+
     def between(self, low_Hz: float, high_Hz: float) -> "TransferEstimate":
         """The bins from `low_Hz` to `high_Hz`.
 
@@ -125,46 +126,8 @@ class TransferEstimate:
         )
 
 
-@dataclass(frozen=True)
-class Bin:
-    """Lines of all trials in one bin.
-
-    Attributes
-    ----------
-    frequency_Hz : (s,).
-    input : (s,) spectrum.
-    outputs : (s, o) spectra.
-    trial : (s,) number of the trial.
-    """
-
-    frequency_Hz: FloatArray
-    input: ComplexArray
-    outputs: ComplexArray
-    trial: NDArray[np.int_]
-
-    @property
-    def places(self) -> FloatArray:
-        """(s,) where the lines lie in the bin, from -1 to 1."""
-        off = self.frequency_Hz - self.frequency_Hz.mean()
-        return np.asarray(off / max(float(np.abs(off).max()), np.finfo(float).tiny))
-
-
-def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
-    """Frequency response by local polynomials over neighbouring lines and over trials.
-
-    A record from rest to rest has an exact plain DFT: Y_j(f) = G(f) U_j(f) + V_j(f), without a window, and the noise
-    V of different lines is independent. In a bin, G is a polynomial of at most second degree about the bin's mean
-    frequency; its coefficients follow from least squares over all lines and trials in the bin. A bin is a 24th of an
-    octave wide where the lines are dense; elsewhere it takes as many lines as it needs, one with at least four trials
-    of one length. Bins count where the input's energy per octave is at least 3 % of its highest. Where a bin has
-    lines enough, each trial has a transient of first degree beside it: what is missing of an answer that the end of
-    the record cuts off (local polynomial method: Pintelon & Schoukens 2012, System Identification, Ch. 7).
-    The polarity of a trial drops out, since Y and U change sign together; what does not change sign with the input,
-    distortion of even order, cancels between trials of either polarity. Harmonics of a sweep arrive at other times
-    than the fundamental, so that their phase turns from line to line: they count as noise and average out.
-
-    The noise's variance is that of the residuals, a bin's own and its neighbours'. Where the trials scatter more than
-    their own lines do (a hand is never held twice alike), variance and degrees of freedom are those between trials.
+def condense_trials(trials: Sequence[Trial]) -> Condensed:
+    """All lines of trials, from input to output.
 
     Parameters
     ----------
@@ -183,138 +146,73 @@ def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
                 f"{trial.name}: {trial.input.rate_Hz:.6g} Hz, {trials[0].name} {trials[0].input.rate_Hz:.6g} Hz: "
                 "must be one rate; record all trials at the servo's"
             )
-    bins = bins_of([trial.input.values for trial in trials], [trial.output.values[None] for trial in trials], dt_s)
-    if not bins:
-        shortest = min(trial.input.values.size for trial in trials) * dt_s
-        raise InputError(f"records of {shortest:g} s are too short for a spectrum; sweep longer")
-    fitted = [_fit(one, len(trials)) for one in bins]
-    frequencies = np.array([one.frequency_Hz.mean() for one in bins])
-    response = np.array([fit[0] for fit in fitted])
-    noise, leverage, surplus, coherence = (np.array([fit[j] for fit in fitted]) for j in (1, 2, 3, 4))
-    each = np.array([fit[5] for fit in fitted]).T
-    noise, degrees = pooled(frequencies, noise, 2.0 * surplus)
-    variance = noise * leverage
-    inflation, degrees = _between_trials(frequencies, each, variance, degrees)
-    return TransferEstimate(
-        frequencies_Hz=frequencies,
-        response=response,
-        deviation=np.sqrt(variance * inflation / 2),
-        degrees=degrees,
-        coherence=coherence,
-        trial_responses=each,
-        dt_s=dt_s,
-    )
+    return condense([trial.input.values for trial in trials], [trial.output.values[None] for trial in trials], dt_s)
 
 
-def bins_of(inputs: Sequence[FloatArray], outputs: Sequence[FloatArray], dt_s: float) -> list[Bin]:
-    """All lines between 0 and half the rate, both exclusive, in bins of at least as many as a fit needs.
+def estimate_transfer(trials: Sequence[Trial]) -> TransferEstimate:
+    """Frequency response from the input of the trials to their output: see `condense_trials` and `transfer`."""
+    return transfer(condense_trials(trials))
 
-    Only bins where the input's energy per octave is at least 3 % of its highest, and those between two such.
+
+def transfer(data: Condensed, output: int = 0, over: int | None = None) -> TransferEstimate:
+    """Frequency response in the middle of each bin, from the input or from another output.
+
+    Another output is no input without noise. What is left of one output less the response times the other is noise of
+    the response all the same, and what disturbs both of them alike drops out of it.
+
+    Where the trials scatter more than their own lines do (a hand is never held twice alike), variance and degrees of
+    freedom are those between trials.
 
     Parameters
     ----------
-    inputs : (n,) of each trial.
-    outputs : (o, n) of each trial.
+    output : whose response it is.
+    over : the output that it is a response to; None is the input.
     """
-    lengths = [given.size for given in inputs]
-    spacing = 1 / (min(lengths) * dt_s)
-    needed = -(-(MOST_ORDER + 1 + LEAST_SURPLUS) // len(inputs))
-    if max(lengths) != min(lengths):
-        needed = max(needed, 2)  # lines of different trials at different frequencies: no mean without a slope
-    spectra: list[tuple[FloatArray, ComplexArray, ComplexArray, NDArray[np.int_]]] = []
-    for j, (given, answers) in enumerate(zip(inputs, outputs, strict=True)):
-        lines = np.arange(1, (lengths[j] + 1) // 2)
-        size = np.sqrt(lengths[j])  # noise of one variance whatever the length
-        spectrum: ComplexArray = np.fft.rfft(given)[lines] / size
-        read: ComplexArray = np.fft.rfft(answers)[:, lines].T / size
-        spectra.append((lines / (lengths[j] * dt_s), spectrum, read, np.full(lines.size, j)))
-    frequency = np.concatenate([one[0] for one in spectra])
-    order = np.argsort(frequency, kind="stable")
-    frequency = frequency[order]
-    excitation = np.concatenate([one[1] for one in spectra])[order]
-    answer = np.concatenate([one[2] for one in spectra])[order]
-    trial_of = np.concatenate([one[3] for one in spectra])[order]
-    bins: list[Bin] = []
-    low = 0.5 * spacing
-    while True:
-        high = max(low * 2 ** (1 / BINS_PER_OCTAVE), low + needed * spacing)
-        if high > 0.5 / dt_s:  # a rest of the lines just below half the rate would be a bin too small
-            break
-        inside = slice(*np.searchsorted(frequency, [low, high]).tolist())
-        if trial_of[inside].size >= LEAST_SURPLUS + 1 and np.unique(trial_of[inside]).size == len(inputs):
-            bins.append(Bin(frequency[inside], excitation[inside], answer[inside], trial_of[inside]))
-        low = high
-    middle = np.array([one.frequency_Hz.mean() for one in bins])
-    energy = middle * np.array([np.mean(np.abs(one.input) ** 2) for one in bins])
-    strong = np.flatnonzero(energy >= EXCITED * energy.max(initial=0.0))
-    return bins[strong[0] : strong[-1] + 1] if strong.size else []
+    if over is not None:
+        # By what of the input is no transient: where that is gone, a ratio of outputs is one of their noise.
+        moved = data.normal.sum(axis=(0, 2, 3)).real
+        data = data.some(excited(data.middles_Hz * moved / data.surplus))
+    values, middle = data.values(), data.middle
+    together = np.einsum("bi,obi->ob", middle, values)
+    # The level of a trial, at the shape that the response has in all trials: what fits the lines of this one best.
+    level = data.normal.sum(axis=(2, 3)).real
+    level = np.maximum(level, np.finfo(float).eps * level.max(axis=0))  # of one that does not excite this bin
+    own = (data.right - np.einsum("kbij,obj->kobi", data.normal, values)).sum(axis=3) / level[:, None]
+    each, row = together + own, np.zeros((together.shape[1], together.shape[0]), dtype=complex)
+    row[:, output] = 1.0
+    response, by_trial, scale = together[output], each[:, output], np.ones(together.shape[1])
+    if over is not None:
+        response, by_trial = response / together[over], by_trial / each[:, over]
+        row[:, over], scale = -response, np.abs(together[over]) ** 2
+    noise = np.einsum("bo,bop,bp->b", row, data.residual, row.conj()).real
+    coherence = 1 - noise / np.maximum(data.power[output], np.finfo(float).tiny)
+    noise, degrees = pooled(data.middles_Hz, noise, 2 * data.surplus)
+    leverage = np.einsum("bi,bi->b", middle, np.linalg.solve(data.whole, middle[..., None])[..., 0]).real
+    variance = noise * leverage / scale
+    more = _between_trials(data.middles_Hz, by_trial, noise * np.mean(1 / level, axis=0) / scale)
+    few = np.minimum(degrees, 2.0 * (by_trial.shape[0] - 1))
+    degrees = np.where(variance + more > SCATTERED * variance, few, degrees)
+    variance = variance + more
+    return TransferEstimate(
+        frequencies_Hz=data.middles_Hz,
+        response=np.asarray(response),
+        deviation=np.sqrt(variance / 2),
+        degrees=degrees,
+        coherence=np.where(data.power[output] > 0, np.clip(coherence, 0.0, 1.0), 0.0),
+        trial_responses=np.asarray(by_trial),
+        dt_s=data.dt_s,
+    )
 
 
-def _fit(one: Bin, trials: int) -> tuple[complex, float, float, int, float, ComplexArray]:
-    """Response at the bin's mean; the noise's variance and the factor from it to E|error|^2; samples beyond the
-    coefficients; coherence; (K,) responses by trial."""
-    samples = one.frequency_Hz.size
-    x, output = one.places, one.outputs[:, 0]
-    distinct = np.unique(np.round(x, 9)).size
-    order = min(MOST_ORDER, distinct - 1, samples - 1 - LEAST_SURPLUS)
-    regressors = one.input[:, None] * x[:, None] ** np.arange(order + 1)
-    lines = samples / trials
-    if lines >= LEAST_LINES_OF_TRANSIENT:
-        ends = [
-            np.where(one.trial == j, x**power, 0.0) for j in range(trials) for power in range(ORDER_OF_TRANSIENT + 1)
-        ]
-        regressors = np.column_stack([regressors, *ends])
-    Q, R = np.linalg.qr(regressors)
-    inverse = np.linalg.pinv(R)
-    projected = Q.conj().T @ output
-    response = complex(inverse[0] @ projected)
-    surplus = samples - regressors.shape[1]
-    noise = float(np.sum(np.abs(output - Q @ projected) ** 2)) / surplus
-    power = float(np.mean(np.abs(output) ** 2))
-    coherence = min(max(1 - noise / power, 0.0), 1.0) if power > 0 else 0.0
-    each = np.empty(trials, dtype=complex)
-    for j in range(trials):
-        of = one.trial == j
-        columns = regressors.shape[1] if lines >= LEAST_LINES_OF_TRANSIENT else min(order + 1, int(of.sum()))
-        each[j] = np.linalg.lstsq(regressors[of, :columns], output[of], rcond=None)[0][0]
-    return response, noise, float(np.sum(np.abs(inverse[0]) ** 2)), surplus, coherence, each
+def _between_trials(frequencies_Hz: FloatArray, by_trial: ComplexArray, variance: FloatArray) -> FloatArray:
+    """(m,) variance of the mean of the trials (K, m) beyond what their noise makes of it, which is `variance` of one.
 
-
-def _around(frequencies_Hz: FloatArray, octaves: float) -> Callable[[FloatArray], FloatArray]:
-    """Sums over the bins within so many octaves of each."""
-    place = np.log2(frequencies_Hz)
-    first, last = np.searchsorted(place, place - octaves), np.searchsorted(place, place + octaves, side="right")
-
-    def summed(values: FloatArray) -> FloatArray:
-        total = np.concatenate([[0.0], np.cumsum(values)])
-        return np.asarray(total[last] - total[first])
-
-    return summed
-
-
-def pooled(frequencies_Hz: FloatArray, noise: FloatArray, degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(m,) variances of the noise and their degrees of freedom, the neighbours' residuals taken in.
-
-    A bin of few lines knows its noise badly, and weights that follow such luck make fits overconfident. A bin that
-    stands out of its neighbours (the mains' hum) keeps its own.
+    One bin's scatter has few degrees of freedom: its ratio to the noise's is averaged over its neighbours.
     """
-    summed = _around(frequencies_Hz, OCTAVES_OF_NOISE)
-    together = summed(degrees)
-    pooled = summed(noise * degrees) / together
-    apart = noise > pooled * special.fdtri(degrees, together, 1 - ODD_ONE_OUT)
-    return np.where(apart, noise, pooled), np.where(apart, degrees, together)
-
-
-def _between_trials(
-    frequencies_Hz: FloatArray, each: ComplexArray, variance: FloatArray, degrees: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(m,) factor >= 1 on the variance, and (m,) degrees of freedom, from the scatter between the trials."""
-    K = each.shape[0]
+    K = by_trial.shape[0]
     if K < 3:
-        return np.ones(variance.size), degrees
-    scatter = np.sum(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / (K * (K - 1))
-    # One bin's scatter has few degrees of freedom: its ratio to the variance is averaged over its neighbours.
-    ratio = scatter / np.maximum(variance, np.finfo(float).tiny)
-    summed = _around(frequencies_Hz, OCTAVES_OF_SPREAD)
-    factor = np.maximum(summed(ratio) / summed(np.ones(ratio.size)), 1.0)
-    return factor, np.where(factor > SCATTERED, np.minimum(degrees, 2.0 * (K - 1)), degrees)
+        return np.zeros(variance.size)
+    scatter = np.sum(np.abs(by_trial - by_trial.mean(axis=0)) ** 2, axis=0) / (K - 1)
+    summed = around(frequencies_Hz, OCTAVES_OF_SPREAD)
+    ratio = summed(scatter / np.maximum(variance, np.finfo(float).tiny)) / summed(np.ones(variance.size))
+    return np.asarray(np.maximum(ratio - 1, 0.0) * variance / K)

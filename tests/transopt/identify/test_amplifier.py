@@ -19,9 +19,12 @@ from transopt.base.signals import Signal
 from transopt.cli.main import app
 from transopt.identify.amplifier import (
     AmplifierFit,
+    Shape,
     check_alike,
+    continuous,
     estimate_crossover,
     fit_amplifier,
+    sampled,
     sampled_response,
     simulate_current,
 )
@@ -60,6 +63,28 @@ def test_the_sampled_response_is_that_of_the_simulated_current(delay_s: float) -
     answer = np.fft.rfft(simulate_current(impulse, POLE_HZ, delay_s, DT_S))
     lines = np.fft.rfftfreq(impulse.size, DT_S)
     np.testing.assert_allclose(sampled_response(lines, POLE_HZ, delay_s, DT_S), answer, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [sampled, continuous])
+@pytest.mark.parametrize("delay_s", [3e-6, 68e-6, 231e-6])
+def test_the_slopes_are_those_of_the_response(shape: Shape, delay_s: float) -> None:
+    f, step = np.geomspace(10, 4500, 40), 1e-6
+    _, (by_pole, by_delay) = shape(f, POLE_HZ, delay_s, DT_S)
+    up, down = (shape(f, POLE_HZ * np.exp(move), delay_s, DT_S)[0] for move in (step, -step))
+    np.testing.assert_allclose(by_pole, (up - down) / (2 * step), atol=1e-8)
+    up, down = (shape(f, POLE_HZ, delay_s + move * DT_S, DT_S)[0] for move in (step, -step))
+    np.testing.assert_allclose(by_delay * DT_S, (up - down) / (2 * step), atol=1e-8)
+
+
+def test_a_current_that_the_end_of_the_record_cuts_off_is_no_bias() -> None:
+    trials = [
+        amplifier_trial(j, offset_A=1.0, sign=(-1) ** j, crossover_A=0.0, pole_Hz=500.0, noise_A=0.0, seconds=0.4)
+        for j in range(2)
+    ]
+    assert abs(trials[0].output.values[-1]) > 0.05  # of 1.5 A, not at rest
+    fit = fit_amplifier(trials)
+    assert fit.gain == pytest.approx(1.0, abs=2e-5)
+    assert fit.pole_Hz == pytest.approx(500.0, rel=2e-5)
 
 
 @pytest.mark.parametrize("pole_Hz", [300.0, 1050.0, 2500.0])

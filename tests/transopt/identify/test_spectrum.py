@@ -7,7 +7,8 @@ from scipy import signal
 from controller.record.excitation import sweep_command
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer
+from transopt.identify.condensed import condense
+from transopt.identify.spectrum import TransferEstimate, Trial, estimate_transfer, transfer
 
 DT_S = 1e-4
 NUMERATOR, DENOMINATOR = signal.butter(2, [300, 500], btype="bandpass", fs=1 / DT_S)
@@ -128,6 +129,25 @@ def test_trials_that_differ_widen_the_band() -> None:
         assert np.all(estimate.degrees == 8)
     # One true mean, forty experiments of five trials; without the scatter between them hardly one would hold it.
     assert np.mean(held) > 0.85
+
+
+def test_a_response_over_another_output_is_that_from_the_other_as_input() -> None:
+    """What the two outputs have in common, be it noise of the first, is no noise of their ratio."""
+    command = sweep_command(1, 2000, 2.0, 0.75, DT_S)
+    errors, same, noise = [], [], 0.01
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        currents = [command + 0.1 * random.standard_normal(command.size) for _ in range(3)]
+        answers = [signal.lfilter(NUMERATOR, DENOMINATOR, one) for one in currents]
+        answers = [one + noise * random.standard_normal(one.size) for one in answers]
+        both = [np.stack(pair) for pair in zip(currents, answers, strict=True)]
+        ratio = transfer(condense([command] * 3, both, DT_S), 1, over=0).between(250, 700)
+        direct = transfer(condense(currents, [one[None] for one in answers], DT_S)).between(250, 700)
+        errors.append(np.abs(ratio.response - truth(ratio.frequencies_Hz)) <= ratio.radius())
+        same.append(ratio.deviation / direct.deviation)
+        np.testing.assert_allclose(ratio.over(ratio.response).response, 1.0)
+    assert 0.9 < np.mean(errors) < 0.98
+    assert 0.9 < np.mean(same) < 1.1
 
 
 def test_bins_share_no_line_and_their_errors_do_not_correlate() -> None:

@@ -16,10 +16,9 @@ import numpy as np
 from scipy import optimize
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.device.chain_fit import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
-from transopt.identify.spectrum import ComplexArray
 from transopt.plant.state_space import StateSpace
 
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.condensed import Condensed
 from transopt.identify.device.chain import HAND, SHARED, Coordinates, DriveChain, log_slopes
 from transopt.identify.device.response import (
@@ -27,7 +27,7 @@ from transopt.identify.device.response import (
     sampled_response,
 )
 from transopt.identify.likelihood import Likelihood, Maximum
-from transopt.identify.spectrum import ComplexArray, TransferEstimate
+from transopt.identify.spectrum import TransferEstimate
 
 RANGE = 1e3  # every parameter of the chain stays within this factor of its start
 RANDOM_STARTS = 6

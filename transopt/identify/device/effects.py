@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from transopt.base.signals import FloatArray, Signal, highpass
+from transopt.base.signals import ComplexArray, FloatArray, Signal, highpass
 from transopt.identify.checks import JITTER_NOTED
 from transopt.identify.device.chain import DriveChain
 from transopt.identify.device.chain_fit import ChainFit, response_slopes
@@ -22,7 +22,6 @@ from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import felt_current
 from transopt.identify.device.validation import PADDING_S, Model, predict
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import ComplexArray
 from transopt.plant.state_space import StateSpace
 from transopt.scene.model_error import AtUse, ModelError
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from transopt.base.signals import FloatArray
-from transopt.identify.checks import COHERENT, Fault, Finding, by_grip, check_rates
+from transopt.identify.checks import COHERENT, Fault, Finding, by_grip, check_rates, runs_of
 from transopt.identify.device.black_box import BlackBox, fit_black_box
 from transopt.identify.device.chain import HAND, SHARED, DriveChain
 from transopt.identify.device.chain_fit import (
@@ -44,7 +44,6 @@ from transopt.identify.device.trials import (
     Records,
     instrument_of,
     low_coherence,
-    runs_of,
     sort_trials,
 )
 from transopt.identify.device.validation import Model, Transient, called, compare, together

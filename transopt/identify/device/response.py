@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.amplifier import sampled_response as amplifier_response
-from transopt.identify.spectrum import ComplexArray
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.discretise import acting_states, split_delay
 from transopt.plant.state_space import StateSpace
@@ -259,12 +258,11 @@ def responses(
 
 
 def current_response(instrument: Instrument, frequencies_Hz: FloatArray) -> ComplexArray:
-    """(m,) sampled current over command, whole periods of the delay left out: what cancels in a ratio."""
+    """(m,) sampled current over command."""
     amplifier, dt_s = instrument.amplifier, instrument.dt_s
     if amplifier is None:
-        return np.asarray(np.exp(-2j * np.pi * np.asarray(frequencies_Hz) * dt_s))
-    late_s = split_delay(amplifier.delay_s, dt_s)[1]
-    return np.asarray(amplifier_response(frequencies_Hz, amplifier.pole_Hz, late_s, dt_s))
+        return np.asarray(np.exp(-2j * np.pi * frequencies_Hz * dt_s))
+    return amplifier_response(frequencies_Hz, amplifier.pole_Hz, amplifier.delay_s, dt_s)
 
 
 def sampled_response(

@@ -16,7 +16,6 @@ from transopt.base.signals import FloatArray
 from transopt.identify.device.response import Instrument
 from transopt.identify.device.trials import Grip, felt_current, response_of
 from transopt.identify.device.validation import Model, predict
-from transopt.identify.spectrum import Trial, estimate_transfer
 
 SLOW_HZ, TAKEN_HZ = 20.0, 25.0
 NOTICED_HZ = 100.0  # up to which leakage is compared with the noise
@@ -48,7 +47,4 @@ def without_leakage(grip: Grip, model: Model, instrument: Instrument) -> Grip | 
         most = max(most, share)
     if most < NOTICED:
         return None
-    estimate = estimate_transfer(
-        [Trial(run.name, felt_current(run, instrument.amplifier), run.require("acceleration", "")) for run in found]
-    )
-    return replace(grip, response=response_of(grip.grip_N, estimate, found, instrument))
+    return replace(grip, response=response_of(grip.grip_N, found, instrument))

@@ -5,34 +5,40 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray, Signal
-from transopt.identify.amplifier import sampled_response as amplifier_response
-from transopt.identify.amplifier import simulate_current
+from transopt.identify.amplifier import fit_pole, simulate_current
 from transopt.identify.checks import (
     COHERENT,
     GRIP_STEP_N,
     Fault,
     Finding,
     by_grip,
+    check_bins,
     check_cycles,
     check_gravity,
     check_grips,
     check_measurement,
     check_passive,
     check_rates,
-    off_by_gravity,
+    check_unit,
     refuse,
+    runs_of,
 )
 from transopt.identify.condensed import Condensed, condense
 from transopt.identify.device.chain_fit import GripResponse
-from transopt.identify.device.response import ACCELERATION, CURRENT, POSITION, Instrument, sampled_response
-from transopt.identify.likelihood import Likelihood
+from transopt.identify.device.response import (
+    ACCELERATION,
+    CURRENT,
+    POSITION,
+    Instrument,
+    current_response,
+    sampled_response,
+)
 from transopt.identify.measurement import Measurement
-from transopt.identify.spectrum import ComplexArray, TransferEstimate, Trial, estimate_transfer
+from transopt.identify.spectrum import TransferEstimate, Trial, transfer
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.state_space import StateSpace
 
@@ -177,10 +183,7 @@ def _unlike(name: str, turned: bool, ratio: float, others: str) -> list[Finding]
         text = f"acceleration answers the current the other way than in {others}"
         remedy = "turn the accelerometer or the current's sign in this file, or record it again"
         found.append(Finding(Fault.POLARITY, name, f"{text}; {remedy}", True))
-    if off_by_gravity(ratio) is not None:
-        text = f"acceleration is {ratio:.3g} times that of {others}"
-        found.append(Finding(Fault.UNITS, name, f"{text}; is its column in g or in m/s^2?", True))
-    return found
+    return found + check_unit(name, ratio, others)
 
 
 def _against_response(run: Measurement, trial: Trial, estimate: TransferEstimate, where: str) -> list[Finding]:
@@ -215,15 +218,6 @@ def _one_rate(runs: Sequence[Measurement], first: Measurement) -> list[Measureme
         else:
             alike.append(run)
     return alike
-
-
-def _too_short(where: str, estimate: TransferEstimate) -> list[Finding]:
-    """A response of too few bins for any fit."""
-    bins = estimate.frequencies_Hz.size
-    if bins >= LEAST_BINS:
-        return []
-    text = f"the sweeps resolve {bins} bands of frequency, at least {LEAST_BINS} are needed; sweep longer and wider"
-    return [Finding(Fault.TOO_FEW_CYCLES, where, text, True)]
 
 
 def sort_trials(
@@ -272,9 +266,10 @@ def sort_trials(
         fitted = in_order[:-1] if hold_out else in_order
         kept = in_order[-1:] if hold_out else [run for run in transients if _recorded_at(run, list(groups)) == grip_N]
         trials = [trials_of[id(run)] for run in fitted]
-        estimate = estimate_transfer(trials)
+        response = response_of(grip_N, fitted, instrument)
+        estimate = response.estimate
         # What is too short answers any way: that comes first.
-        again = _too_short(where, estimate)
+        again = check_bins(where, estimate, LEAST_BINS)
         again += check_cycles(where, trials, estimate, _band_Hz(grip_N)[0])
         for run in (*fitted, *kept):
             again += _current_against_command(run, amplifier)
@@ -286,7 +281,7 @@ def sort_trials(
         for run in kept:
             again += _against_response(run, trials_of[id(run)], estimate, where)
         found += refuse(again)
-        grips.append(Grip(grip_N, response_of(grip_N, estimate, fitted, instrument), tuple(fitted), tuple(kept)))
+        grips.append(Grip(grip_N, response, tuple(fitted), tuple(kept)))
         tick()
     between = [run for run in apart if not _outside(run, list(groups))]
     for run in between:
@@ -299,15 +294,14 @@ def sort_trials(
     return Records(grips, instrument, between, found)
 
 
-def response_of(
-    grip_N: float, estimate: TransferEstimate, runs: Sequence[Measurement], instrument: Instrument
-) -> GripResponse:
+def response_of(grip_N: float, runs: Sequence[Measurement], instrument: Instrument) -> GripResponse:
     """What all lines of the runs of a grip say.
 
     The command goes in where it was recorded and the current follows it by a pole and a delay, or was not recorded;
     else the measured current does, with its noise.
     """
-    both = all(run.command is not None and run.current is not None for run in runs)
+    measured = all(run.current is not None for run in runs)
+    both = measured and all(run.command is not None for run in runs)
     names = ["acceleration"]
     if grip_N > 0 and all(run.position is not None for run in runs):
         names.append("position")
@@ -315,11 +309,13 @@ def response_of(
     if both and instrument.amplifier is not None:
         wide = ["current", *names]
         data = _condensed(runs, "command", wide, instrument)
-        if _one_pole(data, instrument):
-            return GripResponse(grip_N, estimate, data, tuple(rows[name] for name in wide), True)
-    given = "current" if all(run.current is not None for run in runs) else "command"
-    data = _condensed(runs, given, names, instrument)
-    return GripResponse(grip_N, estimate, data, tuple(rows[name] for name in names), given == "command")
+        if _one_pole(data, instrument.amplifier):
+            return GripResponse(grip_N, transfer(data, 1, over=0), data, tuple(rows[name] for name in wide), True)
+    data = _condensed(runs, "current" if measured else "command", names, instrument)
+    estimate = transfer(data)
+    if not measured:
+        estimate = estimate.over(current_response(instrument, estimate.frequencies_Hz))
+    return GripResponse(grip_N, estimate, data, tuple(rows[name] for name in names), not measured)
 
 
 def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], instrument: Instrument) -> Condensed:
@@ -345,29 +341,12 @@ def _condensed(runs: Sequence[Measurement], given: str, names: Sequence[str], in
     return data
 
 
-def _one_pole(data: Condensed, instrument: Instrument) -> bool:
+def _one_pole(data: Condensed, amplifier: Amplifier) -> bool:
     """Whether one pole and a delay explain the first output, a current, from the command."""
-    assert instrument.amplifier is not None
-    pole, ticks = instrument.amplifier.pole_Hz, instrument.amplifier.delay_s / instrument.dt_s
-
-    def model(theta: FloatArray, _: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        def at(by: FloatArray) -> ComplexArray:
-            log_pole, late, gain = by.tolist()
-            late_s = max(late, 0.0) * instrument.dt_s
-            one = amplifier_response(frequencies_Hz, float(np.exp(log_pole)), late_s, instrument.dt_s)
-            return np.asarray(gain * one)
-
-        step = 1e-6
-        slopes = [(at(theta + step * axis) - at(theta)) / step for axis in np.eye(3)]
-        return at(theta)[None], np.array(slopes)[:, None]
-
-    current = replace(
-        data, right=data.right[:, :1], noise=data.noise[:1], degrees=data.degrees[:1], known=data.known[:1]
-    )
-    start = np.array([np.log(pole), ticks, 1.0])
-    reach = np.array([5.0, 20.0, 20.0])
-    found = Likelihood([current], model).maximum(start, start - reach, start + reach, np.ones(3, dtype=bool))
-    return found.scatter < ONE_POLE
+    if data.middles_Hz.size < LEAST_BINS:
+        return False
+    current = data.some(outputs=slice(0, 1))
+    return fit_pole(current, start=(amplifier.pole_Hz, amplifier.delay_s)).scatter < ONE_POLE
 
 
 def _recorded_at(run: Measurement, recorded_N: Sequence[float]) -> float | None:
@@ -403,14 +382,3 @@ def low_coherence(response: GripResponse) -> list[tuple[float, float]]:
     if e.frequencies_Hz[-1] < high / 1.5:
         bands.append((float(e.frequencies_Hz[-1]), high))
     return bands
-
-
-def runs_of(frequencies_Hz: FloatArray, bad: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """First and last frequency of each run of `bad` bins; single good bins between do not end one."""
-    bands: list[list[int]] = []
-    for j in np.flatnonzero(bad):
-        if bands and j - bands[-1][1] <= 2:
-            bands[-1][1] = int(j)
-        else:
-            bands.append([int(j), int(j)])
-    return [(float(frequencies_Hz[a]), float(frequencies_Hz[b])) for a, b in bands]

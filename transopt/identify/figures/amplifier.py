@@ -6,12 +6,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullFormatter
 
 from transopt.base.plotting import LABEL_PT, OPTIMUM, SEED, SMALL_PT
-from transopt.base.signals import FloatArray
+from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.amplifier import AmplifierFit
-from transopt.identify.spectrum import ComplexArray
+from transopt.identify.spectrum import TransferEstimate
 from transopt.plant.amplifier import Amplifier, prefilter_coefficients
 
 POINTS = 400
+LEAST_DRAWN = 1e-6  # of the largest magnitude: the logarithm of nothing has no place
 MOST_UNKNOWN = 0.2  # of the magnitude: where the band at either end is wider, the figure ends
 
 
@@ -25,16 +26,13 @@ def amplifier_figure(fit: AmplifierFit) -> Figure:
     f = estimate.frequencies_Hz
     fine = np.geomspace(f[0], f[-1], POINTS)
     figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    magnitude, phase = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
-    before = "command to current"
-    _draw(magnitude, phase, f, estimate.response, estimate.half_width(), OPTIMUM, before)
-    _line(
-        magnitude, phase, fine, fit.response(fine), OPTIMUM, f"fit: {fit.pole_Hz:.0f} Hz, {1e6 * fit.delay_s:.1f} us"
-    )
-    ahead, ahead_fine = prefilter_response(fit, f), prefilter_response(fit, fine)
-    after = estimate.response * ahead
-    _draw(magnitude, phase, f, after, estimate.half_width() * np.abs(ahead), SEED, "after the prefilter")
-    _line(magnitude, phase, fine, fit.response(fine) * ahead_fine, SEED, "fit after the prefilter")
+    magnitude, phase = axes = figure.subplots(2, 1, sharex=True, height_ratios=(1, 1))
+    said = f"fit: {fit.pole_Hz:.0f} Hz, {1e6 * fit.delay_s:.1f} us"
+    _draw(magnitude, phase, estimate, OPTIMUM, "command to current")
+    _line(magnitude, phase, fine, fit.response(fine), OPTIMUM, said)
+    _draw(magnitude, phase, estimate.over(1 / prefilter_response(fit, f)), SEED, "after the prefilter")
+    after = fit.response(fine) * prefilter_response(fit, fine)
+    _line(magnitude, phase, fine, after, SEED, "fit after the prefilter")
     magnitude.set_xscale("log")
     magnitude.set_ylabel("magnitude [dB]", fontsize=LABEL_PT)
     phase.set_ylabel("phase [deg]", fontsize=LABEL_PT)
@@ -43,10 +41,10 @@ def amplifier_figure(fit: AmplifierFit) -> Figure:
     phase.yaxis.set_major_locator(MultipleLocator(90))
     phase.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     phase.xaxis.set_minor_formatter(NullFormatter())
-    for axes in (magnitude, phase):
-        axes.grid(True, color="0.9", linewidth=0.6)
-        axes.tick_params(labelsize=SMALL_PT)
-        axes.spines[["top", "right"]].set_visible(False)
+    for one in axes:
+        one.grid(True, color="0.9", linewidth=0.6)
+        one.tick_params(labelsize=SMALL_PT)
+        one.spines[["top", "right"]].set_visible(False)
     magnitude.legend(fontsize=SMALL_PT, frameon=False, loc="lower left")
     hold = f"delay beyond the hold; with its half sample {1e6 * fit.delay_with_hold_s:.1f} us"
     phase.text(0.02, 0.04, hold, transform=phase.transAxes, fontsize=SMALL_PT)
@@ -60,21 +58,11 @@ def prefilter_response(fit: AmplifierFit, frequencies_Hz: FloatArray) -> Complex
     return np.asarray(now + before * np.exp(-2j * np.pi * frequencies_Hz * fit.dt_s))
 
 
-def _draw(
-    magnitude: Axes,
-    phase: Axes,
-    f: FloatArray,
-    response: ComplexArray,
-    half_width: FloatArray,
-    colour: str,
-    label: str,
-) -> None:
+def _draw(magnitude: Axes, phase: Axes, estimate: TransferEstimate, colour: str, label: str) -> None:
     """An estimate with its band."""
-    size = np.abs(response)
-    least = 1e-6 * size.max()
-    low, high = np.maximum(size - half_width, least), size + half_width
-    degrees = np.degrees(np.unwrap(np.angle(response)))
-    spread = np.degrees(np.arcsin(np.minimum(half_width / size, 1.0)))
+    f, size, (low, high) = estimate.frequencies_Hz, np.abs(estimate.response), estimate.magnitude_band()
+    degrees, spread = np.degrees(np.unwrap(np.angle(estimate.response))), estimate.phase_half_width_deg()
+    low = np.maximum(low, LEAST_DRAWN * size.max())
     magnitude.fill_between(f, 20 * np.log10(low), 20 * np.log10(high), color=colour, alpha=0.25, linewidth=0)
     magnitude.plot(f, 20 * np.log10(size), ".", color=colour, markersize=2.5, label=f"{label}, 95 % band")
     phase.fill_between(f, degrees - spread, degrees + spread, color=colour, alpha=0.25, linewidth=0)
