@@ -39,7 +39,7 @@ from rich.table import Table
 
 import problems
 from controller.record.metrics import align
-from controller.refine.rounds import Node, nodes_of
+from controller.refine.heard import Node, nodes_of
 from controller.servo.servo import Servo
 from controller.servo.settings import Settings
 from controller.sim.chosen_device import device_in
@@ -252,24 +252,29 @@ def run_one(scene: Path, arguments: argparse.Namespace, mismatch: float) -> list
     command("transopt-play", "refine", begun, *how, "--out", out)
     command("transopt", "verify", out / "library.npz")
     refined = load_library(out / "library.npz")
-    stages += rounds_of(refined)
+    stages += rounds_of(refined, arguments.rounds)
     stages.append(play("refined, kept", refined))
     if not arguments.without_identification:
         stages.append(without_servo(IDENTIFIED, model, device, lambda node, _: model.command_A[node]))
     return [*stages, without_servo(TRUTH, nominal, device, known_optimum)]
 
 
-def rounds_of(refined: Library) -> list[Stage]:
-    """After each round the best that every node had until then, as the device's own sensors measured it."""
+def rounds_of(refined: Library, most: int) -> list[Stage]:
+    """After each round the best that every node had until then, as the device's own sensors measured it.
+
+    A refinement that ended before `most` rounds has what it had from there on.
+    """
     stages: list[Stage] = []
     best: list[float] = []
     for number, told in enumerate(refined.meta["refinement"]["rounds"]):
         nrmse, better = ([value for row in told[name] for value in row] for name in ("nrmse", "better"))
+        # A node with nothing left to be learnt is not played in a round: null, and not better.
         best = [new if kept else old for new, kept, old in zip(nrmse, better, best or nrmse, strict=True)]
-        peak = max(value for row in told["peak_current_A"] for value in row)
+        peak = max(value for row in told["peak_current_A"] for value in row if value is not None)
         if number:
             stages.append(Stage(f"{ROUND} {number}", best, peak))
-    return stages
+    last = stages[-1] if stages else Stage("", best, peak)
+    return stages + [replace(last, name=f"{ROUND} {number}") for number in range(len(stages) + 1, most + 1)]
 
 
 def table(mismatch: float, stages: Sequence[Stage], library: Library) -> Table:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from controller.cli.options import (
+    ON_A_PORT,
+    ON_THE_SIMULATOR,
     AnyPort,
     Crossover,
     DeviceName,
@@ -29,23 +31,62 @@ from controller.cli.options import (
 from controller.cli.port import STOPPED, connected, person_at
 from transopt.base import terminal
 from transopt.base.errors import InputError
+from transopt.cli.layout import COLUMNS_HELP, UNITS_HELP
 
 if TYPE_CHECKING:
     from controller.cli.bench import Bench
     from controller.cli.refine_taps import Hand
     from controller.device.device_file import DeviceFile
-    from controller.refine.rounds import Refined, Round
+    from controller.refine.learner import Learner, Round
+    from controller.refine.rounds import Refined
     from transopt.library.library import Library
+
+WITH_FILES = "With --from-files"
+
+
+def with_files(words: str) -> Any:
+    """An option that means something with recorded taps only."""
+    return typer.Option(help=words, rich_help_panel=WITH_FILES)
+
+
+def only_for_files(context: typer.Context, from_files: bool, names_device: bool) -> None:
+    """Whether what was given goes with the source of the taps: recorded ones, or a device.
+
+    Raises
+    ------
+    InputError : it does not.
+    """
+    if from_files and names_device:
+        raise InputError("--from-files: the taps are in files: leave --simulate and --port out")
+    panels = (ON_A_PORT, ON_THE_SIMULATOR) if from_files else (WITH_FILES,)
+    why = "not with --from-files" if from_files else "only with --from-files"
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and (
+            getattr(parameter, "rich_help_panel", None) in panels or (parameter.name == "files" and not from_files)
+        ):
+            raise InputError(f"{'FILES' if parameter.name == 'files' else parameter.opts[0]}: {why}")
 
 
 def refine(
     context: typer.Context,
     library: LibraryFile,
     out: Annotated[Path, typer.Option(help="Folder for the refined library.npz and refinement.png.")],
+    files: Annotated[list[Path] | None, typer.Argument(help="With --from-files: recorded taps.")] = None,
     simulate: Simulate = False,
     port: AnyPort = None,
+    from_files: Annotated[
+        bool,
+        typer.Option(
+            "--from-files",
+            help="Learn one step from recorded taps: FILES of this very library, played by a device of your own.",
+        ),
+    ] = False,
+    columns: Annotated[str, with_files(COLUMNS_HELP)] = "",
+    units: Annotated[str, with_files(UNITS_HELP)] = "",
     device: DeviceName = None,
-    rounds: Annotated[int, typer.Option(help="How often is learnt and solved again.")] = 3,
+    rounds: Annotated[int, typer.Option(help="How often is learnt and solved again, at most.")] = 6,
     taps: Annotated[int, typer.Option(help="Taps at each speed and grip in each round; their mean counts.")] = 3,
     scene: TrueDeviceName = None,
     mismatch: Mismatch = 0.0,
@@ -54,11 +95,15 @@ def refine(
     seconds: Annotated[float | None, with_port("End a round's taps after so many seconds.", "--for")] = None,
     reset: Reset = False,
 ) -> None:
-    """Refine a library on its device: taps are repeated, measured, learnt from; the result is certified again.
+    """Refine a library on its device: learn what stands out of repeated taps until nothing does, and confirm it.
 
-    Exit 1: nothing became better, a limit was left, or a fault or a lost lease ended it.
+    Exit 1: something stood out and nothing became better, or a fault or a lost lease ended it.
     """
-    simulated = is_simulated(context, "refine", simulate, port)
+    if not (simulate or from_files or port is not None):
+        ports = "--port PORT (`transopt-play ports` lists them)"
+        raise InputError(f"refine: name one device: --simulate, or {ports}; or --from-files and recorded taps")
+    simulated = False if from_files else is_simulated(context, "refine", simulate, port)
+    only_for_files(context, from_files, simulate or port is not None)
     within("rounds", rounds, 1, 20)
     within("taps", taps, 2, 100)
     within("for", seconds, 1.0, 1e6, " s")
@@ -70,10 +115,29 @@ def refine(
         raise InputError(f"{library}: has a wall, whose feedback answers the hand's own motion: it is not refined")
     if (out / "library.npz").resolve() == library.resolve():
         raise InputError(f"--out {out}: holds the library that is refined; choose another folder")
+    from controller.refine.learner import LEAST_DEGREES
+
+    if not from_files and loaded.nrmse.size * (taps - 1) < LEAST_DEGREES:
+        raise InputError(f"--taps {taps}: at a single node at least 3 are needed, to know how they scatter")
     terminal.make_folder(out)
     from controller.cli.describe import described, sensing
 
     found = described(device, library, quiet=simulated)
+    accelerometer_Hz = found.device.accelerometer.bandwidth_Hz
+    if from_files:
+        from controller.cli.refine_files import step
+        from transopt.cli.layout import layout
+        from transopt.design.resolve import resolve
+
+        said = _stated(loaded, "files", accelerometer_Hz)
+        step(loaded, library, files or [], layout(columns, units), accelerometer_Hz, resolve, rounds, taps, said, out)
+        return
+    from controller.refine.kept import is_learning
+
+    if is_learning(loaded):
+        raise InputError(
+            f"{library}: is between two steps of --from-files: go on with them, or refine what it came from"
+        )
     if simulated:
         from controller.cli.refine_taps import simulated_at
         from controller.sim.chosen_device import device_in, scene_like
@@ -81,20 +145,20 @@ def refine(
 
         wrong = sensing(found, wrong)
         true = device_in(scene_of(loaded) if scene is None else scene_like(scene), wrong, seed)
-        bench, hand = simulated_at(loaded, true, wrong, rounds, taps, seed, found.device)
+        bench, hand = simulated_at(loaded, true, wrong, seed, found.device)
         source = f"simulator, {scene or loaded.meta['scene']['name']}, mismatch {mismatch:g}, seed {seed}"
     else:
         from controller.cli.refine_taps import PersonsHand
 
         assert port is not None
         bench, hand, source = person_at(port), PersonsHand(terminal.console()), port
-    stated = _stated(loaded, source, taps, found.device.accelerometer.bandwidth_Hz)
+    stated = {**_stated(loaded, source, accelerometer_Hz), "taps": taps}
     refined = _refined(loaded, bench, hand, found.device, out, rounds, taps, seconds, stated, reset)
-    _finish(loaded, refined, library, out)
+    _finish(refined, library, out)
 
 
-def _stated(library: "Library", source: str, taps: int, accelerometer_Hz: float) -> dict[str, Any]:
-    """What `meta["refinement"]` says beside the rounds."""
+def _stated(library: "Library", source: str, accelerometer_Hz: float) -> dict[str, Any]:
+    """What `meta["refinement"]` says beside the history."""
     from controller.record.played import CUTOFF_HZ
     from controller.waveforms.prediction import REACTION_S
 
@@ -102,17 +166,17 @@ def _stated(library: "Library", source: str, taps: int, accelerometer_Hz: float)
         "library_sha256": library.content_sha256,
         "before": library.meta.get("refinement"),
         "source": source,
-        "taps": taps,
         "compared_until_s": REACTION_S,
         "lowpass_Hz": CUTOFF_HZ,
         "accelerometer_Hz": accelerometer_Hz,
     }
 
 
-def _tell(number: int, results: "Round") -> None:
-    from controller.refine.tables import round_line
+def _tell(learner: "Learner", results: "Round") -> None:
+    from controller.refine.tables import following_line, round_line
 
-    terminal.console().print(round_line(number, results), highlight=False, soft_wrap=True)
+    for line in filter(None, (round_line(learner.number - 1, learner, results), following_line(learner))):
+        terminal.console().print(line, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -152,27 +216,20 @@ def _refined(
         return refinement.refine(library, play, resolve, rounds, stated, tell=_tell)
 
 
-def _finish(before: "Library", refined: "Refined", path: Path, out: Path) -> None:
-    """Table, files, and the verdict: exit code 1 if nothing became better, or a limit was left."""
+def _finish(refined: "Refined", path: Path, out: Path) -> None:
+    """Table, files, and the verdict: exit code 1 if something was left to be gained and nothing was."""
     from controller.refine.figure import refine_figure
-    from controller.refine.tables import LEGEND, refine_table, summary
+    from controller.refine.tables import LEGEND, reasons, refine_table, summary
     from transopt.base.plotting import save_figure
 
     console = terminal.console()
-    console.print(refine_table(before, refined, f"{path}, NRMSE against the reference in %"))
+    console.print(refine_table(refined, f"{path}, NRMSE against the reference in %"))
     console.print(LEGEND, style="dim", highlight=False)
-    for (iv, ig), why in refined.kept.items():
-        console.print(
-            f"kept as it was: {before.speeds_m_s[iv]:g} m/s, {before.grips_N[ig]:g} N: {why}",
-            style="yellow",
-            highlight=False,
-            soft_wrap=True,
-        )
-    words, good = summary(before, refined, out / "library.npz")
-    if refined.better:
-        refined.library.save(out / "library.npz")
-        save_figure(refine_figure(before, refined), out / "refinement.png")
-        console.print(f"{out}: library.npz, refinement.png", highlight=False, soft_wrap=True)
+    console.print(reasons(refined), highlight=False, soft_wrap=True)
+    words, good = summary(refined, out / "library.npz")
+    refined.library.save(out / "library.npz")
+    save_figure(refine_figure(refined), out / "refinement.png")
+    console.print(f"{out}: library.npz, refinement.png", highlight=False, soft_wrap=True)
     console.print(words, style=None if good else "red", highlight=False, soft_wrap=True)
     if not good:
         raise typer.Exit(1)

@@ -1,6 +1,6 @@
 """Taps for a refinement: whoever holds the device learns where taps are missing."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, Self
@@ -15,7 +15,8 @@ from controller.host.driver import Device
 from controller.host.payload import Payload, payload_of
 from controller.protocol.codes import LinkNotice
 from controller.record.recorder import Contact, Recorder, make_room
-from controller.refine.rounds import Heard, Node, hear, node_near, nodes_of
+from controller.refine.heard import Heard, Node, hear, node_near
+from controller.refine.tables import place
 from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
@@ -39,8 +40,8 @@ class Hand(Protocol):
     @property
     def amplifier_tolerance(self) -> float: ...
 
-    def asked(self, library: Library, number: int, taps: int) -> None:
-        """For so many taps at every node of a library, in a round."""
+    def asked(self, library: Library, number: int, nodes: Sequence[Node], taps: int) -> None:
+        """For so many taps at each of some nodes of a library, in a round."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -56,8 +57,8 @@ class PersonsHand:
     def __init__(self, console: Console) -> None:
         self._console = console
 
-    def asked(self, library: Library, number: int, taps: int) -> None:
-        missing = dict.fromkeys(nodes_of(library), taps)
+    def asked(self, library: Library, number: int, nodes: Sequence[Node], taps: int) -> None:
+        missing = dict.fromkeys(nodes, taps)
         words = f"round {number}: tap {taps} times at each of {len(missing)} nodes: {_nodes(library, missing)}"
         self._console.print(words, highlight=False, soft_wrap=True)
 
@@ -71,21 +72,23 @@ class PersonsHand:
 class SimulatedHand:
     """Taps as it is asked, by the mild user, with another phase and noise in every tap."""
 
-    def __init__(self, device: TrueDevice, imperfections: Imperfections, seed: int, in_all: int) -> None:
+    def __init__(self, device: TrueDevice, imperfections: Imperfections, seed: int) -> None:
         self._device, self._imperfections, self._seed = device, replace(imperfections, mismatch=0.0), seed
         self.amplifier_tolerance = imperfections.mismatch
         console = Console(stderr=True)
         columns = (TextColumn("taps"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._bar = self._progress.add_task("taps", total=in_all)
+        self._bar, self._in_all = self._progress.add_task("taps", total=None), 0
         self.hand: TappingHand | None = None
 
     def tapped(self) -> None:
         self._progress.advance(self._bar)
 
-    def asked(self, library: Library, number: int, taps: int) -> None:
+    def asked(self, library: Library, number: int, nodes: Sequence[Node], taps: int) -> None:
         assert self.hand is not None
-        each = [(node, n) for node in nodes_of(library) for n in range(taps)]
+        self._in_all += taps * len(nodes)
+        self._progress.update(self._bar, total=self._in_all)
+        each = [(node, n) for node in nodes for n in range(taps)]
         self.hand.plan(tap_of(library, self._device, self._tap(library, number, *one)) for one in each)
 
     def _tap(self, library: Library, number: int, node: Node, n: int) -> SimulatedTap:
@@ -108,8 +111,6 @@ def simulated_at(
     library: Library,
     device: TrueDevice,
     imperfections: Imperfections,
-    rounds: int,
-    taps: int,
     seed: int,
     described: DeviceFile,
 ) -> tuple[Bench, Hand]:
@@ -123,7 +124,7 @@ def simulated_at(
     ------
     InputError : there is no C compiler.
     """
-    simulated = SimulatedHand(device, imperfections, seed, (rounds + 1) * taps * len(nodes_of(library)))
+    simulated = SimulatedHand(device, imperfections, seed)
     given = payload_of(library, device=described, amplifier_tolerance=imperfections.mismatch)
     bench, simulated.hand = simulated_bench(given, device, (), described=described, tapped=simulated.tapped)
     return bench, simulated
@@ -153,7 +154,7 @@ class Taps:
         self._device, self._bench, self._hand, self._folder = device, bench, hand, folder
         self._described, self._taps, self._seconds = described, taps, seconds
 
-    def __call__(self, library: Library, number: int) -> Mapping[Node, list[Heard]]:
+    def __call__(self, library: Library, number: int, nodes: Sequence[Node]) -> Mapping[Node, list[Heard]]:
         """
         Raises
         ------
@@ -167,11 +168,11 @@ class Taps:
         if folder is not None:
             make_room(folder)
         load(device, given, self._bench.console)
-        contacts = self._tapped(library, given, folder, number)
-        heard: dict[Node, list[Heard]] = {node: [] for node in nodes_of(library)}
+        contacts = self._tapped(library, given, folder, number, nodes)
+        heard: dict[Node, list[Heard]] = {node: [] for node in nodes}
         for contact in contacts:
             node = node_near(library, contact.speed_m_s, contact.grip_N)
-            if node is None:
+            if node is None or node not in heard:
                 continue
             found = hear(contact, library, given.settings, node, self._described.accelerometer.bandwidth_Hz)
             if isinstance(found, str):
@@ -183,9 +184,11 @@ class Taps:
     def _say(self, words: str) -> None:
         self._bench.console.print(words, highlight=False, soft_wrap=True)
 
-    def _tapped(self, library: Library, given: Payload, folder: Path | None, number: int) -> list[Contact]:
-        missing, seen = dict.fromkeys(nodes_of(library), self._taps), 0
-        self._hand.asked(library, number, self._taps)
+    def _tapped(
+        self, library: Library, given: Payload, folder: Path | None, number: int, nodes: Sequence[Node]
+    ) -> list[Contact]:
+        missing, seen = dict.fromkeys(nodes, self._taps), 0
+        self._hand.asked(library, number, nodes, self._taps)
         hello, settings = self._device.hello, given.settings
         recorder = Recorder(folder, hello.dt_s, settings.count_m, settings.surface_counts)
 
@@ -193,7 +196,7 @@ class Taps:
             nonlocal seen
             for contact in recorder.contacts[seen:]:
                 seen += 1
-                self._count(library, contact, missing)
+                self._count(library, contact, nodes, missing)
             return not missing
 
         title = f"round {number} on {self._device.name}"
@@ -208,14 +211,16 @@ class Taps:
             raise EndedError(LinkNotice.LEASE_LOST.value)
         return recorder.contacts
 
-    def _count(self, library: Library, contact: Contact, missing: dict[Node, int]) -> None:
+    def _count(self, library: Library, contact: Contact, nodes: Sequence[Node], missing: dict[Node, int]) -> None:
         """Say what a tap counts for and what is left to be tapped."""
         node = node_near(library, contact.speed_m_s, contact.grip_N)
         at = f"tap {contact.number}: {contact.speed_m_s:.3f} m/s, {contact.grip_N:.2f} N"
-        if node is None or contact.missed:
-            why = f"{contact.missed} records were lost" if contact.missed else "near to no node"
+        if node not in nodes or contact.missed:
+            why = "near to no node" if node is None else f"{place(library, node)} is not asked for in this round"
+            why = f"{contact.missed} records were lost" if contact.missed else why
             self._say(f"{at}: {why}, does not count")
             return
+        assert node is not None
         if node in missing:
             missing[node] -= 1
             if missing[node] == 0:
@@ -226,8 +231,4 @@ class Taps:
 def _nodes(library: Library, nodes: Mapping[Node, int] | list[Node]) -> str:
     """0.1 m/s at 1 N x 2, ..."""
     counts = nodes if isinstance(nodes, Mapping) else {}
-    return ", ".join(
-        f"{library.speeds_m_s[iv]:g} m/s at {library.grips_N[ig]:g} N"
-        + (f" x {counts[iv, ig]}" if (iv, ig) in counts else "")
-        for iv, ig in nodes
-    )
+    return ", ".join(place(library, node) + (f" x {counts[node]}" if node in counts else "") for node in nodes)

@@ -3,18 +3,21 @@
 A tap is repeated, so what the device does beside its prediction comes back: a = p + w with p the model's acceleration
 for the command that was played. The next command is the optimum, under the same limits, for the reference r + d,
 
-    d' = Q ((1 - L) d + L (p - a)),
+    d' = Q (d - L H u),
 
-with the gain L, 0 < L <= 1, and Q a zero-phase low-pass. Where no limit binds p = r + d, and this is the usual
-r + d' = r + Q (d + L e), e = r - a. Where limits bind, p is what they leave, and d stays bounded; e would be summed
-up for ever there (integrator wind-up). With T = a / p, from model to device, the error of d shrinks per round by
+with the gain L, 0 < L <= 1, Q a zero-phase low-pass, and H the part of u that stands out of the scatter of the
+taps, 0 <= H <= 1 (`significance`). u is what the device is off by. Where no limit binds that is u = a - p_0 with
+p_0 what the model's own optimum for r makes, and with p = r + d, p_0 = r and H = 1 the rule is the usual r + d' = r
++ Q (d + L e), e = r - a. Where limits bind, u = d + w: p is what the limits leave, and d stays bounded; e would be
+summed up for ever there (integrator wind-up). With T = a / p, from model to device, the error of d shrinks per
+round by
 
     unlimited     |Q (1 - L T)|
     limits bind   |Q| (1 - L + L |1 - T|), as the optimum under limits is a projection: it brings nothing apart
 
 at most, in every frequency; below 1 the rounds converge (Bristow, Tharayil and Alleyne 2006, "A survey of iterative
-learning control"; with constraints Schoellig, Mueller and D'Andrea 2012). T and its uncertainty are measured, and Q
-ends where this is no longer sure.
+learning control"; with constraints Schoellig, Mueller and D'Andrea 2012). H in the place of 1 brings both nearer to
+1, and never beyond it. T and its uncertainty are measured, and Q ends where this is no longer sure.
 """
 
 from collections.abc import Sequence
@@ -137,13 +140,16 @@ def widest(found: Ratio, gain: float, *, limited: bool) -> Condition:
 
 
 def corrected(
-    correction_m_s2: FloatArray, difference_m_s2: FloatArray, dt_s: float, known: Condition, fade: FloatArray
+    correction_m_s2: FloatArray, change_m_s2: FloatArray, dt_s: float, cutoff_Hz: float, fade: FloatArray
 ) -> FloatArray:
-    """(N,) d' = Q ((1 - L) d - L w), faded out where nothing was measured any more.
+    """(N,) d' = Q (d - L H u), faded out where nothing was measured any more.
 
     Parameters
     ----------
-    correction_m_s2 : (N,) d. difference_m_s2 : (N,) w = a - p. fade : (N,) 1 over what was measured, falling to 0.
+    correction_m_s2 : (N,) d.
+    change_m_s2 : (N,) L H u, of what the device is off by the part that stands out of the scatter.
+    cutoff_Hz : of Q.
+    fade : (N,) 1 over what was measured, falling to 0.
     """
-    mixed = fade * ((1 - known.gain) * correction_m_s2 - known.gain * difference_m_s2)
-    return np.asarray(fade * lowpass(Signal(0.0, dt_s, mixed), known.cutoff_Hz).values)
+    mixed = fade * (correction_m_s2 - change_m_s2)
+    return np.asarray(fade * lowpass(Signal(0.0, dt_s, mixed), cutoff_Hz).values)

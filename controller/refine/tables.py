@@ -1,25 +1,30 @@
 """What a refinement did, in words and numbers."""
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 from rich.table import Table
 
-from controller.refine.rounds import Node, NodeRound, Refined, Round, nodes_of
+from controller.refine.heard import Node, nodes_of
+from controller.refine.learner import ENDED, NO_GAIN, NOTHING_LEFT, Learner, NodeRound, Round
+from controller.refine.rounds import Refined
 from transopt.library.library import Library
 
 LEGEND = (
-    "Measured by the device's own sensors, mean of a round's taps, low-passed at 1 kHz, until the hand can react at "
-    "30 ms; * kept.\nL gain, Q its low-pass; factor: what a round leaves of the error at most, in brackets with two "
-    "standard deviations of T; below 1 it converges.\n! limits bind there: it gets no better than the optimum under "
-    "them."
+    "NRMSE of the mean tap against the reference, by the device's own sensors, low-passed at 1 kHz, until the hand "
+    "can react at 30 ms, less what the taps' scatter adds.\n"
+    "Before: the library as it was. Confirmed: what was kept, by new taps that nothing was chosen from.\n"
+    "L gain, Q its low-pass; factor: what a round leaves of the error at most, in brackets with two standard "
+    "deviations of T; below 1 it converges.\n"
+    "! limits bind there: it gets no better than the optimum under them."
 )
+LEFT = "nothing significant is left to be learnt"
 
 
-def best_round(rounds: list[Round], node: Node) -> int | None:
-    """Number of the round whose design a node keeps."""
-    tapped = [number for number, results in enumerate(rounds) if node in results and results[node].better]
-    return tapped[-1] if tapped else None
+def place(library: Library, node: Node) -> str:
+    """0.1 m/s at 3 N."""
+    return f"{library.speeds_m_s[node[0]]:g} m/s at {library.grips_N[node[1]]:g} N"
 
 
 def mean_nrmse(results: Round) -> float:
@@ -28,16 +33,71 @@ def mean_nrmse(results: Round) -> float:
     return float(np.mean(each)) if each else float("nan")
 
 
-def round_line(number: int, results: Round) -> str:
+def _nodes(count: int) -> str:
+    return f"{count} node{'' if count == 1 else 's'}"
+
+
+def round_line(number: int, learner: Learner, results: Round) -> str:
+    """What the taps of a round said, and what follows from it."""
+    confirming = learner.history.confirmed is not None
+    name = "confirming round" if confirming else f"round {number}"
     if not results:
-        return f"round {number}: no node was tapped at twice"
+        return f"{name}: no node was tapped at twice"
     worst = max(node.nrmse for node in results.values())
-    peak = max(node.peak_current_A for node in results.values())
-    better = "" if number == 0 else f", better at {sum(node.better for node in results.values())}"
-    return (
-        f"round {number}: NRMSE {100 * mean_nrmse(results):.2f} % on average over {len(results)} nodes, worst "
-        f"{100 * worst:.2f} %{better}; at most {peak:.3f} A"
+    better = sum(node.better for node in results.values())
+    said = (
+        f", gain confirmed at {better}"
+        if confirming
+        else ""
+        if number == 0
+        else f", better beyond chance at {better}"
     )
+    peaks = [node.tapped.peak_current_A for node in results.values()]
+    at_most = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A"
+    return (
+        f"{name}: NRMSE {100 * mean_nrmse(results):.2f} % on average over {_nodes(len(results))}, worst "
+        f"{100 * worst:.2f} %{said}{at_most}"
+    )
+
+
+def following_line(learner: Learner) -> str:
+    """What is played next, or why nothing is."""
+    if learner.history.confirmed is not None:
+        return ""
+    if learner.history.confirming:
+        waiting = f"new taps shall confirm {_nodes(len(learner.asked))} with a correction"
+        ended = any(course.why == ENDED for course in learner.history.courses.values())
+        return f"the rounds are over (--rounds): {waiting}" if ended else f"{LEFT}: {waiting}"
+    if learner.over:
+        return f"{LEFT}, and no node was changed"
+    return f"something stands out of the taps' scatter at {_nodes(len(learner.asked))}: played next with a correction"
+
+
+def refine_table(refined: Refined, title: str) -> Table:
+    """Every node: the library as it was, and what the confirming round said of what is kept."""
+    before, history = refined.before, refined.history
+    confirmed = history.confirmed or {}
+    table = Table(title=title)
+    for name in ("speed m/s", "grip N", "model's optimum", "before", "confirmed", "L", "Q Hz", "factor"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("why it ended", overflow="fold")
+    for node in nodes_of(before):
+        course = history.courses[node]
+        first, kept = history.rounds[0].get(node), course.best > 0
+        bound = "!" if first is not None and (confirmed.get(node) or first).limited else " "
+        table.add_row(
+            f"{before.speeds_m_s[node[0]]:g}",
+            f"{before.grips_N[node[1]]:g}",
+            "-" if first is None else f"{100 * first.tapped.predicted_nrmse:.2f}{bound}",
+            *(_percent(refined, one) for one in (first, confirmed.get(node) if kept else None)),
+            *_condition_cells(history.rounds[course.best].get(node) if kept else None),
+            course.why,
+        )
+    return table
+
+
+def _percent(refined: Refined, one: NodeRound | None) -> str:
+    return "-" if one is None else f"{100 * one.nrmse:.2f} ± {100 * refined.scatter.deviation(one.tapped):.2f}"
 
 
 def _condition_cells(node: NodeRound | None) -> tuple[str, str, str]:
@@ -47,51 +107,29 @@ def _condition_cells(node: NodeRound | None) -> tuple[str, str, str]:
     return f"{known.gain:g}", f"{known.cutoff_Hz:.0f}", f"{known.factor:.2f} ({known.sure_factor:.2f})"
 
 
-def refine_table(before: Library, refined: Refined, title: str) -> Table:
-    """Every node, round by round."""
-    rounds = refined.rounds
-    table = Table(title=title)
-    for name in ("speed m/s", "grip N", "model's optimum", *(f"round {number}" for number in range(len(rounds)))):
-        table.add_column(name, justify="right", no_wrap=True)
-    for name in ("L", "Q Hz", "factor"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for node in nodes_of(before):
-        kept = best_round(rounds, node)
-        cells = []
-        for number, results in enumerate(rounds):
-            mark = "*" if number == kept else " "
-            cells.append(f"{100 * results[node].nrmse:.2f}{mark}" if node in results else "- ")
-        last = next((results[node] for results in reversed(rounds) if node in results), None)
-        bound = "!" if last is not None and last.limited else " "
-        iv, ig = node
-        table.add_row(
-            f"{before.speeds_m_s[iv]:g}",
-            f"{before.grips_N[ig]:g}",
-            f"{100 * before.nrmse[node]:.2f}{bound}",
-            *cells,
-            *_condition_cells(last),
-        )
-    table.add_section()
-    table.add_row("mean", "", "", *(f"{100 * mean_nrmse(results):.2f} " for results in rounds))
-    return table
+def reasons(refined: Refined) -> str:
+    """Why the nodes ended, the most frequent first."""
+    counted = Counter(course.why for course in refined.history.courses.values())
+    return "; ".join(f"{_nodes(count)}: {why}" for why, count in counted.most_common())
 
 
-def summary(before: Library, refined: Refined, written: Path) -> tuple[str, bool]:
-    """One line, and whether it is good news; `written` is the refined library's file."""
-    limit = float(before.meta["limits"]["current_A"])
-    peaks = [node.peak_current_A for results in refined.rounds for node in results.values()]
-    if not refined.better:
-        return "no node became better: the library stays as it is, and nothing was written", False
-    first = [results.nrmse for results in refined.rounds[0].values()]
-    kept = [best_round(refined.rounds, node) for node in refined.rounds[0]]
-    last = [
-        refined.rounds[number][node].nrmse
-        for node, number in zip(refined.rounds[0], kept, strict=True)
-        if number is not None
-    ]
-    held = f"at most {max(peaks):.3f} A of {limit:g} A"
+def summary(refined: Refined, written: Path) -> tuple[str, bool]:
+    """One line, and whether all that was to be gained was; `written` is the refined library's file."""
+    better, history = refined.better, refined.history
+    if not better:
+        if all(course.why in (NOTHING_LEFT, NO_GAIN) for course in history.courses.values()):
+            said = "nothing significant is to be gained at any node: the library is as good as these taps can tell"
+            return f"{said}; unchanged in {written}", True
+        return f"no node became better beyond chance: the library is unchanged in {written}", False
+    assert history.confirmed is not None
+    first, last = (
+        np.mean([found[node].nrmse for node in better]) for found in (history.rounds[0], history.confirmed)
+    )
+    limit = float(refined.before.meta["limits"]["current_A"])
+    peaks = [one.tapped.peak_current_A for results in history.played for one in results.values()]
+    held = "" if np.isnan(peaks).all() else f"; at most {np.nanmax(peaks):.3f} A of {limit:g} A"
     return (
-        f"{len(refined.better)} of {len(nodes_of(before))} nodes refined: NRMSE {100 * np.mean(first):.2f} % to "
-        f"{100 * np.mean(last):.2f} % on average; {held}; check it: transopt verify {written}",
+        f"{len(better)} of {_nodes(len(nodes_of(refined.before)))} refined, confirmed by new taps: their NRMSE "
+        f"{100 * first:.2f} % to {100 * last:.2f} % on average{held}; check it: transopt verify {written}",
         True,
     )

@@ -1,4 +1,6 @@
-"""A solved library with other numbers of speeds and grips than were solved."""
+"""A solved library with other numbers of speeds and grips than were solved, or with some of them."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -19,3 +21,19 @@ def resized(library: Library, speeds: int, grips: int) -> Library:
         arrays[name] = array
     arrays["speeds_m_s"], arrays["grips_N"] = np.linspace(0.1, 0.4, speeds), np.linspace(1.0, 5.0, grips)
     return Library.of(arrays, library.meta)
+
+
+def part_of(library: Library, speeds: Sequence[int], grips: Sequence[int]) -> Library:
+    """Some of its nodes."""
+    arrays = {}
+    for name, stated in ARRAYS.items():
+        array = library.array(name)
+        for axis, letter in enumerate(stated.shape):
+            array = np.take(array, {"v": speeds, "g": grips}.get(letter, range(array.shape[axis])), axis=axis)
+        arrays[name] = array
+    left_out = {
+        part: said if isinstance(said, str) else [[said[iv][ig] for ig in grips] for iv in speeds]
+        for part, said in library.meta["left_out"].items()
+    }
+    repeatability = [library.meta["repeatability"][iv] for iv in speeds]
+    return Library.of(arrays, {**library.meta, "left_out": left_out, "repeatability": repeatability})

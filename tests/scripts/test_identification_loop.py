@@ -56,11 +56,11 @@ def test_rounds_keep_the_best_so_far(library: Library) -> None:
     rounds = [
         {"nrmse": [[0.2, 0.3]], "better": [[True, True]], "peak_current_A": [[1.0, 2.0]]},
         {"nrmse": [[0.1, 0.4]], "better": [[True, False]], "peak_current_A": [[1.0, 3.0]]},
-        {"nrmse": [[0.15, 0.2]], "better": [[False, True]], "peak_current_A": [[1.0, 1.0]]},
+        {"nrmse": [[None, 0.2]], "better": [[None, True]], "peak_current_A": [[None, 1.0]]},
     ]
-    found = loop.rounds_of(replace(library, meta={**library.meta, "refinement": {"rounds": rounds}}))
-    assert [stage.nrmse for stage in found] == [[0.1, 0.3], [0.1, 0.2]]
-    assert [stage.peak_current_A for stage in found] == [3.0, 1.0]
+    found = loop.rounds_of(replace(library, meta={**library.meta, "refinement": {"rounds": rounds}}), 3)
+    assert [stage.nrmse for stage in found] == [[0.1, 0.3], [0.1, 0.2], [0.1, 0.2]]
+    assert [stage.peak_current_A for stage in found] == [3.0, 1.0, 1.0]
 
 
 def test_what_falls_short(library: Library) -> None:

@@ -2,6 +2,8 @@
 grip what the model is off by and one recorded motion that was kept out of the fit, measured and predicted.
 """
 
+from typing import Literal
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -44,7 +46,7 @@ def device_figure(result: DeviceResult) -> Figure:
         first = first or (off, motion)
         _error(off, result.chosen, grip, tuple(colour))
         _motion(motion, result.chosen.transients.get(grip.grip_N, []))
-        off.set_ylabel(called(grip.grip_N), fontsize=LABEL_PT)
+        _say(off, 0.5, "center", called(grip.grip_N), LABEL_PT)
         for axes in (off, motion):
             axes.tick_params(labelbottom=j == len(grips) - 1)
     assert first is not None
@@ -139,6 +141,10 @@ def _motion(axes: Axes, transients: list[Transient]) -> None:
     axes.plot(times_ms, one.measured[shown] / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=2.2, alpha=0.4)
     axes.plot(times_ms, one.predicted[shown] / STANDARD_GRAVITY_M_S2, color=SEED, linewidth=1.0)
     kind = "tap" if one.run.held_out else "sweep"
-    words = f"{kind}, NRMSE {100 * one.nrmse:.2g} %"
+    _say(axes, 0.985, "right", f"{kind}, NRMSE {100 * one.nrmse:.2g} %", SMALL_PT)
+
+
+def _say(axes: Axes, at: float, side: Literal["center", "right"], words: str, size: float) -> None:
+    """Words at the top of a panel, on paper of their own."""
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
-    axes.annotate(words, (0.985, 0.95), xycoords="axes fraction", ha="right", va="top", fontsize=SMALL_PT, bbox=paper)
+    axes.annotate(words, (at, 0.95), xycoords="axes fraction", ha=side, va="top", fontsize=size, bbox=paper)

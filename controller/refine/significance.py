@@ -1,0 +1,245 @@
+"""What stands out of the scatter of repeated taps, and which of two designs is better beyond doubt.
+
+Taps at a node differ by the noise of the sensors and by the hand. What their mean differs by from the prediction is
+therefore partly noise, and a correction that takes noise for a difference makes the device worse while the same taps
+say that it became better. So a node is corrected only in what cannot be noise, and a correction is kept only if later
+taps show its gain beyond their scatter.
+
+Everything is done in the orthonormal cosines (DCT-II) of the window that is measured, up to 1 kHz. In them a sum of
+squares over time is a sum of squares over coefficients, noise that is stationary scatters in each nearly
+independently, and a band of frequencies is a stretch of coefficients.
+
+In a band of m coefficients, with the scatter S (variance of one coefficient from tap to tap) and the mean u of n
+taps,
+
+    f = n |u|^2 / (m S)
+
+is F-distributed if there is nothing but noise, with m and m nu degrees of freedom, nu of the scatter (Hotelling's
+test under a covariance that is the same in every direction of the band). Where the coefficients of a band scatter
+together, as those of a hand do, m is replaced by (tr C)^2 / tr(C^2) of their covariance C (Satterthwaite 1946; Box
+1954), which makes the test stricter. S is the larger of what the node's own taps and all taps together say. A band
+whose f is beyond chance is corrected by the part 1 - 1/f of u that is signal in the mean square (Wiener 1949); no
+other is.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy import fft, stats
+
+from controller.refine.heard import fade_of
+from transopt.base.signals import FloatArray
+
+BANDS_HZ = (0.0, 50.0, 100.0, 200.0, 300.0, 400.0, 550.0, 700.0, 1000.0)
+CHANGED = 0.01  # of the squares of the change of a prediction: a band with less was not changed
+LEVEL = 0.01  # chance that anything in a round is taken for a difference and is none; at one node, for a gain
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of a library's time grid that is measured, and its cosines.
+
+    Attributes
+    ----------
+    fade : (N,) 1 where everything is measured, falling to 0.
+    dt_s : of the grid.
+    """
+
+    fade: FloatArray
+    dt_s: float
+
+    @classmethod
+    def over(cls, times_s: FloatArray) -> "Window":
+        """Of the times (N,) from contact."""
+        return cls(fade_of(times_s), float(times_s[1] - times_s[0]))
+
+    @property
+    def samples(self) -> int:
+        """That are measured at all."""
+        return int(np.count_nonzero(self.fade > 0))
+
+    @cached_property
+    def bands(self) -> list[slice]:
+        """The coefficients of each band."""
+        each_Hz = 1 / (2 * self.samples * self.dt_s)
+        edges = np.minimum(np.ceil(np.array(BANDS_HZ) / each_Hz).astype(int), self.samples)
+        return [slice(int(low), int(high)) for low, high in pairwise(edges) if high > low]
+
+    @property
+    def size(self) -> int:
+        """K, the number of coefficients."""
+        return int(self.bands[-1].stop)
+
+    def coefficients(self, values: FloatArray) -> FloatArray:
+        """(..., K) of values (..., N) that are 0 where the window has ended."""
+        found = fft.dct(values[..., : self.samples], type=2, norm="ortho")
+        return np.asarray(found[..., : self.size])
+
+    def values(self, coefficients: FloatArray) -> FloatArray:
+        """(..., N) from coefficients (..., K)."""
+        whole = np.zeros((*coefficients.shape[:-1], self.samples))
+        whole[..., : self.size] = coefficients
+        found = np.zeros((*coefficients.shape[:-1], self.fade.size))
+        found[..., : self.samples] = fft.idct(whole, type=2, norm="ortho")
+        return found
+
+
+@dataclass(frozen=True)
+class Tapped:
+    """What the taps of one round at a node said of the design that was played; coefficients in m/s^2.
+
+    Attributes
+    ----------
+    correction_m_s2 : (N,) that the design was solved with.
+    predicted : (K,) prediction less reference, p - r.
+    differences : (n, K) measured less predicted, w of each tap; n >= 2.
+    reference : sum of the squares of r over the window.
+    peak_current_A : largest that was measured; NaN where none was.
+    """
+
+    correction_m_s2: FloatArray
+    predicted: FloatArray
+    differences: FloatArray
+    reference: float
+    peak_current_A: float
+
+    @property
+    def taps(self) -> int:
+        return len(self.differences)
+
+    @property
+    def difference(self) -> FloatArray:
+        """(K,) mean of all taps."""
+        return np.asarray(self.differences.mean(axis=0))
+
+    @property
+    def error(self) -> FloatArray:
+        """(K,) mean tap less reference."""
+        return self.predicted + self.difference
+
+    @cached_property
+    def residuals(self) -> FloatArray:
+        """(n, K) each tap less their mean."""
+        return self.differences - self.difference
+
+    def squared_in(self, bands: Iterable[slice]) -> float:
+        """Squared error in some bands over the squares of r, without what the scatter of the taps adds to it."""
+        noise = (self.residuals**2).sum(axis=0) / (self.taps - 1) / self.taps
+        return sum(float((self.error**2 - noise)[band].sum()) for band in bands) / self.reference
+
+    @property
+    def nrmse(self) -> float:
+        """Against r, in all bands."""
+        return float(np.sqrt(max(self.squared_in([slice(None)]), 0.0)))
+
+    @property
+    def predicted_nrmse(self) -> float:
+        """Of the prediction against r, over the same window."""
+        return float(np.sqrt(self.predicted @ self.predicted / self.reference))
+
+
+@dataclass(frozen=True)
+class Gain:
+    """The difference of two squared errors over the squares of r, and its chances.
+
+    Attributes
+    ----------
+    value : what the later design has less. deviation : its standard deviation.
+    by_chance : chance of at least this gain if there is none; worse_by_chance : of at least this loss.
+    """
+
+    value: float
+    deviation: float
+    by_chance: float
+    worse_by_chance: float
+
+
+class Scatter:
+    """From tap to tap, band by band, of all taps of a refinement together.
+
+    Parameters
+    ----------
+    all_taps : the taps of each node and round.
+    """
+
+    def __init__(self, bands: Sequence[slice], all_taps: Iterable[Tapped]) -> None:
+        self._bands = bands
+        residuals = [tapped.residuals for tapped in all_taps]
+        self.degrees = sum(len(each) - 1 for each in residuals)
+        stacked = np.concatenate(residuals) if residuals else np.zeros((0, bands[-1].stop))
+        covariances = [stacked[:, band].T @ stacked[:, band] / max(self.degrees, 1) for band in bands]
+        self._variance = np.array([np.trace(C) / len(C) for C in covariances])
+        self._free = np.array([self._free_of(C) for C in covariances])
+
+    def _free_of(self, covariance: FloatArray) -> float:
+        """(tr C)^2 / tr(C^2) of the true covariance, of which this is an estimate; between 1 and m.
+
+        tr of the square of an estimate of nu degrees of freedom is too large by (tr C)^2 / nu (Bai and Saranadasa
+        1996).
+        """
+        m, nu, trace = len(covariance), self.degrees, float(np.trace(covariance))
+        if nu < 2 or trace == 0:
+            return 1.0
+        square = nu**2 / ((nu - 1) * (nu + 2)) * (float((covariance**2).sum()) - trace**2 / nu)
+        return float(np.clip(trace**2 / max(square, trace**2 / m), 1.0, m))
+
+    def _variance_of(self, tapped: Tapped) -> FloatArray:
+        """(bands,) of one coefficient from tap to tap."""
+        own = [float((tapped.residuals[:, band] ** 2).mean()) for band in self._bands]
+        return np.asarray(np.maximum(np.array(own) * tapped.taps / (tapped.taps - 1), self._variance))
+
+    def standing_out(self, wanted: FloatArray, tapped: Tapped, among: int) -> FloatArray:
+        """(K,) the part of each coefficient of a mean (K,) that is no noise; 0 in bands where all may be.
+
+        Parameters
+        ----------
+        wanted : with the scatter of the mean of these taps.
+        among : how many nodes are asked this; the chance that any band of any of them is taken for more than noise
+            and is not is at most `LEVEL`.
+        """
+        part = np.zeros(wanted.size)
+        tiny = np.finfo(float).tiny
+        for band, variance, free in zip(self._bands, self._variance_of(tapped), self._free, strict=True):
+            f = tapped.taps * float((wanted[band] ** 2).mean()) / max(variance, tiny)
+            chance = stats.f.sf(f, free, free * max(self.degrees, 1))
+            if chance < LEVEL / (among * len(self._bands)):
+                part[band] = 1 - 1 / f
+        return part
+
+    def gain(self, before: Tapped, after: Tapped, *, where_changed: bool = False) -> Gain:
+        """How much better one design is than another, from the taps of both.
+
+        Parameters
+        ----------
+        where_changed : looks only at the bands in which the prediction changed. Errors elsewhere, which are the same
+            in both, scatter as well and hide a gain.
+
+        The squared error of the mean of n taps has the variance 4 e'C e / n + 2 tr(C^2) / (n (n - 1)), with C between
+        equal in all directions and all in the direction of e.
+        """
+        changed = np.array([float(((before.predicted - after.predicted)[band] ** 2).sum()) for band in self._bands])
+        used = changed >= (CHANGED * changed.sum() if where_changed else 0.0)
+        bands = [band for band, is_used in zip(self._bands, used, strict=True) if is_used]
+        variance = sum(float(self._variances_of_squared(tapped)[used].sum()) for tapped in (before, after))
+        value = before.squared_in(bands) - after.squared_in(bands)
+        deviation = float(np.sqrt(variance))
+        t = value / max(deviation, float(np.finfo(float).tiny))
+        degrees = max(self.degrees, 1)
+        return Gain(value, deviation, float(stats.t.sf(t, degrees)), float(stats.t.cdf(t, degrees)))
+
+    def deviation(self, tapped: Tapped) -> float:
+        """Standard deviation of `Tapped.nrmse`."""
+        more = float(np.sqrt(self._variances_of_squared(tapped).sum()))
+        return float(np.sqrt(tapped.nrmse**2 + more)) - tapped.nrmse
+
+    def _variances_of_squared(self, tapped: Tapped) -> FloatArray:
+        """(bands,) of the squared error in each."""
+        n, found = tapped.taps, []
+        for band, variance, free in zip(self._bands, self._variance_of(tapped), self._free, strict=True):
+            m = band.stop - band.start
+            along = m / free * variance * float((tapped.error[band] ** 2).sum())
+            found.append(4 / n * along + 2 / (n * (n - 1)) * (m * variance) ** 2 / free)
+        return np.array(found) / tapped.reference**2
