@@ -241,7 +241,7 @@ class _Fit:
 
 def _fit(trials: Sequence[Trial], shape: Shape = sampled, most_Hz: float = np.inf) -> _Fit:
     """The fit to the coherent bins up to `most_Hz`."""
-    data = condense_trials(trials)
+    data = condense_trials(trials).moved()
     estimate = transfer(data)
     good = (estimate.coherence >= COHERENT) & (estimate.frequencies_Hz <= most_Hz)
     if np.count_nonzero(good) < LEAST_BINS:

@@ -80,6 +80,11 @@ class Condensed:
         root = np.conj(np.swapaxes(np.linalg.cholesky(self.whole), 1, 2)) * self.used[:, :, None]
         return np.asarray(root * (self.known * np.sqrt(2 / self.noise))[:, :, None, None])
 
+    def moved(self) -> "Condensed":
+        """Without the bins at either end where the transients leave next to nothing of the input."""
+        left = self.normal.sum(axis=(0, 2, 3)).real / self.surplus
+        return self.some(excited(self.middles_Hz * left))
+
     def some(self, bins: slice = slice(None), outputs: slice = slice(None)) -> "Condensed":
         """Some of the bins and of the outputs."""
         return Condensed(

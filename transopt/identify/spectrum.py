@@ -8,7 +8,7 @@ from scipy import special
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray, Signal
-from transopt.identify.condensed import Condensed, around, condense, excited, pooled
+from transopt.identify.condensed import Condensed, around, condense, pooled
 
 OCTAVES_OF_SPREAD = 0.5  # to either side: over which the scatter between trials is averaged
 SCATTERED = 1.5  # variance between trials over that within them, above which the trials' number counts
@@ -169,9 +169,7 @@ def transfer(data: Condensed, output: int = 0, over: int | None = None) -> Trans
     over : the output that it is a response to; None is the input.
     """
     if over is not None:
-        # By what of the input is no transient: where that is gone, a ratio of outputs is one of their noise.
-        moved = data.normal.sum(axis=(0, 2, 3)).real
-        data = data.some(excited(data.middles_Hz * moved / data.surplus))
+        data = data.moved()  # elsewhere a ratio of outputs is one of their noise
     values, middle = data.values(), data.middle
     together = np.einsum("bi,obi->ob", middle, values)
     # The level of a trial, at the shape that the response has in all trials: what fits the lines of this one best.

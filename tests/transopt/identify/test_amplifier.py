@@ -199,6 +199,18 @@ def test_an_amplifier_that_is_no_single_pole_is_told() -> None:
     assert fit.verdict().startswith("not fit to design with: ")
 
 
+@pytest.mark.parametrize("pole_Hz", [450.0, 1050.0])
+def test_where_a_sweep_ends_a_sound_amplifier_is_not_called_anything_else(pole_Hz: float) -> None:
+    for seed in range(4):
+        trials = [
+            amplifier_trial(
+                10 * seed + j, offset_A=1.0, sign=(-1) ** j, crossover_A=0.0, pole_Hz=pole_Hz, seconds=0.4
+            )
+            for j in range(2)
+        ]
+        assert fit_amplifier(trials).misfit_dB < 0.5
+
+
 def test_a_gain_off_one_is_told() -> None:
     trial = amplifier_trial(1)
     fit = fit_amplifier([Trial("half", trial.input, trial.output.scaled(0.5))])
