@@ -366,7 +366,7 @@ def shortfalls(mismatch: float, stages: Sequence[Stage], library: Library, unsta
             found.append(f"{at}: up to {SLOW_M_S:g} m/s identified {own:.3%}, known truth {known:.3%}")
     before = nominal if model is None else model
     last = named["refined, kept"]
-    if last is not before and not last.mean < before.mean:
+    if last is not before and last.mean > before.mean:
         found.append(f"{at}: {last.name} {last.mean:.2%}, {before.name} {before.mean:.2%}")
     return found
 

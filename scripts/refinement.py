@@ -261,7 +261,7 @@ def solved(scene: str) -> Library:
 
 
 def outcome_of(library: Library, case: str, seed: int, taps: int, rounds: int) -> Outcome:
-    """Refine on a fresh device, and ask the simulator what became of it."""
+    """Refine on the device of a case and a seed, and ask the simulator what became of it."""
     device, nodes = device_of_case(library, case, seed), nodes_of(library)
     refined = device.refined(library, taps, rounds)
     before = true_errors(library, device, nodes)
