@@ -24,7 +24,7 @@ MAGNITUDE_G_A = 1e-3  # below, a response is all noise
 SHOWN_DEG = 60.0  # a wider phase interval than this is drawn as no interval at all
 SHOWN_S, BEFORE = 40e-3, 0.25  # of a motion that was kept out, and which part of it before its peak
 OFF_PERCENT = 0.01, 100.0
-ROW_IN, LEAST_IN = 1.35, 5.4
+ROW_IN, LEAST_IN, HEAD_IN, FOOT_IN = 1.35, 5.4, 0.6, 0.5
 
 
 def device_figure(result: DeviceResult) -> Figure:
@@ -33,16 +33,19 @@ def device_figure(result: DeviceResult) -> Figure:
     The accelerometer's pole is in measurement and model, so that both are the same quantity.
     """
     grips = result.grips
-    figure = Figure(figsize=(12.0, max(LEAST_IN, ROW_IN * len(grips) + 1.3)), layout="constrained")
-    places = figure.add_gridspec(2 * len(grips), 3, width_ratios=[1.25, 1.0, 1.0])
-    above = figure.add_subplot(places[: len(grips), 0])
-    below = figure.add_subplot(places[len(grips) :, 0], sharex=above)
+    high_in = max(LEAST_IN, ROW_IN * len(grips) + HEAD_IN + FOOT_IN)
+    figure = Figure(figsize=(12.0, high_in))
+    # Stated, since to find room for all labels takes longer than to draw them.
+    ends = {"top": 1 - HEAD_IN / high_in, "bottom": FOOT_IN / high_in}
+    left = figure.add_gridspec(2, 1, left=0.062, right=0.38, hspace=0.08, **ends)
+    right = figure.add_gridspec(len(grips), 2, left=0.43, right=0.988, wspace=0.13, hspace=0.14, **ends)
+    above = figure.add_subplot(left[0])
+    below = figure.add_subplot(left[1], sharex=above)
     first: tuple[Axes, Axes] | None = None
     for j, (grip, colour) in enumerate(zip(grips, colours(len(grips)), strict=True)):
         _response(above, below, result.chosen, grip, tuple(colour))
-        rows = slice(2 * j, 2 * j + 2)
-        off = figure.add_subplot(places[rows, 1], sharex=above)
-        motion = figure.add_subplot(places[rows, 2], sharex=None if first is None else first[1])
+        off = figure.add_subplot(right[j, 0], sharex=above)
+        motion = figure.add_subplot(right[j, 1], sharex=None if first is None else first[1])
         first = first or (off, motion)
         _error(off, result.chosen, grip, tuple(colour))
         _motion(motion, result.chosen.transients.get(grip.grip_N, []))
@@ -58,7 +61,7 @@ def device_figure(result: DeviceResult) -> Figure:
     for axes in (below, off):
         axes.set_xlabel("frequency [Hz]", fontsize=LABEL_PT)
     motion.set_xlabel("time about the peak [ms]", fontsize=LABEL_PT)
-    figure.legend(handles=_handles(result), loc="outside upper center", ncols=5, fontsize=SMALL_PT, frameon=False)
+    figure.legend(handles=_handles(result), loc="upper center", ncols=5, fontsize=SMALL_PT, frameon=False)
     return figure
 
 
