@@ -166,8 +166,8 @@ def excitation(settings: Settings, command_A: FloatArray, hello: HelloReply) -> 
     ):
         if peak > limit * (1 + 1e-9):
             raise InputError(
-                f"sweep: the {what} reaches {peak:.3g} A, the limit is {limit:g} A: lower --amplitude or --offset, "
-                "or take other limits (on a port --library, simulated --true-device)"
+                f"sweep: the {what} reaches {peak:.3g} A, the limit is {limit:g} A: lower --amplitude, --offset "
+                "or --tap-current, or take other limits (on a port --library, simulated --true-device)"
             )
     size = norms(current, s.amplifier, s.dt_s)
     if s.coil is not None:

@@ -95,7 +95,11 @@ def verdict(fit: "CoilFit", nominal: "CoilModel", continuous_A: float) -> str:
     short = fit.shortfalls()
     if short:
         return f"not to be relied upon: {'; '.join(short)}"
-    ripple = "" if fit.record.ripple_A == RIPPLE_A else f"; fitted with {fit.record.ripple_A:g} A of ripple"
+    ripple = (
+        ""
+        if fit.record.ripple_A == RIPPLE_A
+        else f"; fitted with {fit.record.ripple_A:g} A of ripple, a design counts {RIPPLE_A:g} A"
+    )
     return (
         f"supports temperature limits of bursts and of repeated taps; {continuous_A:.3f} A for ever hold the winding "
         f"at its {nominal.limit_C:g} C in {nominal.ambient_C:g} C{ripple}"

@@ -137,7 +137,8 @@ def test_what_the_device_cannot_hold_or_the_limits_forbid(
     for options, words in (
         (("--seconds", 3), "the device holds 20000: --seconds 2 would fit"),
         (("--amplitude", 2), "the current reaches 2 A, the limit is 1.25 A"),
-        (("--amplitude", 1, "--offset", -0.5), "lower --amplitude or --offset"),
+        (("--amplitude", 1, "--offset", -0.5), "lower --amplitude, --offset or --tap-current"),
+        (("--tap-current", 3), "the current reaches"),
         (("--high", 6000), "below half the servo's rate, 5000 Hz"),
         (("--low", 1), "one period of 1 Hz takes 1 s"),
         (("--grips", 0.2), "--grips 0.2: must be 0.5 to 50 N, or 0 to let go"),

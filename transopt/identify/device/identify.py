@@ -60,6 +60,7 @@ MISFIT, MISFIT_RELATIVE = 3.0, 0.06  # mean square residual, and mean error (0.5
 SMOOTHED_BINS = 9
 NOT_LINEAR_DB = 1.0  # between the hand of one grip and the functions of all, from where the user is warned
 READ_LATE = 0.02  # samples, from which on it is said
+RINGS, MOST_HZ = 0.3, 2000.0  # damping ratio of a resonance, and the highest that is named
 DISTORTED = 0.01  # of the answer, from which on distortion is said
 CLOCKS_ALIKE, CLOCKS_APART = 1e-3, 0.05  # relative: closer is one clock, farther another rate
 SIGMAS = 1.959964  # 95 %
@@ -247,6 +248,8 @@ def identify(
     error, used = _at_use(chosen, transients, [grip.grip_N for grip in grips])
     causes, found = _causes(chosen, chain, grips, used, error, repeated)
     found += noise_findings(grips)
+    if chain is not None and box is not None and chosen.kind is Kind.STATE_SPACE:
+        found.append(_beyond_a_chain(box))
     found += [said for run in repeated if (said := _distorted(run)) is not None]
     advice = _advice(grips, chosen, settings.played_N)
     if chain is not None and chosen.kind is Kind.DRIVE:
@@ -469,6 +472,19 @@ def lack_of_fit(response: GripResponse, model: Model, instrument: Instrument) ->
     relative = np.abs(np.convolve(error / e.response, window, "same")) / count
     inside = (e.frequencies_Hz >= BAND_HZ[0]) & (e.frequencies_Hz <= BAND_HZ[1])
     return runs_of(e.frequencies_Hz, (surprise > MISFIT) & (relative > MISFIT_RELATIVE) & inside)
+
+
+def _beyond_a_chain(box: BlackBox) -> Finding:
+    """What a black box has that no chain of drive and hand makes: its resonances at the middle grip, for the user."""
+    poles = np.linalg.eigvals(box.plants[len(box.plants) // 2].A)
+    rings = (poles.imag > 0) & (-poles.real < RINGS * np.abs(poles))
+    named_Hz = sorted(np.abs(poles[rings]) / (2 * np.pi))
+    at = ", ".join(f"{value:.3g} Hz" for value in named_Hz if BAND_HZ[0] <= value <= MOST_HZ)
+    text = (
+        f"no chain of drive and hand makes what is recorded; resonances of the state space: {at or 'none'}; "
+        "a part that swings by itself, or a hand that goes its own way with the grip: tighten what is loose"
+    )
+    return Finding(Fault.BESIDE, "further dynamics", text, False)
 
 
 def _band(low_Hz: float, high_Hz: float) -> str:

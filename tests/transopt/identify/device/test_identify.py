@@ -1,6 +1,7 @@
 """From records to the device part of a model file: against a known truth, on records of two different simulations."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -111,6 +112,11 @@ def test_a_device_that_is_no_chain_is_given_to_the_black_box() -> None:
     )
     assert result.chosen.kind is Kind.STATE_SPACE
     assert result.chosen.off < 0.3 * result.other.off
+    [named] = [finding.text for finding in result.findings if finding.where == "further dynamics"]
+    [rings] = re.findall(r"resonances of the state space: ([^;]*);", named)
+    poles = np.linalg.eigvals(four_masses().A)
+    true_Hz = sorted(np.abs(poles[(poles.imag > 0) & (-poles.real < 0.3 * np.abs(poles))]) / (2 * np.pi))
+    assert [float(one.split()[0]) for one in rings.split(", ")] == pytest.approx(true_Hz, rel=0.02)
     part = device_part(result)
     assert part.kind == "state_space"
     assert_near(part.plant(3.0), four_masses())
