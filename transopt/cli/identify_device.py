@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from transopt.identify.device.chain import DriveChain
-    from transopt.identify.device.identify import DeviceResult, Settings
+    from transopt.identify.device.identify import Settings
+    from transopt.identify.device.result import DeviceResult
     from transopt.identify.device.verdict import Taps
     from transopt.scene.model_parts import DevicePart
     from transopt.scene.scene import Scene
@@ -54,7 +55,8 @@ def identify_device(
     Exit 1: what was found is not fit to design with.
     """
     from transopt.base.plotting import save_figure
-    from transopt.identify.device.identify import Kind, device_part, identify
+    from transopt.identify.device.identify import identify
+    from transopt.identify.device.result import Kind, device_part
     from transopt.identify.figures.device import device_figure
     from transopt.identify.measurement import load_measurements
     from transopt.scene.model_file import save_part
@@ -129,7 +131,8 @@ def _settings(
     ------
     InputError : options that exclude each other, a value out of range, a scene or a model file that cannot be read.
     """
-    from transopt.identify.device.identify import Kind, Settings
+    from transopt.identify.device.identify import Settings
+    from transopt.identify.device.result import Kind
     from transopt.plant.amplifier import Amplifier
     from transopt.scene import builtin
     from transopt.scene.model_file import load_model
@@ -198,8 +201,9 @@ def _show(console: "Console", result: "DeviceResult") -> None:
     """Tables and the verdict."""
     from rich.table import Column, Table
 
+    from transopt.identify.device.advice import intervals
     from transopt.identify.device.chain import unit_of
-    from transopt.identify.device.identify import Kind, intervals
+    from transopt.identify.device.result import Kind
     from transopt.identify.device.validation import called
 
     if result.chosen.kind is Kind.DRIVE and result.chain is not None:

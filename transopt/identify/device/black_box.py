@@ -17,7 +17,7 @@ from scipy import optimize
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.chain_search import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
 from transopt.plant.state_space import StateSpace
 

@@ -15,21 +15,24 @@ from numpy.typing import NDArray
 
 from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
-from transopt.identify.condensed import Condensed
-from transopt.identify.device.chain import HAND, SHARED, Coordinates, DriveChain, log_slopes
+from transopt.identify.device.chain import SHARED, Coordinates, DriveChain
+from transopt.identify.device.chain_search import (
+    ChainModel,
+    ChainSearch,
+    GripResponse,
+    instrument_at,
+    unknowns_of,
+)
 from transopt.identify.device.response import (
     ACCELERATION,
     CURRENT,
     INSTRUMENT,
     POSITION,
     Instrument,
-    responses,
     sampled_response,
 )
-from transopt.identify.likelihood import Likelihood, Maximum
-from transopt.identify.spectrum import TransferEstimate
+from transopt.identify.likelihood import Maximum
 
-RANGE = 1e3  # every parameter of the chain stays within this factor of its start
 RANDOM_STARTS = 6
 SPREAD = 3.0  # random starts lie within this factor of the nominal device scaled to the data
 LOOSE = 0.1  # relative error allowed in the first stage, so that one sharp peak does not rule the search
@@ -43,31 +46,6 @@ WHOLLY = 1.3  # mean square of the residuals up to which a fit leaves nothing un
 BETTER = 4.0  # times smaller a misfit that nuisances leave behind, where they do not explain all of it
 SUSPECTED_HZ = 3000.0  # where the search for a pole begins that no file states
 NUISANCES = ("accelerometer_pole", "late", "gain")
-
-
-@dataclass(frozen=True)
-class GripResponse:
-    """What was measured at one grip, 0 for the free device.
-
-    Attributes
-    ----------
-    grip_N : of the trials, their mean.
-    estimate : acceleration over current, by itself.
-    data : what all lines say, from command to current, acceleration and position, or from current to the latter.
-    outputs : which rows of `responses` the outputs of `data` are.
-    commanded : whether the input of `data` is the command.
-    """
-
-    grip_N: float
-    estimate: TransferEstimate
-    data: Condensed
-    outputs: tuple[int, ...]
-    commanded: bool
-
-    @property
-    def deviation(self) -> FloatArray:
-        """(m,) standard deviation of real and imaginary part of `estimate`, above 0."""
-        return np.asarray(np.maximum(self.estimate.deviation, np.finfo(float).tiny))
 
 
 @dataclass(frozen=True)
@@ -156,116 +134,6 @@ class ChainFit:
         return names, values, matrix @ self.covariance @ matrix.T
 
 
-class _Model:
-    """Responses of all grips and their slopes by theta: the chain's unknowns, then those of `INSTRUMENT`.
-
-    A group is a grip, its outputs and whether the command goes in (see `GripResponse`).
-    """
-
-    def __init__(
-        self,
-        groups: Sequence[tuple[float, tuple[int, ...], bool]],
-        coordinates: Coordinates,
-        instrument: Instrument,
-        force_per_current_N_A: float,
-        free: NDArray[np.bool_],
-    ) -> None:
-        self._groups, self._coordinates = groups, coordinates
-        self._instrument, self._force = instrument, force_per_current_N_A
-        self._moved = tuple(name for name, moves in zip(INSTRUMENT, free[coordinates.size :], strict=True) if moves)
-
-    def __call__(self, theta: FloatArray, j: int, frequencies_Hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        (grip_N, outputs, commanded), coordinates, n, h = self._groups[j], self._coordinates, len(SHARED), len(HAND)
-        device = coordinates.device(theta[: coordinates.size], self._force)
-        instrument = _instrument(theta[coordinates.size :], self._instrument)
-        parameters = device.parameters(grip_N)
-        plant, by_log = log_slopes(parameters, self._force)
-        position = max(outputs) > ACCELERATION
-        value, moved = responses(plant, instrument, frequencies_Hz, by_log, position=position, moved=self._moved)
-        slope = np.zeros((theta.size, *value.shape), dtype=complex)
-        slope[:n] = moved[:n]
-        if grip_N > 0:
-            for end, (end_N, share) in enumerate(zip(coordinates.ends_N, coordinates.shares(grip_N), strict=True)):
-                part = share * device.hand_at(end_N) / parameters[n:]
-                slope[n + end * h : n + (end + 1) * h] = part[:, None, None] * moved[n : n + h]
-        for name, by in zip(self._moved, moved[parameters.size :], strict=True):
-            slope[coordinates.size + INSTRUMENT.index(name)] = (
-                instrument.dt_s * by if name == "amplifier_delay" else by
-            )
-        if not commanded:
-            slope = (slope - value / value[CURRENT] * slope[:, CURRENT, None]) / value[CURRENT]
-            value = value / value[CURRENT]
-        wanted = list(outputs)
-        return value[wanted], slope[:, wanted]
-
-
-def _instrument(values: FloatArray, known: Instrument) -> Instrument:
-    """The instrument of (6,) unknowns; parts that it does not have stay absent."""
-    pole, ticks, gain, sensor, late, factor = values.tolist()
-    amplifier = known.amplifier
-    if amplifier is not None:
-        amplifier = replace(amplifier, pole_Hz=float(np.exp(pole)), delay_s=max(ticks, 0.0) * known.dt_s)
-    return replace(
-        known,
-        amplifier=amplifier,
-        accelerometer_Hz=None if known.accelerometer_Hz is None else float(np.exp(sensor)),
-        gain=float(np.exp(factor)),
-        late=late,
-        amplifier_gain=float(np.exp(gain)),
-    )
-
-
-def _values(instrument: Instrument) -> FloatArray:
-    """(6,) unknowns of an instrument."""
-    amplifier, sensor = instrument.amplifier, instrument.accelerometer_Hz
-    return np.array(
-        [
-            0.0 if amplifier is None else np.log(amplifier.pole_Hz),
-            0.0 if amplifier is None else amplifier.delay_s / instrument.dt_s,
-            np.log(instrument.amplifier_gain),
-            0.0 if sensor is None else np.log(sensor),
-            instrument.late,
-            np.log(instrument.gain),
-        ]
-    )
-
-
-class _Search:
-    """One likelihood, where to begin, and how far each unknown may go."""
-
-    def __init__(
-        self,
-        measured: Sequence[GripResponse],
-        coordinates: Coordinates,
-        instrument: Instrument,
-        force_per_current_N_A: float,
-        free: NDArray[np.bool_],
-        *,
-        loose: float = 0.0,
-        step: int = 1,
-    ) -> None:
-        groups = [(one.grip_N, one.outputs, one.commanded) for one in measured]
-        model = _Model(groups, coordinates, instrument, force_per_current_N_A, free)
-        self.likelihood = Likelihood([one.data for one in measured], model, loose=loose, step=step)
-        self._coordinates, self._free, self._rate = coordinates, free, 1 / instrument.dt_s
-
-    def bounds(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p,) lowest and highest."""
-        size, rate = self._coordinates.size, self._rate
-        low, high = start - np.log(RANGE), start + np.log(RANGE)
-        low[size:] = [np.log(1e-3 * rate), 0.0, -np.log(20.0), np.log(0.01 * rate), -20.0, -np.log(20.0)]
-        high[size:] = [np.log(2 * rate), 20.0, np.log(20.0), np.log(2 * rate), 20.0, np.log(20.0)]
-        return low, high
-
-    def coarse(self, start: FloatArray) -> tuple[FloatArray, float]:
-        """Where a start leads to, and its sum of squares."""
-        return self.likelihood.search(start, *self.bounds(start), self._free, 60)
-
-    def maximum(self, start: FloatArray) -> Maximum:
-        """The best unknowns near a start."""
-        return self.likelihood.maximum(start, *self.bounds(start), self._free)
-
-
 def scaled_to(device: DriveChain, measured: Sequence[GripResponse], instrument: Instrument) -> DriveChain:
     """A device like this one, as heavy and as fast as the measured one.
 
@@ -316,9 +184,9 @@ def _with_amplifier(
         replace(one, data=replace(one.data, known=one.data.known & np.isin(one.outputs, rows)[:, None]))
         for one in measured
     ]
-    search = _Search(currents, coordinates, instrument, nominal.force_per_current_N_A, moving)
-    found = search.maximum(np.concatenate([coordinates.of(nominal), _values(instrument)]))
-    return _instrument(found.unknowns[coordinates.size :], instrument)
+    search = ChainSearch(currents, coordinates, instrument, nominal.force_per_current_N_A, moving)
+    found = search.maximum(np.concatenate([coordinates.of(nominal), unknowns_of(instrument)]))
+    return instrument_at(found.unknowns[coordinates.size :], instrument)
 
 
 def fit_chain(
@@ -359,14 +227,14 @@ def fit_chain(
     sought = replace(instrument, accelerometer_Hz=stated or SUSPECTED_HZ)
     free = _free(measured, coordinates, sought)
     sought = _with_amplifier(measured, coordinates, sought, nominal, free)
-    tail = _values(sought)
+    tail = unknowns_of(sought)
     chain_alone = np.arange(free.size) < coordinates.size
     # Nuisances could make up for a chain that is far off, and a chain for nuisances: both orders are tried.
     first, second = (
-        _Search(measured, coordinates, sought, force, moving, loose=LOOSE, step=DECIMATION)
+        ChainSearch(measured, coordinates, sought, force, moving, loose=LOOSE, step=DECIMATION)
         for moving in (chain_alone, chain_alone | free & _nuisances(coordinates))
     )
-    exact = _Search(measured, coordinates, sought, force, free)
+    exact = ChainSearch(measured, coordinates, sought, force, free)
     near = coordinates.of(scaled_to(nominal, measured, sought))
     random = np.random.default_rng(seed)
     starts = [near, coordinates.of(nominal)]
@@ -392,13 +260,13 @@ def fit_chain(
         known = (
             replace(sought, accelerometer_Hz=None) if stated is None and "accelerometer_pole" not in names else sought
         )
-        start, moving, values = best.unknowns.copy(), free.copy(), _values(known)
+        start, moving, values = best.unknowns.copy(), free.copy(), unknowns_of(known)
         for j, name in enumerate(INSTRUMENT):
             if name in NUISANCES:
                 moving[coordinates.size + j] = name in names
                 if name not in names:
                     start[coordinates.size + j] = values[j]
-        return _Search(measured, coordinates, known, force, moving).maximum(start), known
+        return ChainSearch(measured, coordinates, known, force, moving).maximum(start), known
 
     final, known = with_nuisances(kept)
     if kept and final.scatter > WHOLLY:
@@ -427,7 +295,7 @@ def _weighed(measured: Sequence[GripResponse], found: Maximum) -> list[GripRespo
 
 def _contradicted(found: Maximum, coordinates: Coordinates, stated: Instrument) -> tuple[str, ...]:
     """Nuisances whose nominal values the records exclude, by backward elimination on the normal distribution."""
-    nominal = _values(stated)
+    nominal = unknowns_of(stated)
     left = [INSTRUMENT.index(name) for name in NUISANCES if found.free[coordinates.size + INSTRUMENT.index(name)]]
     off = found.unknowns[coordinates.size :] - nominal
     spread = found.covariance[coordinates.size :, coordinates.size :].copy()
@@ -452,8 +320,8 @@ def refit(fit: ChainFit, measured: Sequence[GripResponse]) -> ChainFit:
     coordinates = Coordinates(tuple(sorted(one.grip_N for one in measured if one.grip_N > 0)))
     force = fit.device.force_per_current_N_A
     free = np.concatenate([np.ones(coordinates.size, dtype=bool), fit.maximum.free[fit.coordinates.size :]])
-    start = np.concatenate([coordinates.of(fit.device), _values(fit.instrument)])
-    found = _Search(measured, coordinates, fit.instrument, force, free).maximum(start)
+    start = np.concatenate([coordinates.of(fit.device), unknowns_of(fit.instrument)])
+    found = ChainSearch(measured, coordinates, fit.instrument, force, free).maximum(start)
     kept = tuple(nuisance.name for nuisance in fit.nuisances)
     return _result(found, coordinates, fit.instrument, force, measured, kept, 1, 1)
 
@@ -462,7 +330,7 @@ def response_slopes(fit: ChainFit, grip_N: float, frequencies_Hz: FloatArray) ->
     """(size, m) derivatives of the chain's acceleration over current by its unknowns."""
     free = np.arange(fit.maximum.unknowns.size) < fit.coordinates.size
     force = fit.device.force_per_current_N_A
-    model = _Model([(grip_N, (ACCELERATION,), False)], fit.coordinates, fit.instrument, force, free)
+    model = ChainModel([(grip_N, (ACCELERATION,), False)], fit.coordinates, fit.instrument, force, free)
     return model(fit.maximum.unknowns, 0, frequencies_Hz)[1][: fit.coordinates.size, 0]
 
 
@@ -498,7 +366,7 @@ def _result(
         nuisances.append(Nuisance(name, value, deviation))
     return ChainFit(
         device=coordinates.device(found.unknowns[:size], force_per_current_N_A),
-        instrument=_instrument(found.unknowns[size:], known),
+        instrument=instrument_at(found.unknowns[size:], known),
         nuisances=tuple(nuisances),
         coordinates=coordinates,
         maximum=found,
@@ -534,10 +402,10 @@ def fit_per_grip(fit: ChainFit, measured: Sequence[GripResponse], *, least_coher
         if one.grip_N == 0:
             continue
         coordinates = Coordinates((one.grip_N,))
-        start = np.concatenate([coordinates.of(fit.device), _values(fit.instrument)])
+        start = np.concatenate([coordinates.of(fit.device), unknowns_of(fit.instrument)])
         order = np.arange(start.size)
         hand_only = (order >= len(SHARED)) & (order < coordinates.size)
-        search = _Search([one], coordinates, fit.instrument, force, hand_only)
+        search = ChainSearch([one], coordinates, fit.instrument, force, hand_only)
         own = search.maximum(start)
         frequencies = one.estimate.frequencies_Hz
         by_own, by_all = (

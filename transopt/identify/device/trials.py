@@ -28,7 +28,7 @@ from transopt.identify.checks import (
     runs_of,
 )
 from transopt.identify.condensed import Condensed, condense
-from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.chain_search import GripResponse
 from transopt.identify.device.response import (
     ACCELERATION,
     CURRENT,

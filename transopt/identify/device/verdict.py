@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 from transopt.base.signals import FloatArray
-from transopt.identify.device.chain_fit import GripResponse
+from transopt.identify.device.chain_search import GripResponse
 from transopt.identify.device.response import Instrument, sampled_response
 from transopt.identify.device.validation import Model, called
 from transopt.scene.model_error import ModelError, Predicted

@@ -13,8 +13,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullLo
 
 from transopt.base.plotting import DARK, LABEL_PT, SEED, SMALL_PT, colours, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
-from transopt.identify.device.identify import Candidate, DeviceResult
 from transopt.identify.device.response import sampled_response
+from transopt.identify.device.result import Candidate, DeviceResult
 from transopt.identify.device.trials import Grip
 from transopt.identify.device.validation import Transient, called
 

@@ -9,7 +9,8 @@ import pytest
 from tests.benches.identification import AMPLIFIER, DEFAULT, Rig, mismatched
 from transopt.base.signals import Signal
 from transopt.identify.device.chain_fit import ChainFit, fit_chain
-from transopt.identify.device.identify import Kind, Settings, identify
+from transopt.identify.device.identify import Settings, identify
+from transopt.identify.device.result import Kind
 from transopt.identify.device.trials import sort_trials
 from transopt.identify.measurement import Measurement
 
