@@ -109,9 +109,9 @@ def played(
     found = []
     for iv, ig in np.ndindex(library.nrmse.shape):
         speed, grip, target = float(library.speeds_m_s[iv]), float(library.grips_N[ig]), wanted[iv]
-        model = library.stage(ig).rollout(np.append(library.command_A[iv, ig], np.zeros(after_s.size)))[0]
+        model = library.stage(ig).rollout(np.append(library.command[iv, ig], np.zeros(after_s.size)))[0]
         predicted: FloatArray = model[grid.stages :]
-        kick = float(np.abs(np.diff(library.command_A[iv, ig], prepend=0.0))[late].max())
+        kick = float(np.abs(np.diff(library.command[iv, ig], prepend=0.0))[late].max())
         for number in range(devices):
             random = np.random.default_rng([seed, number])
             device = truth.mismatched(wrong, random) if number else truth

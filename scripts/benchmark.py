@@ -69,7 +69,7 @@ def measure(runs: int) -> tuple[list[Row], list[Iterations], float]:
     rows = [calibration()]
     saturated, free = entry(scene, 0.4, 5.0, 600), entry(scene, 0.2, 3.0, 600)
     reference = solve(saturated, SolverOptions("casadi-ipopt"))
-    proof = certify(saturated, reference.command_A, reference.multipliers)
+    proof = certify(saturated, reference.command, reference.multipliers)
     long = in_a_row(saturated, LONG)
     coil = scene.coil()
     assert coil is not None

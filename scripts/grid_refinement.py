@@ -51,8 +51,8 @@ def excess(scene: Scene, references: list[Reference], points: FloatArray, *libra
         stage = discretise(scene.plant(grip), scene.amplifier_model(), grid.dt_s)
         reference = between(references, speed)
         problem, objective = entry_problem(scene, stage, reference), scene.weights.objective
-        exactly = best(problem, SolverOptions(), objective=objective).solution.command_A
-        commands = np.stack([exactly, *(library.at(speed, grip).command_A for library in libraries)])
+        exactly = best(problem, SolverOptions(), objective=objective).solution.command
+        commands = np.stack([exactly, *(library.at(speed, grip).command for library in libraries)])
         wanted = [reference.target] * len(commands)
         exact, *blended = replayed_errors(stage, grid, commands, wanted)
         found.append([each - exact for each in blended])

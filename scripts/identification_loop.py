@@ -199,7 +199,7 @@ def known_optimum(node: Node, problem: TransientProblem) -> FloatArray:
     found = optimum(problem, SolverOptions())
     if not found.is_proven:
         raise InputError(f"optimum of the true device: {found.solution.status.value}")
-    return found.solution.command_A
+    return found.solution.command
 
 
 def identified(scene: Path, arguments: argparse.Namespace, mismatch: float, folder: Path) -> Path:
@@ -255,7 +255,7 @@ def run_one(scene: Path, arguments: argparse.Namespace, mismatch: float) -> list
     stages += rounds_of(refined, arguments.rounds)
     stages.append(play("refined, kept", refined))
     if not arguments.without_identification:
-        stages.append(without_servo(IDENTIFIED, model, device, lambda node, _: model.command_A[node]))
+        stages.append(without_servo(IDENTIFIED, model, device, lambda node, _: model.command[node]))
     return [*stages, without_servo(TRUTH, nominal, device, known_optimum)]
 
 

@@ -89,7 +89,7 @@ class Found:
 def start(statement: Statement, command_A: FloatArray) -> FloatArray:
     """The program's point of a command (N,): its movements, and the states they lead to."""
     stage, N = statement.stage, command_A.size
-    movement = np.diff(command_A / stage.current_A, prepend=0.0)
+    movement = np.diff(command_A / stage.input_scale, prepend=0.0)
     point = np.zeros((N, statement.shape.variables))
     state_now = np.zeros(stage.units.size)
     for k in range(N):
@@ -100,7 +100,7 @@ def start(statement: Statement, command_A: FloatArray) -> FloatArray:
 
 def random_command(problem: TransientProblem, own_A: FloatArray, rng: np.random.Generator) -> FloatArray:
     """(N,) within the current limit: noise of some bandwidth and strength, beside the answer, its mirror or alone."""
-    N, most = problem.grid.stages, problem.limits.current_A
+    N, most = problem.grid.stages, problem.limits.input_limit
     noise = rng.standard_normal(N)
     width = int(rng.integers(1, 40))
     smooth = np.convolve(noise, np.hanning(width + 2), mode="same")
@@ -113,7 +113,7 @@ def rival(designed: Designed, starts: int, rng: np.random.Generator) -> tuple[fl
     """The least J of any command that IPOPT finds with at least the energy of an entry, and from how many starts."""
     # Without what cannot bind: the temperature would make it an NLP of another kind for nothing.
     problem = leave_out(designed.problem.without_intensity()).problem
-    own_A = designed.solution.command_A
+    own_A = designed.solution.command
     wanted_dB = problem.tracking.energy_dB(problem.accelerations(own_A))
     statement = state(problem)
     program, stage, N = state_program(statement.shape), statement.stage, problem.grid.stages
@@ -178,9 +178,9 @@ def _found(
         made = problem.stage.rollout(command_A)[0]
         return problem.target.nrmse(made), levels(made, r, dt_s).pacinian_dB
 
-    nrmse, pacinian_dB = figures(designed.solution.command_A)
+    nrmse, pacinian_dB = figures(designed.solution.command)
     wave = intense(replace(problem, intensity=0.0, intensity_dB=-300.0), SolverOptions())
-    wave_nrmse, wave_pacinian_dB = figures(wave.solution.command_A)
+    wave_nrmse, wave_pacinian_dB = figures(wave.solution.command)
     least, met = rival(designed, starts, rng) if starts and attained.problems > 1 else (float("nan"), 0)
     return Found(
         current_A=current_A,

@@ -186,7 +186,7 @@ class OtherMake:
 
     def _motion(self, library: Library, node: Node, varying: float = 0.0) -> Motion:
         around = [np.zeros(round(span / TICK_S)) for span in (BEFORE_S, AFTER_S)]
-        command = np.concatenate([around[0], library.command_A[node], around[1]])
+        command = np.concatenate([around[0], library.command[node], around[1]])
         device = self._truth.at(float(library.grips_N[node[1]]))
         factors = 1 + varying * self._random.uniform(-1, 1, len(HAND))
         hand = {name: factor * getattr(device, name) for name, factor in zip(HAND, factors.tolist(), strict=True)}

@@ -98,7 +98,7 @@ def read(sentence: str) -> list[dict[str, float | None]]:
 def _stands(case: StressCase, values: Values | None) -> tuple[Status, list[str], Designed]:
     """How a case ends with other numbers, by the ordinary way."""
     designed = optimum(case.problem(values), SolverOptions())
-    command = designed.solution.command_A
+    command = designed.solution.command
     run = played(designed.problem, np.nan_to_num(command, nan=0.0, posinf=0.0, neginf=0.0))
     predicted, _ = designed.problem.stage.rollout(command)
     status, said = admit(designed.solution.status, designed.certificate, run, designed.problem, command, predicted)
@@ -130,7 +130,7 @@ def of_case(place: Place) -> list[Refusal]:
     if status is Status.OPTIMAL:
         return []
     start = time.perf_counter()
-    run = played(designed.problem, np.nan_to_num(designed.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0))
+    run = played(designed.problem, np.nan_to_num(designed.solution.command, nan=0.0, posinf=0.0, neginf=0.0))
     own = remedies(case, designed.problem, run, status, SolverOptions())
     sentence = what_would_do(own)
     found = Refusal(place.name, status.name, "; ".join([*said, sentence]), seconds=time.perf_counter() - start)

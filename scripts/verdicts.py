@@ -144,7 +144,7 @@ def _errors(effect: str, seed: int, library: Library) -> tuple[FloatArray, Float
     predicted, recorded = np.empty(shape), np.empty(shape)
     for ig, grip in enumerate(library.grips_N):
         for iv in range(library.speeds_m_s.size):
-            runs = played(effect, seed, float(grip), np.array(library.command_A[iv, ig]), delay)
+            runs = played(effect, seed, float(grip), np.array(library.command[iv, ig]), delay)
             for wanted, found in (
                 (library.acceleration_m_s2[iv, ig], predicted),
                 (library.reference_m_s2[iv], recorded),

@@ -60,7 +60,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 def is_stationary(problem: TransientProblem, answer: Solution) -> bool:
     """Whether an answer is certified, but for the global bound where the temperature binds."""
-    proof = certify(problem, answer.command_A, answer.multipliers)
+    proof = certify(problem, answer.command, answer.multipliers)
     return answer.status is Status.OPTIMAL and proof.is_stationary
 
 

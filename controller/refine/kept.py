@@ -107,7 +107,7 @@ def history_of(library: Library) -> tuple[History, list[Node]]:
     InputError : it does not stand there as it was written.
     """
     said = library.meta["refinement"]["learning"]
-    size = library.command_A.shape[2]
+    size = library.command.shape[2]
     try:
         rounds: list[Round] = [{_node(one): _node_round(one, size) for one in results} for results in said["rounds"]]
         courses = {

@@ -159,7 +159,7 @@ def bank(
     InputError : the blind grip lies outside the grid.
     """
     speeds, grips = library.speeds_m_s, library.grips_N
-    solved = library.transient_command_A
+    solved = library.transient_command
     every = [(iv, ig) for iv in range(speeds.size) for ig in range(grips.size)]
 
     def nodes(of_node: Callable[[int, int], FloatArray]) -> FloatArray:
@@ -172,7 +172,7 @@ def bank(
         middle = float(grips[0] + grips[-1]) / 2 if blind_grip_N is None else blind_grip_N
         if not grips[0] <= middle <= grips[-1]:
             raise InputError(f"blind grip {middle:g} N: the library covers {grips[0]:g} to {grips[-1]:g} N")
-        command = np.stack([library.at(float(v), middle).transient_command_A for v in speeds])[:, None]
+        command = np.stack([library.at(float(v), middle).transient_command for v in speeds])[:, None]
         grips, by_grip = np.array([middle]), False
     elif method is Method.PROPORTIONAL:
         command = solved[:, :1, :0]
@@ -192,7 +192,7 @@ def bank(
     amplifier, dt = library.amplifier(), library.meta["dt_s"]
     transient = norms(currents(command, amplifier, dt), amplifier, dt)
     # What the wall is predicted to add beside the transient; of the optimum's motion, for every method.
-    pushed = norms(currents(library.command_A - solved, amplifier, dt), amplifier, dt)
+    pushed = norms(currents(library.command - solved, amplifier, dt), amplifier, dt)
     feedback = pushed if by_grip else np.max(pushed, axis=1, keepdims=True)
     free = library.grips_N[0] == 0
     return Bank(

@@ -51,7 +51,7 @@ def unlimited_optimum(problem: TransientProblem) -> FloatArray:
     command = np.empty(N)
     for k, (K, constant) in enumerate(reversed(laws)):
         x = A @ x + b * (K @ x + constant)
-        command[k] = x[-1] * stage.current_A
+        command[k] = x[-1] * stage.input_scale
     if problem.wall is None:
         command[problem.free_stages :] = 0.0
     return command
@@ -63,7 +63,7 @@ def inversion(library: Library, iv: int, ig: int, *, optimal: bool) -> FloatArra
     Total current is cut at the library's limit; with a wall its predicted feedback is taken off, as from the optimum.
     """
     problem = library.problem(iv, ig).without_intensity()
-    limit = problem.limits.current_A
+    limit = problem.limits.input_limit
     if optimal:
         command = clipped_optimum(problem.stage, problem.grid, unlimited_optimum(problem), limit)
     else:

@@ -32,9 +32,9 @@ class FreshBank(Bank):
         if not tap.solved:
             return blend
         amplifier, dt = self.library.amplifier(), self.library.meta["dt_s"]
-        transient = tap.wave.transient_command_A
+        transient = tap.wave.transient_command
         played, pushed = norms(
-            currents(np.stack([transient, tap.wave.command_A - transient]), amplifier, dt), amplifier, dt
+            currents(np.stack([transient, tap.wave.command - transient]), amplifier, dt), amplifier, dt
         )
         return Play(
             samples_A=transient.tolist(),

@@ -86,7 +86,7 @@ def fixed_width_pulse(library: Library, inertia_A_s2_m: float) -> FloatArray:
     """(nv, N) commands: a rectangle of fixed width whose amplitude is proportional to the speed."""
     width, amplitude = fitted_pulse(library)
     first = _first_tick(library)
-    command = np.zeros((library.speeds_m_s.size, library.command_A.shape[2]))
+    command = np.zeros((library.speeds_m_s.size, library.command.shape[2]))
     command[:, first : first + width] = inertia_A_s2_m * amplitude * library.speeds_m_s[:, None]
     return _limited(command, library)
 
@@ -95,7 +95,7 @@ def momentum_cancellation(library: Library, inertia_A_s2_m: float) -> FloatArray
     """(nv, N) commands: the shortest pulse within the current limit whose impulse is m v (Hwang et al. 2004)."""
     dt, limit = library.meta["dt_s"], library.meta["limits"]["current_A"]
     first = _first_tick(library)
-    command = np.zeros((library.speeds_m_s.size, library.command_A.shape[2]))
+    command = np.zeros((library.speeds_m_s.size, library.command.shape[2]))
     for row, speed in zip(command, library.speeds_m_s, strict=True):
         # Full ticks at the limit, the last one carries what remains.
         row[first:] = np.clip(inertia_A_s2_m * speed / dt - limit * np.arange(row.size - first), 0.0, limit)

@@ -71,17 +71,17 @@ def predict(library: Library, speed_m_s: float, grip_N: float, gain: float = 1.0
     at_node = v in library.speeds_m_s and F in library.grips_N and gain == 1.0 and not wave.silent
     if at_node:
         iv, ig = (int(np.searchsorted(nodes, x)) for nodes, x in ((library.speeds_m_s, v), (library.grips_N, F)))
-        acceleration, current = library.acceleration_m_s2[iv, ig], library.current_A[iv, ig]
+        acceleration, current = library.acceleration_m_s2[iv, ig], library.plant_input[iv, ig]
         after = library.lasting(iv, ig)[0][grid.stages :]
     else:
-        wall, walls, command = library.wall(), None, gain * wave.command_A
+        wall, walls, command = library.wall(), None, gain * wave.command
         if wall is not None:
             nominal = library.wanted(v, by_speed).nominal_position_at_ticks_m
             softer = replace(wall, stiffness_N_m=gain * wall.stiffness_N_m, damping_N_s_m=gain * wall.damping_N_s_m)
-            walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command_A
+            walls, command = [HandOver(softer, nominal, v, nominal < 0)], gain * wave.transient_command
         stage = discretise(scene.plant(F), library.amplifier(), grid.dt_s, position=wall is not None)
         [played] = replay(stage, grid, command[None], [target], None, walls=walls)
-        acceleration, current, after = played.acceleration_m_s2, played.current_A, played.after_m_s2
+        acceleration, current, after = played.acceleration_m_s2, played.plant_input, played.after_m_s2
     by_v, by_F = interpolation_weights(library.speeds_m_s, v), interpolation_weights(library.grips_N, F)
     repeats = np.array([np.nan if spread is None else spread for spread in library.meta["repeatability"]])
     used = by_v > 0

@@ -90,15 +90,15 @@ def judge_design(designed: Designed, run: Replay) -> Outcome:
     """How an answer and its replay end; `elapsed_s` is 0, the caller's to fill in."""
     problem, solution, proof = designed.problem, designed.solution, designed.certificate
     nothing = float("nan")
-    predicted, _ = problem.stage.rollout(solution.command_A)
-    status, shortfalls = admit(solution.status, proof, run, problem, solution.command_A, predicted)
+    predicted, _ = problem.stage.rollout(solution.command)
+    status, shortfalls = admit(solution.status, proof, run, problem, solution.command, predicted)
     said = "; ".join(designed.remarks or shortfalls)
     if status is Status.OPTIMAL:
         # Beside a zero reference any motion is infinitely wrong: that of the wall alone, or what is left undone after
         # a window that ends before the tap begins.
         unknown = ("winding_C", "housing_C", *(["nrmse", "nrmse_after"] if problem.reference_is_zero else []))
         whole = _numbers(designed) and _numbers(proof) and _numbers(solution.multipliers) and _numbers(run, unknown)
-        if not (whole and np.all(np.isfinite(solution.command_A))):
+        if not (whole and np.all(np.isfinite(solution.command))):
             return Outcome("bad: NaN", "a figure of a certified answer is not finite", nothing, nothing, 0.0)
         if not np.all(np.isfinite(list(run.reached.values()))):
             return Outcome("bad: NaN", "a largest value of a certified answer", nothing, nothing, 0.0)
@@ -132,8 +132,8 @@ def with_remedy(case: StressCase, designed: Designed, run: Replay, found: Outcom
     if not found.kind.startswith("refused"):
         return found
     problem, solution = designed.problem, designed.solution
-    predicted, _ = problem.stage.rollout(solution.command_A)
-    status, _ = admit(solution.status, designed.certificate, run, problem, solution.command_A, predicted)
+    predicted, _ = problem.stage.rollout(solution.command)
+    status, _ = admit(solution.status, designed.certificate, run, problem, solution.command, predicted)
     own = remedies(case, problem, run, status, SolverOptions())
     kind = found.kind if any(remedy.solved for remedy in own) else "bad: no remedy"
     return replace(found, kind=kind, detail=f"{found.detail}; {what_would_do(own)}")
@@ -150,7 +150,7 @@ def judge(case: StressCase) -> Outcome:
         try:
             problem = case.problem()
             designed = best(problem, SolverOptions(), objective=case.objective)
-            command = np.nan_to_num(designed.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0)
+            command = np.nan_to_num(designed.solution.command, nan=0.0, posinf=0.0, neginf=0.0)
             run = played(designed.problem, command)
             found = with_remedy(case, designed, run, judge_design(designed, run))
         except InputError as error:

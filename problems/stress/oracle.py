@@ -65,12 +65,12 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
     Minus infinity if the hand-over cannot be met at all, None if the linear program ended without deciding it.
     """
     N, limits, stage = problem.grid.stages, problem.limits, problem.stage
-    unit = problem.command_bound_A
+    unit = problem.command_bound
     motion = stage.motion(np.eye(N) * unit)
     at_rest = stage.motion(np.zeros(N))
     # Each row of `responses` is what one limited quantity does per command; `offset` what it does without any.
-    quantities = [(motion.current_A.T, np.zeros(N), limits.current_A)]
-    quantities.append((np.eye(N) * unit, np.zeros(N), problem.command_bound_A))
+    quantities = [(motion.plant_input.T, np.zeros(N), limits.input_limit)]
+    quantities.append((np.eye(N) * unit, np.zeros(N), problem.command_bound))
     slew, supply = limits.get("slew"), limits.get("supply")
     if slew is not None:
         quantities.append(((np.eye(N) - np.eye(N, k=-1)) * unit, np.zeros(N), slew.stated))
@@ -79,8 +79,8 @@ def _room(problem: TransientProblem, longest_s: float) -> float | None:
         w, rest = supply.pole_rad_s, supply.nominal_V
         # The command felt just before and just after each switching instant, with the copper cold and hot.
         for circuit, felt in product((end.circuit for end in supply.ends), (np.eye(N, k=-1), np.eye(N))):
-            rate = w * (felt * unit - motion.current_A.T)
-            volts = circuit.R_ohm * motion.current_A.T + circuit.L_H * rate
+            rate = w * (felt * unit - motion.plant_input.T)
+            volts = circuit.R_ohm * motion.plant_input.T + circuit.L_H * rate
             quantities.append((volts + circuit.emf_V_s_m * motion.velocity_m_s.T, rest, supply.limit_V))
     blocks, bounds = [], []
     for response, offset, limit in quantities:

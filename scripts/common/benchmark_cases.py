@@ -121,7 +121,7 @@ def reused(name: str, options: str, method: Callable[[], Solution], problem: Tra
     forget()
     first, second = (elapsed_ms(method) for _ in range(2))
     solution = method()
-    proof = certify(problem, solution.command_A, solution.multipliers)
+    proof = certify(problem, solution.command, solution.multipliers)
     said = options or f"tol {SolverOptions().tolerance:g}, object reused"
     return Peer(name, said, method, max(first - second, 0.0), proof.relative_gap, proof.primal_violation)
 
@@ -275,7 +275,7 @@ def anew(library: Library) -> list[Row]:
         told = (
             f"random taps, certified; 99 % within {np.percentile(times, 99):.2f} ms, all within {max(times):.2f} ms"
         )
-        found.append(row("online", name, told, library.command_A.shape[2], np.array(times), gap=max(gaps)))
+        found.append(row("online", name, told, library.command.shape[2], np.array(times), gap=max(gaps)))
     return found
 
 
@@ -285,11 +285,11 @@ def cached_pass(problem: TransientProblem) -> Peer:
     run = extension.LinearPass(without_limits(problem))
     run.solve(unlimited.GAP)
     setup_ms = 1e3 * (time.perf_counter() - start)
-    proof = certify(problem, run.command_A(), replace(Multipliers.zero(problem), hand_over=run.hand_over()))
+    proof = certify(problem, run.command(), replace(Multipliers.zero(problem), hand_over=run.hand_over()))
 
     def again() -> None:
         run.solve(unlimited.GAP)
-        run.command_A()
+        run.command()
 
     name, options = "riccati-pass, gains kept", "the same device and weight again, any reference"
     return Peer(name, options, again, setup_ms, proof.relative_gap, proof.primal_violation)

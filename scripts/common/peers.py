@@ -29,7 +29,7 @@ def commonly_written(problem: TransientProblem) -> tuple[ca.Opti, ca.MX]:
     opti.subject_to(z[:, 0] == 0)
     for k in range(N):
         opti.subject_to(z[:, k + 1] == advance(z[:, k], dc[k]))
-        opti.subject_to(opti.bounded(-limits.current_A, z[n - 1, k], limits.current_A))
+        opti.subject_to(opti.bounded(-limits.input_limit, z[n - 1, k], limits.input_limit))
         opti.subject_to(opti.bounded(-range_A, z[n, k + 1], range_A))
         cost += (stage.C @ z[:n, k] - wanted[k]) ** 2 / energy + problem.movement.weight * dc[k] ** 2
         if k >= problem.free_stages:

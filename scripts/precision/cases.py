@@ -128,7 +128,7 @@ def judge(problem: TransientProblem, command_A: FloatArray, reference_objective:
         stated = np.isfinite(size)
         excess.append(float((box.excess[stated] / size[stated]).max(initial=0.0)))
     tail = np.abs(command_A - problem.hand_over_command(motion))[problem.free_stages :]
-    excess.append(float(tail.max()) / problem.command_bound_A)
+    excess.append(float(tail.max()) / problem.command_bound)
     gap = (objective(problem, command_A) - reference_objective) / max(reference_objective, OBJECTIVE_SCALE)
     return Verdict(gap, max(excess))
 
@@ -146,10 +146,10 @@ def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) ->
     """
     first, second = QP_REFERENCES if small.thermal is None else NLP_REFERENCES
     answers: list[Solution] = [solve(small, options) for options in (first, second)]
-    values = [objective(problem, answer.command_A) for answer in answers]
+    values = [objective(problem, answer.command) for answer in answers]
     agreement = abs(values[0] - values[1]) / max(values[0], OBJECTIVE_SCALE)
     outside = max(
-        judge(problem, answer.command_A, value).violation for answer, value in zip(answers, values, strict=True)
+        judge(problem, answer.command, value).violation for answer, value in zip(answers, values, strict=True)
     )
     labels = [reference_label(options.solver, options.tolerance) for options in (first, second)]
     # Written so that a NaN is no agreement.
@@ -158,10 +158,10 @@ def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) ->
             f"{name}: {labels[0]} finds J = {values[0]:.12g}, {labels[1]} {values[1]:.12g}: they differ by "
             f"{agreement:.1e} and leave a limit by {outside:.1e}, allowed {AGREEMENT:g}: nothing to compare with"
         )
-    proof = certify(problem, answers[0].command_A, answers[0].multipliers)
+    proof = certify(problem, answers[0].command, answers[0].multipliers)
     if not proof.is_stationary:
         raise DisagreementError(f"{name}: {labels[0]} is not certified (gap {proof.relative_gap:.1e})")
-    command = answers[0].command_A
+    command = answers[0].command
     return Optimum(
         command_A=command,
         multipliers=answers[0].multipliers,
@@ -170,7 +170,7 @@ def _confirmed(name: str, problem: TransientProblem, small: TransientProblem) ->
         found_by=labels[0],
         confirmed_by=labels[1],
         agreement=agreement,
-        apart_A=float(np.abs(command - answers[1].command_A).max()),
+        apart_A=float(np.abs(command - answers[1].command).max()),
         certificate=proof,
     )
 

@@ -129,7 +129,7 @@ def _project(solver: str) -> Method:
 
         def run() -> Answer:
             found = solve(case.small, options)
-            return Answer(found.command_A, found.message, found.iterations, found.multipliers)
+            return Answer(found.command, found.message, found.iterations, found.multipliers)
 
         return Prepared(run)
 
@@ -177,8 +177,8 @@ def baselines() -> list[Method]:
     def clipped(case: Case, setting: Setting) -> Prepared:
         def run() -> Answer:
             free = unlimited.solve(case.small)
-            limit = case.problem.limits.current_A
-            return Answer(clipped_optimum(case.problem.stage, case.problem.grid, free.command_A, limit), "clipped")
+            limit = case.problem.limits.input_limit
+            return Answer(clipped_optimum(case.problem.stage, case.problem.grid, free.command, limit), "clipped")
 
         return Prepared(run)
 
@@ -186,7 +186,7 @@ def baselines() -> list[Method]:
         problem = case.problem
 
         def run() -> Answer:
-            limit, taper = problem.limits.current_A, problem.hand_over_samples
+            limit, taper = problem.limits.input_limit, problem.hand_over_samples
             return Answer(
                 seed_inversion(problem.stage, problem.grid, problem.reference_m_s2, limit, taper), "clipped"
             )
@@ -232,7 +232,7 @@ def discretisations() -> list[Method]:
                 if (factor := growth(stage)) > 1:
                     return failed(case, f"unstable: grows by {factor:.3g} per tick")
                 found = solve(replace(case.small, stage=stage), options)
-                return Answer(found.command_A, found.message, found.iterations)
+                return Answer(found.command, found.message, found.iterations)
 
             return Prepared(run)
 

@@ -60,7 +60,7 @@ def measure_periods(case: Case, effort: Effort, rates_Hz: Sequence[float] = RATE
     methods = {f"{rate:g}": lambda problem=problems[rate]: solve(problem, options) for rate in rates_Hz}
     times = take_turns(methods, {f"{rate:g}": effort.runs(one_ms[rate]) for rate in rates_Hz})
 
-    nrmse, violation = played(case, {rate: answer.command_A for rate, answer in answers.items()})
+    nrmse, violation = played(case, {rate: answer.command for rate, answer in answers.items()})
     rows = []
     for rate in rates_Hz:
         rows.append(
@@ -98,11 +98,11 @@ def played(case: Case, commands_A: dict[float, FloatArray]) -> tuple[dict[float,
     budget = None if case.small.thermal is None else [case.small.thermal.budget] * len(fine)
     coil = None if case.small.thermal is None else case.small.thermal.coil
     found = replay(stage, grid, fine, [reference.target] * len(fine), coil, budgets=budget)
-    current_A, command_A = case.problem.limits.current_A, case.problem.command_bound_A
+    current_A, command_A = case.problem.limits.input_limit, case.problem.command_bound
     thermal = case.small.thermal
     violation = {}
     for rate, run in zip(commands_A, found, strict=True):
-        excess = [0.0, run.peak_current_A / current_A - 1, run.peak_command_A / command_A - 1]
+        excess = [0.0, run.peak_input / current_A - 1, run.peak_command / command_A - 1]
         if thermal is not None:
             headroom = float(thermal.model.headroom_K[np.isfinite(thermal.model.headroom_K)].max())
             excess.append((run.winding_C - thermal.limit_C) / headroom)

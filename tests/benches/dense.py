@@ -116,11 +116,11 @@ class Program:
             by_movement=problem.rho * (1e-4 / problem.grid.dt_s) ** 2 / (N * limit**2),
         )
 
-    def merits(self, command_A: FloatArray) -> tuple[float, float]:
+    def merits(self, command: FloatArray) -> tuple[float, float]:
         """J and L of a command (N,)."""
-        N, made = command_A.size, self.filtered @ command_A
+        N, made = command.size, self.filtered @ command
         squares = self.lost + float(np.mean((made - self.r) ** 2 @ self.weights))
-        J = squares / self.E + self.by_movement * float(np.sum(np.diff(command_A, prepend=0.0) ** 2))
+        J = squares / self.E + self.by_movement * float(np.sum(np.diff(command, prepend=0.0) ** 2))
         energy = float(np.mean(np.sum(made[:, :N] ** 2, axis=1)))
         return J, J - self.intensity * (energy - self.level * float(np.sum(self.r[:N] ** 2))) / self.E
 

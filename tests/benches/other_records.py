@@ -278,7 +278,7 @@ def tap_commands() -> dict[tuple[float, float], FloatArray]:
     library = build_library(scene, recordings_of(scene)).library
     assert library is not None
     return {
-        (float(speed), float(grip)): np.array(library.command_A[iv, ig])
+        (float(speed), float(grip)): np.array(library.command[iv, ig])
         for iv, speed in enumerate(library.speeds_m_s)
         for ig, grip in enumerate(library.grips_N)
     }

@@ -23,10 +23,10 @@ class Tap:
 
     Attributes
     ----------
-    command_A : (N,).
+    command : (N,).
     """
 
-    command_A: FloatArray
+    command: FloatArray
     grip_N: float
     pole_Hz: float
     reference: Reference
@@ -53,7 +53,7 @@ def terminal_voltages(scene: Scene, taps: Sequence[Tap], copper_C: Sequence[floa
     )
     w = 2 * np.pi * np.array([tap.pole_Hz for tap in taps])
     R = motor.R_ohm * (1 + COPPER_PER_K * (np.asarray(copper_C) - 25.0))[:, None]
-    commands = np.array([tap.command_A for tap in taps])
+    commands = np.array([tap.command for tap in taps])
     nominal = np.array([_nominal_velocity(scene, tap.reference) for tap in taps])
 
     def rate(x: FloatArray, c: FloatArray) -> FloatArray:

@@ -91,8 +91,8 @@ class TestNumpyAlone:
         from dataclasses import replace
 
         monkeypatch.chdir(tmp_path)
-        command = library.command_A.copy()
+        command = library.command.copy()
         command[3, 2, 100] += 0.01
-        replace(library, command_A=command).save(tmp_path / "library.npz")
+        replace(library, command=command).save(tmp_path / "library.npz")
         with pytest.raises(AssertionError):
             exec(NUMPY, {})

@@ -143,7 +143,7 @@ class TestWhatEachSceneShows:
         build = built("soft_rubber")
         assert not any(is_bound(build).values())
         for light, firm in build.entries:
-            assert firm.played.peak_current_A > 1.8 * light.played.peak_current_A
+            assert firm.played.peak_input > 1.8 * light.played.peak_input
 
     def test_hot_coil_is_bound_by_its_temperature(self) -> None:
         build = built("hot_coil")
@@ -189,19 +189,19 @@ class TestWhatEachSceneShows:
         library = build.library
         assert library is not None
         h = build.scene.hand_over_samples
-        assert not library.transient_command_A[..., -h:].any()
+        assert not library.transient_command[..., -h:].any()
         # What is left at the end is the spring: 0.1 to 0.6 A, more for faster taps, which go deeper.
-        left = library.command_A[..., -1]
+        left = library.command[..., -1]
         assert np.all(left > 0.05)
         assert np.all(np.diff(left, axis=0) > 0)
-        assert np.abs(library.transient_command_A - library.command_A).max() > 0.3
+        assert np.abs(library.transient_command - library.command).max() > 0.3
 
     def test_single_grip_is_one_column_of_the_default_scene(self) -> None:
         library, default = built("single_grip").library, built("wood_on_foam").library
         assert library is not None
         assert default is not None
-        assert library.command_A.shape[:2] == (4, 1)
-        np.testing.assert_allclose(library.command_A[:, 0], default.command_A[:, 1], atol=1e-6)
+        assert library.command.shape[:2] == (4, 1)
+        np.testing.assert_allclose(library.command[:, 0], default.command[:, 1], atol=1e-6)
 
     def test_second_order_is_a_whole_hand_at_its_floor_and_saturated(self) -> None:
         scene, build = load("second_order"), built("second_order")

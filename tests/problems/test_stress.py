@@ -64,7 +64,7 @@ def test_a_proof_does_not_hang_on_the_last_bits(times: float) -> None:
     found = optimum(problem, SolverOptions())
     assert found.solution.status is Status.OPTIMAL
     assert found.certificate.accepted
-    effect = Effect(found.problem, found.solution.command_A)
+    effect = Effect(found.problem, found.solution.command)
     left = reduced_gradient(effect, admissible(found.problem, found.solution.multipliers))
     assert movement_bound(found.problem, left) < 0.2 * Certificate.GAP_TOLERANCE * found.certificate.objective
 
@@ -83,7 +83,7 @@ def test_the_same_problem_in_other_units_has_the_same_command(units: float, limi
     own, other = (optimum(c.problem(), SolverOptions()) for c in (case, rescaled(case, units)))
     assert own.certificate.accepted
     assert other.certificate.accepted
-    off = np.abs(own.solution.command_A - other.solution.command_A).max()
+    off = np.abs(own.solution.command - other.solution.command).max()
     assert off <= 1e-6 * limit_A
     assert other.certificate.objective == pytest.approx(own.certificate.objective, rel=1e-9)
 
@@ -93,24 +93,24 @@ def test_a_small_limit_is_held_as_exactly_as_a_large_one() -> None:
     case = StressCase("limit", current=Current(limit_A=1e-6), horizon=Horizon(stages=40), demand=Demand(rho=0.0))
     found = optimum(case.problem(), SolverOptions())
     assert found.certificate.accepted
-    over = found.solution.command_A * (1 + 1e-3)
+    over = found.solution.command * (1 + 1e-3)
     assert not prove(found.problem, over, found.solution.multipliers, SolverOptions()).accepted
 
 
 class TestJudge:
     def judged(self, designed: Designed, command_A: np.ndarray) -> Outcome:
         proof = prove(designed.problem, command_A, designed.solution.multipliers, SolverOptions())
-        changed = replace(designed, solution=replace(designed.solution, command_A=command_A), certificate=proof)
+        changed = replace(designed, solution=replace(designed.solution, command=command_A), certificate=proof)
         return judge_design(changed, played(designed.problem, np.nan_to_num(command_A)))
 
     def test_accepts_what_is_right(self, designed: Designed) -> None:
-        outcome = self.judged(designed, designed.solution.command_A)
+        outcome = self.judged(designed, designed.solution.command)
         assert outcome.kind == CERTIFIED
         assert outcome.gap <= 1e-6
         assert outcome.difference <= 1e-6
 
     def test_a_perturbed_answer_is_bad(self, designed: Designed) -> None:
-        off = designed.solution.command_A.copy()
+        off = designed.solution.command.copy()
         off[10] -= 0.01
         assert self.judged(designed, off).kind == "bad: NOT_CERTIFIED"
 
@@ -118,31 +118,31 @@ class TestJudge:
         m = designed.solution.multipliers
         flipped = m.with_pair("current", m.upper("current"), m.lower("current"))
         solution = replace(designed.solution, multipliers=flipped)
-        proof = prove(designed.problem, solution.command_A, flipped, SolverOptions())
+        proof = prove(designed.problem, solution.command, flipped, SolverOptions())
         outcome = judge_design(
-            replace(designed, solution=solution, certificate=proof), played(designed.problem, solution.command_A)
+            replace(designed, solution=solution, certificate=proof), played(designed.problem, solution.command)
         )
         assert outcome.kind == "bad: NOT_CERTIFIED"
 
     def test_a_command_that_is_no_number_is_bad(self, designed: Designed) -> None:
-        off = designed.solution.command_A.copy()
+        off = designed.solution.command.copy()
         off[3] = np.nan
         assert self.judged(designed, off).bad
 
     def test_a_figure_that_is_no_number_is_bad(self, designed: Designed) -> None:
-        run = played(designed.problem, designed.solution.command_A)
+        run = played(designed.problem, designed.solution.command)
         assert judge_design(replace(designed, floor=float("nan")), run).kind == "bad: NaN"
-        assert judge_design(designed, replace(run, peak_current_A=float("nan"))).bad
+        assert judge_design(designed, replace(run, peak_input=float("nan"))).bad
 
     def test_another_replay_is_bad(self, designed: Designed) -> None:
-        run = played(designed.problem, designed.solution.command_A)
+        run = played(designed.problem, designed.solution.command)
         off = replace(run, acceleration_m_s2=run.acceleration_m_s2 * (1 + 1e-5))
         assert judge_design(designed, off).kind == "bad: REPLAY_VIOLATION"
 
     @pytest.mark.parametrize("status", [Status.NUMERICAL_FAILURE, Status.ITERATION_LIMIT, Status.INFEASIBLE])
     def test_a_refusal_without_a_cause_is_bad(self, designed: Designed, status: Status) -> None:
         refused = replace(designed, solution=replace(designed.solution, status=status))
-        outcome = judge_design(refused, played(designed.problem, designed.solution.command_A))
+        outcome = judge_design(refused, played(designed.problem, designed.solution.command))
         assert outcome.kind == f"bad: {status.name}"
 
     def test_a_false_claim_that_nothing_is_feasible_is_bad(self, designed: Designed) -> None:
@@ -151,7 +151,7 @@ class TestJudge:
             solution=replace(designed.solution, status=Status.INFEASIBLE),
             remarks=["current 0.5 A over its 0.3 A at 1.0 ms at the least; 0.8 A would do"],
         )
-        outcome = judge_design(refused, played(designed.problem, designed.solution.command_A))
+        outcome = judge_design(refused, played(designed.problem, designed.solution.command))
         assert outcome.kind == "bad: feasible after all"
 
     def test_warnings_and_exceptions_are_bad(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,7 +186,7 @@ class TestJudge:
         for limit in ("current 0.5 A over its 0.3 A", "coil 0.5 K over its 100 C"):
             refused = replace(found.solution, status=Status.INFEASIBLE)
             claim = replace(found, solution=refused, remarks=[f"{limit} at 1.0 ms at the least; 0.8 would do, raise"])
-            kinds[limit[:4]] = judge_design(claim, played(found.problem, found.solution.command_A)).kind
+            kinds[limit[:4]] = judge_design(claim, played(found.problem, found.solution.command)).kind
         assert kinds == {"curr": "bad: feasible after all", "coil": "refused: INFEASIBLE, unchecked"}
 
     def test_no_current_heats_less_than_the_ripple(self) -> None:

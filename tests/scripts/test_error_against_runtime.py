@@ -43,7 +43,7 @@ class TestJudge:
     def test_a_better_objective_outside_the_limits_is_no_better(self, short_case: Any) -> None:
         """The optimum for 4.4 A has a lower J; its distance counts by its size, and so does its violation."""
         wider = with_numbers(short_case.small, current_A=4.4, command_A=6.6)
-        verdict = cases.judge(short_case.problem, solve(wider).command_A, short_case.optimum.objective)
+        verdict = cases.judge(short_case.problem, solve(wider).command, short_case.optimum.objective)
         assert verdict.gap < -0.01
         assert verdict.violation == pytest.approx(0.1, rel=1e-3)
         assert verdict.error == max(-verdict.gap, verdict.violation)
@@ -71,7 +71,7 @@ class TestJudge:
         verdict = cases.judge(hot_problem, short_case.optimum.command_A, short_case.optimum.objective)
         assert hot_problem.thermal is not None
         motion = hot_problem.stage.motion(short_case.optimum.command_A)
-        hottest = hot_problem.thermal.temperatures_C(motion.current_A, short_case.optimum.command_A).max()
+        hottest = hot_problem.thermal.temperatures_C(motion.plant_input, short_case.optimum.command_A).max()
         assert verdict.violation == pytest.approx((hottest - hot_problem.thermal.limit_C) / 0.02, rel=1e-3)
         assert verdict.violation > 0.1
 
@@ -80,7 +80,7 @@ class TestJudge:
     ) -> None:
         def loose(problem: TransientProblem, options: SolverOptions) -> Any:
             found = solve(problem, options)
-            return replace(found, command_A=0.999 * found.command_A) if options.solver == "casadi-ipopt" else found
+            return replace(found, command=0.999 * found.command) if options.solver == "casadi-ipopt" else found
 
         def short(name: str) -> Any:
             return cases.make_case(name, short_case.scene, short_case.problem, 0.4, 5.0)

@@ -32,7 +32,7 @@ class Player:
     def __init__(
         self, library: Library, speed_m_s: float, grip_N: float, *, late: int = 0, gain: float = 1.0
     ) -> None:
-        self._command = (gain * library.at(speed_m_s, grip_N).command_A).tolist()
+        self._command = (gain * library.at(speed_m_s, grip_N).command).tolist()
         self._first = approach_ticks(speed_m_s, DT) - LEAD_TICKS + late
         self.armed = False
 
@@ -158,7 +158,7 @@ class TestNominalTap:
         assert m.nrmse < 1e-6
         iv, ig = list(library.speeds_m_s).index(speed), list(library.grips_N).index(grip)
         assert m.nrmse_reference == pytest.approx(library.nrmse[iv, ig], abs=1e-6)
-        assert m.peak_current_A == pytest.approx(library.peak_current_A[iv, ig], abs=1e-9)
+        assert m.peak_current_A == pytest.approx(library.peak_input[iv, ig], abs=1e-9)
         assert m.winding_C.max() == pytest.approx(library.peak_temperature_C[iv, ig], abs=1e-3)
         assert m.notices == {Notice.CONTACT: 1}
 

@@ -47,7 +47,7 @@ def test_without_mismatch_the_known_truth_is_the_library(scene: Scene, library: 
     assert truth.peak_current_A == pytest.approx(4.0, abs=1e-6)
     other = device_in(scene, Imperfections(mismatch=0.2), 4)
     best = loop.without_servo(loop.TRUTH, library, other, loop.known_optimum)
-    own = loop.without_servo(loop.IDENTIFIED, library, other, lambda node, _: library.command_A[node])
+    own = loop.without_servo(loop.IDENTIFIED, library, other, lambda node, _: library.command[node])
     assert best.worst > truth.worst
     assert own.mean > best.mean + 0.01
 

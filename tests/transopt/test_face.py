@@ -47,7 +47,7 @@ class TestNames:
         library.save(tmp_path / "library.npz")
         program = (
             "import sys, controller, transopt as to\n"
-            "print(to.load_library('library.npz').at(0.33, 2.0).command_A.size)\n"
+            "print(to.load_library('library.npz').at(0.33, 2.0).command.size)\n"
             "print({'casadi', 'matplotlib', 'pydantic', 'serial'} & set(sys.modules))\n"
         )
         assert python(program, tmp_path).split() == ["600", "set()"]
@@ -91,7 +91,7 @@ class TestSolving:
         file.write_text(text, encoding="utf-8")
         by_value = to.solve(scene, to.recordings_of(scene))
         for made in (to.solve("wood_on_foam"), to.solve(file), by_value):
-            np.testing.assert_allclose(made.command_A, library.command_A, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(made.command, library.command, rtol=0, atol=1e-9)
 
     def test_refused_entries_are_said_in_one_line_and_kept_in_the_build(self) -> None:
         """The housing warms the winding beyond its limit with the motor at rest."""
@@ -134,7 +134,7 @@ class TestSolving:
     def test_one_entry_by_hand(self, build: to.Build) -> None:
         entry = build.entries[3][2]
         solution = to.solve_problem(entry.problem)
-        proof = to.certify(entry.problem, solution.command_A, solution.multipliers)
+        proof = to.certify(entry.problem, solution.command, solution.multipliers)
         assert proof.accepted
         assert proof.objective == pytest.approx(entry.certificate.objective, rel=1e-6)
 
@@ -189,7 +189,7 @@ class TestShown:
         )
         assert "12 of 12 entries certified and replayed" in repr(build).replace("\n    ", " ")
         assert "0.4 m/s, 5 N: NRMSE 19.3 %" in repr(build.entries[3][2])
-        assert "command_A=<600, " in repr(build.entries[3][2].solution)
+        assert "command=<600, " in repr(build.entries[3][2].solution)
         assert "stage=StageModel(...)" in repr(build.entries[3][2].problem)
 
     def test_equality_and_hash_are_those_of_the_fields(self, build: to.Build) -> None:
@@ -240,7 +240,7 @@ class TestFigures:
         entry = build.entries[3][2]
         above, below = entry.plot().axes
         curves = [np.asarray(line.get_ydata()) for line in below.get_lines()]
-        N = entry.current_A.size
-        assert any(curve.size == N + 300 and np.allclose(curve[:N], entry.current_A) for curve in curves)
+        N = entry.plant_input.size
+        assert any(curve.size == N + 300 and np.allclose(curve[:N], entry.plant_input) for curve in curves)
         assert above.get_title() == "grip 5 N"
         assert below.get_ylabel() == "current [A]"

@@ -31,6 +31,7 @@ UNITS = {
 # Three to six orders of magnitude above what laboratories and factories have.
 LARGEST = {
     "A": 1e4,
+    "A or V": 1e6,
     "A/s": 1e10,
     "m/s^2": 1e7,
     "N s/m": 1e8,

@@ -189,7 +189,7 @@ def _taps_of(scene_name: str) -> "Callable[[DevicePart], Taps | None]":
         return Taps(
             speeds_m_s=tuple(entry.speed_m_s for entry in columns[0]),
             grips_N=tuple(column[0].grip_N for column in columns),
-            current_A=np.array([[entry.current_A for entry in column] for column in columns]),
+            current_A=np.array([[entry.plant_input for entry in column] for column in columns]),
             energy=np.array([[np.sum(entry.predicted_m_s2**2) for entry in column] for column in columns]),
             dt_s=scene.time_grid().dt_s,
         )

@@ -66,9 +66,9 @@ class Entry:
 
     Attributes
     ----------
-    predicted_m_s2, current_A : (N,) y'' and i of the command at the switching instants.
-    floor : NRMSE of the unlimited optimum. free_peak_A : its peak current.
-    transient_command_A : (N,) the command without the wall's predicted feedback; the command itself without a wall.
+    predicted_m_s2, plant_input : (N,) y'' and i of the command at the switching instants.
+    floor : NRMSE of the unlimited optimum. free_peak : its peak current.
+    transient_command : (N,) the command without the wall's predicted feedback; the command itself without a wall.
     status, shortfalls : admission; shortfalls is empty for an OPTIMAL entry.
     remedies : what would do for a refused one, or what was tried; empty where nothing was.
     prices : what each limit that binds costs.
@@ -85,10 +85,10 @@ class Entry:
     certificate: Certificate
     played: Replay
     predicted_m_s2: FloatArray
-    current_A: FloatArray
-    transient_command_A: FloatArray
+    plant_input: FloatArray
+    transient_command: FloatArray
     floor: float
-    free_peak_A: float
+    free_peak: float
     baselines: Baselines
     repeatability: float
     status: Status
@@ -120,7 +120,7 @@ class Entry:
             *self._after_rows(),
             ["seed inversion", f"{percent(self.baselines.seed)} %"],
             ["clipped optimum", f"{percent(self.baselines.clipped)} %"],
-            ["peak current", f"{self.played.peak_current_A:.3f} A"],
+            ["peak current", f"{self.played.peak_input:.3f} A"],
             ["what binds", self.binding],
             ["J", f"{self.certificate.objective:.6g}, gap {self.certificate.relative_gap:.0e}"],
             ["verdict", "; ".join([self.verdict, *self.shortfalls])],
@@ -153,7 +153,7 @@ class Entry:
     @property
     def energy_dB(self) -> float:
         """Energy of the tap within the window over the recorded one's."""
-        return energy_dB(self.problem, self.solution.command_A)
+        return energy_dB(self.problem, self.solution.command)
 
     @property
     def weighted_nrmse(self) -> float:
@@ -169,18 +169,18 @@ class Entry:
         """
         if self.problem.reference_is_zero:
             return {}
-        return binding(self.problem, self.solution.command_A, self.solution.multipliers)
+        return binding(self.problem, self.solution.command, self.solution.multipliers)
 
-    def boxes(self, command_A: FloatArray | None = None) -> list[Box]:
+    def boxes(self, command: FloatArray | None = None) -> list[Box]:
         """Every limit along a command, with its bounds.
 
         Parameters
         ----------
-        command_A : (N,) another command in this entry's problem, without multipliers; by default the entry's own.
+        command : (N,) another command in this entry's problem, without multipliers; by default the entry's own.
         """
-        problem = self.problem
-        command = self.solution.command_A if command_A is None else command_A
-        multipliers = self.solution.multipliers if command_A is None else Multipliers.zero(problem)
+        problem, solution = self.problem, self.solution
+        multipliers = solution.multipliers if command is None else Multipliers.zero(problem)
+        command = solution.command if command is None else command
         return boxes(problem, command, problem.stage.motion(command), multipliers)
 
     @cached_property
@@ -197,11 +197,11 @@ class Entry:
         return verdict(self.nrmse, self.floor, self.repeatability, self.levels)
 
 
-def energy_dB(problem: TransientProblem, command_A: FloatArray) -> float:
+def energy_dB(problem: TransientProblem, command: FloatArray) -> float:
     """Energy of y'' over that of r within the window, as the error filter hears it [dB]; 0 where r is zero."""
     if problem.reference_is_zero:
         return 0.0
-    return problem.tracking.energy_dB(problem.accelerations(command_A))
+    return problem.tracking.energy_dB(problem.accelerations(command))
 
 
 def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]:
@@ -275,7 +275,7 @@ def replayed(coil: CoilModel | None, designed: Sequence[Designed]) -> list[Repla
     problems = [d.problem for d in designed]
     budgets = [p.thermal.budget for p in problems if p.thermal is not None]
     # A solver that broke down returns NaN, which no integrator needs to see.
-    commands = [np.nan_to_num(d.solution.command_A, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
+    commands = [np.nan_to_num(d.solution.command, nan=0.0, posinf=0.0, neginf=0.0) for d in designed]
     transients = np.stack([p.transient_command(c) for p, c in zip(problems, commands, strict=True)])
     walls = [p.wall for p in problems if p.wall is not None]
     return replay(
@@ -294,25 +294,23 @@ def rivals_errors(steady_current_A: float, designed: Sequence[Designed]) -> list
     """The two other methods of each entry, at its transient limit and at the steady one, replayed."""
     first = designed[0].problem
     references = np.stack([d.problem.reference_m_s2 for d in designed])
-    free = np.stack([d.unlimited_command_A for d in designed])
+    free = np.stack([d.unlimited_command for d in designed])
     # Both limits at once: what is clipped at them is the same.
-    limits_A = np.array([first.limits.current_A, steady_current_A])[:, None, None]
-    seed = seed_inversion(first.stage, first.grid, references, limits_A, first.hand_over_samples)
-    clipped = clipped_optimum(first.stage, first.grid, free, limits_A)
+    limits = np.array([first.limits.input_limit, steady_current_A])[:, None, None]
+    seed = seed_inversion(first.stage, first.grid, references, limits, first.hand_over_samples)
+    clipped = clipped_optimum(first.stage, first.grid, free, limits)
     played = np.stack([seed, clipped], axis=1)  # (limit, method, entry, N), limit after limit as in `Baselines`
     targets = [d.problem.target for d in designed] * (played.shape[0] * played.shape[1])
     errors = replayed_errors(first.stage, first.grid, played.reshape(-1, first.grid.stages), targets)
     return [Baselines(*(float(error) for error in each)) for each in errors.reshape(-1, len(designed)).T]
 
 
-def _spread_errors(problem: TransientProblem, nominal_A: FloatArray, command_A: FloatArray) -> SpreadErrors | None:
+def _spread_errors(problem: TransientProblem, nominal: FloatArray, command: FloatArray) -> SpreadErrors | None:
     """NRMSE over the devices of a robust entry, of its command and of the command designed for the node alone."""
     if not problem.spread:
         return None
     N, target = problem.grid.stages, problem.target
-    own, robust = (
-        np.array([target.nrmse(a) for a in problem.accelerations(c)[:, :N]]) for c in (nominal_A, command_A)
-    )
+    own, robust = (np.array([target.nrmse(a) for a in problem.accelerations(c)[:, :N]]) for c in (nominal, command))
 
     def rms(errors: FloatArray) -> float:
         return float(np.sqrt(np.mean(errors**2)))
@@ -330,14 +328,14 @@ def _entry(
     options: SolverOptions,
 ) -> Entry:
     problem, solution = designed.problem, designed.solution
-    command = solution.command_A
+    command = solution.command
     predicted, current = problem.stage.rollout(command)
     status, shortfalls = admit(solution.status, designed.certificate, played, problem, command, predicted)
     spread = None
     if problem.spread and status is Status.OPTIMAL:
         # Made for the node alone, and asked for the same.
         alone = replace(problem.without_intensity(), spread=())
-        nominal = best(alone, options, objective=scene.weights.objective).solution.command_A
+        nominal = best(alone, options, objective=scene.weights.objective).solution.command
         spread = _spread_errors(problem, nominal, command)
     return Entry(
         speed_m_s=reference.speed_m_s,
@@ -347,16 +345,16 @@ def _entry(
         certificate=designed.certificate,
         played=played,
         predicted_m_s2=predicted,
-        current_A=current,
-        transient_command_A=problem.transient_command(command),
+        plant_input=current,
+        transient_command=problem.transient_command(command),
         floor=designed.floor,
-        free_peak_A=designed.free_peak_A,
+        free_peak=designed.free_peak,
         baselines=baselines,
         repeatability=reference.repeatability,
         status=status,
         shortfalls=[*designed.remarks, *(text for text in shortfalls if not designed.remarks)],
         binding=binding_limits(problem, command, solution.multipliers),
-        prices=prices(problem, command, solution.multipliers, designed.unlimited_command_A, options)
+        prices=prices(problem, command, solution.multipliers, designed.unlimited_command, options)
         if status is Status.OPTIMAL
         else [],
         left_out={**left_out_by_scene(scene, problem), **designed.left_out},

@@ -111,8 +111,8 @@ def _feasible(problem: TransientProblem, options: SolverOptions) -> FloatArray |
     briefly = replace(options, max_iterations=min(options.max_iterations, MOST_ITERATIONS))
     for name in capable(problem)[:MOST_SOLVERS]:
         answer = solve(problem, replace(briefly, solver=name))
-        if certify(problem, answer.command_A, answer.multipliers).excess <= 1:
-            return answer.command_A
+        if certify(problem, answer.command, answer.multipliers).excess <= 1:
+            return answer.command
         if answer.status is Status.INFEASIBLE:
             return None
     return None
@@ -155,7 +155,7 @@ def _proven(problem: TransientProblem, linear: Sequence[Limit], options: SolverO
     """
     if solve(problem.without(*problem.nonlinear), options).status is not Status.INFEASIBLE:
         return []
-    free = unlimited.solve(problem).command_A
+    free = unlimited.solve(problem).command
     motion = problem.stage.motion(free)
     values = boxes(problem, free, motion, Multipliers.zero(problem))
     peaks = {limit.name: max(box.peak for box in values if box.limit.name == limit.name) for limit in linear}
@@ -185,16 +185,16 @@ def _least(widen: Callable[[float], TransientProblem], options: SolverOptions) -
     return command
 
 
-def _worst(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> tuple[Box, float]:
+def _worst(problem: TransientProblem, limit: Limit, command: FloatArray) -> tuple[Box, float]:
     """The row of a limit that a command leaves farthest, and how far; negative inside."""
-    motion = problem.stage.motion(command_A)
-    of = [box for box in boxes(problem, command_A, motion, Multipliers.zero(problem)) if box.limit.name == limit.name]
+    motion = problem.stage.motion(command)
+    of = [box for box in boxes(problem, command, motion, Multipliers.zero(problem)) if box.limit.name == limit.name]
     worst = max(of, key=lambda box: float(box.excess.max()))
     return worst, float(worst.excess.max())
 
 
-def _sentence(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> str:
-    worst, by = _worst(problem, limit, command_A)
+def _sentence(problem: TransientProblem, limit: Limit, command: FloatArray) -> str:
+    worst, by = _worst(problem, limit, command)
     time_ms = problem.grid.switching_times_s[int(np.argmax(worst.excess))] * 1e3
     return (
         f"{limit.label} {by:.3g} {limit.step_unit} over its {limit.stated:.8g} {limit.unit} at {time_ms:.1f} ms at "

@@ -23,7 +23,7 @@ def entries_figure(entries: Sequence[Sequence[Entry]]) -> Figure:
             return nothing, nothing, np.zeros(N)
         multipliers = entry.solution.multipliers
         pushed = np.maximum(multipliers.lower("current"), multipliers.upper("current"))
-        acceleration, current = entry.problem.stage.rollout(entry.problem.continued(entry.solution.command_A))
+        acceleration, current = entry.problem.stage.rollout(entry.problem.continued(entry.solution.command))
         return acceleration, current, pushed
 
     cells = [[drawn(entry) for entry in row] for row in entries]
@@ -35,8 +35,8 @@ def entries_figure(entries: Sequence[Sequence[Entry]]) -> Figure:
             grips_N=np.array([entry.grip_N for entry in entries[0]]),
             reference_m_s2=np.stack([row[0].problem.target.continued_m_s2 for row in entries]),
             acceleration_m_s2=acceleration,
-            current_A=current,
-            limit_A=first.limits.current_A,
+            plant_input=current,
+            limit=first.limits.input_limit,
             current_multiplier=multiplier,
             hand_over_samples=first.hand_over_samples,
         )

@@ -66,7 +66,7 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
         asked_dB=problem.intensity_dB,
         energy_dB=found.energy_dB,
         waveform_dB=wave.energy_dB,
-        waveform_nrmse=problem.target.nrmse(first.problem.stage.rollout(first.solution.command_A)[0]),
+        waveform_nrmse=problem.target.nrmse(first.problem.stage.rollout(first.solution.command)[0]),
         price=found.lam,
         most=most_price(problem),
         problems=problems,
@@ -74,9 +74,9 @@ def intense(problem: TransientProblem, options: SolverOptions) -> Designed:
     return replace(
         found.designed,
         solution=replace(found.designed.solution, solve_time_s=spent_s),
-        unlimited_command_A=first.unlimited_command_A,
+        unlimited_command=first.unlimited_command,
         floor=first.floor,
-        free_peak_A=first.free_peak_A,
+        free_peak=first.free_peak,
         attained=attained,
     )
 
@@ -88,7 +88,7 @@ def best(problem: TransientProblem, options: SolverOptions, *, objective: str) -
 
 def _tried(lam: float, designed: Designed) -> _Tried:
     problem = designed.problem
-    accelerations = problem.accelerations(designed.solution.command_A)
+    accelerations = problem.accelerations(designed.solution.command)
     return _Tried(lam, problem.tracking.energy_dB(accelerations), designed.certificate.objective, designed)
 
 

@@ -33,7 +33,7 @@ class Designed:
     ----------
     problem : with every limit of the scene, and the wall pushing where the answer makes it push.
     certificate : of the answer for that whole problem.
-    unlimited_command_A : (N,) the optimum without limits. floor : its NRMSE. free_peak_A : its peak current.
+    unlimited_command : (N,) the optimum without limits. floor : its NRMSE. free_peak : its peak current.
     left_out : part -> why the problem that was solved does not have it.
     size : of the program that was solved; None where one linear solve was enough.
     remarks : why an entry has no answer.
@@ -43,9 +43,9 @@ class Designed:
     problem: TransientProblem
     solution: Solution
     certificate: Certificate
-    unlimited_command_A: FloatArray
+    unlimited_command: FloatArray
     floor: float
-    free_peak_A: float
+    free_peak: float
     left_out: dict[str, str]
     size: program.Size | None
     remarks: list[str]
@@ -102,7 +102,7 @@ def _settled(problem: TransientProblem, options: SolverOptions) -> tuple[Designe
         designed = replace(designed, solution=replace(designed.solution, solve_time_s=spent))
         if not designed.is_proven:
             return designed, False
-        again = pressing_under(problem, designed.solution.command_A)
+        again = pressing_under(problem, designed.solution.command)
         if _mask(again) == _mask(problem):
             return designed, True
         if _mask(again) in tried:
@@ -149,7 +149,7 @@ def _flat(designed: Designed, options: SolverOptions) -> Designed:
             said = f"{gap} is what double precision leaves where J hardly depends on some movements of the command"
             return replace(designed, solution=answer, remarks=[said])
     free = unlimited.solve(problem)
-    left = certify(problem, free.command_A, free.multipliers).relative_gap
+    left = certify(problem, free.command, free.multipliers).relative_gap
     if left <= Certificate.GAP_TOLERANCE:
         return designed
     said = f"{gap} has no digits to rest on: even without any limit double precision leaves one of {left:.1e}"
@@ -163,7 +163,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
     of its gap. How far the two proofs lie apart would tell less: their gaps may agree by chance, and whether they do
     is another matter on every processor.
     """
-    double = certify(problem, answer.command_A, answer.multipliers)
+    double = certify(problem, answer.command, answer.multipliers)
     if not (double.excess <= 1 and double.relative_gap < NEARLY_PROVEN):
         return ""
     extended = double
@@ -175,20 +175,20 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
             spread=tuple(device.extended() for device in problem.spread),
             target=problem.target.extended(),
         )
-        extended = certify(wide, answer.command_A.astype(np.longdouble), answer.multipliers)
-    by_command = gradient_rounding(problem, answer.command_A, answer.multipliers)
-    rounding = float(by_command @ (problem.command_bound_A + np.abs(answer.command_A)))
+        extended = certify(wide, answer.command.astype(np.longdouble), answer.multipliers)
+    by_command = gradient_rounding(problem, answer.command, answer.multipliers)
+    rounding = float(by_command @ (problem.command_bound + np.abs(answer.command)))
     weight = problem.movement.weight
     if weight > 0:
         # As in `movement_bound`, of errors that do not depend on each other: error j is in j + 1 of the sums.
         rounding = min(rounding, float(np.arange(1, by_command.size + 1) @ by_command**2) / (4 * weight))
     if not (extended.relative_gap <= Certificate.GAP_TOLERANCE or rounding > ROUNDED * double.duality_gap):
         return ""
-    taken = float(np.abs(answer.command_A).max())
+    taken = float(np.abs(answer.command).max())
     in_extended = "" if extended is double else f", in extended precision {extended.relative_gap:.1e}"
     return (
         f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision{in_extended}, limit "
-        f"{double.GAP_TOLERANCE:.0e}; the answer takes {taken:.4g} A of {problem.limits.current_A:.4g} A in "
+        f"{double.GAP_TOLERANCE:.0e}; the answer takes {taken:.4g} A of {problem.limits.input_limit:.4g} A in "
         f"{problem.grid.stages} stages"
     )
 
@@ -196,7 +196,7 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
 def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
     """A zero reference: no transient at all, over a wall nothing but its feedback, which has to keep the limits."""
     problem, command = silence(problem)
-    answer = replace(solve(problem, options), command_A=command)
+    answer = replace(solve(problem, options), command=command)
     proof = prove(problem, command, answer.multipliers, options)
     hopeless = unavoidable(problem)
     unstable = unstable_wall(problem)
@@ -208,7 +208,7 @@ def _silent(problem: TransientProblem, options: SolverOptions) -> Designed:
         answer = replace(answer, status=Status.HAND_OVER)
         hopeless = [
             f"hand-over: without any transient the wall alone asks for {np.abs(command).max():.3g} A, limit "
-            f"{problem.limits.current_A:g} A, with {stated_wall(problem.wall.wall)}"
+            f"{problem.limits.input_limit:g} A, with {stated_wall(problem.wall.wall)}"
         ]
     left_out = {"limits": "zero reference: zero waveform"}
     rest = np.zeros(problem.grid.stages)
@@ -224,7 +224,7 @@ def _mask(problem: TransientProblem) -> bytes:
 
 def _hand_over_excess(problem: TransientProblem) -> str:
     """Whether the wall alone asks for too much when the transient has to end, on the reference's course; or empty."""
-    wall, limit = problem.wall, problem.limits.current_A
+    wall, limit = problem.wall, problem.limits.input_limit
     if wall is None:
         return ""
     z = wall.encoder(reference_course(problem.grid, problem.target.continued_m_s2))[problem.free_stages :]
@@ -243,28 +243,28 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     reduced = leave_out(problem)
     small, left_out = reduced.problem, dict(reduced.left_out)
     free = unlimited.solve(small)
-    acceleration, current = problem.stage.rollout(free.command_A)
+    acceleration, current = problem.stage.rollout(free.command)
     floor = problem.target.nrmse(acceleration)
     peak = float(np.abs(current).max())
 
     def designed(
         answer: Solution, size: program.Size | None, remarks: list[str], proof: Certificate | None = None
     ) -> Designed:
-        proof = prove(problem, answer.command_A, answer.multipliers, options) if proof is None else proof
-        return Designed(problem, answer, proof, free.command_A, floor, peak, left_out, size, remarks)
+        proof = prove(problem, answer.command, answer.multipliers, options) if proof is None else proof
+        return Designed(problem, answer, proof, free.command, floor, peak, left_out, size, remarks)
 
-    inside_all = inside(problem, free.command_A)
-    free_proof = certify(problem, free.command_A, free.multipliers) if inside_all else None
+    inside_all = inside(problem, free.command)
+    free_proof = certify(problem, free.command, free.multipliers) if inside_all else None
     if free_proof is not None and not free_proof.is_stationary:
         # The compiled pass judges itself in its own units; where rounding rules, the other one may come nearer.
         other = unlimited.solve_apart(small)
-        its_proof = certify(problem, other.command_A, other.multipliers)
-        if inside(problem, other.command_A) and its_proof.relative_gap < free_proof.relative_gap:
+        its_proof = certify(problem, other.command, other.multipliers)
+        if inside(problem, other.command) and its_proof.relative_gap < free_proof.relative_gap:
             free, free_proof = other, its_proof
     if free_proof is not None and free.status is Status.OPTIMAL and free_proof.is_stationary:
         left_out["limits"] = (
-            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.current_A:g} A, "
-            f"command {np.abs(free.command_A).max():.3g} A of {problem.command_bound_A:g} A"
+            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.input_limit:g} A, "
+            f"command {np.abs(free.command).max():.3g} A of {problem.command_bound:g} A"
         )
         return designed(free, None, [], free_proof)
     hopeless = unavoidable(small)
@@ -275,8 +275,8 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     spent += answer.solve_time_s
     cold_proven = answer.status is Status.OPTIMAL and proof.is_stationary
     if small.thermal is not None:
-        if answer.status is Status.OPTIMAL and inside(problem, answer.command_A, only=TemperatureLimit.name):
-            hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command_A)).max())
+        if answer.status is Status.OPTIMAL and inside(problem, answer.command, only=TemperatureLimit.name):
+            hottest = float(small.thermal.temperatures_C(*_currents(small, answer.command)).max())
             left_out["temperature"] = (
                 f"the optimum without it stays inside: {hottest:.3f} C, limit {small.thermal.limit_C:g} C"
             )
@@ -299,5 +299,5 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
     return designed(answer, program.size(small), [])
 
 
-def _currents(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return problem.stage.rollout(command_A)[1], command_A
+def _currents(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return problem.stage.rollout(command)[1], command

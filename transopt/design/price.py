@@ -110,14 +110,14 @@ def price_step(limit: Limit) -> float:
     return float(max(m for m in (1, 2, 5) if m * power <= size * (1 + 1e-12)) * power)
 
 
-def binding(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> dict[str, float]:
+def binding(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> dict[str, float]:
     """Name of every limit that binds -> slope: by how much J falls per unit by which it is raised, to first order.
 
     Multipliers count where the limit is reached. Near a limit that is just not reached a solver leaves some as well,
     since it knows only their product with the distance.
     """
     found: dict[str, float] = {}
-    for box in boxes(problem, command_A, problem.stage.motion(command_A), multipliers):
+    for box in boxes(problem, command, problem.stage.motion(command), multipliers):
         near = NEAR * box.limit.room
         gain = float(box.by_upper[box.upper - box.value <= near].sum())
         gain += float(box.by_lower[box.value - box.lower <= near].sum())
@@ -125,9 +125,9 @@ def binding(problem: TransientProblem, command_A: FloatArray, multipliers: Multi
     return {name: gain for name, gain in found.items() if gain * problem.limits[name].room > BINDS}
 
 
-def _excess(problem: TransientProblem, limit: Limit, command_A: FloatArray) -> float:
+def _excess(problem: TransientProblem, limit: Limit, command: FloatArray) -> float:
     """By how much a limit has to be raised for a command to keep it; negative where it is kept."""
-    of = boxes(problem, command_A, problem.stage.motion(command_A), Multipliers.zero(problem))
+    of = boxes(problem, command, problem.stage.motion(command), Multipliers.zero(problem))
     return max(float(box.excess.max()) for box in of if box.limit.name == limit.name)
 
 
@@ -137,12 +137,12 @@ class _Answer:
 
     Attributes
     ----------
-    command_A : (N,).
+    command : (N,).
     nrmse : against r over the window.
     binding : of `binding`.
     """
 
-    command_A: FloatArray
+    command: FloatArray
     nrmse: float
     binding: dict[str, float]
 
@@ -161,9 +161,9 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> _Answer | None
         certified = designed.is_proven and (designed.certificate.accepted or bent)
     if not certified:
         return None
-    acceleration, _ = problem.stage.rollout(answer.command_A)
+    acceleration, _ = problem.stage.rollout(answer.command)
     error = problem.target.nrmse(acceleration)
-    return _Answer(answer.command_A, error, binding(problem, answer.command_A, answer.multipliers))
+    return _Answer(answer.command, error, binding(problem, answer.command, answer.multipliers))
 
 
 @dataclass(frozen=True)
@@ -172,12 +172,12 @@ class _Pricing:
 
     Attributes
     ----------
-    unlimited_A : (N,) its optimum without limits.
+    unlimited : (N,) its optimum without limits.
     nrmse : of its own optimum.
     """
 
     problem: TransientProblem
-    unlimited_A: FloatArray
+    unlimited: FloatArray
     nrmse: float
     options: SolverOptions
 
@@ -212,7 +212,7 @@ class _Pricing:
         """The optimum without a limit, or with one that is so wide that it does not bind, and how wide it was."""
         if not limit.indispensable:
             return _solved(self.problem.without(limit.name), self.options), np.inf
-        needed = limit.stated + max(_excess(self.problem, limit, self.unlimited_A), 0.0)
+        needed = limit.stated + max(_excess(self.problem, limit, self.unlimited), 0.0)
         for ample in AMPLE:
             answer = self._raised(limit, ample * needed - limit.stated)
             if answer is None or limit.name not in answer.binding:
@@ -230,7 +230,7 @@ class _Pricing:
         ----------
         without : the optimum with the limit at `widest`, where it does not bind.
         """
-        by = max(_excess(self.problem, limit, without.command_A), 0.0)
+        by = max(_excess(self.problem, limit, without.command), 0.0)
         free, low, high, nudge = [(widest, limit.stated + by)], limit.stated, (widest, without.nrmse), NUDGE
         for trial in range(MOST_TRIALS):
             peak = free[0][1] if len(free) < 2 else _crossing(*free[-2:])
@@ -251,7 +251,7 @@ class _Pricing:
             high = bound, answer.nrmse
             if not limit.scales_movement:
                 return high
-            free.append((bound, limit.stated + _excess(self.problem, limit, answer.command_A)))
+            free.append((bound, limit.stated + _excess(self.problem, limit, answer.command)))
         return np.nan, np.nan
 
 
@@ -266,9 +266,9 @@ def _crossing(one: tuple[float, float], two: tuple[float, float]) -> float:
 
 def prices(
     problem: TransientProblem,
-    command_A: FloatArray,
+    command: FloatArray,
     multipliers: Multipliers,
-    unlimited_A: FloatArray,
+    unlimited: FloatArray,
     options: SolverOptions,
 ) -> list[Price]:
     """Price of every limit that binds, the dearest first; empty if none does.
@@ -278,17 +278,17 @@ def prices(
 
     Parameters
     ----------
-    command_A, multipliers : (N,) and its multipliers: the certified optimum.
-    unlimited_A : (N,) the optimum without limits.
+    command, multipliers : (N,) and its multipliers: the certified optimum.
+    unlimited : (N,) the optimum without limits.
     """
     if problem.reference_is_zero:
         return []
-    binds = binding(problem, command_A, multipliers)
+    binds = binding(problem, command, multipliers)
     if not binds:
         return []
-    acceleration, _ = problem.stage.rollout(command_A)
+    acceleration, _ = problem.stage.rollout(command)
     error = problem.target.nrmse(acceleration)
     trials = TrialOptions(options.solver, options.tolerance, options.max_iterations)
-    pricing = _Pricing(problem, unlimited_A, error, trials)
+    pricing = _Pricing(problem, unlimited, error, trials)
     found = [pricing.price(limit) for limit in problem.limits if limit.name in binds]
     return sorted(found, key=lambda price: np.inf if np.isnan(price.then) else price.then)

@@ -192,7 +192,7 @@ class Nodes:
 
 @dataclass(frozen=True)
 class _Optimum:
-    command_A: FloatArray
+    command: FloatArray
     nrmse: float
     energy: float
     status: Status
@@ -239,9 +239,9 @@ class Errors:
                     f"{proof.relative_gap:.0e}, {solution.status.value}): leave it out to see what the grid's own "
                     "entries lack"
                 )
-            acceleration, _ = problem.stage.rollout(solution.command_A)
+            acceleration, _ = problem.stage.rollout(solution.command)
             error, energy = problem.target.nrmse(acceleration), self._energy(acceleration)
-            self._optima[point] = _Optimum(solution.command_A, error, energy, solution.status, proof)
+            self._optima[point] = _Optimum(solution.command, error, energy, solution.status, proof)
         return self._optima[point]
 
     @property
@@ -273,7 +273,7 @@ class Errors:
         by_speed, by_grip = (_shares(i, value) for i, value in zip(nodes.cell(point), point, strict=True))
         blended = np.zeros(self._scene.time.stages)
         for (v, a), (F, b) in itertools.product(by_speed, by_grip):
-            blended += a * b * self.optimum((v, F)).command_A
+            blended += a * b * self.optimum((v, F)).command
         return blended
 
     def excess(self, nodes: Nodes, points: Iterable[Point]) -> dict[Point, float]:
@@ -295,7 +295,7 @@ class Errors:
         for grip, group in _by_grip(points):
             for part in (group[j : j + REPLAYED_TOGETHER] for j in range(0, len(group), REPLAYED_TOGETHER)):
                 commands = [
-                    c for p in part for c in (self.optimum(p).command_A, self.blend(before, p), self.blend(after, p))
+                    c for p in part for c in (self.optimum(p).command, self.blend(before, p), self.blend(after, p))
                 ]
                 wanted = [self.reference(speed).target for speed, _ in part for _ in range(3)]
                 # Without the coil: the heating of a blend is at most the blend of the nodes' heating, being convex.

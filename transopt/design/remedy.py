@@ -83,7 +83,7 @@ def does(entry: Adjustable, changes: Values, options: SolverOptions) -> bool:
         if not designed.is_proven:
             return False
         (played,) = replayed(None if problem.thermal is None else problem.thermal.coil, [designed])
-        answer, command = designed.solution, designed.solution.command_A
+        answer, command = designed.solution, designed.solution.command
         predicted, _ = problem.stage.rollout(command)
         status, _ = admit(answer.status, designed.certificate, played, designed.problem, command, predicted)
     return status is Status.OPTIMAL

@@ -49,7 +49,7 @@ def resolve(
     has_energy = scene.weights.objective == "intensity"
     own = own_arrays(library.meta["limits"])
     arrays = {name: np.array(library.array(name)) for name in (*_CHANGED, *own)}
-    nv, ng, _ = library.command_A.shape
+    nv, ng, _ = library.command.shape
     left_out = [[entry_left_out(library.meta, iv, ig) for ig in range(ng)] for iv in range(nv)]
     kept: dict[tuple[int, int], str] = {}
     for ig in sorted({ig for _, ig in corrections_m_s2}):
@@ -60,7 +60,7 @@ def resolve(
             wanted = library.reference_m_s2[iv] + corrections_m_s2[iv, ig]
             designed.append(optimum(problem.towards(wanted), options))
         for iv, answer, played in zip(speeds, designed, replayed(library.coil(), designed), strict=True):
-            command = answer.solution.command_A
+            command = answer.solution.command
             predicted, current = answer.problem.stage.rollout(command)
             status, shortfalls = admit(
                 answer.solution.status, answer.certificate, played, answer.problem, command, predicted
@@ -74,16 +74,16 @@ def resolve(
                 (iv, ig),
                 _multipliers(answer, own)
                 | {
-                    "command_A": command,
-                    "transient_command_A": answer.problem.transient_command(command),
-                    "current_A": current,
+                    "command": command,
+                    "transient_command": answer.problem.transient_command(command),
+                    "plant_input": current,
                     "acceleration_m_s2": predicted,
                     "nrmse": target.nrmse(played.acceleration_m_s2),
                     "nrmse_after": target.nrmse_after(played.after_m_s2),
                     "peak_after_m_s2": target.peak_after_m_s2(played.after_m_s2),
                     "energy_dB": energy_dB(answer.problem, command) if has_energy else 0.0,
                     "floor": unlimited_nrmse(answer.problem, target),
-                    "peak_current_A": played.peak_current_A,
+                    "peak_input": played.peak_input,
                     "peak_temperature_C": played.winding_C,
                     "objective": proof.objective,
                     "primal_violation": proof.primal_violation,
@@ -110,16 +110,16 @@ def resolve(
 
 
 _CHANGED = (
-    "command_A",
-    "transient_command_A",
-    "current_A",
+    "command",
+    "transient_command",
+    "plant_input",
     "acceleration_m_s2",
     "nrmse",
     "nrmse_after",
     "peak_after_m_s2",
     "energy_dB",
     "floor",
-    "peak_current_A",
+    "peak_input",
     "peak_temperature_C",
     "objective",
     "primal_violation",

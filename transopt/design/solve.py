@@ -92,7 +92,7 @@ def solve(
 
 def certify(
     problem: TransientProblem,
-    command_A: FloatArray,
+    command: FloatArray,
     multipliers: Multipliers,
     options: SolverOptions | None = None,
 ) -> Certificate:
@@ -104,6 +104,6 @@ def certify(
 
     Parameters
     ----------
-    command_A : (N,). multipliers : of the same problem, as a `Solution` or a library has them.
+    command : (N,). multipliers : of the same problem, as a `Solution` or a library has them.
     """
-    return prove(problem, command_A, multipliers, SolverOptions() if options is None else options)
+    return prove(problem, command, multipliers, SolverOptions() if options is None else options)

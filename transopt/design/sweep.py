@@ -102,9 +102,9 @@ class Outcome:
     pacinian_dB: float = NAN
     waveform_dB: float = NAN
     intensity: float = NAN
-    free_peak_A: float = NAN
-    peak_current_A: float = NAN
-    peak_command_A: float = NAN
+    free_peak: float = NAN
+    peak_input: float = NAN
+    peak_command: float = NAN
     peak_temperature_C: float = NAN
     peak_voltage_V: float = NAN
     objective: float = NAN
@@ -208,7 +208,7 @@ def _largest(designed: Designed) -> dict[str, float]:
     """Largest multiplier of each limit that the problem has."""
     problem, answer = designed.problem, designed.solution
     found: dict[str, float] = {}
-    for box in boxes(problem, answer.command_A, problem.stage.motion(answer.command_A), answer.multipliers):
+    for box in boxes(problem, answer.command, problem.stage.motion(answer.command), answer.multipliers):
         name = multiplier_column(type(box.limit))
         found[name] = max(found.get(name, 0.0), float(box.by_upper.max()), float(box.by_lower.max()))
     return found
@@ -219,7 +219,7 @@ def _intensity(designed: Designed, predicted_m_s2: FloatArray) -> dict[str, floa
     problem, attained = designed.problem, designed.attained
     if problem.reference_is_zero:
         return {}
-    made_dB = energy_dB(problem, designed.solution.command_A)
+    made_dB = energy_dB(problem, designed.solution.command)
     return {
         "energy_dB": made_dB,
         "pacinian_dB": levels(predicted_m_s2, problem.reference_m_s2, problem.grid.dt_s).pacinian_dB,
@@ -232,13 +232,13 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
     start = time.perf_counter()
     designed, item = solved.designed, solved.item
     problem, answer, proof = designed.problem, designed.solution, designed.certificate
-    command = answer.command_A
+    command = answer.command
     predicted, _ = problem.stage.rollout(command)
     status, shortfalls = admit(answer.status, proof, played, problem, command, predicted)
     finite = bool(np.all(np.isfinite(command)))
     price = ""
     if task.rivals and status is Status.OPTIMAL:
-        found = prices(problem, command, answer.multipliers, designed.unlimited_command_A, task.options)
+        found = prices(problem, command, answer.multipliers, designed.unlimited_command, task.options)
         price = "; ".join(one.sentence for one in found)
     return Outcome(
         index=item.index,
@@ -249,9 +249,9 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         floor=designed.floor,
         weighted_nrmse=played.nrmse if problem.reference_is_zero else problem.tracking.nrmse(predicted),
         **_intensity(designed, predicted),
-        free_peak_A=designed.free_peak_A,
-        peak_current_A=played.peak_current_A,
-        peak_command_A=played.peak_command_A,
+        free_peak=designed.free_peak,
+        peak_input=played.peak_input,
+        peak_command=played.peak_command,
         peak_temperature_C=played.winding_C,
         peak_voltage_V=played.reached.get(SupplyLimit.name, NAN),
         objective=proof.objective,

@@ -84,7 +84,7 @@ def trade_off(entry: Entry, options: SolverOptions) -> TradeOff | None:
 
 
 def _point(designed: Designed) -> TradeOffPoint:
-    problem, command = designed.problem, designed.solution.command_A
+    problem, command = designed.problem, designed.solution.command
     accelerations = problem.accelerations(command)
     own = accelerations[0, : problem.grid.stages]
     return TradeOffPoint(

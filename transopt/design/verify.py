@@ -31,7 +31,7 @@ def admit(
     certificate: Certificate,
     played: Replay,
     problem: TransientProblem,
-    command_A: FloatArray,
+    command: FloatArray,
     predicted_m_s2: FloatArray,
 ) -> tuple[Status, list[str]]:
     """Whether an entry may stand in a library: OPTIMAL, certified, replayed clean.
@@ -55,7 +55,7 @@ def admit(
             f"{c.excess:.1e} times what is tolerated, gap {c.relative_gap:.1e} (limit {c.GAP_TOLERANCE:.0e}), above "
             f"the lower bound by {c.relative_bound:.1e} (limit {c.BOUND_TOLERANCE:.0e})"
         ]
-    shortfalls = played.shortfalls(problem, command_A, predicted_m_s2)
+    shortfalls = played.shortfalls(problem, command, predicted_m_s2)
     if not shortfalls:
         return Status.OPTIMAL, []
     unstable = unstable_wall(problem)
@@ -63,8 +63,8 @@ def admit(
         return Status.UNSTABLE_WALL, [unstable]
     left = [limit for limit in problem.limits if played.leaves(limit)]
     late = [limit for limit in left if problem.wall is not None and played.leaves_late(limit)]
-    between = [limit.unresolved(problem, command_A, played.peak(limit)) for limit in left if limit not in late]
-    if problem.wall is not None and not left and (elsewhere := _pushes_elsewhere(played, problem, command_A)):
+    between = [limit.unresolved(problem, command, played.peak(limit)) for limit in left if limit not in late]
+    if problem.wall is not None and not left and (elsewhere := _pushes_elsewhere(played, problem, command)):
         return Status.HAND_OVER, [elsewhere]
     # A cause that explains some of it is no cause.
     if len(left) < len(shortfalls) or not all(between):
@@ -79,18 +79,18 @@ def admit(
     )
 
 
-def _pushes_elsewhere(played: Replay, problem: TransientProblem, command_A: FloatArray) -> str:
+def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatArray) -> str:
     """Whether the wall pushes at other ticks of the hand-over than the optimum was sought for; empty if not."""
     assert problem.wall is not None
-    truly = pressing(problem, encoder_course(problem, command_A)).wall
+    truly = pressing(problem, encoder_course(problem, command)).wall
     assert truly is not None
     ticks = int(np.sum((truly.pressing != problem.wall.pressing)[max(problem.free_stages - 1, 0) :]))
     if not ticks:
         return ""
-    off = float(np.abs(played.command_A - command_A).max())
+    off = float(np.abs(played.command - command).max())
     return (
         f"hand-over: the stylus grazes the surface, and the wall pushes at {ticks} of its ticks other than the "
-        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.current_A):.0e} A"
+        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.input_limit):.0e} A"
     )
 
 
@@ -124,7 +124,7 @@ class EntryCheck:
 def unlimited_nrmse(problem: TransientProblem, target: Target) -> float:
     """NRMSE against a target of the optimum of J without limits, which in a refined library aims elsewhere."""
     plain = problem.without_intensity()
-    free = np.zeros(problem.grid.stages) if problem.reference_is_zero else unlimited.solve(plain).command_A
+    free = np.zeros(problem.grid.stages) if problem.reference_is_zero else unlimited.solve(plain).command
     return target.nrmse(problem.stage.rollout(free)[0])
 
 
@@ -136,19 +136,19 @@ def _stored(
         "nrmse": played.nrmse,
         "nrmse_after": played.nrmse_after,
         "peak_after_m_s2": played.error_peak_after_m_s2,
-        "peak_current_A": played.peak_current_A,
+        "peak_input": played.peak_input,
         "peak_temperature_C": played.winding_C,
     }
     found = []
     for name, value in claims.items():
         stored = float(getattr(library, name)[iv, ig])
         if not np.isclose(stored, value, rtol=STORED_TOLERANCE, atol=ROUNDING, equal_nan=True):
-            found.append(f"{name} says {stored:.8g}, recomputed {value:.8g}")
+            found.append(f"{library.in_file(name)} says {stored:.8g}, recomputed {value:.8g}")
     floor = unlimited_nrmse(problem, library.target(np.eye(library.speeds_m_s.size)[iv]))
-    effect = Effect(problem, library.command_A[iv, ig])
+    effect = Effect(problem, library.command[iv, ig])
     found += contradictions(library, iv, ig, effect, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
-    current_off = float(np.abs(library.current_A[iv, ig] - played.current_A).max())
-    if not current_off <= tolerated(problem.limits.current_A):
+    current_off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
+    if not current_off <= tolerated(problem.limits.input_limit):
         found.append(f"current_A differs from the replay by {current_off:.1e} A")
     return found
 
@@ -163,7 +163,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
     One check per entry, speeds outermost; clean where `shortfalls` is empty.
     """
     options = SolverOptions()
-    nv, ng, _ = library.command_A.shape
+    nv, ng, _ = library.command.shape
     checks: dict[tuple[int, int], EntryCheck] = {}
     for ig in range(ng):
         stage = library.stage(ig)
@@ -172,7 +172,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
         replays = replay(
             stage,
             library.time_grid(),
-            library.transient_command_A[:, ig] if walls else library.command_A[:, ig],
+            library.transient_command[:, ig] if walls else library.command[:, ig],
             [library.target(own) for own in np.eye(nv)],
             library.coil(),
             limits=[problem.limits for problem in problems],
@@ -180,7 +180,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
             budgets=[p.thermal.budget for p in problems if p.thermal is not None] or None,
         )
         for iv, (problem, played) in enumerate(zip(problems, replays, strict=True)):
-            command = library.command_A[iv, ig]
+            command = library.command[iv, ig]
             certificate = prove(problem, command, library.multipliers(iv, ig), options)
             claimed = str(library.status[iv, ig])
             status = Status.OPTIMAL if claimed == Status.OPTIMAL.value else Status.NOT_CERTIFIED

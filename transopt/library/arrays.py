@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HASH_FIELD = "content_sha256"
+NEUTRAL = 3  # from this schema on arrays are named for any input, not for a current
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Array:
     needs : what `meta` has to state for the array to stand in the file: a key of its `limits`, `spread`,
         `refinement`, `after_s` (which files of schema 1 do not state) or `intensity` as the objective; empty for an
         array that is always there. Without it the array is zero, or of no device or instant.
+    before : its name in files of schemas 1 and 2, which know no input but a current; empty where it is the same.
     """
 
     shape: str
@@ -38,6 +40,7 @@ class Array:
     is_text: bool = False
     may_be_nan: bool = False
     needs: str = ""
+    before: str = ""
 
     @property
     def type_word(self) -> str:
@@ -53,6 +56,11 @@ def declared(owner: type) -> dict[str, Array]:
     hints = get_type_hints(owner, include_extras=True)
     noted = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
     return {name: note for name, notes in noted.items() for note in notes if isinstance(note, Array)}
+
+
+def stored_names(arrays: dict[str, Array], schema: int) -> dict[str, str]:
+    """Name of every array -> its name in a file of this schema."""
+    return {name: array.before if schema < NEUTRAL and array.before else name for name, array in arrays.items()}
 
 
 def absent(arrays: dict[str, Array], meta: dict[str, Any]) -> list[str]:

@@ -76,7 +76,7 @@ def c_header(library: Library) -> str:
     """
     speeds = _single_precision("speeds_m_s", library.speeds_m_s)
     grips = _single_precision("grips_N", library.grips_N)
-    counts, scale_A = _quantise(library.transient_command_A)
+    counts, scale_A = _quantise(library.transient_command)
     digest = library.content_sha256
     # The guard names the content: two different libraries in one program must collide, not hide each other.
     guard = f"TRANSOPT_{digest[:16].upper()}_H"

@@ -69,9 +69,9 @@ def csv_file(library: Library) -> bytes:
         "k": np.arange(grid.stages),
         "issue_time_s": grid.issue_times_s,
         "switching_time_s": grid.switching_times_s,
-        "command_A": library.command_A,
-        "transient_command_A": library.transient_command_A,
-        "current_A": library.current_A,
+        "command_A": library.command,
+        "transient_command_A": library.transient_command,
+        "current_A": library.plant_input,
         "acceleration_m_s2": library.acceleration_m_s2,
         "reference_m_s2": library.reference_m_s2[:, None],
     }
@@ -86,7 +86,7 @@ def csv_file(library: Library) -> bytes:
         f"lead_s: {grid.lead_s!r}",
         f"delay_s: {grid.delay_s!r}",
     ]
-    flat = [np.broadcast_to(column, library.command_A.shape).ravel().tolist() for column in columns.values()]
+    flat = [np.broadcast_to(column, library.command.shape).ravel().tolist() for column in columns.values()]
     lines = [
         *(f"# {comment}" for comment in comments),
         ",".join(columns),
@@ -103,13 +103,13 @@ def wav_file(library: Library) -> bytes:
     peak at -1 dBFS, so that loudness compares.
     """
     grid, meta = library.time_grid(), library.meta
-    limit_A, taper = meta["limits"]["current_A"], meta["hand_over_samples"]
+    limit, taper = meta["limits"]["current_A"], meta["hand_over_samples"]
     stages = [library.stage(ig) for ig in range(library.grips_N.size)]
     silence = np.zeros(round(SILENCE_S / grid.dt_s))
     pieces: list[FloatArray] = []
     for reference, optima in zip(library.reference_m_s2, library.acceleration_m_s2, strict=True):
         for stage, optimum in zip(stages, optima, strict=True):
-            inversion, _ = stage.rollout(seed_inversion(stage, grid, reference, limit_A, taper))
+            inversion, _ = stage.rollout(seed_inversion(stage, grid, reference, limit, taper))
             for sound in (reference, inversion, optimum):
                 pieces += [sound, silence]
     # Resampled as one stretch, so that the filter rings out into the silences instead of being cut off.

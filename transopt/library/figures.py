@@ -114,8 +114,8 @@ class Transients:
     ----------
     speeds_m_s, grips_N : (nv,), (ng,) the grid.
     reference_m_s2 : (nv, N + M) r at the switching instants, through the window and after it.
-    acceleration_m_s2, current_A : (nv, ng, N + M) there.
-    limit_A : the limit of the current. current_multiplier : (nv, ng, N) the larger one of its two sides [1/A].
+    acceleration_m_s2, plant_input : (nv, ng, N + M) there.
+    limit : the limit of the current. current_multiplier : (nv, ng, N) the larger one of its two sides [1/A].
     """
 
     grid: TimeGrid
@@ -123,16 +123,16 @@ class Transients:
     grips_N: FloatArray
     reference_m_s2: FloatArray
     acceleration_m_s2: FloatArray
-    current_A: FloatArray
-    limit_A: float
+    plant_input: FloatArray
+    limit: float
     current_multiplier: FloatArray
     hand_over_samples: int
 
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
         """(nv, ng, N) where the current limit binds, as in `certify.binding_limits`."""
-        within = self.current_A[..., : self.grid.stages]
-        at_limit = np.abs(np.abs(within) - self.limit_A) < BINDING_SLACK * self.limit_A
+        within = self.plant_input[..., : self.grid.stages]
+        at_limit = np.abs(np.abs(within) - self.limit) < BINDING_SLACK * self.limit
         return np.asarray(at_limit & (self.current_multiplier > BINDING_MULTIPLIER))
 
     def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
@@ -148,10 +148,10 @@ class Transients:
 
 def library_figure(library: Library) -> Figure:
     """Every waveform of a library, see `transients_figure`."""
-    grid, (nv, ng, _) = library.time_grid(), library.command_A.shape
+    grid, (nv, ng, _) = library.time_grid(), library.command.shape
     acceleration = np.full((nv, ng, grid.stages + grid.after_stages), np.nan)
     current = acceleration.copy()
-    acceleration[..., : grid.stages], current[..., : grid.stages] = library.acceleration_m_s2, library.current_A
+    acceleration[..., : grid.stages], current[..., : grid.stages] = library.acceleration_m_s2, library.plant_input
     if grid.after_stages:  # what comes after the window is not in the file, and only made for what is drawn
         for iv, ig in itertools.product(_some(nv, MOST_SPEEDS), _some(ng, MOST_GRIPS)):
             lasting = library.lasting(iv, ig)
@@ -163,8 +163,8 @@ def library_figure(library: Library) -> Figure:
             grips_N=library.grips_N,
             reference_m_s2=np.append(library.reference_m_s2, library.reference_after_m_s2, axis=1),
             acceleration_m_s2=acceleration,
-            current_A=current,
-            limit_A=library.meta["limits"]["current_A"],
+            plant_input=current,
+            limit=library.meta["limits"]["current_A"],
             current_multiplier=np.maximum(library.array("mu_current_lower"), library.array("mu_current_upper")),
             hand_over_samples=library.meta["hand_over_samples"],
         )
@@ -186,7 +186,7 @@ def transients_figure(drawn: Transients) -> Figure:
     axis = _time_axis(times_ms, end_ms, drawn.reference_m_s2)
     speeds, grips = drawn.speeds_m_s, drawn.grips_N
     shown_speeds, shown_grips = _some(speeds.size, MOST_SPEEDS), _some(grips.size, MOST_GRIPS)
-    limit = drawn.limit_A
+    limit = drawn.limit
     hand_over_ms = (grid.issue_times_s[-drawn.hand_over_samples] + grid.delay_s) * 1e3
     shades = colours(len(shown_speeds))
 
@@ -215,7 +215,7 @@ def transients_figure(drawn: Transients) -> Figure:
                 "markevery": axis.spread(times_ms, 7, (line + 0.5) / len(shown_speeds)),
             }
             above.plot(times_ms, drawn.acceleration_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2, linewidth=2.0, **line_style)
-            below.plot(times_ms, drawn.current_A[iv, ig], linewidth=1.3, **line_style)
+            below.plot(times_ms, drawn.plant_input[iv, ig], linewidth=1.3, **line_style)
         for reference in drawn.reference_m_s2[shown_speeds]:
             above.plot(times_ms, reference / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
         for sign in (1, -1):

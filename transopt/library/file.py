@@ -31,7 +31,7 @@ from transopt.base.sizes import (
     SHORTEST_DT_S,
 )
 from transopt.base.units import beyond, largest
-from transopt.library.arrays import HASH_FIELD, absent, content_hash
+from transopt.library.arrays import HASH_FIELD, absent, content_hash, stored_names
 from transopt.library.library import ARRAYS, SCHEMAS, Library, own_arrays
 from transopt.library.meta import lacking
 from transopt.plant.discretise import TimeGrid, samples_after
@@ -85,9 +85,10 @@ def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield place, value
 
 
-def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], sizes: dict[str, int]) -> None:
+def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], names: dict[str, str], sizes: dict[str, int]) -> None:
     """Every array against its declaration; `sizes` gets what the letters of the declared shapes stand for."""
-    for name, stated in ARRAYS.items():
+    for own_name, stated in ARRAYS.items():
+        name = names[own_name]
         if name not in arrays:
             continue
         array = arrays[name]
@@ -153,8 +154,8 @@ def load_library(path: str | Path) -> Library:
 
 
 def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) -> Library:
-    optional = absent(ARRAYS, meta)
-    missing = [name for name in ARRAYS if name not in arrays and name not in optional]
+    optional, names = absent(ARRAYS, meta), stored_names(ARRAYS, meta["schema"])
+    missing = [names[name] for name in ARRAYS if names[name] not in arrays and name not in optional]
     missing += [name for name in own_arrays(meta["limits"]) if name not in arrays]
     if missing:
         raise InputError(f"{path}: array {missing[0]} is missing; solve the scene again")
@@ -162,7 +163,8 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     if stored != content_hash(arrays):
         raise InputError(f"{path}: content does not match its hash: changed or damaged; solve the scene again")
     sizes = {"1": 1, "2": 2, **({} if meta["weights"]["spread"] else {"s": 0}), **_beside_the_window(path, meta)}
-    _check_arrays(path, arrays, sizes)
+    _check_arrays(path, arrays, names, sizes)
+    arrays |= {name: arrays[names[name]] for name in ARRAYS if names[name] in arrays}
     for name in optional:
         arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
     library = Library.of(arrays, meta)
@@ -192,7 +194,7 @@ def _beside_the_window(path: Path, meta: dict[str, Any]) -> dict[str, int]:
 
 def _check_words(path: Path, library: Library) -> None:
     """What `meta` says of the entries has the shape of the grid, and its words are words."""
-    meta, (nv, ng, _) = library.meta, library.command_A.shape
+    meta, (nv, ng, _) = library.meta, library.command.shape
     repeats, scene, left_out = meta["repeatability"], meta["scene"], meta["left_out"]
     fit = {
         "repeatability": isinstance(repeats, list)

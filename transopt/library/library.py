@@ -14,7 +14,7 @@ from transopt.base.files import whole_file
 from transopt.base.shown import brief, cut, html_figure, html_table, span, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
-from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared
+from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared, stored_names
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
 SCHEMA = 2  # what is written
 SCHEMAS = (1, 2)  # what is read; 1 knows of nothing before the first command nor after the last one
 PLANT = ("A", "B", "C", "D", "Ce")
+INPUT = "A or V"  # unit of commands and of what drives the plant; `meta` says which of the two
 
 
 @dataclass(frozen=True)
@@ -63,12 +64,12 @@ class Waveform(Place):
 
     Attributes
     ----------
-    command_A : (N,) total command c_k, issued at -lead + k dt and held [A].
-    transient_command_A : (N,) what a device with the library's wall plays on top of its feedback [A].
+    command : (N,) total command c_k, issued at -lead + k dt and held [A].
+    transient_command : (N,) what a device with the library's wall plays on top of its feedback [A].
     """
 
-    command_A: FloatArray
-    transient_command_A: FloatArray
+    command: FloatArray
+    transient_command: FloatArray
 
     __repr__ = brief
 
@@ -123,9 +124,16 @@ class Library:
     grips_N: Annotated[
         FloatArray, Array("g", "N", "grip forces of the grid, rising; the only one is 0 for a free device")
     ]
-    command_A: Annotated[FloatArray, Array("vgN", "A", "total command c_k, issued at -lead + k dt and held")]
-    transient_command_A: Annotated[FloatArray, Array("vgN", "A", "the command without the wall's predicted feedback")]
-    current_A: Annotated[FloatArray, Array("vgN", "A", "motor current i at the switching instants")]
+    command: Annotated[
+        FloatArray, Array("vgN", INPUT, "total command c_k, issued at -lead + k dt and held", before="command_A")
+    ]
+    transient_command: Annotated[
+        FloatArray,
+        Array("vgN", INPUT, "the command without the wall's predicted feedback", before="transient_command_A"),
+    ]
+    plant_input: Annotated[
+        FloatArray, Array("vgN", INPUT, "what drives the plant at the switching instants", before="current_A")
+    ]
     acceleration_m_s2: Annotated[FloatArray, Array("vgN", "m/s^2", "y'' of the stylus there, as predicted")]
     reference_m_s2: Annotated[FloatArray, Array("vN", "m/s^2", "r = H r_raw, the motor's share of the recorded tap")]
     reference_raw_m_s2: Annotated[
@@ -162,7 +170,7 @@ class Library:
         FloatArray, Array("vg2", "", "of the seed's clipped inversion, at transient and steady limit")
     ]
     nrmse_clipped: Annotated[FloatArray, Array("vg2", "", "of the optimum without limits, clipped at both likewise")]
-    peak_current_A: Annotated[FloatArray, Array("vg", "A", "largest |i| of the replay")]
+    peak_input: Annotated[FloatArray, Array("vg", INPUT, "largest size of it in the replay", before="peak_current_A")]
     peak_temperature_C: Annotated[
         FloatArray, Array("vg", "C", "hottest winding of the replay, NaN without a motor's data", may_be_nan=True)
     ]
@@ -206,7 +214,7 @@ class Library:
         return cls(**own, multipliers_of=multipliers, meta=meta)
 
     def __repr__(self) -> str:
-        stages, dt_s = self.command_A.shape[2], self.meta["dt_s"]
+        stages, dt_s = self.command.shape[2], self.meta["dt_s"]
         return wrapped(
             f"Library({cut(self.meta['scene']['name'])}: {span(self.speeds_m_s, 'm/s', 'speed')}, "
             f"{span(self.grips_N, 'N', 'grip')}, {stages} commands of {1e3 * dt_s:g} ms, limit "
@@ -225,7 +233,7 @@ class Library:
                 percent(self.floor[iv, ig]),
                 percent(self.nrmse_after[iv, ig]),
                 f"{self.peak_after_m_s2[iv, ig] / STANDARD_GRAVITY_M_S2:.3f}",
-                f"{self.peak_current_A[iv, ig]:.3f}",
+                f"{self.peak_input[iv, ig]:.3f}",
                 str(self.binding[iv, ig]),
             ]
             for iv, speed in enumerate(self.speeds_m_s)
@@ -255,7 +263,7 @@ class Library:
 
     def time_grid(self) -> TimeGrid:
         """Ticks and switching instants, and how many samples after them count."""
-        return Posing.of(self.meta, self.command_A.shape[2]).grid
+        return Posing.of(self.meta, self.command.shape[2]).grid
 
     def coil(self) -> CoilModel | None:
         return None if self.meta["thermal"] is None else CoilModel(**self.meta["thermal"]["coil"])
@@ -292,16 +300,16 @@ class Library:
         problem = replace(problem, intensity=float(self.intensity[iv, ig]))
         if problem.wall is None:
             return problem
-        return pressing_under(problem, self.command_A[iv, ig])
+        return pressing_under(problem, self.command[iv, ig])
 
     def lasting(self, iv: int, ig: int) -> tuple[FloatArray, FloatArray]:
         """(N + M,) y'' and i of an entry at the switching instants, as predicted through its window and after it."""
         problem = self.problem(iv, ig)
-        return problem.stage.rollout(problem.continued(self.command_A[iv, ig]))
+        return problem.stage.rollout(problem.continued(self.command[iv, ig]))
 
     def posing(self) -> Posing:
         """What the problems of all taps with these limits share."""
-        posing = Posing.of(self.meta, self.command_A.shape[2])
+        posing = Posing.of(self.meta, self.command.shape[2])
         if all(table["function"] is None for table in self._own):
             return posing
         # Only a limit of the user's own that is not linear needs CasADi.
@@ -334,7 +342,7 @@ class Library:
 
     def multipliers(self, iv: int, ig: int) -> Multipliers:
         """Multipliers of one entry."""
-        stages, pairs = self.command_A.shape[2], {}
+        stages, pairs = self.command.shape[2], {}
         rows = [row for row, _ in MULTIPLIERS.values()] + [table["name"] for table in self._own]
         for row in dict.fromkeys(rows):
             lower, upper = (self.multipliers_of.get(f"mu_{row}_{side}") for side in SIDES)
@@ -379,25 +387,28 @@ class Library:
         by_grip = interpolation_weights(self.grips_N, place.grip_N)
         command, transient = (
             np.tensordot(np.outer(by_speed, by_grip), waveforms, 2) * (0.0 if place.silent else 1.0)
-            for waveforms in (self.command_A, self.transient_command_A)
+            for waveforms in (self.command, self.transient_command)
         )
-        return Waveform(**vars(place), command_A=command, transient_command_A=transient)
+        return Waveform(**vars(place), command=command, transient_command=transient)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What stands in the file, by name: the arrays, `meta` as text, and the content's hash."""
-        arrays = {name: np.asarray(self.array(name)) for name in ARRAYS}
-        for name in absent(ARRAYS, self.meta):
-            del arrays[name]
+        missing = absent(ARRAYS, self.meta)
+        arrays = {self.in_file(name): self.array(name) for name in ARRAYS if name not in missing}
         arrays |= {name: self.multipliers_of[name] for name in own_arrays(self.meta["limits"])}
         arrays["meta"] = np.array(json.dumps(self.meta, sort_keys=True))
         arrays[HASH_FIELD] = np.array(content_hash(arrays))
         return arrays
 
+    def in_file(self, name: str) -> str:
+        """What an array is called in the file."""
+        return stored_names(ARRAYS, self.meta["schema"])[name]
+
     def array(self, name: str) -> NDArray[Any]:
-        """One array of the file by its name; zeros for multipliers of a limit that is not in force."""
+        """One array by its name here; zeros for multipliers of a limit that is not in force."""
         if name.startswith("mu_") and name != "mu_end":
             found = self.multipliers_of.get(name)
-            return np.zeros_like(self.command_A) if found is None else found
+            return np.zeros_like(self.command) if found is None else found
         return np.asarray(getattr(self, name))
 
     @property

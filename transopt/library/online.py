@@ -77,7 +77,7 @@ class OnlineTap:
 
 @dataclass(frozen=True)
 class _Answer:
-    command_A: FloatArray
+    command: FloatArray
     multipliers: Multipliers
 
 
@@ -189,7 +189,7 @@ class Online:
         ----------
         winding_C, housing_C : temperatures at the start; the library's own without them. Without a housing's the
             library's is taken, but none that is hotter than the winding.
-        limits : values in place of the library's own, by the keys that a scene's `limits` has, `command_A` of the
+        limits : values in place of the library's own, by the keys that a scene's `limits` has, `command` of the
             amplifier and `temperature_C` of the winding. Without a certified optimum the blend is then played only
             if it keeps them, and nothing otherwise.
 
@@ -211,13 +211,13 @@ class Online:
             wave = self._library.blend(place)
             if limits and problem is None:  # too hot to begin with
                 wave = _silent(wave)
-            elif limits and problem is not None and not inside(problem, wave.command_A):
+            elif limits and problem is not None and not inside(problem, wave.command):
                 wave = _silent(wave)
                 found = f"{found}; nothing is played, for the library's blend leaves these limits"
             return OnlineTap(wave, None, found, time.perf_counter() - start)
         problem, answer = found
-        transient = problem.transient_command(answer.command_A)
-        wave = Waveform(**vars(place), command_A=answer.command_A, transient_command_A=transient)
+        transient = problem.transient_command(answer.command)
+        wave = Waveform(**vars(place), command=answer.command, transient_command=transient)
         return OnlineTap(wave, answer.proof, "", time.perf_counter() - start)
 
     def _optimum(self, problem: TransientProblem) -> tuple[TransientProblem, _Found] | str:
@@ -228,7 +228,7 @@ class Online:
                 return "no certified optimum"
             if problem.wall is None:
                 return problem, found
-            again = pressing_under(problem, found.command_A)
+            again = pressing_under(problem, found.command)
             assert again.wall is not None
             first = max(problem.free_stages - 1, 0)  # the tick before the hand-over, which the prefilter remembers
             if np.array_equal(again.wall.pressing[first:], problem.wall.pressing[first:]):
@@ -245,7 +245,7 @@ class Online:
         bare = without_limits(small, stage)
         linear = LinearPass(bare, self._buffers_for(bare))
         if linear.solve(TOLERANCE).code in (SOLVED, ACCURACY):
-            free = linear.command_A()
+            free = linear.command()
             effect = Effect(problem, free)
             if inside(problem, free, effect=effect):
                 multipliers = replace(Multipliers.zero(problem), hand_over=linear.hand_over())
@@ -265,7 +265,7 @@ class Online:
             answer = self._by_interior_point(attempt, stage)
             if answer is None:
                 continue
-            command, multipliers = answer.command_A, answer.multipliers
+            command, multipliers = answer.command, answer.multipliers
             if attempt.thermal is not None and multipliers.upper(TEMPERATURE).max() <= BINDING_MULTIPLIER:
                 # The winding does not bind: as the answer of the problem without it this is proven, or not at all.
                 multipliers = multipliers.with_pair(TEMPERATURE, np.zeros(command.size), np.zeros(command.size))
@@ -301,7 +301,7 @@ class Online:
 
     def _proven(self, effect: Effect, multipliers: Multipliers) -> _Found:
         """A command with its certificate; where the temperature binds, a convex problem bounds J from below."""
-        problem, command = effect.problem, effect.command_A
+        problem, command = effect.problem, effect.command
         proof = certify(problem, command, multipliers, effect=effect)
         if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
             proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
@@ -309,14 +309,14 @@ class Online:
                 relaxed = problem.replaced(problem.thermal.relaxed())
                 bound = self._by_interior_point(relaxed)
                 if bound is not None:
-                    lower = certify(relaxed, bound.command_A, bound.multipliers).lower_bound
+                    lower = certify(relaxed, bound.command, bound.multipliers).lower_bound
                     proof = replace(proof, lower_bound=max(proof.lower_bound, lower))
         return _Found(command, multipliers, proof)
 
 
 def _overheats(effect: Effect) -> bool:
     """Whether a command without limits would be too hot even with its current cut off: a guess at what will bind."""
-    thermal, limit_A = effect.problem.thermal, effect.problem.limits.current_A
+    thermal, limit = effect.problem.thermal, effect.problem.limits.input_limit
     assert thermal is not None
     model = thermal.model
 
@@ -325,7 +325,7 @@ def _overheats(effect: Effect) -> bool:
 
     if not too_hot(effect.rise_K):
         return False
-    currents = (np.clip(each, -limit_A, limit_A) for each in (effect.motion.current_A, effect.command_A))
+    currents = (np.clip(each, -limit, limit) for each in (effect.motion.plant_input, effect.command))
     return too_hot(model.rise(model.heating.mean_square(*currents)))
 
 
@@ -374,5 +374,5 @@ def _heated(
 
 def _silent(wave: Waveform) -> Waveform:
     """Nothing at the same place."""
-    nothing = np.zeros_like(wave.command_A)
-    return replace(wave, silent=True, command_A=nothing, transient_command_A=nothing)
+    nothing = np.zeros_like(wave.command)
+    return replace(wave, silent=True, command=nothing, transient_command=nothing)

@@ -24,7 +24,7 @@ def with_limits(limits: Mapping[str, float], posing: Posing, meta: dict[str, Any
 
     Parameters
     ----------
-    limits : keys of a scene's `limits`, and `command_A` for the amplifier's range. `temperature_C` is checked here
+    limits : keys of a scene's `limits`, and `command` for the amplifier's range. `temperature_C` is checked here
         and is the coil's, see `CoilModel.limit_C`.
     meta : of the library, which knows whether it serves a spread of devices.
 

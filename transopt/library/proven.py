@@ -100,7 +100,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
     floors = Floors()
     for iv in range(library.speeds_m_s.size):
         where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N: "
-        problem, command = library.problem(iv, ig, stage), library.command_A[iv, ig]
+        problem, command = library.problem(iv, ig, stage), library.command[iv, ig]
         effect = Effect(problem, command)
         proof = proof_of(effect, library.multipliers(iv, ig), _bound_by_interior_point)
         said = str(library.status[iv, ig])
@@ -147,7 +147,7 @@ def proof_of(effect: Effect, multipliers: Multipliers, bound: Callable[[Transien
     ----------
     bound : lower bound of the convex problem, asked for where the entry's own multipliers bound too little.
     """
-    problem, command = effect.problem, effect.command_A
+    problem, command = effect.problem, effect.command
     proof = certify(problem, command, multipliers, effect=effect)
     if problem.thermal is not None and proof.is_stationary and not np.isfinite(proof.lower_bound):
         proof = replace(proof, lower_bound=relaxed_bound(effect, multipliers))
@@ -174,12 +174,12 @@ def _boundable(problem: TransientProblem) -> bool:
     return available and not any(name != TemperatureLimit.name for name in problem.nonlinear)
 
 
-def _accelerations(stage: StageModel, commands_A: FloatArray) -> FloatArray:
+def _accelerations(stage: StageModel, commands: FloatArray) -> FloatArray:
     """y'' of commands (..., N), by convolution with the response to the first one; many at once are fast so."""
-    N = commands_A.shape[-1]
+    N = commands.shape[-1]
     response, _ = stage.rollout(np.eye(1, N)[0])
     length = 2 * N
-    return np.fft.irfft(np.fft.rfft(commands_A, length) * np.fft.rfft(response, length), length)[..., :N]
+    return np.fft.irfft(np.fft.rfft(commands, length) * np.fft.rfft(response, length), length)[..., :N]
 
 
 class Floors:
@@ -203,7 +203,7 @@ class Floors:
             answer = run.solve(PASS_GAP)
             if answer.code not in (SOLVED, ACCURACY) or not answer.relative_gap <= PASS_GAP:
                 return np.nan
-            free = run.command_A()
+            free = run.command()
         return target.nrmse(problem.stage.rollout(free)[0])
 
 
@@ -225,14 +225,14 @@ def contradictions(
     of_bound : relative, by which the stated lower bound may lie above the one found; other methods find others.
     """
     problem = effect.problem
-    ampere, scale = problem.limits.current_A, max(proof.objective, OBJECTIVE_SCALE)
+    ampere, scale = problem.limits.input_limit, max(proof.objective, OBJECTIVE_SCALE)
     # The largest over A, V and K is stored; only where A is all there is the limit tells how exact it has to be.
     in_ampere_only = all(limit.unit.startswith("A") for limit in problem.limits)
     claims = {
         "objective": (proof.objective, SAME * scale),
         "primal_violation": (proof.primal_violation, tolerated(ampere) if in_ampere_only else VIOLATION_TOLERANCE),
         "duality_gap": (proof.duality_gap, Certificate.GAP_TOLERANCE * scale),
-        "dual_residual": (proof.dual_residual, Certificate.GAP_TOLERANCE / min(problem.command_bound_A, 1.0)),
+        "dual_residual": (proof.dual_residual, Certificate.GAP_TOLERANCE / min(problem.command_bound, 1.0)),
         "floor": (floor, SAME),
     }
     for name, (value, tolerance) in claims.items():
@@ -243,12 +243,12 @@ def contradictions(
     claimed, least = float(library.lower_bound[iv, ig]), proof.lower_bound
     if not claimed <= least + of_bound * scale and np.isfinite(least):
         yield f"lower_bound says {claimed:.8g}, no more than {least:.8g} can be proven"
-    binds = binding_limits(problem, effect.command_A, library.multipliers(iv, ig), effect=effect)
+    binds = binding_limits(problem, effect.command, library.multipliers(iv, ig), effect=effect)
     if str(library.binding[iv, ig]) != binds:
         yield f"binding says {str(library.binding[iv, ig])!r}, recomputed {binds!r}"
-    transient = problem.transient_command(effect.command_A)
-    if not np.abs(library.transient_command_A[iv, ig] - transient).max() <= tolerated(ampere):
-        yield "transient_command_A is not command_A less the predicted feedback of the wall"
+    transient = problem.transient_command(effect.command)
+    if not np.abs(library.transient_command[iv, ig] - transient).max() <= tolerated(ampere):
+        yield f"{library.in_file('transient_command')} is not {library.in_file('command')} less the wall's feedback"
 
 
 def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator[str]:
@@ -257,19 +257,19 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
     target = library.target(np.eye(library.speeds_m_s.size)[iv])
     size = max(float(np.abs(reference).max()), float(np.abs(motion.acceleration_m_s2).max()))
     for name, value, tolerance in (
-        ("current_A", motion.current_A, SAME * problem.limits.current_A),
+        ("plant_input", motion.plant_input, SAME * problem.limits.input_limit),
         ("acceleration_m_s2", motion.acceleration_m_s2, SAME * size),
     ):
         off = float(np.abs(getattr(library, name)[iv, ig] - value).max())
         if not off <= tolerance:
-            yield f"{name} is off by {off:.3g}"
+            yield f"{library.in_file(name)} is off by {off:.3g}"
     stored, error = float(library.nrmse[iv, ig]), target.nrmse(motion.acceleration_m_s2)
     if not math.isclose(stored, error, rel_tol=FIGURE, abs_tol=SAME):
         yield f"nrmse says {stored:.6g}, recomputed {error:.6g}"
     yield from _afterwards(library, iv, ig, effect, target)
-    stored, peak = float(library.peak_current_A[iv, ig]), float(np.abs(motion.current_A).max())
+    stored, peak = float(library.peak_input[iv, ig]), float(np.abs(motion.plant_input).max())
     # A wall pushes on after the waveform; its limit there is the replay's to check.
-    most = problem.limits.current_A * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
+    most = problem.limits.input_limit * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
     if not peak * (1 - FIGURE) - ROUNDING <= stored <= most:
         yield f"peak_current_A says {stored:.6g} A, recomputed {peak:.6g} A"
     stored = float(library.peak_temperature_C[iv, ig])
@@ -287,7 +287,7 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
 
 def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Target) -> Iterator[str]:
     """What the file says of the motion after the window, and of its energy, and its command does not do."""
-    problem, N = effect.problem, effect.command_A.size
+    problem, N = effect.problem, effect.command.size
     later = effect.lasting.acceleration_m_s2[N:]
     size = float(np.abs(library.reference_m_s2[iv]).max())
     claims = {
@@ -309,7 +309,7 @@ def _afterwards(library: Library, iv: int, ig: int, effect: Effect, target: Targ
 def _against_scene(library: Library) -> Iterator[str]:
     """Where the file states another problem than the scene that it carries: limits, weights, time axis, plants."""
     scene = library.scene()
-    stated, own = Posing.of(library.meta, library.command_A.shape[2]), scene.posing()
+    stated, own = Posing.of(library.meta, library.command.shape[2]), scene.posing()
     for field in fields(Posing):
         if field.name == "law_of":
             continue

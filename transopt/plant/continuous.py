@@ -110,8 +110,8 @@ class Trajectory:
     ----------
     times_s : (K,) contact at 0.
     acceleration_m_s2 : (M, K) y'' of the stylus.
-    current_A : (M, K) in the motor.
-    felt_A : (M, K) command that the amplifier follows.
+    plant_input : (M, K) in the motor.
+    felt : (M, K) command that the amplifier follows.
     velocity_m_s : (M, K) dy/dt of the motor mass.
     outputs : name -> (M, K) of a further output of the stage.
     at_switching : (N,) indices of the samples just after each switching instant.
@@ -120,8 +120,8 @@ class Trajectory:
 
     times_s: FloatArray
     acceleration_m_s2: FloatArray
-    current_A: FloatArray
-    felt_A: FloatArray
+    plant_input: FloatArray
+    felt: FloatArray
     velocity_m_s: FloatArray
     outputs: dict[str, FloatArray]
     at_switching: NDArray[np.intp]
@@ -223,16 +223,16 @@ class Course:
     ----------
     segments : of a period, two.
     states : (M, periods, n) per segment, at its start.
-    felt_A : (M, periods) per segment, the command that is felt in it.
-    command_A : (M, N) as issued.
+    felt : (M, periods) per segment, the command that is felt in it.
+    command : (M, N) as issued.
     arriving : index of the segment in which a tick's own command is felt first.
     instants : N and those after the window that the problem looks at.
     """
 
     segments: list[Segment]
     states: list[FloatArray]
-    felt_A: list[FloatArray]
-    command_A: FloatArray
+    felt: list[FloatArray]
+    command: FloatArray
     arriving: int
     instants: int
 
@@ -245,18 +245,18 @@ class Course:
     def accelerations(self, flow: Flow) -> FloatArray:
         """(M, instants) y'' just after the switching instants."""
         at = self.at_switching
-        states, felt = self.states[self.arriving][:, at], self.felt_A[self.arriving][:, at]
+        states, felt = self.states[self.arriving][:, at], self.felt[self.arriving][:, at]
         return np.asarray(states @ flow.rows[0] + flow.direct[0] * felt)
 
     def rounding(self, flow: Flow) -> FloatArray:
         """(M,) `ROUNDING` times the largest sum of the sizes of the terms that add up to y'' there [m/s^2]."""
         states = np.abs(self.states[self.arriving][:, self.at_switching])
-        felt = np.abs(self.felt_A[self.arriving][:, self.at_switching])
+        felt = np.abs(self.felt[self.arriving][:, self.at_switching])
         terms = states @ np.abs(flow.rows[0]) + np.abs(flow.direct[0]) * felt
         return np.asarray(ROUNDING * terms.max(axis=1))
 
 
-def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: int) -> FloatArray:
+def _held(P: FloatArray, by_command: FloatArray, issued: FloatArray, periods: int) -> FloatArray:
     """(M, periods, n) of x_(k+1) = P x_k + by_command @ (issued_k, issued_(k+1), ...), x_0 = 0.
 
     In blocks of `BLOCK` periods, each a linear map of the state before it and of the commands in it: what the
@@ -265,9 +265,9 @@ def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: 
     Parameters
     ----------
     by_command : (n, w).
-    issued_A : (M, at least periods + w - 1).
+    issued : (M, at least periods + w - 1).
     """
-    (n, w), M = by_command.shape, issued_A.shape[0]
+    (n, w), M = by_command.shape, issued.shape[0]
     powers = np.empty((BLOCK + 1, n, n))  # transposed: states stand in rows
     powers[0] = np.eye(n)
     for j in range(BLOCK):
@@ -279,8 +279,8 @@ def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: 
             answers[j + delay, j:] += pushed[:, delay]
     blocks = -(-(periods - 1) // BLOCK)
     padded = np.zeros((M, blocks * BLOCK + w - 1))
-    kept = min(padded.shape[1], issued_A.shape[1])
-    padded[:, :kept] = issued_A[:, :kept]
+    kept = min(padded.shape[1], issued.shape[1])
+    padded[:, :kept] = issued[:, :kept]
     windows = np.lib.stride_tricks.sliding_window_view(padded, BLOCK + w - 1, axis=1)[:, ::BLOCK]
     states = np.zeros((M, 1 + blocks * BLOCK, n))
     after = (windows.reshape(M * blocks, -1) @ answers.reshape(BLOCK + w - 1, -1)).reshape(M, blocks, BLOCK, n)
@@ -294,7 +294,7 @@ def _held(P: FloatArray, by_command: FloatArray, issued_A: FloatArray, periods: 
 
 
 def _play(
-    stage: StageModel, flow: Flow, grid: TimeGrid, commands_A: FloatArray, halvings: int, loop: Loop | None
+    stage: StageModel, flow: Flow, grid: TimeGrid, commands: FloatArray, halvings: int, loop: Loop | None
 ) -> Course:
     """The states of M taps under the commands (M, N) [A], period by period.
 
@@ -304,11 +304,11 @@ def _play(
     first, second = segments
     # With a whole delay the command arrives with the tick, else with the second segment.
     arriving = 0 if first.behind == second.behind else 1
-    (M, N), n = commands_A.shape, flow.A.shape[0]
+    (M, N), n = commands.shape, flow.A.shape[0]
     periods = N + first.behind + int(np.ceil(after_s(grid) / grid.dt_s))
     # Before the first command and after the waveform there is silence, or what the wall goes on asking for.
     issued = np.zeros((M, first.behind + periods))
-    issued[:, first.behind : first.behind + N] = commands_A
+    issued[:, first.behind : first.behind + N] = commands
     # One period as one map: the second segment goes on from the first.
     late = first.behind - second.behind
     P, by_command = second.P[-1] @ first.P[-1], np.zeros((n, 1 + late))
@@ -342,7 +342,7 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     values, felt = np.empty((flow.direct.size, M, periods, 2, samples)), np.empty((M, periods, 2, samples))
     times = np.empty((periods, 2, samples))
     ticks = grid.dt_s * np.arange(periods) - grid.lead_s
-    for j, (segment, states, command) in enumerate(zip(course.segments, course.states, course.felt_A, strict=True)):
+    for j, (segment, states, command) in enumerate(zip(course.segments, course.states, course.felt, strict=True)):
         for row, direct, found in zip(flow.rows, flow.direct, values, strict=True):
             by_state, by_command = row @ segment.P, row @ segment.Q[..., 0].T + direct
             found[:, :, j] = states @ by_state.T
@@ -355,8 +355,8 @@ def fine(course: Course, flow: Flow, grid: TimeGrid) -> Trajectory:
     return Trajectory(
         times_s=times.ravel(),
         acceleration_m_s2=acceleration,
-        current_A=current,
-        felt_A=felt.reshape(M, -1),
+        plant_input=current,
+        felt=felt.reshape(M, -1),
         velocity_m_s=velocity,
         outputs=dict(zip(flow.names, further, strict=True)),
         at_switching=starts[course.arriving :: 2][at][: grid.stages],
@@ -384,7 +384,7 @@ class Accurate:
     step_error: FloatArray
 
 
-def accurate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, loop: Loop | None) -> Accurate:
+def accurate(stage: StageModel, grid: TimeGrid, commands: FloatArray, loop: Loop | None) -> Accurate:
     """Play commands (M, N) [A], halving the step until halving changes y'' by no more than `STEP_ERROR`.
 
     After `MOST_HALVINGS` the finest course is returned as it is; its `step_error` says how good it is.
@@ -394,9 +394,9 @@ def accurate(stage: StageModel, grid: TimeGrid, commands_A: FloatArray, loop: Lo
     loop : the walls whose feedback is added to the commands; None for none.
     """
     flow = Flow.of(stage)
-    coarse = _play(stage, flow, grid, commands_A, 0, loop).accelerations(flow)
+    coarse = _play(stage, flow, grid, commands, 0, loop).accelerations(flow)
     for halvings in range(1, MOST_HALVINGS + 1):
-        course = _play(stage, flow, grid, commands_A, halvings, loop)
+        course = _play(stage, flow, grid, commands, halvings, loop)
         found, rounding = course.accelerations(flow), course.rounding(flow)
         step_error = np.abs(found - coarse).max(axis=1) / peak_scale(np.abs(found).max(axis=1), rounding)
         coarse = found

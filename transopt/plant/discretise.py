@@ -110,7 +110,7 @@ class Motion:
     Attributes
     ----------
     acceleration_m_s2 : y'' of the stylus.
-    current_A : i in the motor.
+    plant_input : i in the motor.
     velocity_m_s : dy/dt of the motor mass, which the back-EMF follows.
     encoder_m : y of the motor mass where the encoder is read while c_k is felt, at tick t_(k + 1 + whole delay);
         zero where the model has no position.
@@ -118,7 +118,7 @@ class Motion:
     """
 
     acceleration_m_s2: FloatArray
-    current_A: FloatArray
+    plant_input: FloatArray
     velocity_m_s: FloatArray
     encoder_m: FloatArray
     outputs: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -141,7 +141,7 @@ class Motion:
 
         return Motion(
             longer(self.acceleration_m_s2),
-            longer(self.current_A),
+            longer(self.plant_input),
             longer(self.velocity_m_s),
             longer(self.encoder_m),
             {name: longer(values) for name, values in self.outputs.items()},
@@ -151,7 +151,7 @@ class Motion:
         """The first so many instants of it."""
         return Motion(
             self.acceleration_m_s2[..., :stages],
-            self.current_A[..., :stages],
+            self.plant_input[..., :stages],
             self.velocity_m_s[..., :stages],
             self.encoder_m[..., :stages],
             {name: values[..., :stages] for name, values in self.outputs.items()},
@@ -233,39 +233,39 @@ class StageModel:
         row = self.outputs[own]
         return (row, 0.0) if own == name else (row @ self.A, float(row @ self.B[:, 0]))
 
-    def states(self, command_A: FloatArray) -> FloatArray:
+    def states(self, command: FloatArray) -> FloatArray:
         """(N, n) states at the switching instants for one held command (N,)."""
-        dtype = np.result_type(self.A, command_A)
-        forcing = np.zeros((command_A.size, self.A.shape[0]), dtype=dtype)
-        forcing[1:] = command_A[:-1, None] * self.B[:, 0]
+        dtype = np.result_type(self.A, command)
+        forcing = np.zeros((command.size, self.A.shape[0]), dtype=dtype)
+        forcing[1:] = command[:-1, None] * self.B[:, 0]
         if dtype == np.float64:
             return recursions.run(self.A, self._forwards, forcing)
-        for k in range(1, command_A.size):  # no library has extended precision
+        for k in range(1, command.size):  # no library has extended precision
             forcing[k] += self.A @ forcing[k - 1]
         return forcing
 
-    def motion(self, command_A: FloatArray) -> Motion:
+    def motion(self, command: FloatArray) -> Motion:
         """Everything a held command does.
 
         Parameters
         ----------
-        command_A : (..., N).
+        command : (..., N).
         """
         rows, direct = self._outputs
-        c = command_A.reshape(-1, command_A.shape[-1])
+        c = command.reshape(-1, command.shape[-1])
         found = [self.states(each) @ rows.T + each[:, None] * direct for each in c]
         # (..., N) each, row after row of the outputs.
-        values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command_A.shape)
+        values = np.moveaxis(np.stack(found), -1, 0).reshape(-1, *command.shape)
         acceleration, current, velocity = values[:3]
-        encoder = np.zeros(command_A.shape) if self.Cp is None else values[3]
+        encoder = np.zeros(command.shape) if self.Cp is None else values[3]
         names = self.output_names
         further = values[values.shape[0] - len(names) :]
         return Motion(acceleration, current, velocity, encoder, dict(zip(names, further, strict=True)))
 
-    def rollout(self, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def rollout(self, command: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Acceleration y'' and current at the switching instants for held commands (..., N), each (..., N)."""
-        motion = self.motion(command_A)
-        return motion.acceleration_m_s2, motion.current_A
+        motion = self.motion(command)
+        return motion.acceleration_m_s2, motion.plant_input
 
     def free_response(self, instants: int) -> tuple[FloatArray, FloatArray]:
         """Q (M, m), R (m, n) with Q R x = y'' at so many instants of the free motion from the state x; m = min(M, n).
@@ -311,10 +311,10 @@ class StageModel:
         The transpose of `motion`, by the adjoint recursion: lambda_k = A' lambda_(k+1) + sum of C' g_k.
         """
         rows, direct = self._outputs
-        by_output = [gradient.acceleration_m_s2, gradient.current_A, gradient.velocity_m_s]
+        by_output = [gradient.acceleration_m_s2, gradient.plant_input, gradient.velocity_m_s]
         if self.Cp is not None:
             by_output.append(gradient.encoder_m)
-        nothing = np.zeros_like(gradient.current_A)
+        nothing = np.zeros_like(gradient.plant_input)
         by_output += [gradient.outputs.get(name, nothing) for name in self.output_names]
         stacked = np.stack(by_output, axis=1)
         forcing = stacked @ rows

@@ -44,7 +44,7 @@ class Feedback:
     def command(self, motion: Motion) -> FloatArray:
         """(K,) that the wall asks for during a motion (K,), pushing at the ticks that are held fixed."""
         if self.wall is None:
-            return np.zeros(motion.current_A.size)
+            return np.zeros(motion.plant_input.size)
         dt = self.grid.dt_s
         return feedback_command(self.wall.masked_feedback(self.course(motion), dt), self.stage.amplifier, dt)
 
@@ -56,14 +56,14 @@ class Feedback:
         by_feedback = feedback_command_transpose(by_command, self.stage.amplifier, dt)
         return earlier_by(late, self.wall.feedback_transpose(by_feedback, dt))
 
-    def continued(self, command_A: FloatArray) -> FloatArray:
+    def continued(self, command: FloatArray) -> FloatArray:
         """(N + M,) a command (N,) and what follows it."""
         M = self.grid.after_stages
-        lasting = np.append(command_A, np.zeros(M, dtype=command_A.dtype))
+        lasting = np.append(command, np.zeros(M, dtype=command.dtype))
         if self.wall is None or M == 0:
             return lasting
-        asked = self.command(self.stage.motion(lasting))[command_A.size :]
-        lasting[command_A.size :] = self._solved(asked, transposed=False)
+        asked = self.command(self.stage.motion(lasting))[command.size :]
+        lasting[command.size :] = self._solved(asked, transposed=False)
         return lasting
 
     def continued_transposed(self, by_lasting: FloatArray) -> FloatArray:

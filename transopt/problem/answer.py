@@ -109,7 +109,7 @@ class Solution:
     Attributes
     ----------
     status : typed from the solver's raw status string.
-    command_A : (N,) commands, exactly inside the command box and exactly zero over the hand-over.
+    command : (N,) commands, exactly inside the command box and exactly zero over the hand-over.
     multipliers : clipped to their sign.
     solver : name, version-free.
     message : the solver's raw status.
@@ -119,7 +119,7 @@ class Solution:
     """
 
     status: Status
-    command_A: FloatArray
+    command: FloatArray
     multipliers: Multipliers
     solver: str
     message: str

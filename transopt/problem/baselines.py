@@ -48,7 +48,7 @@ def seed_inversion(
 
 
 def clipped_optimum(
-    stage: StageModel, grid: TimeGrid, unlimited_command_A: FloatArray, current_limit_A: float | FloatArray
+    stage: StageModel, grid: TimeGrid, unlimited_command: FloatArray, current_limit_A: float | FloatArray
 ) -> FloatArray:
     """The unlimited optimum (..., N) with its current cut at the limit, hold and delay compensated exactly.
 
@@ -60,7 +60,7 @@ def clipped_optimum(
     -------
     (..., N) commands [A], of their common shape.
     """
-    _, current = stage.rollout(unlimited_command_A)
+    _, current = stage.rollout(unlimited_command)
     wanted = np.clip(current, -current_limit_A, current_limit_A)
     if stage.amplifier is None:
         return wanted
@@ -69,8 +69,8 @@ def clipped_optimum(
     return np.concatenate([after, np.zeros((*after.shape[:-1], 1))], axis=-1)
 
 
-def _play(stage: StageModel, grid: TimeGrid, wanted_A: FloatArray) -> FloatArray:
+def _play(stage: StageModel, grid: TimeGrid, wanted: FloatArray) -> FloatArray:
     if stage.amplifier is None:
-        return wanted_A
+        return wanted
     bound = stage.amplifier.command_limit_A
-    return np.clip(prefilter(wanted_A, stage.amplifier, grid.dt_s), -bound, bound)
+    return np.clip(prefilter(wanted, stage.amplifier, grid.dt_s), -bound, bound)

@@ -52,29 +52,27 @@ class Heating:
     square: FloatArray
     share: float
 
-    def after(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+    def after(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
         """i_(k+1)."""
-        return np.asarray(self.decay * current_A + (1 - self.decay) * command_A)
+        return np.asarray(self.decay * current_A + (1 - self.decay) * command)
 
-    def mean_current(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+    def mean_current(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
         """(...) mean of i over the period [A]."""
-        return np.asarray(mean_current(self.share, self.decay, current_A, command_A))
+        return np.asarray(mean_current(self.share, self.decay, current_A, command))
 
-    def mean_square(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+    def mean_square(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
         """(...) mean of i_eff^2 = (|i| + 0.02 A)^2 over the period [A^2]."""
-        size = np.abs(self.mean_current(current_A, command_A))
-        return np.asarray(mean_square(self.square, self.decay, PWM_RIPPLE_A, current_A, command_A, size))
+        size = np.abs(self.mean_current(current_A, command))
+        return np.asarray(mean_square(self.square, self.decay, PWM_RIPPLE_A, current_A, command, size))
 
-    def gradient(
-        self, current_A: FloatArray, command_A: FloatArray, sign: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def gradient(self, current_A: FloatArray, command: FloatArray, sign: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Derivatives of `mean_square` by the current and by the command, (...) each [A].
 
         Parameters
         ----------
         sign : (...) slope of |mean i|: its sign, and any number from -1 to 1 where it is zero.
         """
-        a, b = current_A, self.after(current_A, command_A)
+        a, b = current_A, self.after(current_A, command)
         by_a = 2 * self.square[0] * a + self.square[1] * b + 2 * PWM_RIPPLE_A * self.share * sign
         by_b = 2 * self.square[2] * b + self.square[1] * a + 2 * PWM_RIPPLE_A * (1 - self.share) * sign
         return by_a + self.decay * by_b, (1 - self.decay) * by_b

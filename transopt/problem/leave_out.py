@@ -69,9 +69,9 @@ def without_position(stage: StageModel) -> StageModel:
     return discretise(stage.plant, stage.amplifier, stage.dt_s, outputs=tuple(stage.outputs))
 
 
-def encoder_course(problem: TransientProblem, command_A: FloatArray) -> FloatArray:
+def encoder_course(problem: TransientProblem, command: FloatArray) -> FloatArray:
     """(N + M,) deviation of the encoder at the ticks under a command (N,) and what follows it."""
-    return problem.feedback.course(problem.stage.motion(problem.continued(command_A)))
+    return problem.feedback.course(problem.stage.motion(problem.continued(command)))
 
 
 def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientProblem:
@@ -82,13 +82,13 @@ def pressing(problem: TransientProblem, deviation_m: FloatArray) -> TransientPro
     return replace(problem, wall=replace(wall, pressing=pushes))
 
 
-def pressing_under(problem: TransientProblem, command_A: FloatArray) -> TransientProblem:
+def pressing_under(problem: TransientProblem, command: FloatArray) -> TransientProblem:
     """The same problem with its wall pushing where a command (N,) and the wall after it make it push.
 
     What the wall does after the window depends on where it pushes there, so the ticks are taken anew until they stay.
     """
     for _ in range(MOST_TRIES):
-        again = pressing(problem, encoder_course(problem, command_A))
+        again = pressing(problem, encoder_course(problem, command))
         assert again.wall is not None
         assert problem.wall is not None
         if np.array_equal(again.wall.pressing, problem.wall.pressing):

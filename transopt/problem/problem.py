@@ -128,9 +128,9 @@ class TransientProblem:
         return found
 
     @property
-    def command_bound_A(self) -> float:
+    def command_bound(self) -> float:
         """The bound on |c| that every admissible command obeys."""
-        return self.limits.command_bound_A(ideal=self.stage.amplifier is None)
+        return self.limits.command_bound(ideal=self.stage.amplifier is None)
 
     @property
     def reference_m_s2(self) -> FloatArray:
@@ -152,9 +152,9 @@ class TransientProblem:
         return self.grid.stages - self.hand_over_samples
 
     @property
-    def current_scale_A(self) -> float:
+    def input_scale(self) -> float:
         """Largest current that the limits leave: the unit in which it is of order one."""
-        return min(self.command_bound_A, *(limit.reach_A(self.grid) for limit in self.limits))
+        return min(self.command_bound, *(limit.reach(self.grid) for limit in self.limits))
 
     @property
     def tracking(self) -> Tracking:
@@ -165,46 +165,46 @@ class TransientProblem:
     @property
     def movement(self) -> Movement:
         """The second term."""
-        return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.current_A)
+        return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.input_limit)
 
     @property
     def devices(self) -> tuple[StageModel, ...]:
         """The device and those of the spread."""
         return (self.stage, *self.spread)
 
-    def accelerations(self, command_A: FloatArray) -> FloatArray:
+    def accelerations(self, command: FloatArray) -> FloatArray:
         """(S, N + M) y'' of every device, the entry's own first, through the window and after it."""
-        lasting = self.continued(command_A)
+        lasting = self.continued(command)
         return np.stack([device.rollout(lasting)[0] for device in self.devices])
 
-    def objective(self, command_A: FloatArray, accelerations_m_s2: FloatArray) -> float:
+    def objective(self, command: FloatArray, accelerations_m_s2: FloatArray) -> float:
         """J of a command (N,) and the accelerations (S, N + M) it was rolled out to; dimensionless."""
-        return self.tracking.value(accelerations_m_s2) + self.movement.value(command_A)
+        return self.tracking.value(accelerations_m_s2) + self.movement.value(command)
 
-    def merit(self, command_A: FloatArray, accelerations_m_s2: FloatArray) -> float:
+    def merit(self, command: FloatArray, accelerations_m_s2: FloatArray) -> float:
         """L of the same: what is minimised, and J without a price on intensity."""
-        return self.objective(command_A, accelerations_m_s2) - self.tracking.reward(accelerations_m_s2)
+        return self.objective(command, accelerations_m_s2) - self.tracking.reward(accelerations_m_s2)
 
     @cached_property
     def feedback(self) -> Feedback:
         """What the wall makes of a command; nothing without one."""
         return Feedback(self.stage, self.wall, self.grid)
 
-    def continued(self, command_A: FloatArray) -> FloatArray:
+    def continued(self, command: FloatArray) -> FloatArray:
         """(N + M,) a command (N,) and what follows it after the window: zero, or the wall's feedback."""
-        return self.feedback.continued(command_A)
+        return self.feedback.continued(command)
 
     def hand_over_command(self, motion: Motion) -> FloatArray:
         """(N,) command that the predicted feedback asks for; zero without a wall."""
         return self.feedback.command(motion)
 
-    def transient_command(self, command_A: FloatArray) -> FloatArray:
+    def transient_command(self, command: FloatArray) -> FloatArray:
         """(N,) what remains of a total command when the wall's predicted feedback is taken off (seed Eq. 9)."""
         if self.wall is None:
-            return command_A.copy()
+            return command.copy()
         dt = self.grid.dt_s
-        course = self.feedback.course(self.stage.motion(command_A))
-        transient = command_A - feedback_command(self.wall.feedback(course, dt), self.stage.amplifier, dt)
+        course = self.feedback.course(self.stage.motion(command))
+        transient = command - feedback_command(self.wall.feedback(course, dt), self.stage.amplifier, dt)
         # Zero to rounding by the hand-over's constraint; what is handed over is nothing at all.
         transient[self.free_stages :] = 0.0
         return transient

@@ -124,8 +124,8 @@ class LinearStage:
 
     Attributes
     ----------
-    A : (n, n). units : (n,) physical size of one scaled unit of each state. current_A : unit of current and command,
-        `problem.current_scale_A`.
+    A : (n, n). units : (n,) physical size of one scaled unit of each state.
+    input_scale : of the problem, the unit of the plant's input and of the command.
     C : (S, n), E : (S,) tracked outputs y'' (filtered) / sqrt(E) from x_k and dc_k.
     unit_m_s2 : sqrt(E), what outputs are in units of; 1 for a tap of zero.
     feedback : (2, n) demanded feedback current deviation of this tick and of the one before [A].
@@ -134,7 +134,7 @@ class LinearStage:
 
     A: FloatArray
     units: FloatArray
-    current_A: float
+    input_scale: float
     C: FloatArray
     E: FloatArray
     unit_m_s2: float
@@ -149,7 +149,7 @@ class LinearStage:
 
     def rescaled(self, problem: TransientProblem) -> "LinearStage":
         """The same for another problem of the same device, in which at most reference and limits are other ones."""
-        if problem.current_scale_A != self.current_A:
+        if problem.input_scale != self.input_scale:
             return linear_stage(problem)
         unit = _unit_m_s2(problem)
         by = self.unit_m_s2 / unit
@@ -223,7 +223,7 @@ def _outputs(problem: TransientProblem, where: Layout) -> tuple[FloatArray, Floa
 
 def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> LinearStage:
     """Stage matrices of a problem, with every state of order one or, without `physical_scale`, in SI."""
-    where, current = layout(problem), problem.current_scale_A
+    where, current = layout(problem), problem.input_scale
     A = _dynamics(problem, where)
     C, E = _outputs(problem, where)
     if problem.error_filter is not None:
@@ -249,7 +249,7 @@ def linear_stage(problem: TransientProblem, *, physical_scale: bool = True) -> L
     return LinearStage(
         A=A * units / units[:, None],
         units=units,
-        current_A=current,
+        input_scale=current,
         C=C * units / unit,
         E=E * current / unit,
         unit_m_s2=unit,

@@ -41,35 +41,35 @@ def tracking_values(problem: TransientProblem, stage: LinearStage) -> dict[str, 
     return {
         "r": term.solved_reference,
         "w": term.solved_weights,
-        "rho": np.array([problem.movement.weight * stage.current_A**2]),
+        "rho": np.array([problem.movement.weight * stage.input_scale**2]),
         "end_gain": after.gain,
         "end_target": after.target,
         "constant": np.array([term.constant + after.rest]),
     }
 
 
-def heat_values(problem: TransientProblem, current_A: float) -> dict[str, FloatArray]:
-    """Numbers of the temperature recursion, in units of `current_A` and of `kelvin`, matrices as they are written."""
+def heat_values(problem: TransientProblem, input_scale: float) -> dict[str, FloatArray]:
+    """Numbers of the temperature recursion, in units of `input_scale` and `kelvin`, matrices as they are written."""
     assert problem.thermal is not None
     model, unit = problem.thermal.model, kelvin(problem)
     F, f = (np.zeros_like(model.M), np.zeros_like(model.b)) if model.closure is None else model.closure
     return {
         "M": model.M,
-        "b": model.b * current_A**2 / unit,
+        "b": model.b * input_scale**2 / unit,
         "gain": model.gain,
         "copper": np.array([model.copper * unit]),
         "square": model.heating.square,
         "share": np.array([model.heating.share]),
         "decay": np.array([model.heating.decay]),
-        "ripple": np.array([PWM_RIPPLE_A / current_A]),
+        "ripple": np.array([PWM_RIPPLE_A / input_scale]),
         "F": F,
         "f": f / unit,
     }
 
 
-def held(problem: TransientProblem, command_A: FloatArray) -> FloatArray:
+def held(problem: TransientProblem, command: FloatArray) -> FloatArray:
     """(N,) commands moved by rounding only: into the box, zero at a plain hand-over."""
-    c = np.clip(command_A, -problem.command_bound_A, problem.command_bound_A)
+    c = np.clip(command, -problem.command_bound, problem.command_bound)
     if problem.wall is None:
         c[problem.free_stages :] = 0.0
     return np.asarray(c)
@@ -173,12 +173,12 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
         heating, flows, asked = thermal.model.heating, stage.outputs[CURRENT], stage.outputs[COMMAND]
         G, d = (
-            mean_current(heating.share, heating.decay, i, c) / stage.current_A
+            mean_current(heating.share, heating.decay, i, c) / stage.input_scale
             for i, c in zip(flows, asked, strict=True)
         )
         for kind, sign in {"size_above": -1.0, "size_below": 1.0}.items():
             row(kind, sign * G, float(sign * d), 1.0, 0.0, np.inf, every)
-        size = SIZE_BOUND * problem.limits.current_A / stage.current_A
+        size = SIZE_BOUND * problem.limits.input_limit / stage.input_scale
         row("size", none, 0.0, 1.0, -size, size, every)
 
     G, d, d_size, lower, upper = (np.array(each) for each in zip(*found, strict=True))
@@ -201,12 +201,12 @@ class Stages:
 
     Attributes
     ----------
-    current_A, kelvin : units of commands and of rises.
+    input_scale, kelvin : units of commands and of rises.
     sizes, numbers, arrays : integers, scalars and arrays of `tr_problem`, by name; the arrays contiguous.
     """
 
     problem: TransientProblem
-    current_A: float
+    input_scale: float
     kelvin: float
     limits: Rows
     sizes: dict[str, int]
@@ -215,7 +215,7 @@ class Stages:
 
     def command(self, scaled: FloatArray) -> FloatArray:
         """(N,) commands [A] of those in scaled units (N,), as `held`."""
-        return held(self.problem, scaled * self.current_A)
+        return held(self.problem, scaled * self.input_scale)
 
     def multipliers(self, by_row: FloatArray, gradient: FloatArray) -> Multipliers:
         """Multipliers of J in SI from upper less lower ones (N + 1, rows) and the gradient (N,) by the movements."""
@@ -231,7 +231,7 @@ class Stages:
             slope = slope_of(-scaled["size_above"][:N], -scaled["size_below"][:N])
             mu = scaled[WINDING][1:] * (OBJECTIVE_SCALE / self.kelvin)
             pairs[problem.thermal.row_names[0]] = (np.zeros(N), mu)
-        tail = -gradient[problem.free_stages :] * (OBJECTIVE_SCALE / self.current_A)
+        tail = -gradient[problem.free_stages :] * (OBJECTIVE_SCALE / self.input_scale)
         return Multipliers(N, pairs, tail, slope).clipped()
 
 
@@ -261,7 +261,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
     heat = (
         dict.fromkeys(("M", "b", "gain", "square", "F", "f"), nothing)
         if m == 0
-        else heat_values(problem, stage.current_A)
+        else heat_values(problem, stage.input_scale)
     )
     arrays = {
         "A": stage.A,
@@ -278,7 +278,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
     }
     return Stages(
         problem=problem,
-        current_A=stage.current_A,
+        input_scale=stage.input_scale,
         kelvin=kelvin(problem),
         limits=limits,
         sizes={
@@ -294,7 +294,7 @@ def stages(problem: TransientProblem, stage: LinearStage | None = None, *, limit
         },
         numbers={
             "movement_weight": 2 * float(values["rho"][0]) / OBJECTIVE_SCALE,
-            "command_bound": problem.command_bound_A / stage.current_A,
+            "command_bound": problem.command_bound / stage.input_scale,
             "constant": float(values["constant"][0]) / OBJECTIVE_SCALE,
             **{name: float(heat[name][0]) if m else 0.0 for name in ("decay", "ripple", "copper")},
         },

@@ -83,47 +83,47 @@ class Effect:
     motion : (N,) of the problem's own device, where it is known already.
     """
 
-    def __init__(self, problem: TransientProblem, command_A: FloatArray, motion: Motion | None = None) -> None:
-        self.problem, self.command_A = problem, command_A
+    def __init__(self, problem: TransientProblem, command: FloatArray, motion: Motion | None = None) -> None:
+        self.problem, self.command = problem, command
         if motion is not None:
             self.motion = motion
 
     def of(self, problem: TransientProblem) -> "Effect":
         """The same command in a problem that differs in its limits alone."""
-        found = Effect(problem, self.command_A)
-        for name in ("continued_A", "lasting", "motion", "accelerations_m_s2"):
+        found = Effect(problem, self.command)
+        for name in ("continued", "lasting", "motion", "accelerations_m_s2"):
             if name in vars(self):
                 setattr(found, name, getattr(self, name))
         return found
 
     @cached_property
-    def continued_A(self) -> FloatArray:
+    def continued(self) -> FloatArray:
         """(N + M,) the command and what follows it."""
         with np.errstate(over="ignore", invalid="ignore"):  # a wall that grows by itself goes on growing
-            return self.problem.continued(self.command_A)
+            return self.problem.continued(self.command)
 
     @cached_property
     def lasting(self) -> Motion:
         """(N + M,) of the problem's own device, through the window and after it."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return self.problem.stage.motion(self.continued_A)
+            return self.problem.stage.motion(self.continued)
 
     @cached_property
     def motion(self) -> Motion:
         """(N,) of the problem's own device within the window."""
-        return self.lasting.first(self.command_A.size)
+        return self.lasting.first(self.command.size)
 
     @cached_property
     def accelerations_m_s2(self) -> FloatArray:
         """(S, N + M) of every device."""
-        others = [device.rollout(self.continued_A)[0] for device in self.problem.spread]
+        others = [device.rollout(self.continued)[0] for device in self.problem.spread]
         return np.stack([self.lasting.acceleration_m_s2, *others])
 
     @cached_property
     def mean_square_A2(self) -> FloatArray:
         """(N,) mean of i_eff^2 over each period; of a problem with a temperature limit, as what follows."""
         assert self.problem.thermal is not None
-        return self.problem.thermal.model.heating.mean_square(self.motion.current_A, self.command_A)
+        return self.problem.thermal.model.heating.mean_square(self.motion.plant_input, self.command)
 
     @cached_property
     def rise_K(self) -> FloatArray:
@@ -135,19 +135,19 @@ class Effect:
         """(N,) gradient of the temperature limit's part of the Lagrangian by the heatings; zero without one."""
         thermal, by_winding = self.problem.thermal, multipliers.upper(TEMPERATURE)
         if thermal is None or not by_winding.any():
-            return np.zeros(self.command_A.size)
+            return np.zeros(self.command.size)
         return thermal.model.adjoint(self.mean_square_A2, by_winding, self.rise_K)
 
 
-def boxes(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
+def boxes(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> list[Box]:
     """Every limit that the problem has, with what the command does to it."""
-    return list(_boxes(Effect(problem, command_A, motion), multipliers))
+    return list(_boxes(Effect(problem, command, motion), multipliers))
 
 
 def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
     problem, m, N = effect.problem, multipliers, effect.problem.grid.stages
     for limit, row in problem.rows():
-        value = row.value(effect.motion, effect.command_A)
+        value = row.value(effect.motion, effect.command)
         yield Box(limit, value, *row.bounds(N), m.lower(row.name), m.upper(row.name), row.condition)
     thermal = problem.thermal
     if thermal is not None:
@@ -157,7 +157,7 @@ def _boxes(effect: Effect, multipliers: Multipliers) -> Iterator[Box]:
 
 
 def inside(
-    problem: TransientProblem, command_A: FloatArray, *, only: str | None = None, effect: Effect | None = None
+    problem: TransientProblem, command: FloatArray, *, only: str | None = None, effect: Effect | None = None
 ) -> bool:
     """Whether a command keeps all limits, or only those of one name, without any tolerance.
 
@@ -165,7 +165,7 @@ def inside(
     ----------
     effect : of this command in this problem, where further questions about it follow.
     """
-    limits = _boxes(effect or Effect(problem, command_A), Multipliers.zero(problem))
+    limits = _boxes(effect or Effect(problem, command), Multipliers.zero(problem))
     return all(bool((box.excess <= 0).all()) for box in limits if only in (None, box.limit.name))
 
 
@@ -180,17 +180,17 @@ def reduced_gradient(effect: Effect, multipliers: Multipliers, *, of_limits_alon
 def _reduced_gradient(
     effect: Effect, multipliers: Multipliers, by_heating: FloatArray, *, of_limits_alone: bool = False
 ) -> FloatArray:
-    problem, command_A, motion, m = effect.problem, effect.command_A, effect.motion, multipliers
+    problem, command, motion, m = effect.problem, effect.command, effect.motion, multipliers
     by_row = [(row, m.upper(row.name) - m.lower(row.name)) for _, row in problem.rows() if row.name in m.pairs]
-    through, by_command = transposed(by_row, motion, command_A)
-    by_current = through.current_A
+    through, by_command = transposed(by_row, motion, command)
+    by_current = through.plant_input
     if problem.thermal is not None and by_heating.any():
         heating = problem.thermal.model.heating
-        through_current, directly = heating.gradient(motion.current_A, command_A, m.slope)
+        through_current, directly = heating.gradient(motion.plant_input, command, m.slope)
         by_current, by_command = by_current + by_heating * through_current, by_command + by_heating * directly
     by_tail, by_encoder = hand_over.transposed(problem, m.hand_over)
     by_command = by_command + by_tail
-    by_motion = replace(through, current_A=by_current, encoder_m=by_encoder)
+    by_motion = replace(through, plant_input=by_current, encoder_m=by_encoder)
     if of_limits_alone:
         return np.asarray(problem.stage.adjoint(by_motion) + by_command)
     # What happens after the window moves with the commands within it; no limit's row looks there.
@@ -201,10 +201,10 @@ def _reduced_gradient(
     for device, its_own in zip(problem.spread, by_error[1:], strict=True):
         by_lasting = by_lasting + device.adjoint(replace(Motion.zero(its_own.size), acceleration_m_s2=its_own))
     by_tracking = problem.feedback.continued_transposed(by_lasting)
-    return np.asarray(by_tracking + problem.movement.gradient(command_A) + by_command)
+    return np.asarray(by_tracking + problem.movement.gradient(command) + by_command)
 
 
-def gradient_rounding(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> FloatArray:
+def gradient_rounding(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> FloatArray:
     """(N,) what rounding makes of the reduced gradient of the Lagrangian [1/A].
 
     Every command is moved by its last bit, up or down by lot, and the gradient is taken again. The change has both
@@ -213,13 +213,13 @@ def gradient_rounding(problem: TransientProblem, command_A: FloatArray, multipli
     """
     m = admissible(problem, multipliers)
 
-    def gradient(command: FloatArray) -> FloatArray:
-        return reduced_gradient(Effect(problem, command), m)
+    def gradient(moved: FloatArray) -> FloatArray:
+        return reduced_gradient(Effect(problem, moved), m)
 
-    own, lot = gradient(command_A), np.random.default_rng(0)
-    signs = lot.choice((-1.0, 1.0), (DRAWS, command_A.size))
-    moved = command_A * (1 + np.finfo(float).eps * signs)
-    return np.asarray(np.mean([np.abs(gradient(command) - own) for command in moved], axis=0))
+    own, lot = gradient(command), np.random.default_rng(0)
+    signs = lot.choice((-1.0, 1.0), (DRAWS, command.size))
+    nearby = command * (1 + np.finfo(float).eps * signs)
+    return np.asarray(np.mean([np.abs(gradient(moved) - own) for moved in nearby], axis=0))
 
 
 def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multipliers:
@@ -233,9 +233,9 @@ def admissible(problem: TransientProblem, multipliers: Multipliers) -> Multiplie
     )
 
 
-def kink_gap(problem: TransientProblem, command_A: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
+def kink_gap(problem: TransientProblem, command: FloatArray, motion: Motion, multipliers: Multipliers) -> float:
     """What the tangent at |mean i| with the stated slope lies below it; zero where the slope is its sign."""
-    effect = Effect(problem, command_A, motion)
+    effect = Effect(problem, command, motion)
     return _kink_gap(effect, multipliers, effect.by_heating(multipliers))
 
 
@@ -243,14 +243,14 @@ def _kink_gap(effect: Effect, multipliers: Multipliers, by_heating: FloatArray) 
     thermal = effect.problem.thermal
     if thermal is None or not by_heating.any():
         return 0.0
-    mean = thermal.model.heating.mean_current(effect.motion.current_A, effect.command_A)
+    mean = thermal.model.heating.mean_current(effect.motion.plant_input, effect.command)
     short = np.abs(mean) - multipliers.slope * mean
     return float(np.abs(by_heating) @ (2 * PWM_RIPPLE_A * short))
 
 
 def certify(
     problem: TransientProblem,
-    command_A: FloatArray,
+    command: FloatArray,
     multipliers: Multipliers,
     lower_bound: float = -np.inf,
     *,
@@ -273,25 +273,25 @@ def certify(
 
     Parameters
     ----------
-    command_A : (N,).
+    command : (N,).
     lower_bound : of the optimum, from elsewhere; not needed while no temperature multiplier is positive.
     effect : of this command in this problem, where it is known already.
     """
     N = problem.grid.stages
-    arrays = [command_A, *multipliers.arrays()]
+    arrays = [command, *multipliers.arrays()]
     shapes = [(N,)] * (len(arrays) - 2) + [(problem.hand_over_samples,), (N,)]
     if [a.shape for a in arrays] != shapes or not np.isfinite(np.concatenate(arrays)).all():
         return Certificate.nothing()
 
-    effect, clipped = effect or Effect(problem, command_A), admissible(problem, multipliers)
+    effect, clipped = effect or Effect(problem, command), admissible(problem, multipliers)
     limits, silent = list(_boxes(effect, clipped)), problem.reference_is_zero
     objective = merit = 0.0
     if not problem.target.is_zero:
         with np.errstate(
             over="ignore", invalid="ignore"
         ):  # over a wall that grows by itself what comes after does too
-            objective = problem.objective(command_A, effect.accelerations_m_s2)
-            merit = problem.merit(command_A, effect.accelerations_m_s2)
+            objective = problem.objective(command, effect.accelerations_m_s2)
+            merit = problem.merit(command, effect.accelerations_m_s2)
         if not np.isfinite(merit):
             # Beside an objective without bound any gap would be none.
             return Certificate.nothing()
@@ -301,14 +301,14 @@ def certify(
         return replace(Certificate.nothing(), objective=objective, merit=merit)
 
     over = [float(box.excess.max()) for box in limits]
-    tail = hand_over.residual(problem, command_A, effect.motion)
+    tail = hand_over.residual(problem, command, effect.motion)
     off = float(np.abs(tail).max())
     violations = {"A": max(off, 0.0)}
     for by, box in zip(over, limits, strict=True):
         unit = box.limit.base_unit()
         violations[unit] = max(violations.get(unit, 0.0), by)
     excess = [by / box.limit.tolerance for by, box in zip(over, limits, strict=True)]
-    excess.append(off / tolerated(problem.limits.current_A))
+    excess.append(off / tolerated(problem.limits.input_limit))
     found = Certificate(
         objective=objective,
         merit=merit,
@@ -321,16 +321,16 @@ def certify(
     )
     if silent:
         # Where nothing is asked for in the window the stated answer is the zero waveform, over a wall as without one.
-        zero = float(np.abs(problem.transient_command(command_A)).max()) <= SILENT * problem.limits.current_A
+        zero = float(np.abs(problem.transient_command(command)).max()) <= SILENT * problem.limits.input_limit
         return found if zero else replace(found, duality_gap=float("inf"), lower_bound=-float("inf"))
 
     with np.errstate(over="ignore", invalid="ignore"):  # of a method that broke down the multipliers may be 1e300
         by_heating = effect.by_heating(clipped)
         g = _reduced_gradient(effect, clipped, by_heating)
-        c_max = problem.command_bound_A
+        c_max = problem.command_bound
         rest = sum(box.complementarity for box in limits) + float(np.abs(clipped.hand_over) @ np.abs(tail))
         rest += _kink_gap(effect, clipped, by_heating)
-        gap = float(np.abs(g) @ (c_max + np.abs(command_A))) + rest
+        gap = float(np.abs(g) @ (c_max + np.abs(command))) + rest
         if gap > Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE):
             gap = float(np.fmin(gap, movement_bound(problem, g) + rest))
     if not np.isfinite(gap):
@@ -377,7 +377,7 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     ----------
     effect : of the command in the problem. multipliers : its own, as `certify` takes them.
     """
-    problem, command_A = effect.problem, effect.command_A
+    problem, command = effect.problem, effect.command
     thermal = problem.thermal
     if thermal is None or thermal.model.closure is not None:
         return -np.inf
@@ -385,7 +385,7 @@ def relaxed_bound(effect: Effect, multipliers: Multipliers) -> float:
     relaxed = problem.replaced(relaxed_limit)
     prices = relaxed_limit.model.prices(effect.by_heating(admissible(problem, multipliers)))
     priced = multipliers.with_pair(TEMPERATURE, np.zeros_like(prices), np.maximum(prices, 0.0))
-    return certify(relaxed, command_A, priced, effect=effect.of(relaxed)).lower_bound
+    return certify(relaxed, command, priced, effect=effect.of(relaxed)).lower_bound
 
 
 def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
@@ -400,7 +400,7 @@ def spans_ms(problem: TransientProblem, active: NDArray[np.bool_]) -> str:
 
 
 def binding_limits(
-    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
+    problem: TransientProblem, command: FloatArray, multipliers: Multipliers, *, effect: Effect | None = None
 ) -> str:
     """Which limits bind, with which sign and from when to when, in the user's words; "none" if none does.
 
@@ -413,7 +413,7 @@ def binding_limits(
     if multipliers.largest <= BINDING_MULTIPLIER:
         return "none"
     rows: dict[str, NDArray[np.bool_]] = {}
-    for box in _boxes(effect or Effect(problem, command_A), multipliers):
+    for box in _boxes(effect or Effect(problem, command), multipliers):
         near = BINDING_SLACK * abs(box.limit.stated)
         two_sided = bool(np.isfinite(box.lower).any())
         sides = [("upper", box.by_upper, box.upper - box.value), ("lower", box.by_lower, box.value - box.lower)]

@@ -13,7 +13,7 @@ from transopt.proof.certify import TEMPERATURE, Effect, admissible, boxes, kink_
 MARGIN = 1e-9  # of the sum of all terms' sizes: a hundred thousand times what rounding leaves of it
 
 
-def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers) -> bool:
+def is_infeasible(problem: TransientProblem, command: FloatArray, multipliers: Multipliers) -> bool:
     """Whether these multipliers prove that no command meets all limits and the hand-over.
 
     For any mu >= 0 a command that meets them has sum_j mu_j (value_j - limit_j) + sum_k nu_k (c_k - feedback_k) <= 0.
@@ -26,11 +26,11 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
 
     Parameters
     ----------
-    command_A : (N,) any command; the closer to all limits, the sharper.
+    command : (N,) any command; the closer to all limits, the sharper.
     """
     sides = [side for pair in multipliers.pairs.values() for side in pair]
     largest = max(float(np.abs(side).max()) for side in (*sides, multipliers.hand_over))
-    if not 0 < largest < np.inf or not np.all(np.isfinite(command_A)):
+    if not 0 < largest < np.inf or not np.all(np.isfinite(command)):
         return False
     clipped = admissible(problem, multipliers)
     ray = replace(
@@ -41,18 +41,18 @@ def is_infeasible(problem: TransientProblem, command_A: FloatArray, multipliers:
     thermal = problem.thermal
     if thermal is not None and thermal.model.copper != 0 and ray.upper(TEMPERATURE).any():
         return False
-    effect = Effect(problem, command_A)
+    effect = Effect(problem, command)
     motion = effect.motion
     total = size = 0.0
-    for box in boxes(problem, command_A, motion, ray):
+    for box in boxes(problem, command, motion, ray):
         for mu, value, bound in ((box.by_upper, box.value, box.upper), (box.by_lower, -box.value, -box.lower)):
             stated = np.isfinite(bound)
             total += float(mu[stated] @ (value[stated] - bound[stated]))
             size += float(mu[stated] @ (np.abs(value[stated]) + np.abs(bound[stated])))
-    tail = hand_over.residual(problem, command_A, motion)
+    tail = hand_over.residual(problem, command, motion)
     total += float(ray.hand_over @ tail)
     g = reduced_gradient(effect, ray, of_limits_alone=True)
-    loss = float(np.abs(g) @ (problem.command_bound_A + np.abs(command_A)))
-    loss += kink_gap(problem, command_A, motion, ray)
+    loss = float(np.abs(g) @ (problem.command_bound + np.abs(command)))
+    loss += kink_gap(problem, command, motion, ray)
     # Written so that a NaN proves nothing. The gradient's rounding counts in `loss` itself.
     return bool(total - loss > MARGIN * (size + float(np.abs(ray.hand_over) @ np.abs(tail))))

@@ -29,11 +29,11 @@ class Replay:
 
     Attributes
     ----------
-    acceleration_m_s2, current_A : (N,) y'' and i at the switching instants.
+    acceleration_m_s2, plant_input : (N,) y'' and i at the switching instants.
     nrmse : of that acceleration against the reference, what no command can reach counted too (`Target.nrmse`).
     nrmse_after, error_peak_after_m_s2 : sqrt(sum e^2 / E) and max |e| over the instants after the window that the
         problem looks at.
-    peak_current_A, peak_command_A : over all t.
+    peak_input, peak_command : over all t.
     after_m_s2 : (M,) y'' at the instants after the window.
     after_peak_m_s2 : largest |y''| after the waveform (`continuous.after_s`), when no current flows any more.
     reached : name of a limit -> largest size over all t of what it bounds, for the limits that were handed in; 0
@@ -42,25 +42,25 @@ class Replay:
         last command and, with a wall, from its feedback alone.
     winding_C, housing_C : highest temperatures over the horizon, or for taps that repeat over the periodic steady
         state; NaN without a coil model.
-    command_A : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
+    command : (N,) the total command that was played; with a wall the transient plus the feedback of the replay.
     rounding_m_s2 : `ROUNDING` of the largest |C||x| + |D||i| at the switching instants, the terms that add up to y''.
     step_error : difference of y'' to a replay with half the step, relative to `scale_m_s2`.
     """
 
     acceleration_m_s2: FloatArray
-    current_A: FloatArray
+    plant_input: FloatArray
     nrmse: float
     nrmse_after: float
     error_peak_after_m_s2: float
     after_m_s2: FloatArray
-    peak_current_A: float
-    peak_command_A: float
+    peak_input: float
+    peak_command: float
     after_peak_m_s2: float
     reached: Mapping[str, float]
     reached_while_stated: Mapping[str, float]
     winding_C: float
     housing_C: float
-    command_A: FloatArray
+    command: FloatArray
     rounding_m_s2: float
     step_error: float
 
@@ -84,14 +84,14 @@ class Replay:
         early = self.reached_while_stated.get(limit.name, np.inf)
         return limit.after_the_waveform and self.leaves(limit) and early <= limit.stated + limit.replay_tolerance
 
-    def shortfalls(self, problem: TransientProblem, command_A: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
+    def shortfalls(self, problem: TransientProblem, command: FloatArray, predicted_m_s2: FloatArray) -> list[str]:
         """What speaks against admitting this command (N,), one sentence each; empty if clean."""
         found: list[str] = []
-        tolerance_A = tolerated(problem.limits.current_A)
+        tolerance_A = tolerated(problem.limits.input_limit)
         found.extend(limit.replayed(self.peak(limit)) for limit in problem.limits if self.leaves(limit))
         if not self.step_error <= AGREEMENT:
             found.append(f"replay did not converge: halving its step changes it by {self.step_error:.1e} of its peak")
-        feedback_off = float(np.abs(self.command_A - command_A).max())
+        feedback_off = float(np.abs(self.command - command).max())
         if not feedback_off <= tolerance_A:
             found.append(
                 f"with the wall's feedback the command differs from the predicted one by {feedback_off:.1e} A"
@@ -103,11 +103,9 @@ class Replay:
         return found
 
 
-def replayed_errors(
-    stage: StageModel, grid: TimeGrid, commands_A: FloatArray, targets: Sequence[Target]
-) -> FloatArray:
+def replayed_errors(stage: StageModel, grid: TimeGrid, commands: FloatArray, targets: Sequence[Target]) -> FloatArray:
     """(M,) NRMSE of M commands (M, N) against what they shall do, by the same simulation as `replay`."""
-    found = accurate(stage, grid, commands_A, None).acceleration_m_s2[:, : grid.stages]
+    found = accurate(stage, grid, commands, None).acceleration_m_s2[:, : grid.stages]
     return np.array([target.nrmse(a) for a, target in zip(found, targets, strict=True)])
 
 
@@ -127,7 +125,7 @@ def _reached(
             at = np.ones_like(playing) if limit.after_the_waveform else playing
             motion = Motion(
                 run.acceleration_m_s2[m, at],
-                run.current_A[m, at],
+                run.plant_input[m, at],
                 run.velocity_m_s[m, at],
                 np.zeros(0),
                 {name: values[m, at] for name, values in run.outputs.items()},
@@ -136,7 +134,7 @@ def _reached(
                 offset = row.offset
                 if isinstance(offset, np.ndarray):
                     offset = np.interp(run.times_s[at], instants[: offset.size], offset)
-                size = np.abs(replace(row, offset=offset).value(motion, run.felt_A[m, at]))
+                size = np.abs(replace(row, offset=offset).value(motion, run.felt[m, at]))
                 peaks[limit.name] = np.maximum(peaks[limit.name], size.max()).item()
                 early[limit.name] = np.maximum(early[limit.name], size[stated[at]].max(initial=0.0)).item()
         found.append((peaks, early))
@@ -161,7 +159,7 @@ def _temperatures(
     playing = starts < grid.end_s - 1e-9 * grid.dt_s
     first, lengths = run.segment_starts[playing], np.diff(starts, append=run.times_s[-1])[playing]
     # Exact for whole segments, as the command is held within each.
-    before, felt = run.current_A[:, first], run.felt_A[:, first]
+    before, felt = run.plant_input[:, first], run.felt[:, first]
     if amplifier is None:
         heat = effective_square(before)
     else:
@@ -179,7 +177,7 @@ def _temperatures(
 def replay(
     stage: StageModel,
     grid: TimeGrid,
-    commands_A: FloatArray,
+    commands: FloatArray,
     targets: Sequence[Target],
     coil: CoilModel | None,
     *,
@@ -202,11 +200,11 @@ def replay(
     budgets : one per command, of one tap rate; with it the temperatures are those of the periodic steady state.
     """
     loop = None if walls is None else Loop(walls, count_m)
-    found = accurate(stage, grid, commands_A, loop)
-    run, command = fine(found.course, found.flow, grid), found.course.command_A
+    found = accurate(stage, grid, commands, loop)
+    run, command = fine(found.course, found.flow, grid), found.course.command
     acceleration, later = np.split(found.acceleration_m_s2, [grid.stages], axis=1)
-    current = run.current_A[:, run.at_switching]
-    M, after = commands_A.shape[0], run.times_s > grid.end_s
+    current = run.plant_input[:, run.at_switching]
+    M, after = commands.shape[0], run.times_s > grid.end_s
     unknown = np.full(M, np.nan)
     winding, housing = (
         (unknown, unknown) if coil is None else _temperatures(run, stage.amplifier, coil, budgets, grid)
@@ -221,19 +219,19 @@ def replay(
     return [
         Replay(
             acceleration_m_s2=acceleration[m],
-            current_A=current[m],
+            plant_input=current[m],
             nrmse=errors[m],
             nrmse_after=errors_after[m],
             error_peak_after_m_s2=peaks_after[m],
             after_m_s2=later[m],
-            peak_current_A=float(np.abs(run.current_A[m]).max()),
-            peak_command_A=float(np.abs(command[m]).max()),
+            peak_input=float(np.abs(run.plant_input[m]).max()),
+            peak_command=float(np.abs(command[m]).max()),
             after_peak_m_s2=float(np.abs(run.acceleration_m_s2[m, after]).max()),
             reached=reached[m][0],
             reached_while_stated=reached[m][1],
             winding_C=float(winding[m]),
             housing_C=float(housing[m]),
-            command_A=command[m],
+            command=command[m],
             rounding_m_s2=float(found.rounding_m_s2[m]),
             step_error=float(found.step_error[m]),
         )

@@ -42,26 +42,26 @@ class Figures:
     ----------
     nrmse, floor : relative errors, with and without the limits.
     peak_after_m_s2 : largest error after the waveform; NaN where the library does not look at it.
-    peak_current_A : of the replay.
+    peak_input : of the replay.
     peak_temperature_C : of the winding; NaN where it is unknown.
     verdict : in words.
-    command_A : (N,) the waveform.
+    command : (N,) the waveform.
     """
 
     nrmse: float
     floor: float
     peak_after_m_s2: float
-    peak_current_A: float
+    peak_input: float
     peak_temperature_C: float
     verdict: str
-    command_A: np.ndarray
+    command: np.ndarray
 
     def cells(self) -> list[str]:
         """As they are printed, without the waveform and the verdict."""
         winding = "-" if np.isnan(self.peak_temperature_C) else f"{self.peak_temperature_C:.2f}"
         after_g = self.peak_after_m_s2 / STANDARD_GRAVITY_M_S2
         after = "-" if np.isnan(after_g) else f"{after_g:.3f}"
-        return [percent(self.nrmse), percent(self.floor), after, f"{self.peak_current_A:.3f}", winding]
+        return [percent(self.nrmse), percent(self.floor), after, f"{self.peak_input:.3f}", winding]
 
 
 @dataclass(frozen=True)
@@ -100,12 +100,12 @@ class Comparison:
     def apart_A(self, node: Node) -> float:
         """Largest difference of the two commands; NaN where they are issued at different instants."""
         ours, theirs = self.both[node]
-        return float(np.abs(ours.command_A - theirs.command_A).max()) if self.same_instants else float("nan")
+        return float(np.abs(ours.command - theirs.command).max()) if self.same_instants else float("nan")
 
 
 def _instants(library: Library) -> tuple[float, float, int]:
     """Servo period [s], how long before contact the first command is issued [s], and how many commands there are."""
-    return library.meta["dt_s"], library.meta["lead_s"], library.command_A.shape[2]
+    return library.meta["dt_s"], library.meta["lead_s"], library.command.shape[2]
 
 
 def _entries(library: Library) -> dict[Node, Figures]:
@@ -118,7 +118,7 @@ def _entries(library: Library) -> dict[Node, Figures]:
                 nrmse=nrmse,
                 floor=floor,
                 peak_after_m_s2=float(library.peak_after_m_s2[iv, ig]) if looked else float("nan"),
-                peak_current_A=float(library.peak_current_A[iv, ig]),
+                peak_input=float(library.peak_input[iv, ig]),
                 peak_temperature_C=float(library.peak_temperature_C[iv, ig]),
                 verdict=verdict(
                     nrmse,
@@ -126,7 +126,7 @@ def _entries(library: Library) -> dict[Node, Figures]:
                     float("nan") if spread is None else spread,
                     levels(library.acceleration_m_s2[iv, ig], library.reference_m_s2[iv], library.meta["dt_s"]),
                 ),
-                command_A=library.command_A[iv, ig],
+                command=library.command[iv, ig],
             )
     return found
 

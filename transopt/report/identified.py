@@ -75,7 +75,7 @@ def model_errors(build: Build) -> list[tuple[Entry, float]]:
     for entry in build.all_entries():
         if entry.status is Status.OPTIMAL:
             energy = float(np.sum(entry.predicted_m_s2**2))
-            error = model.error_of(entry.grip_N, entry.current_A, entry.problem.grid.dt_s, energy)
+            error = model.error_of(entry.grip_N, entry.plant_input, entry.problem.grid.dt_s, energy)
             if np.isfinite(error):
                 found.append((entry, error))
     return found

@@ -60,7 +60,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
     message = str(qp.stats()["return_status"])
     return Solution(
         status=STATUS.get(message, Status.NUMERICAL_FAILURE),
-        command_A=statement.command(np.asarray(result["x"]).ravel()),
+        command=statement.command(np.asarray(result["x"]).ravel()),
         multipliers=statement.multipliers(np.asarray(result["lam_x"]).ravel(), np.asarray(result["lam_a"]).ravel()),
         solver="casadi-piqp",
         message=message,

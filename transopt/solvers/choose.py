@@ -115,10 +115,10 @@ def solve(problem: TransientProblem, options: SolverOptions | None = None) -> So
 
 
 def prove(
-    problem: TransientProblem, command_A: FloatArray, multipliers: Multipliers, options: SolverOptions
+    problem: TransientProblem, command: FloatArray, multipliers: Multipliers, options: SolverOptions
 ) -> Certificate:
     """Certificate of an answer; where the temperature binds, with the convex problem's lower bound."""
-    certificate = certify(problem, command_A, multipliers)
+    certificate = certify(problem, command, multipliers)
     if np.isfinite(certificate.lower_bound) or not certificate.finite or not problem.nonlinear:
         return certificate
     return replace(certificate, lower_bound=global_bound(problem, options))
@@ -149,7 +149,7 @@ def _answers(problem: TransientProblem, options: SolverOptions) -> Iterator[tupl
     asked = False
     for name in [first, *(other for other in able if other != first)]:
         answer = solve(problem, replace(options, solver=name))
-        proof = certify(problem, answer.command_A, answer.multipliers)
+        proof = certify(problem, answer.command, answer.multipliers)
         if not proof.is_stationary and _nearly_proven(problem, proof):
             answer, proof = _pulled_inside(problem, proof, replace(options, solver=name))
         if proof.is_stationary:
@@ -182,7 +182,7 @@ def _pulled_inside(
     headroom = thermal.model.headroom_K - ROOM * proof.excess * thermal.tolerance
     narrower = replace(thermal, model=replace(thermal.model, headroom_K=headroom))
     answer = solve(problem.replaced(narrower), options)
-    return answer, certify(problem, answer.command_A, answer.multipliers)
+    return answer, certify(problem, answer.command, answer.multipliers)
 
 
 def feasible(problem: TransientProblem) -> bool:

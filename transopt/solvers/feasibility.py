@@ -117,7 +117,7 @@ def _found(problem: TransientProblem, limits: Collection[str]) -> tuple[float, F
     x = found.x * unit
     widened = float(x[-1])
     command = x[shape.first : -1].reshape(shape.stages, shape.variables)[:, shape.command]
-    command = np.asarray(command * statement.stage.current_A)
+    command = np.asarray(command * statement.stage.input_scale)
     if problem.wall is None:
         command[problem.free_stages :] = 0.0
     return 1.0 + (widened if widened > SLACK else 0.0), command
@@ -151,7 +151,7 @@ def _widths(statement: Statement, limits: Collection[str]) -> tuple[FloatArray, 
             continue
         if row.single:
             column = variable(shape, row.single)
-            wide_x[:, column] = np.where(np.isfinite(upper[:, column]), row.unit / stage.current_A, 0.0)
+            wide_x[:, column] = np.where(np.isfinite(upper[:, column]), row.unit / stage.input_scale, 0.0)
         else:
             wide_g[state_program(shape).rows[row.name]] = 1.0
     return np.append(np.zeros(shape.first), wide_x.ravel()), wide_g

@@ -53,7 +53,7 @@ def solve(problem: TransientProblem, options: SolverOptions) -> Solution:
         status, message = Status.INFEASIBLE, f"{message}: a ray proves that no command meets all limits"
     return Solution(
         status=status,
-        command_A=command,
+        command=command,
         multipliers=multipliers,
         solver="riccati",
         message=message,

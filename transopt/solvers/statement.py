@@ -65,17 +65,17 @@ class Statement:
 
     def command(self, x: FloatArray) -> FloatArray:
         """(N,) commands of a program point [A], as `held`."""
-        return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.current_A)
+        return self.held(self._by_stage(x)[:, self.shape.command] * self.stage.input_scale)
 
-    def held(self, command_A: FloatArray) -> FloatArray:
+    def held(self, command: FloatArray) -> FloatArray:
         """`stage_data.held`."""
-        return held(self.problem, command_A)
+        return held(self.problem, command)
 
     def multipliers(self, lam_x: FloatArray, lam_g: FloatArray) -> Multipliers:
         """CasADi's multipliers (grad f + J' lam_g + lam_x = 0) as multipliers of J in SI, clipped to their sign."""
         problem, shape = self.problem, self.shape
         N, rows = shape.stages, state_program(shape).rows
-        unit, boxes, pairs, slope = OBJECTIVE_SCALE / self.stage.current_A, self._by_stage(lam_x), {}, np.zeros(N)
+        unit, boxes, pairs, slope = OBJECTIVE_SCALE / self.stage.input_scale, self._by_stage(lam_x), {}, np.zeros(N)
         for row in self.rows:
             if row.single:
                 # The variable of stage k is the current at tau_(k+1); that at tau_0 is zero and has no limit.
@@ -115,7 +115,7 @@ def _parameters(
     }
     if problem.thermal is not None:
         # CasADi reads matrices column by column.
-        values |= {name: value.T.ravel() for name, value in heat_values(problem, stage.current_A).items()}
+        values |= {name: value.T.ravel() for name, value in heat_values(problem, stage.input_scale).items()}
     if where.feedback_delay is not None:
         by_state, _ = hand_over.rows(problem, stage)
         values["T"] = by_state[:, where.wall].ravel()
@@ -144,7 +144,7 @@ def _variable_bounds(
     for row in rows:
         if not row.single:
             continue
-        column, to_variable = variable(shape, row.single), row.unit / stage.current_A
+        column, to_variable = variable(shape, row.single), row.unit / stage.input_scale
         low, high = row.lower * to_variable, row.upper * to_variable
         if row.single == CURRENT:
             # The variable of stage k is the current at tau_(k+1); that at tau_N follows the hand-over.
@@ -155,7 +155,7 @@ def _variable_bounds(
         lower[:, column], upper[:, column] = np.maximum(lower[:, column], low), np.minimum(upper[:, column], high)
     if problem.thermal is not None:
         # No mean current is larger than the limit; unbounded, a size whose heat does not matter would drift.
-        size = SIZE_BOUND * problem.limits.current_A / stage.current_A
+        size = SIZE_BOUND * problem.limits.input_limit / stage.input_scale
         lower[:, 1], upper[:, 1] = -size, size
         upper[:, shape.command + 1] = problem.thermal.model.headroom_K / kelvin_K
     # Taps that repeat never cool below the surroundings: colder fixed points are those of a runaway.

@@ -29,7 +29,7 @@ DAMPED_PASSES = 30
 
 
 def tracking(problem: TransientProblem) -> Tracking:
-    """The problem's data without the limits; command in units of `current_scale_A`, states in SI.
+    """The problem's data without the limits; command in units of `input_scale`, states in SI.
 
     J is in units of 1: outputs and reference by sqrt(E).
     """
@@ -61,18 +61,18 @@ class _Candidate:
     """
 
     point: Point
-    command_A: FloatArray
+    command: FloatArray
     gap: float
     method: str
 
 
 def _judged(problem: TransientProblem, run: Pass, point: Point, method: str) -> _Candidate:
-    unit, free, data = problem.current_scale_A, problem.free_stages, run.problem
+    unit, free, data = problem.input_scale, problem.free_stages, run.problem
     command = np.cumsum(point.movement) * unit
     if problem.wall is None:
         command[free:] = 0.0
     by_command = 2 * np.diff(run.gradient(point), append=0.0) / unit
-    gap = float(np.abs(by_command) @ (problem.command_bound_A + np.abs(command[:free])))
+    gap = float(np.abs(by_command) @ (problem.command_bound + np.abs(command[:free])))
     objective = float(np.sum(data.weights * point.error**2) + data.movement_weights @ point.movement**2)
     objective += float(point.end_error @ point.end_error)
     relative = gap / max(objective, OBJECTIVE_SCALE)
@@ -133,10 +133,10 @@ def _by_sparse_kkt(problem: TransientProblem, run: Pass) -> _Candidate:
 
 
 def _solution(problem: TransientProblem, run: Pass, found: _Candidate, start_s: float) -> Solution:
-    hand_over = -2 * run.gradient_under_rule(found.point) / problem.current_scale_A
+    hand_over = -2 * run.gradient_under_rule(found.point) / problem.input_scale
     return Solution(
         status=Status.OPTIMAL if np.isfinite(found.gap) else Status.NUMERICAL_FAILURE,
-        command_A=found.command_A,
+        command=found.command,
         multipliers=replace(Multipliers.zero(problem), hand_over=hand_over),
         solver="unlimited",
         message=found.method,
@@ -153,7 +153,7 @@ def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | N
     answer = run.solve(GAP)
     if answer.code not in (extension.SOLVED, extension.ACCURACY):
         return None
-    command = run.command_A()
+    command = run.command()
     multipliers = replace(Multipliers.zero(problem), hand_over=run.hand_over())
     if not answer.relative_gap <= GAP:
         left = movement_bound(problem, reduced_gradient(Effect(problem, command), multipliers))
@@ -161,7 +161,7 @@ def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | N
             return None
     return Solution(
         status=Status.OPTIMAL,
-        command_A=command,
+        command=command,
         multipliers=multipliers,
         solver="unlimited",
         message="Riccati pass",
@@ -173,7 +173,7 @@ def _by_compiled_pass(problem: TransientProblem, start_s: float) -> Solution | N
 def solve(problem: TransientProblem) -> Solution:
     """Minimise J subject to dynamics and hand-over only; see `Solution`.
 
-    `command_A` is not clipped: it is what the limits would have to allow. The compiled pass comes first. Where there
+    `command` is not clipped: it is what the limits would have to allow. The compiled pass comes first. Where there
     is none, or it leaves a gap above `GAP` by both bounds of the certificate, the pass runs in CasADi's virtual
     machine; where that leaves one too, the sparse KKT system is solved as well, and the better answer is returned.
     """

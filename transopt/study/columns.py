@@ -28,9 +28,9 @@ MEASURES = (
     "waveform_dB",
     "intensity",
     "floor",
-    "peak_current_A",
-    "peak_command_A",
+    "peak_input",
+    "peak_command",
     "peak_temperature_C",
     "peak_voltage_V",
-    "free_peak_A",
+    "free_peak",
 )

@@ -40,7 +40,7 @@ class Played:
 
 
 def _errors_at(errors: Errors, scene: Scene, stage: StageModel, speed: float, grips: Sequence[float]) -> list[float]:
-    commands = np.stack([errors.optimum((speed, F)).command_A for F in grips])
+    commands = np.stack([errors.optimum((speed, F)).command for F in grips])
     wanted = [errors.reference(speed).target] * len(grips)
     return [float(error) for error in replayed_errors(stage, scene.time_grid(), commands, wanted)]
 

@@ -59,7 +59,7 @@ def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
         *entry,
         percent(number(row, "nrmse")),
         percent(number(row, "floor")),
-        f"{number(row, 'peak_current_A'):.3f}",
+        f"{number(row, 'peak_input'):.3f}",
         f"{number(row, 'peak_temperature_C'):.2f}",
         largest_multiplier(row),
         f"{number(row, 'relative_gap'):.0e}",

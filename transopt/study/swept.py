@@ -46,7 +46,7 @@ class Swept:
 
 
 def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    names = ("nrmse", "floor", "free_peak_A", "pacinian_dB")
+    names = ("nrmse", "floor", "free_peak", "pacinian_dB")
     error, floor, needed, felt = (entry_grid(plan, rows, name) for name in names)
     limits = plan.axes[0].values
     cut = int(np.sum(needed[0] > limits[0]))
@@ -63,7 +63,7 @@ def current_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def intensity_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    names = ("energy_dB", "waveform_dB", "nrmse", "free_peak_A")
+    names = ("energy_dB", "waveform_dB", "nrmse", "free_peak")
     energy, wave, error, needed = (entry_grid(plan, rows, name) for name in names)
     limits = np.array(plan.axes[0].values)
     asked_dB = plan.scene.weights.intensity_dB
@@ -131,7 +131,7 @@ def lead_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    used = entry_grid(plan, rows, "peak_current_A") / plan.scene.limits.steady_current_A
+    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_current_A
     error = entry_grid(plan, rows, "nrmse")
     rates = plan.axes[0].values
     at = np.unravel_index(int(np.nanargmax(used[0] - used[-1])), used[-1].shape)
@@ -148,7 +148,7 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     """Beta that the optimum uses, and its error, over the tap rate; a line per entry."""
-    used = entry_grid(plan, rows, "peak_current_A") / plan.scene.limits.steady_current_A
+    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_current_A
     error = 100 * entry_grid(plan, rows, "nrmse")
     rates = plan.axes[0].values
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")

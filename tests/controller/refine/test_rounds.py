@@ -155,12 +155,12 @@ class TestLearning:
 
 class TestResolve:
     def test_without_a_correction_nothing_changes(self, small: Library) -> None:
-        zero = np.zeros(small.command_A.shape[2])
+        zero = np.zeros(small.command.shape[2])
         again, kept = resolve(small, dict.fromkeys(nodes_of(small), zero), {"rounds": []})
         assert not kept
-        for name in ("command_A", "nrmse", "floor", "objective", "peak_current_A", "mu_current_upper"):
+        for name in ("command", "nrmse", "floor", "objective", "peak_input", "mu_current_upper"):
             # A command that is as exact as its proof needs, and figures that follow from it.
-            atol = 1e-6 if name == "command_A" else 1e-8
+            atol = 1e-6 if name == "command" else 1e-8
             np.testing.assert_allclose(again.array(name), small.array(name), rtol=1e-8, atol=atol)
         assert again.meta["left_out"] == small.meta["left_out"]
         assert again.meta["limits"] == small.meta["limits"]
@@ -175,9 +175,9 @@ class TestResolve:
         # What no limit binds follows its correction; what one does stays within it.
         assert loaded.nrmse[0, 0] == pytest.approx(0.2, abs=5e-3)
         assert loaded.floor[0, 0] == pytest.approx(loaded.nrmse[0, 0], abs=1e-6)
-        assert loaded.peak_current_A.max() <= loaded.meta["limits"]["current_A"] + 1e-6
-        np.testing.assert_array_equal(loaded.command_A[0, 1], small.command_A[0, 1])
-        assert loaded.at(0.2, 3.0).command_A == pytest.approx(loaded.command_A[0, 0])
+        assert loaded.peak_input.max() <= loaded.meta["limits"]["current_A"] + 1e-6
+        np.testing.assert_array_equal(loaded.command[0, 1], small.command[0, 1])
+        assert loaded.at(0.2, 3.0).command == pytest.approx(loaded.command[0, 0])
 
     @pytest.mark.skipif(not riccati.available, reason="the solver's extension is not built")
     def test_a_tap_solved_anew_asks_for_the_same(self, small: Library, scene: Scene) -> None:
@@ -187,11 +187,11 @@ class TestResolve:
         refined, _ = resolve(small, asked, {"rounds": []})
         online = Online(refined, scene.plant, lambda grip: ())
         at_node = online.solve(0.2, 3.0).wave
-        np.testing.assert_allclose(at_node.command_A, refined.command_A[0, 0], atol=1e-6)
+        np.testing.assert_allclose(at_node.command, refined.command[0, 0], atol=1e-6)
         plain = Online(small, scene.plant, lambda grip: ()).solve(0.22, 4.0).wave
         between = online.solve(0.22, 4.0).wave
         # But for the weight of the command's movement, which is relative to the limit.
-        assert nrmse(between.command_A, (1 + share) * plain.command_A) < 0.02
+        assert nrmse(between.command, (1 + share) * plain.command) < 0.02
 
     def test_another_correction_than_the_one_solved_for_is_found_out(self, small: Library) -> None:
         refined, _ = resolve(small, {(0, 0): 0.2 * small.reference_m_s2[0]}, {"rounds": []})
@@ -280,7 +280,7 @@ class TestRounds:
         refined = refine(small, device, resolve, 3, STATED)
         assert device.asked == [nodes_of(small)]
         assert {course.why for course in refined.history.courses.values()} == {NOTHING_LEFT}
-        np.testing.assert_array_equal(refined.library.command_A, small.command_A)
+        np.testing.assert_array_equal(refined.library.command, small.command)
         words, good = summary(refined, Path("library.npz"))
         assert good
         assert "nothing significant is to be gained at any node" in words
@@ -308,14 +308,14 @@ class TestRounds:
         assert all(refined.history.rounds[1][node].better for node in nodes_of(small))
         assert not refined.better
         assert {course.why for course in refined.history.courses.values()} == {NOT_CONFIRMED}
-        np.testing.assert_allclose(refined.library.command_A, small.command_A, atol=1e-6)
+        np.testing.assert_allclose(refined.library.command, small.command, atol=1e-6)
         assert not summary(refined, Path("library.npz"))[1]
 
     def test_certified_within_all_limits(self, small: Library, refined: Refined, tmp_path: Path) -> None:
         refined.library.save(tmp_path / "refined.npz")
         loaded = load_library(tmp_path / "refined.npz")
         assert [check.shortfalls for check in verify_library(loaded)] == [[]] * 4
-        assert loaded.peak_current_A.max() <= 4 + 1e-6
+        assert loaded.peak_input.max() <= 4 + 1e-6
         kept = loaded.meta["refinement"]
         assert kept["source"] == "a test"
         assert kept["learning"] is None
@@ -331,7 +331,7 @@ class TestRounds:
         refined = refine(small, Bent(-1.0), resolve, 1, STATED)
         assert not refined.better
         assert {course.why for course in refined.history.courses.values()} == {NOT_SURE}
-        np.testing.assert_array_equal(refined.library.command_A, small.command_A)
+        np.testing.assert_array_equal(refined.library.command, small.command)
         words, good = summary(refined, Path("library.npz"))
         assert not good
         assert "no node became better beyond chance" in words
@@ -343,7 +343,7 @@ class TestRounds:
 
         refined = refine(small, Without(0.8), resolve, 1, STATED)
         assert (1, 0) not in refined.history.rounds[0]
-        np.testing.assert_array_equal(refined.library.command_A[1, 0], small.command_A[1, 0])
+        np.testing.assert_array_equal(refined.library.command[1, 0], small.command[1, 0])
         assert refined.library.meta["refinement"]["rounds"][0]["nrmse"][1][0] is None
         assert refined.library.meta["refinement"]["why"][1][0] == NOT_TAPPED
 
@@ -371,7 +371,7 @@ class TestRounds:
                 break
             assert is_learning(present)
             history, asked = history_of(present)
-        np.testing.assert_allclose(present.command_A, refined.library.command_A, atol=1e-4)
+        np.testing.assert_allclose(present.command, refined.library.command, atol=1e-4)
         assert [course.why for course in learner.history.courses.values()] == [
             course.why for course in refined.history.courses.values()
         ]

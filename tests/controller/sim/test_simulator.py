@@ -68,13 +68,13 @@ class TestAgainstReplay:
         user = TapUser(speed, grip, CONTACT_TICKS * DT)
         simulator = Simulator(device_of(scene), user, DT, trace=True)
         start = CONTACT_TICKS - round(scene.lead_s / DT)
-        trace = play(simulator, library.command_A[iv, ig], before=start, after=10)
+        trace = play(simulator, library.command[iv, ig], before=start, after=10)
         k = at(trace, library.time_grid().switching_times_s + CONTACT_TICKS * DT)
         predicted = library.acceleration_m_s2[iv, ig]
         peak = np.abs(predicted).max()
         np.testing.assert_allclose(trace.acceleration_m_s2[k], predicted, rtol=0, atol=1e-9 * peak)
-        np.testing.assert_allclose(trace.current_A[k], library.current_A[iv, ig], rtol=0, atol=1e-9)
-        assert simulator.peak_current_A == pytest.approx(library.peak_current_A[iv, ig], abs=1e-9)
+        np.testing.assert_allclose(trace.current_A[k], library.plant_input[iv, ig], rtol=0, atol=1e-9)
+        assert simulator.peak_current_A == pytest.approx(library.peak_input[iv, ig], abs=1e-9)
 
     @pytest.mark.parametrize("name", ["second_order", "free_stylus", "stiff_drive", "ideal_amplifier", "small_coil"])
     @pytest.mark.parametrize("delay_s", [0.0, 31.4e-6, 1e-4, 2.68e-4])

@@ -27,7 +27,7 @@ def test_bilinear_plays_what_the_library_says(
     library: Library, banks: dict[Method, Bank], speed_m_s: float, grip_N: float
 ) -> None:
     play, waveform = banks[Method.BILINEAR].at(speed_m_s, grip_N), library.at(speed_m_s, grip_N)
-    np.testing.assert_allclose(play.samples_A, waveform.transient_command_A, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(play.samples_A, waveform.transient_command, rtol=0, atol=1e-12)
     assert play.out_of_grid == (waveform.speed_clamped or waveform.grip_clamped)
     assert (play.speed_m_s, play.grip_N) == pytest.approx((waveform.speed_m_s, waveform.grip_N))
     assert not play.silent
@@ -52,7 +52,7 @@ def test_the_free_device_needs_no_grip(library: Library) -> None:
 
 def test_nearest_takes_one_node(library: Library, banks: dict[Method, Bank]) -> None:
     play = banks[Method.NEAREST].at(0.26, 1.9)
-    np.testing.assert_array_equal(play.samples_A, library.transient_command_A[2, 0])
+    np.testing.assert_array_equal(play.samples_A, library.transient_command[2, 0])
     assert (play.speed_m_s, play.grip_N) == (0.3, 1.0)
 
 
@@ -60,7 +60,7 @@ def test_blind_has_one_grip(library: Library, banks: dict[Method, Bank]) -> None
     play, other = banks[Method.BLIND].at(0.23, 1.0), banks[Method.BLIND].at(0.23, 50.0)
     assert play.samples_A == other.samples_A
     assert not other.out_of_grid
-    np.testing.assert_allclose(play.samples_A, library.at(0.23, 3.0).transient_command_A, atol=1e-12)
+    np.testing.assert_allclose(play.samples_A, library.at(0.23, 3.0).transient_command, atol=1e-12)
     with pytest.raises(InputError, match=r"blind grip 9 N: the library covers 1 to 5 N"):
         bank(library, Method.BLIND, blind_grip_N=9.0)
 
@@ -90,7 +90,7 @@ def test_baselines_are_those_whose_errors_stand_in_the_library(library: Library,
 
 def test_unlimited_optimum_agrees_with_the_designers(library: Library) -> None:
     problem = library.problem(3, 2)
-    np.testing.assert_allclose(unlimited_optimum(problem), unlimited.solve(problem).command_A, atol=1e-7)
+    np.testing.assert_allclose(unlimited_optimum(problem), unlimited.solve(problem).command, atol=1e-7)
     silent = problem.towards(np.zeros(problem.grid.stages))
     assert not unlimited_optimum(silent).any()
 

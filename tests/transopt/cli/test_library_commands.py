@@ -17,9 +17,9 @@ class TestVerifyShowExport:
 
     def test_verify_fails_on_a_library_that_claims_too_much(self, run: Run, solved: Path) -> None:
         library = load_library(solved / "library.npz")
-        command = library.command_A.copy()
+        command = library.command.copy()
         command[0, 0, 20] += 0.05
-        replace(library, command_A=command).save(Path("changed.npz"))
+        replace(library, command=command).save(Path("changed.npz"))
         outcome = run("verify", "changed.npz")
         assert outcome.code == 1
         assert "0 of 1 entries" in outcome.out
@@ -63,7 +63,7 @@ class TestCompare:
         outcome = run("compare", *files, "--out", "compared.md")
         assert outcome.code == 0
         before, after = (load_library(Path(file)) for file in files)
-        peaks = f"{before.peak_current_A[0, 0]:.3f} -> {after.peak_current_A[0, 0]:.3f}"
+        peaks = f"{before.peak_input[0, 0]:.3f} -> {after.peak_input[0, 0]:.3f}"
         last = outcome.out.splitlines()[-1]
         assert last.startswith("1 entries in both; NRMSE changes most by +")
         assert "at 0.2 m/s and 3 N" in last

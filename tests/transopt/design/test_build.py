@@ -36,7 +36,7 @@ def assert_entries_are_proven(build: Build) -> None:
         assert entry.status is Status.OPTIMAL, entry.shortfalls
         assert entry.certificate.violation("A") <= 1e-6
         assert entry.certificate.relative_gap <= 1e-6
-        assert entry.played.peak_current_A <= build.scene.limits.transient_current_A + 1e-6
+        assert entry.played.peak_input <= build.scene.limits.transient_current_A + 1e-6
         assert entry.played.step_error <= 1e-10
         assert entry.played.scale_m_s2 == np.abs(entry.played.acceleration_m_s2).max()
         # What changes of sign within a period add for ever.
@@ -72,7 +72,7 @@ def test_what_comes_after_the_waveform_is_reported(build: Build) -> None:
     """Free motion after the end, by the design model: no term of the problem holds it down, so it is shown."""
     for entry in build.entries[3]:
         stage, N = entry.problem.stage, entry.problem.grid.stages
-        acceleration, _ = stage.rollout(np.append(entry.solution.command_A, np.zeros(200)))
+        acceleration, _ = stage.rollout(np.append(entry.solution.command, np.zeros(200)))
         after = np.abs(acceleration[N:]).max()
         assert (1 - 1e-9) * after <= entry.played.after_peak_m_s2 <= 1.1 * after
 
@@ -151,9 +151,7 @@ def test_temperature_that_could_bind_is_kept_and_proven(
         assert "cannot pass" not in entry.left_out.get("temperature", "")
         thermal = entry.problem.thermal
         highest = [
-            thermal.temperatures_C(
-                each.problem.stage.rollout(each.solution.command_A)[1], each.solution.command_A
-            ).max()
+            thermal.temperatures_C(each.problem.stage.rollout(each.solution.command)[1], each.solution.command).max()
             for each in (cold, entry)
         ]
         assert highest[1] <= 100 + 1e-6
@@ -224,13 +222,13 @@ class TestAdmission:
         assert coil is not None
         limit = temperature_limit(coil, problem.stage.amplifier, problem.grid, scene.budget())
         problem = with_limit(problem, limit)
-        predicted, _ = problem.stage.rollout(solution.command_A)
+        predicted, _ = problem.stage.rollout(solution.command)
         return {
             "status": solution.status,
-            "certificate": certify(problem, solution.command_A, solution.multipliers),
-            "played": played(problem, solution.command_A),
+            "certificate": certify(problem, solution.command, solution.multipliers),
+            "played": played(problem, solution.command),
             "problem": problem,
-            "command_A": solution.command_A,
+            "command": solution.command,
             "predicted_m_s2": predicted,
         }
 
@@ -285,7 +283,7 @@ class TestAdmission:
         assert text in why[0]
 
     def test_command_other_than_the_one_replayed(self, parts: dict) -> None:
-        status, why = admit(**{**parts, "command_A": parts["command_A"] + 1e-5})
+        status, why = admit(**{**parts, "command": parts["command"] + 1e-5})
         assert status is Status.REPLAY_VIOLATION
         assert "differs from the predicted one by 1.0e-05 A" in why[0]
 
@@ -302,7 +300,7 @@ class TestVerify:
         assert all(not check.shortfalls for check in checks)
 
     @pytest.mark.parametrize(
-        "field", ["nrmse", "peak_current_A", "peak_temperature_C", "objective", "current_A", "acceleration_m_s2"]
+        "field", ["nrmse", "peak_input", "peak_temperature_C", "objective", "plant_input", "acceleration_m_s2"]
     )
     def test_a_figure_that_does_not_follow_from_the_waveform(self, library: Library, field: str) -> None:
         changed = getattr(library, field).copy()
@@ -311,7 +309,7 @@ class TestVerify:
         failed = [(check.speed_m_s, check.grip_N) for check in checks if check.shortfalls]
         assert failed == [(0.2, 5.0)]
 
-    @pytest.mark.parametrize("field", ["transient_command_A", "floor", "duality_gap", "primal_violation"])
+    @pytest.mark.parametrize("field", ["transient_command", "floor", "duality_gap", "primal_violation"])
     def test_what_is_exported_and_claimed_is_checked_too(self, library: Library, field: str) -> None:
         changed = getattr(library, field).copy()
         changed[1, 2] = 10 * changed[1, 2] + 1e-3
@@ -326,8 +324,8 @@ class TestVerify:
         assert "binding says" in verify_library(replace(library, binding=binding))[0].shortfalls[0]
 
     def test_a_waveform_of_another_node(self, library: Library) -> None:
-        swapped = library.command_A[::-1].copy()
-        assert all(check.shortfalls for check in verify_library(replace(library, command_A=swapped)))
+        swapped = library.command[::-1].copy()
+        assert all(check.shortfalls for check in verify_library(replace(library, command=swapped)))
 
     def test_a_status_that_is_not_optimal(self, library: Library) -> None:
         status = library.status.astype("U100")

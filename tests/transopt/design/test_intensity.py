@@ -36,39 +36,39 @@ def attained(designed: Designed) -> Attained:
     return designed.attained
 
 
-def J(problem: TransientProblem, command_A: np.ndarray) -> float:
-    return problem.objective(command_A, problem.accelerations(command_A))
+def J(problem: TransientProblem, command: np.ndarray) -> float:
+    return problem.objective(command, problem.accelerations(command))
 
 
-def energy_dB(problem: TransientProblem, command_A: np.ndarray) -> float:
-    return problem.tracking.energy_dB(problem.accelerations(command_A))
+def energy_dB(problem: TransientProblem, command: np.ndarray) -> float:
+    return problem.tracking.energy_dB(problem.accelerations(command))
 
 
-@pytest.mark.parametrize("current_A", [4.0, 2.5, 1.25])
-def test_a_saturated_tap_gets_the_energy_it_is_asked_for(posed: Posed, current_A: float) -> None:
-    problem = posed(limits__current_A=current_A)
+@pytest.mark.parametrize("limit_A", [4.0, 2.5, 1.25])
+def test_a_saturated_tap_gets_the_energy_it_is_asked_for(posed: Posed, limit_A: float) -> None:
+    problem = posed(limits__current_A=limit_A)
     found = intense(problem, OPTIONS)
     assert attained(found).waveform_dB < -1
-    assert energy_dB(problem, found.solution.command_A) == pytest.approx(0.0, abs=0.01)
-    assert attained(found).energy_dB == pytest.approx(energy_dB(problem, found.solution.command_A), abs=1e-9)
+    assert energy_dB(problem, found.solution.command) == pytest.approx(0.0, abs=0.01)
+    assert attained(found).energy_dB == pytest.approx(energy_dB(problem, found.solution.command), abs=1e-9)
     assert found.problem.intensity == attained(found).price > 0
     assert found.certificate.accepted
     assert attained(found).problems <= 8
-    assert found.certificate.objective == pytest.approx(J(problem, found.solution.command_A), rel=1e-9)
+    assert found.certificate.objective == pytest.approx(J(problem, found.solution.command), rel=1e-9)
 
 
 def test_floor_and_unlimited_optimum_stay_those_of_the_waveform(posed: Posed) -> None:
     problem = posed()
     plain, found = optimum(problem, OPTIONS), intense(problem, OPTIONS)
-    assert (found.floor, found.free_peak_A) == (plain.floor, plain.free_peak_A)
-    np.testing.assert_array_equal(found.unlimited_command_A, plain.unlimited_command_A)
-    assert attained(found).waveform_dB == pytest.approx(energy_dB(problem, plain.solution.command_A), abs=1e-9)
+    assert (found.floor, found.free_peak) == (plain.floor, plain.free_peak)
+    np.testing.assert_array_equal(found.unlimited_command, plain.unlimited_command)
+    assert attained(found).waveform_dB == pytest.approx(energy_dB(problem, plain.solution.command), abs=1e-9)
 
 
 def test_a_tap_that_no_limit_cuts_is_left_as_it_is(posed: Posed) -> None:
     problem = posed(speed_m_s=0.2)
     found = intense(problem, OPTIONS)
-    np.testing.assert_array_equal(found.solution.command_A, optimum(problem, OPTIONS).solution.command_A)
+    np.testing.assert_array_equal(found.solution.command, optimum(problem, OPTIONS).solution.command)
     assert (attained(found).price, attained(found).problems) == (0.0, 1)
     assert "the optimum of the waveform has it" in attained(found).sentence
 
@@ -83,10 +83,10 @@ def test_no_command_with_as_much_energy_is_nearer(posed: Posed) -> None:
     """The claim of the certificate, tried: feasible commands that are as strong all have a larger J."""
     problem = posed(limits__current_A=2.5)
     found = intense(problem, OPTIONS)
-    best_A, rng = found.solution.command_A, np.random.default_rng(1)
+    best_A, rng = found.solution.command, np.random.default_rng(1)
     objective, level = J(problem, best_A), energy_dB(problem, best_A)
     lams = (0.7, 0.9, 0.97)
-    others = [optimum(replace(problem, intensity=lam), OPTIONS).solution.command_A for lam in lams]
+    others = [optimum(replace(problem, intensity=lam), OPTIONS).solution.command for lam in lams]
     tried = 0
     for _ in range(60):
         share = rng.uniform(0, 1)
@@ -104,7 +104,7 @@ def test_no_command_with_as_much_energy_is_nearer(posed: Posed) -> None:
 def test_energy_grows_with_its_price(posed: Posed) -> None:
     problem = posed(limits__current_A=1.25)
     found = [optimum(replace(problem, intensity=lam), OPTIONS) for lam in (0.0, 0.3, 0.6, 0.9, 0.99)]
-    levels_dB = [energy_dB(problem, one.solution.command_A) for one in found]
+    levels_dB = [energy_dB(problem, one.solution.command) for one in found]
     objectives = [one.certificate.objective for one in found]
     assert levels_dB == sorted(levels_dB)
     assert objectives == sorted(objectives)
@@ -133,7 +133,7 @@ def test_a_price_stays_below_the_smallest_weight(posed: Posed) -> None:
 def test_the_filter_decides_which_energy_counts(posed: Posed) -> None:
     problem = posed(limits__current_A=2.5, weights__error_filter="pacinian")
     found = intense(problem, OPTIONS)
-    felt = problem.tracking.filtered(problem.stage.rollout(found.solution.command_A)[0])
+    felt = problem.tracking.filtered(problem.stage.rollout(found.solution.command)[0])
     wanted = problem.tracking.filtered(problem.reference_m_s2)
     assert 10 * np.log10(float(felt @ felt) / float(wanted @ wanted)) == pytest.approx(0.0, abs=0.01)
     assert found.certificate.accepted
@@ -143,7 +143,7 @@ def test_a_spread_is_asked_for_its_mean_energy(posed: Posed, scene: Scene) -> No
     problem = posed(limits__current_A=2.5)
     several = replace(problem, spread=(scene_stage(scene, 4.0), scene_stage(scene, 3.0)))
     found = intense(several, OPTIONS)
-    made = several.accelerations(found.solution.command_A)[:, : several.grid.stages]
+    made = several.accelerations(found.solution.command)[:, : several.grid.stages]
     ratio = np.mean(np.sum(made**2, axis=-1)) / np.sum(several.reference_m_s2**2)
     assert 10 * np.log10(ratio) == pytest.approx(0.0, abs=0.01)
     assert found.certificate.accepted
@@ -166,13 +166,13 @@ def test_every_kind_of_limit(posed: Posed, changes: dict[str, object]) -> None:
     assert found.certificate.is_stationary
     reached = attained(found)
     assert reached.missing_dB == 0 or reached.price == pytest.approx(most_price(problem))
-    assert reached.energy_dB == pytest.approx(energy_dB(found.problem, found.solution.command_A), abs=1e-9)
+    assert reached.energy_dB == pytest.approx(energy_dB(found.problem, found.solution.command), abs=1e-9)
 
 
 def test_a_zero_tap_asks_for_nothing(posed: Posed) -> None:
     problem = posed()
     found = intense(problem.towards(0 * problem.reference_m_s2), OPTIONS)
-    assert not found.solution.command_A.any()
+    assert not found.solution.command.any()
     assert found.attained is None
 
 

@@ -115,12 +115,12 @@ def solved(problem: TransientProblem) -> tuple[Designed, float, list[Price]]:
     designed = optimum(problem, SolverOptions())
     assert designed.solution.status is Status.OPTIMAL
     assert designed.certificate.accepted
-    command = designed.solution.command_A
+    command = designed.solution.command
     error = nrmse(problem.stage.rollout(command)[0], problem.reference_m_s2)
     return (
         designed,
         error,
-        prices(problem, command, designed.solution.multipliers, designed.unlimited_command_A, SolverOptions()),
+        prices(problem, command, designed.solution.multipliers, designed.unlimited_command, SolverOptions()),
     )
 
 
@@ -148,7 +148,7 @@ def test_it_buys_no_more_than_the_multipliers_promise(cases: dict[str, Case], na
     """
     case = cases[name]
     designed, _, (price,) = solved_at(case, case.start)
-    problem, command = case.moved(case.problem, case.start), designed.solution.command_A
+    problem, command = case.moved(case.problem, case.start), designed.solution.command
     ((_, slope),) = binding(problem, command, designed.solution.multipliers).items()
     if case.name == "current":
         slope += problem.movement.relief(command)
@@ -173,7 +173,7 @@ def test_limits_along_a_command(build: Build) -> None:
     own = {box.limit.name: box for box in hardest.boxes()}
     assert own["current"].peak == pytest.approx(4.0, abs=1e-6)
     assert own["current"].by_upper.sum() > 0
-    doubled = {box.limit.name: box for box in hardest.boxes(2 * hardest.solution.command_A)}
+    doubled = {box.limit.name: box for box in hardest.boxes(2 * hardest.solution.command)}
     assert doubled["current"].excess.max() == pytest.approx(4.0, abs=1e-6)
     assert not doubled["current"].by_upper.any()
 
@@ -211,8 +211,8 @@ def test_where_several_bind_the_others_stay_in_force(scene: Scene, references: l
 def drawn(scene: Scene, references: list[Reference], seed: int) -> tuple[TransientProblem, dense.Rail | None]:
     """An entry of the default scene cut to 10 ms, its limits by lot, and its rail in plain numbers."""
     lot, N = np.random.default_rng(seed), 100
-    grip, current_A = float(lot.uniform(1.0, 5.0)), float(lot.uniform(1.2, 4.0))
-    volts = 2.8 * current_A * float(lot.uniform(0.8, 1.2))  # hot copper has 2.8 ohm
+    grip, limit_A = float(lot.uniform(1.0, 5.0)), float(lot.uniform(1.2, 4.0))
+    volts = 2.8 * limit_A * float(lot.uniform(0.8, 1.2))  # hot copper has 2.8 ohm
     reference = references[int(lot.integers(2, 4))]
     problem = railed(scene, reference, grip, volts).without("temperature")
     nominal = reference.nominal_velocity_m_s[:N]
@@ -220,8 +220,8 @@ def drawn(scene: Scene, references: list[Reference], seed: int) -> tuple[Transie
     limits = numbers_of(
         limits,
         problem.grid.dt_s,
-        current_A=current_A,
-        command_A=float(lot.uniform(2.0, 8.0)),
+        current_A=limit_A,
+        command=float(lot.uniform(2.0, 8.0)),
         slew_A_per_s=float(lot.uniform(3e3, 2e4)) if lot.random() < 0.5 else None,
     )
     with_rail = lot.random() < 0.6
@@ -311,7 +311,7 @@ class TestWords:
         designed, _, _ = solved_at(case, 4.0)
         problem, answer = case.moved(case.problem, 4.0), designed.solution
         in_vain = SolverOptions(max_iterations=1)
-        (price,) = prices(problem, answer.command_A, answer.multipliers, designed.unlimited_command_A, in_vain)
+        (price,) = prices(problem, answer.command, answer.multipliers, designed.unlimited_command, in_vain)
         assert np.isnan(price.then)
         assert np.isnan(price.enough)
         assert price.sentence == (

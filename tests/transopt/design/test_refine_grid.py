@@ -162,7 +162,7 @@ class TestBetweenTheNodes:
         own = [tap for tap in taps if abs(tap.speed_m_s / 0.4 - 1) < 0.1]
         [[exact]] = build_library(with_grid(scene, [0.4], [4.0]), own).entries
         assert point.optimum == pytest.approx(exact.nrmse, abs=1e-6)
-        played, _ = exact.problem.stage.rollout(library.at(0.4, 4.0).command_A)
+        played, _ = exact.problem.stage.rollout(library.at(0.4, 4.0).command)
         assert point.after == pytest.approx(exact.problem.target.nrmse(played), abs=1e-6)
         assert point.after > point.optimum
 

@@ -39,7 +39,7 @@ ONE_ENTRY = {"grid.speeds_m_s": [0.4], "grid.grips_N": [5.0]}
 def refused(case: StressCase) -> tuple[Status, list[Remedy]]:
     """How a case ends, and its remedies."""
     designed = optimum(case.problem(), OPTIONS)
-    problem, command = designed.problem, designed.solution.command_A
+    problem, command = designed.problem, designed.solution.command
     run = played(problem, np.nan_to_num(command))
     predicted, _ = problem.stage.rollout(command)
     status, _ = admit(designed.solution.status, designed.certificate, run, problem, command, predicted)
@@ -112,7 +112,7 @@ class TestSearch:
     def test_the_time_is_bounded(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(remedy, "MOST_S", 0.0)
         designed = optimum(LEANT_ON.problem(), OPTIONS)
-        run = played(designed.problem, np.nan_to_num(designed.solution.command_A))
+        run = played(designed.problem, np.nan_to_num(designed.solution.command))
         assert remedies(LEANT_ON, designed.problem, run, Status.HAND_OVER, OPTIONS, most_s=0.0) == []
 
 

@@ -29,7 +29,7 @@ def test_same_as_the_library(scene: Scene, taps: list[Recording], build: Build) 
     for outcome, entry in zip(found, own, strict=True):
         assert outcome.nrmse == pytest.approx(entry.nrmse, rel=1e-9)
         assert outcome.floor == pytest.approx(entry.floor, rel=1e-9)
-        assert outcome.peak_current_A == pytest.approx(entry.played.peak_current_A, rel=1e-9)
+        assert outcome.peak_input == pytest.approx(entry.played.peak_input, rel=1e-9)
         assert outcome.peak_temperature_C == pytest.approx(entry.played.winding_C, rel=1e-9)
         assert outcome.binding == entry.binding
         assert outcome.relative_gap <= 1e-6
@@ -46,7 +46,7 @@ def test_larger_current_limit_is_never_worse(scene: Scene, taps: list[Recording]
     # The optimum itself is monotone, each answer is within its own gap of it.
     assert all(b <= a + 1e-6 * max(a, 1e-3) for a, b in pairwise(J))
     assert J[0] > 100 * J[-1]
-    assert all(o.peak_current_A <= A + 1e-6 for o, A in zip(found, limits, strict=True))
+    assert all(o.peak_input <= A + 1e-6 for o, A in zip(found, limits, strict=True))
 
 
 def test_points_of_other_devices_in_one_task_come_out_as_alone(scene: Scene, taps: list[Recording]) -> None:
@@ -78,7 +78,7 @@ def test_a_defect_takes_nobody_with_it(scene: Scene, taps: list[Recording], monk
     best = sweep.best
 
     def breaks(problem: object, options: SolverOptions, *, objective: str) -> object:
-        if problem.limits.current_A == 3.0:  # type: ignore[attr-defined]
+        if problem.limits.input_limit == 3.0:  # type: ignore[attr-defined]
             raise RuntimeError("two\nlines")
         return best(problem, options, objective=objective)  # type: ignore[arg-type]
 

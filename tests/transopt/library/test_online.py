@@ -45,8 +45,8 @@ def test_at_every_node_it_is_the_entry(library: Library, solver: Online) -> None
             assert tap.solved
             assert tap.certificate.accepted
             assert tap.certificate.objective == pytest.approx(library.objective[iv, ig], rel=1e-6, abs=1e-9)
-            np.testing.assert_allclose(tap.wave.command_A, library.command_A[iv, ig], atol=1e-4)
-            np.testing.assert_array_equal(tap.wave.command_A, tap.wave.transient_command_A)
+            np.testing.assert_allclose(tap.wave.command, library.command[iv, ig], atol=1e-4)
+            np.testing.assert_array_equal(tap.wave.command, tap.wave.transient_command)
 
 
 @pytest.mark.parametrize(("speed", "grip"), [(0.37, 4.2), (0.15, 1.3), (0.4, 2.0)])
@@ -57,7 +57,7 @@ def test_between_nodes_it_is_the_optimum_of_another_solver(
     problem = solver._posed(library.posing(), speed, grip, library.coil())
     other = optimum(problem, SolverOptions("casadi-piqp"))
     assert tap.certificate.objective == pytest.approx(other.certificate.objective, rel=1e-6)
-    blend = library.at(speed, grip).command_A
+    blend = library.at(speed, grip).command
     rolled_out = problem.objective(blend, problem.accelerations(blend))
     assert tap.certificate.objective <= rolled_out + tap.certificate.duality_gap
 
@@ -72,7 +72,7 @@ class TestHeat:
         c = tap.certificate
         assert c.accepted
         assert c.objective - c.duality_gap > c.lower_bound > 0.9 * c.objective
-        commands = np.stack([tap.wave.command_A, library.at(0.4, 5.0).command_A])
+        commands = np.stack([tap.wave.command, library.at(0.4, 5.0).command])
         problem = solver._posed(library.posing(), 0.4, 5.0, warm)
         wanted = [problem.target] * 2
         cool, hot = replay(problem.stage, problem.grid, commands, wanted, warm, limits=[problem.limits] * 2)
@@ -94,7 +94,7 @@ class TestHeat:
         assert hot.certificate is not None
         assert hot.certificate.accepted
         assert cold.certificate.objective == pytest.approx(hot.certificate.objective, rel=1e-7)
-        np.testing.assert_allclose(cold.wave.command_A, hot.wave.command_A, atol=1e-4)
+        np.testing.assert_allclose(cold.wave.command, hot.wave.command, atol=1e-4)
         # Only where it binds is a convex problem needed to bound J from below.
         convex = [
             abs(c.objective - c.duality_gap - c.lower_bound) < 1e-12 for c in (cold.certificate, hot.certificate)
@@ -113,13 +113,13 @@ class TestHeat:
 
     def test_far_below_the_limit_it_changes_nothing(self, solver: Online) -> None:
         cold, warm = solver.solve(0.4, 5.0, 25.0), solver.solve(0.4, 5.0, 90.0)
-        np.testing.assert_array_equal(cold.wave.command_A, warm.wave.command_A)
+        np.testing.assert_array_equal(cold.wave.command, warm.wave.command)
 
     def test_above_the_limit_there_is_only_the_blend_and_the_reason(self, library: Library, solver: Online) -> None:
         tap = solver.solve(0.3, 2.0, 101.0)
         assert not tap.solved
         assert tap.remark.startswith("winding 101 C is above its limit 100 C")
-        np.testing.assert_array_equal(tap.wave.command_A, library.at(0.3, 2.0).command_A)
+        np.testing.assert_array_equal(tap.wave.command, library.at(0.3, 2.0).command)
 
     @pytest.mark.parametrize("temperatures", [(float("nan"), None), (25.0, float("inf"))])
     def test_no_number_is_refused(self, solver: Online, temperatures: tuple[float, float | None]) -> None:
@@ -132,14 +132,14 @@ def test_outside_the_grid_its_edge_is_solved_and_said(library: Library, solver: 
     assert tap.solved
     assert tap.wave.speed_clamped
     assert tap.wave.grip_clamped
-    np.testing.assert_array_equal(tap.wave.command_A, solver.solve(0.4, 5.0).wave.command_A)
+    np.testing.assert_array_equal(tap.wave.command, solver.solve(0.4, 5.0).wave.command)
 
 
 def test_without_grip_nothing_is_solved(solver: Online) -> None:
     tap = solver.solve(0.3, 0.1)
     assert not tap.solved
     assert tap.wave.silent
-    assert not tap.wave.command_A.any()
+    assert not tap.wave.command.any()
 
 
 def test_what_is_not_certified_is_not_played(
@@ -149,7 +149,7 @@ def test_what_is_not_certified_is_not_played(
     monkeypatch.setattr(online, "MOST_ITERATIONS", 2)
     tap = solver.solve(0.4, 5.0)
     assert tap.remark == "no certified optimum"
-    np.testing.assert_array_equal(tap.wave.command_A, library.at(0.4, 5.0).command_A)
+    np.testing.assert_array_equal(tap.wave.command, library.at(0.4, 5.0).command)
 
 
 class TestOtherLimits:
@@ -188,11 +188,11 @@ class TestOtherLimits:
         tap = solver.solve(0.4, 5.0, limits=limits)
         assert tap.certificate is not None, tap.remark
         assert tap.certificate.objective == pytest.approx(designed.certificate.objective, rel=1e-6)
-        np.testing.assert_allclose(tap.wave.command_A, designed.solution.command_A, atol=1e-4)
+        np.testing.assert_allclose(tap.wave.command, designed.solution.command, atol=1e-4)
         # It does bind: with the library's own limits the answer is another one.
         own = solver.solve(0.4, 5.0)
-        assert np.abs(tap.wave.command_A - own.wave.command_A).max() > 1e-2
-        np.testing.assert_allclose(own.wave.command_A, solver.solve(0.4, 5.0, limits={}).wave.command_A, atol=1e-12)
+        assert np.abs(tap.wave.command - own.wave.command).max() > 1e-2
+        np.testing.assert_allclose(own.wave.command, solver.solve(0.4, 5.0, limits={}).wave.command, atol=1e-12)
 
     def test_a_wider_limit_is_used(self, solver: Online) -> None:
         wider, own = solver.solve(0.4, 5.0, limits={"current_A": 5.0}), solver.solve(0.4, 5.0)
@@ -240,23 +240,23 @@ class TestOtherLimits:
         monkeypatch.setattr(online, "MOST_ITERATIONS", 2)
         tight, loose = (solver.solve(0.4, 5.0, limits={"current_A": limit}) for limit in (3.0, 4.5))
         assert tight.wave.silent
-        assert not tight.wave.command_A.any()
+        assert not tight.wave.command.any()
         assert tight.remark == "no certified optimum; nothing is played, for the library's blend leaves these limits"
         assert loose.remark == "no certified optimum"
-        np.testing.assert_array_equal(loose.wave.command_A, library.at(0.4, 5.0).command_A)
+        np.testing.assert_array_equal(loose.wave.command, library.at(0.4, 5.0).command)
 
     def test_a_winding_above_its_other_limit_plays_nothing(self, solver: Online) -> None:
         tap = solver.solve(0.3, 2.0, 60.0, limits={"temperature_C": 50.0})
         assert tap.remark == "winding 60 C is above its limit 50 C: let the motor cool"
         assert tap.wave.silent
-        assert not tap.wave.command_A.any()
+        assert not tap.wave.command.any()
         assert solver.solve(0.3, 2.0, limits={"temperature_C": 20.0}).remark.startswith("winding 25 C is above")
 
 
 class TestTheLibrarysOwnDevice:
     def test_without_a_plant_it_is_that_of_the_scene(self, library: Library, solver: Online) -> None:
         own = Online(library).solve(0.37, 4.2)
-        np.testing.assert_array_equal(own.wave.command_A, solver.solve(0.37, 4.2).wave.command_A)
+        np.testing.assert_array_equal(own.wave.command, solver.solve(0.37, 4.2).wave.command)
 
     def test_a_robust_librarys_spread_is_served(self, scene: Scene, taps: list[Recording]) -> None:
         data = scene.model_dump()
@@ -265,7 +265,7 @@ class TestTheLibrarysOwnDevice:
         robust = build_library(Scene.model_validate(data), [tap for tap in taps if "_0.4_m_s_" in tap.name]).library
         tap = Online(robust).solve(0.4, 5.0)
         assert tap.certificate.objective == pytest.approx(robust.objective[0, 0], rel=1e-6)
-        np.testing.assert_allclose(tap.wave.command_A, robust.command_A[0, 0], atol=1e-4)
+        np.testing.assert_allclose(tap.wave.command, robust.command[0, 0], atol=1e-4)
 
 
 def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
@@ -275,13 +275,13 @@ def test_over_a_wall(scene: Scene, taps: list[Recording]) -> None:
     for speed, grip in ((0.2, 3.0), (0.4, 5.0), (0.33, 2.2)):
         tap = solver.solve(speed, grip)
         assert tap.solved, tap.remark
-        handed_over = tap.wave.transient_command_A[-walled.meta["hand_over_samples"] :]
+        handed_over = tap.wave.transient_command[-walled.meta["hand_over_samples"] :]
         assert not handed_over.any()
-        assert np.abs(tap.wave.command_A - tap.wave.transient_command_A).max() > 0.1
+        assert np.abs(tap.wave.command - tap.wave.transient_command).max() > 0.1
     problem = walled.problem(1, 1)
     entry = solver.solve(0.2, 3.0)
-    np.testing.assert_allclose(entry.wave.command_A, walled.command_A[1, 1], atol=1e-4)
-    assert certify(problem, walled.command_A[1, 1], walled.multipliers(1, 1)).objective == pytest.approx(
+    np.testing.assert_allclose(entry.wave.command, walled.command[1, 1], atol=1e-4)
+    assert certify(problem, walled.command[1, 1], walled.multipliers(1, 1)).objective == pytest.approx(
         entry.certificate.objective, rel=1e-6
     )
 
@@ -296,7 +296,7 @@ class TestBank:
     def test_plays_the_optimum_and_bounds_its_heat(self, library: Library, solver: Online) -> None:
         table = bank(library, Method.ONLINE)
         found, blended = fresh(library, table).at(0.37, 4.2), table.at(0.37, 4.2)
-        np.testing.assert_array_equal(found.samples_A, solver.solve(0.37, 4.2).wave.transient_command_A)
+        np.testing.assert_array_equal(found.samples_A, solver.solve(0.37, 4.2).wave.transient_command)
         assert (found.speed_m_s, found.grip_N, found.out_of_grid) == (0.37, 4.2, False)
         assert found.transient_A == pytest.approx(blended.transient_A, rel=0.1)
         assert found.feedback_A == pytest.approx(0.0, abs=1e-12)
@@ -352,7 +352,7 @@ class TestWhatIsNoInput:
 
     def test_numbers_of_numpy_are_numbers(self, solver: Online) -> None:
         plain, numpy = solver.solve(0.3, 2.0), solver.solve(np.float64(0.3), np.array([2.0]))  # type: ignore[arg-type]
-        np.testing.assert_array_equal(plain.wave.command_A, numpy.wave.command_A)
+        np.testing.assert_array_equal(plain.wave.command, numpy.wave.command)
 
     @pytest.mark.parametrize(
         ("plant", "spread", "words"),
@@ -377,11 +377,11 @@ def test_intensity_is_solved_at_the_lam_between_the_nodes(scene: Scene, taps: li
     assert library is not None
     online = Online(library)
     node = online.solve(0.4, 5.0)
-    np.testing.assert_allclose(node.wave.command_A, library.command_A[3, 2], atol=1e-6)
+    np.testing.assert_allclose(node.wave.command, library.command[3, 2], atol=1e-6)
     for speed_m_s, grip_N in ((0.35, 5.0), (0.33, 2.0)):
         tap = online.solve(speed_m_s, grip_N)
         assert tap.solved, tap.remark
-        made, _ = library.posing().stage(loud.plant(grip_N)).rollout(tap.wave.command_A)
+        made, _ = library.posing().stage(loud.plant(grip_N)).rollout(tap.wave.command)
         wanted = library.wanted(speed_m_s, speed_weights(library.speeds_m_s, speed_m_s)).target.window_m_s2
         # A lam between those of the nodes has about the energy; an optimum of the waveform lacks 2 to 3 dB.
         assert abs(10 * np.log10(float(made @ made) / float(wanted @ wanted))) < 0.4

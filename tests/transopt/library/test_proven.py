@@ -32,7 +32,7 @@ def scaled(library: Library, **factors: float) -> Library:
     return replace(library, **{name: factor * getattr(library, name) for name, factor in factors.items()})
 
 
-TENFOLD = ("command_A", "transient_command_A", "current_A", "acceleration_m_s2", "peak_current_A")
+TENFOLD = ("command", "transient_command", "plant_input", "acceleration_m_s2", "peak_input")
 
 
 def louder(library: Library) -> Library:
@@ -60,15 +60,15 @@ def test_what_was_designed_is_proven(library: Library, tmp_path: Path) -> None:
     [
         (lambda of: limit(of, current_A=40.0), "limits.current_A is 40, its scene says 4"),
         (louder, "not certified"),
-        (lambda of: scaled(of, command_A=1.01, transient_command_A=1.01), "not certified: a limit is exceeded by"),
-        (lambda of: scaled(of, command_A=0.9, transient_command_A=0.9), "above the optimum, limit 1e-06"),
-        (lambda of: scaled(of, transient_command_A=2), "transient_command_A is not command_A"),
+        (lambda of: scaled(of, command=1.01, transient_command=1.01), "not certified: a limit is exceeded by"),
+        (lambda of: scaled(of, command=0.9, transient_command=0.9), "above the optimum, limit 1e-06"),
+        (lambda of: scaled(of, transient_command=2), "transient_command_A is not command_A"),
         (lambda of: scaled(of, acceleration_m_s2=1.01), "acceleration_m_s2 is off by"),
-        (lambda of: scaled(of, current_A=0.5), "current_A is off by"),
+        (lambda of: scaled(of, plant_input=0.5), "current_A is off by"),
         (lambda of: scaled(of, nrmse=0.5), "nrmse says"),
         (lambda of: scaled(of, floor=2), "floor says"),
         (lambda of: scaled(of, nrmse_seed=0.5), "nrmse_seed says"),
-        (lambda of: scaled(of, peak_current_A=0.5), "peak_current_A says"),
+        (lambda of: scaled(of, peak_input=0.5), "peak_current_A says"),
         (lambda of: replace(of, peak_temperature_C=of.peak_temperature_C + 1), "peak_temperature_C says"),
         (lambda of: scaled(of, reference_m_s2=0.9), "not the motion that its recording tells"),
         (lambda of: scaled(of, nominal_velocity_m_s=-1), "nominal_velocity_m_s at 0.1 m/s"),
@@ -115,7 +115,7 @@ def test_commands_refuse_what_is_not_proven(
     library: Library, tmp_path: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    scaled(library, command_A=1.01, transient_command_A=1.01).save("changed.npz")
+    scaled(library, command=1.01, transient_command=1.01).save("changed.npz")
     for program, *arguments in (
         ("transopt", "show", "changed.npz"),
         ("transopt", "export", "changed.npz", "taps.h"),

@@ -107,12 +107,12 @@ def _exact(matrix: FloatArray) -> np.ndarray:
     return np.array([[mpmath.mpf(value) for value in row] for row in np.atleast_2d(matrix)], dtype=object)
 
 
-def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipliers) -> tuple[float, float]:
+def judged_exactly(problem: TransientProblem, command: FloatArray, m: Multipliers) -> tuple[float, float]:
     """J and gap of a problem with current and command limits only, written out in extended precision."""
     stage, N, free = problem.stage, problem.grid.stages, problem.free_stages
     A, B, C, Ci = (_exact(getattr(stage, name)) for name in ("A", "B", "C", "Ci"))
     D, Di = mpmath.mpf(stage.D[0, 0]), mpmath.mpf(stage.Di[0, 0])
-    c, r, w = (_exact(values)[0] for values in (command_A, problem.reference_m_s2, problem.tracking_weights))
+    c, r, w = (_exact(values)[0] for values in (command, problem.reference_m_s2, problem.tracking_weights))
     B, C, Ci = B[:, 0], C[0], Ci[0]
     x, error, current = B * 0, [], []
     for k in range(N):
@@ -123,7 +123,7 @@ def judged_exactly(problem: TransientProblem, command_A: FloatArray, m: Multipli
     weight = mpmath.mpf(problem.movement.weight)
     J = sum(w * np.array(error) ** 2) / norm + weight * sum(movement**2)
     by_movement = 2 * weight * movement
-    limit, bound = mpmath.mpf(problem.limits.current_A), mpmath.mpf(problem.command_bound_A)
+    limit, bound = mpmath.mpf(problem.limits.input_limit), mpmath.mpf(problem.command_bound)
     costate, gap = B * 0, mpmath.mpf(0)
     for k in range(N - 1, -1, -1):
         by_error = 2 * w[k] * error[k] / norm
@@ -154,9 +154,9 @@ PROVEN: dict[str, Callable[[], StressCase]] = {
 def test_the_certificate_agrees_with_extended_precision(name: str) -> None:
     designed = optimum(PROVEN[name]().problem(), SolverOptions())
     problem, answer = designed.problem, designed.solution
-    proof = certify(problem, answer.command_A, answer.multipliers)
+    proof = certify(problem, answer.command, answer.multipliers)
     with mpmath.workdps(DIGITS):
-        objective, gap = judged_exactly(problem, answer.command_A, answer.multipliers)
+        objective, gap = judged_exactly(problem, answer.command, answer.multipliers)
     allowed = 0.1 * Certificate.GAP_TOLERANCE * max(objective, OBJECTIVE_SCALE)
     assert proof.accepted
     assert abs(proof.objective - objective) <= 1e-9 * max(objective, OBJECTIVE_SCALE)

@@ -21,28 +21,28 @@ from transopt.recordings.recording import Recording
 from transopt.scene.scene import Scene
 
 
-def integrate_independently(problem: TransientProblem, command_A: FloatArray) -> tuple[FloatArray, FloatArray]:
+def integrate_independently(problem: TransientProblem, command: FloatArray) -> tuple[FloatArray, FloatArray]:
     """y'' and i at the switching instants by DOP853, with the delay as a shift of the command in true time."""
     stage, grid = problem.stage, problem.grid
     plant, amplifier = stage.plant, stage.amplifier
     n = plant.order
 
-    def rate(_: float, x: FloatArray, command: float) -> FloatArray:
+    def rate(_: float, x: FloatArray, held: float) -> FloatArray:
         if amplifier is None:
-            return plant.A @ x + plant.B[:, 0] * command
-        drive = amplifier.rate_rad_s * (command - x[n])
+            return plant.A @ x + plant.B[:, 0] * held
+        drive = amplifier.rate_rad_s * (held - x[n])
         return np.append(plant.A @ x[:n] + plant.B[:, 0] * x[n], drive)
 
     x = np.zeros(n + (amplifier is not None))
     acceleration, current = [], []
     issued = grid.issue_times_s
     for k in range(grid.stages):
-        i = command_A[k] if amplifier is None else x[n]
+        i = command[k] if amplifier is None else x[n]
         acceleration.append(float(plant.C[0] @ x[:n] + plant.D[0, 0] * i))
         current.append(i)
         start = issued[k] + grid.delay_s
         run = solve_ivp(
-            rate, (start, start + grid.dt_s), x, method="DOP853", rtol=1e-12, atol=1e-15, args=(command_A[k],)
+            rate, (start, start + grid.dt_s), x, method="DOP853", rtol=1e-12, atol=1e-15, args=(command[k],)
         )
         x = run.y[:, -1]
     return np.array(acceleration), np.array(current)
@@ -66,7 +66,7 @@ def test_design_and_replay_agree_with_an_independent_integrator(
 
     (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
     assert np.abs(played.acceleration_m_s2 - expected).max() <= 1e-9 * peak
-    assert np.abs(played.current_A - expected_current).max() <= 1e-9 * 4
+    assert np.abs(played.plant_input - expected_current).max() <= 1e-9 * 4
 
 
 def test_hold_preserves_the_step_response(make_problem: ProblemMaker) -> None:
@@ -118,7 +118,7 @@ def test_a_box_at_the_switching_instants_bounds_the_current_for_all_times(make_p
     command[-10:] = 0
     _, current = problem.stage.rollout(command)
     (played,) = replay(problem.stage, problem.grid, command[None], [problem.target], None)
-    assert played.peak_current_A == pytest.approx(np.abs(current).max(), rel=1e-9)
+    assert played.peak_input == pytest.approx(np.abs(current).max(), rel=1e-9)
 
 
 def test_states_that_nothing_depends_on_are_left_out(scene: Scene) -> None:

@@ -24,19 +24,19 @@ KINDS: dict[str, tuple[PlantKind, tuple[str, ...]]] = {
 }
 
 
-def forces(name: str, z: np.ndarray, dz: np.ndarray, current_A: float) -> np.ndarray:
+def forces(name: str, z: np.ndarray, dz: np.ndarray, plant_input: float) -> np.ndarray:
     """Accelerations of the masses by Newton's law, written out for each kind."""
     skin = 9000 * (z[-2] - z[-1]) + 15 * (dz[-2] - dz[-1]) if z.size > 1 else 0.0
     arm = 490 * z[-1] + 15 * dz[-1]
     match name:
         case "second_order":
             mass, damping, stiffness = 0.215 - 0.00328 * 3, 6.713 + 0.369 * 3, 75.65 + 14.72 * 3
-            return np.array([1.25 * current_A - damping * dz[0] - stiffness * z[0]]) / mass
+            return np.array([1.25 * plant_input - damping * dz[0] - stiffness * z[0]]) / mass
         case "fourth_order":
-            return np.array([1.25 * current_A - skin, skin - arm]) / [0.04, 0.01]
+            return np.array([1.25 * plant_input - skin, skin - arm]) / [0.04, 0.01]
         case _:
             joint = 6e4 * (z[0] - z[1]) + 8 * (dz[0] - dz[1])
-            return np.array([1.25 * current_A - joint, joint - skin, skin - arm]) / [0.014, 0.026, 0.01]
+            return np.array([1.25 * plant_input - joint, joint - skin, skin - arm]) / [0.014, 0.026, 0.01]
 
 
 @pytest.mark.parametrize("name", KINDS)

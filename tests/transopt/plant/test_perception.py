@@ -69,19 +69,19 @@ def test_weighted_optimum_against_dense_least_squares(make_problem: ProblemMaker
     dense, *_ = np.linalg.lstsq(matrix, right, rcond=None)
     J = float(np.sum((matrix @ dense - right) ** 2))
     for answer in (solve(problem), unlimited.solve(problem)):
-        certificate = certify(problem, answer.command_A, answer.multipliers)
+        certificate = certify(problem, answer.command, answer.multipliers)
         assert certificate.accepted
         assert certificate.objective == pytest.approx(J, rel=1e-8, abs=1e-12)
-    np.testing.assert_allclose(unlimited.solve(problem).command_A[:free], dense, atol=1e-6 * np.abs(dense).max())
+    np.testing.assert_allclose(unlimited.solve(problem).command[:free], dense, atol=1e-6 * np.abs(dense).max())
 
 
-@pytest.mark.parametrize("current_A", [4.0, 2.0])
-def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: ProblemMaker, current_A: float) -> None:
-    plain = make_problem(0.4, 5.0, current_A=current_A)
+@pytest.mark.parametrize("limit_A", [4.0, 2.0])
+def test_a_weighted_design_is_better_weighted_and_worse_plain(make_problem: ProblemMaker, limit_A: float) -> None:
+    plain = make_problem(0.4, 5.0, current_A=limit_A)
     weighted = replace(plain, error_filter=pacinian(DT_S))
     answers = [optimum(problem, SolverOptions()) for problem in (plain, weighted)]
     assert all(designed.certificate.accepted for designed in answers)
-    motions = [plain.stage.rollout(designed.solution.command_A)[0] for designed in answers]
+    motions = [plain.stage.rollout(designed.solution.command)[0] for designed in answers]
     heard = [weighted.tracking.nrmse(motion) for motion in motions]
     raw = [nrmse(motion, plain.reference_m_s2) for motion in motions]
     assert heard[1] < heard[0] * (1 - 1e-3)

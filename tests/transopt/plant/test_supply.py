@@ -78,7 +78,7 @@ def flow_of(problem: TransientProblem) -> np.ndarray:
 
 
 def voltages(
-    problem: TransientProblem, command_A: np.ndarray, scene: Scene, copper_C: float = 25.0
+    problem: TransientProblem, command: np.ndarray, scene: Scene, copper_C: float = 25.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N,) R i + L di/dt + k_e w just before and after tau_k, di/dt by one-sided differences of the current."""
     motor, transmission = scene.motor, scene.transmission
@@ -89,8 +89,8 @@ def voltages(
     emf = motor.kt_Nm_A * transmission.ratio_1_m
     R_ohm = motor.R_ohm * (1 + 0.0039 * (copper_C - 25.0))
     x = np.zeros(n + 2)
-    before, after = np.zeros(command_A.size), np.zeros(command_A.size)
-    for k, c in enumerate(command_A):
+    before, after = np.zeros(command.size), np.zeros(command.size)
+    for k, c in enumerate(command):
         for side, felt, step, sign in ((before, x[n + 1], back, -1), (after, c, onward, 1)):
             x[n + 1] = felt
             near = step @ x
@@ -102,9 +102,9 @@ def voltages(
     return before, after
 
 
-def stated(problem: TransientProblem, motion: Motion, command_A: np.ndarray) -> list[np.ndarray]:
+def stated(problem: TransientProblem, motion: Motion, command: np.ndarray) -> list[np.ndarray]:
     """(N,) voltages just before and just after the switching instants, with cold copper and then with hot."""
-    return [row.value(motion, command_A) for row in supply_of(problem).rows(problem)]
+    return [row.value(motion, command) for row in supply_of(problem).rows(problem)]
 
 
 class TestVoltage:
@@ -140,18 +140,18 @@ class TestBinding:
         for solver in SOLVERS:
             answer = solve(problem, SolverOptions(solver))
             assert (answer.solver, answer.status) == (solver, Status.OPTIMAL)
-            proofs.append(certify(problem, answer.command_A, answer.multipliers))
+            proofs.append(certify(problem, answer.command, answer.multipliers))
         assert all(proof.accepted for proof in proofs)
         assert np.ptp([proof.objective for proof in proofs]) <= 1e-8 * proofs[0].objective
         free = problem.without("supply", "slew")
         without = solve(free)
-        assert not inside(problem, without.command_A), "it does not bind: the test shows nothing"
-        unbound = certify(free, without.command_A, without.multipliers).objective
+        assert not inside(problem, without.command), "it does not bind: the test shows nothing"
+        unbound = certify(free, without.command, without.multipliers).objective
         assert proofs[0].objective > unbound * (1 + 1e-4)
 
     def test_the_rail_is_met_and_kept(self, nine_volts: Designed, scene: Scene) -> None:
         """Before, after and, by the replay, all the time: measured excess over 9 V 1e-14."""
-        problem, command = nine_volts.problem, nine_volts.solution.command_A
+        problem, command = nine_volts.problem, nine_volts.solution.command
         assert nine_volts.certificate.accepted
         assert nine_volts.certificate.violation("V") <= 1e-9
         before, after = voltages(problem, command, scene, copper_C=100.0)
@@ -163,20 +163,20 @@ class TestBinding:
     def test_lower_rails_are_kept_between_the_instants_too(self, entry: Maker, supply_V: float) -> None:
         """There the back-EMF is left to itself, 1e-3 of the limit being allowed; measured less than 1e-9."""
         problem = entry(supply_V=supply_V)
-        command = optimum(problem, SolverOptions()).solution.command_A
+        command = optimum(problem, SolverOptions()).solution.command
         assert supply_V * (1 - 1e-6) <= played(problem, command).reached["supply"] <= supply_V * (1 + 1e-6)
 
     def test_binding_says_so(self, nine_volts: Designed) -> None:
-        text = binding_limits(nine_volts.problem, nine_volts.solution.command_A, nine_volts.solution.multipliers)
+        text = binding_limits(nine_volts.problem, nine_volts.solution.command, nine_volts.solution.multipliers)
         assert "supply +9 V with the copper at 100 C at " in text
 
     def test_slew_is_kept(self, entry: Maker) -> None:
         problem = entry(slew_A_per_s=5000.0)
         designed = optimum(problem, SolverOptions())
         assert designed.certificate.accepted
-        movement = np.abs(np.diff(designed.solution.command_A, prepend=0.0))
+        movement = np.abs(np.diff(designed.solution.command, prepend=0.0))
         assert movement.max() == pytest.approx(0.5, abs=1e-9)
-        text = binding_limits(problem, designed.solution.command_A, designed.solution.multipliers)
+        text = binding_limits(problem, designed.solution.command, designed.solution.multipliers)
         assert "slew +0.5 A/tick" in text
 
 

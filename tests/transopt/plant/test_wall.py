@@ -50,9 +50,9 @@ def plain_feedback(wall: Wall, z_m: np.ndarray, approach_m_s: float) -> np.ndarr
     return feedback
 
 
-def plain_prefilter(current_A: np.ndarray) -> np.ndarray:
+def plain_prefilter(plant_input: np.ndarray) -> np.ndarray:
     p = np.exp(-2 * np.pi * 1050.0 * DT_S)
-    return np.array([(i - p * e) / (1 - p) for i, e in zip(current_A, [0.0, *current_A[:-1]], strict=True)])
+    return np.array([(i - p * e) / (1 - p) for i, e in zip(plant_input, [0.0, *plant_input[:-1]], strict=True)])
 
 
 def courses(stages: int = 200) -> tuple[np.ndarray, np.ndarray]:
@@ -125,13 +125,13 @@ class TestHandOver:
         z = problem.wall.encoder(problem.feedback.course(motion))
         problem = pressing(problem, problem.feedback.course(motion))
         stage = linear_stage(problem)
-        x, movement = np.zeros(stage.units.size), np.diff(command, prepend=0.0) / stage.current_A
+        x, movement = np.zeros(stage.units.size), np.diff(command, prepend=0.0) / stage.input_scale
         rows, constant = hand_over.rows(problem, stage)
         found = []
         for k in range(N):
             if k >= problem.free_stages:
                 j = k - problem.free_stages
-                found.append((rows[j] @ x + constant[j]) * stage.current_A)
+                found.append((rows[j] @ x + constant[j]) * stage.input_scale)
             x = stage.A @ x + stage.A[:, -1] * movement[k]
         law = plain_feedback(problem.wall.wall, z, 0.4)
         expected = law if amplifier is None else plain_prefilter(law)
@@ -167,7 +167,7 @@ class TestHandOver:
 
     def test_a_lost_or_flipped_multiplier_is_noticed(self, walled: WalledMaker) -> None:
         designed = optimum(walled(500, 0.4), SolverOptions())
-        command, m = designed.solution.command_A, designed.solution.multipliers
+        command, m = designed.solution.command, designed.solution.multipliers
         assert designed.certificate.accepted
         for factor in (0.0, -1.0, 1.01):
             wrong = replace(m, hand_over=factor * m.hand_over)
@@ -226,11 +226,11 @@ def check_closed_loop(problem: TransientProblem) -> Designed:
     designed = optimum(problem, SolverOptions())
     assert designed.solution.status is Status.OPTIMAL
     assert designed.certificate.accepted
-    final, command = designed.problem, designed.solution.command_A
+    final, command = designed.problem, designed.solution.command
     assert final.wall is not None
     predicted, _ = final.stage.rollout(command)
     run = played(final, command)
-    assert np.abs(run.command_A - command).max() <= 1e-9
+    assert np.abs(run.command - command).max() <= 1e-9
     assert np.abs(run.acceleration_m_s2 - predicted).max() <= 1e-9 * np.abs(predicted).max()
     assert run.shortfalls(final, command, predicted) == []
     return designed
@@ -256,7 +256,7 @@ class TestClosedLoop:
     def test_an_independent_closed_loop(self, walled: WalledMaker, stiffness_N_m: float, speed_m_s: float) -> None:
         """Measured: 2e-13 A, 3e-12 m/s^2."""
         designed = optimum(walled(stiffness_N_m, speed_m_s), SolverOptions())
-        problem, command = designed.problem, designed.solution.command_A
+        problem, command = designed.problem, designed.solution.command
         transient = problem.transient_command(command)
         assert np.abs(command - transient).max() > 0.3, "no feedback: the test shows nothing"
         assert not transient[problem.free_stages :].any()
@@ -293,7 +293,7 @@ class TestClosedLoop:
         the prefilter doubles that; the design's prediction leaves the rounding out.
         """
         designed = optimum(walled(stiffness_N_m, speed_m_s, damping_N_s_m=damping_N_s_m), SolverOptions())
-        problem, command = designed.problem, designed.solution.command_A
+        problem, command = designed.problem, designed.solution.command
         (run,) = replay(
             problem.stage,
             problem.grid,

@@ -13,14 +13,14 @@ from transopt.solvers import unlimited
 
 def test_clipping_at_no_limit_is_the_unlimited_optimum(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.2, 3.0)
-    free = unlimited.solve(problem).command_A
+    free = unlimited.solve(problem).command
     again = clipped_optimum(problem.stage, problem.grid, free, 100.0)
     np.testing.assert_allclose(again, free, atol=1e-9)
 
 
 def test_clipped_optimum_keeps_the_limits(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 5.0)
-    command = clipped_optimum(problem.stage, problem.grid, unlimited.solve(problem).command_A, 4.0)
+    command = clipped_optimum(problem.stage, problem.grid, unlimited.solve(problem).command, 4.0)
     _, current = problem.stage.rollout(command)
     assert np.abs(current).max() <= 4 + 1e-9
 
@@ -40,10 +40,10 @@ def test_inversion_recovers_a_known_current(make_problem: ProblemMaker) -> None:
 def test_rivals_at_two_limits_are_those_at_each(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 5.0)
     rows = np.stack([problem.reference_m_s2, 0.5 * problem.reference_m_s2])
-    limits_A = np.array([4.0, 1.25])[:, None, None]
-    seed = seed_inversion(problem.stage, problem.grid, rows, limits_A, 10)
-    clipped = clipped_optimum(problem.stage, problem.grid, rows / 10, limits_A)
-    for j, limit_A in enumerate((4.0, 1.25)):
-        np.testing.assert_array_equal(seed[j], seed_inversion(problem.stage, problem.grid, rows, limit_A, 10))
-        np.testing.assert_array_equal(clipped[j], clipped_optimum(problem.stage, problem.grid, rows / 10, limit_A))
+    limits = np.array([4.0, 1.25])[:, None, None]
+    seed = seed_inversion(problem.stage, problem.grid, rows, limits, 10)
+    clipped = clipped_optimum(problem.stage, problem.grid, rows / 10, limits)
+    for j, limit in enumerate((4.0, 1.25)):
+        np.testing.assert_array_equal(seed[j], seed_inversion(problem.stage, problem.grid, rows, limit, 10))
+        np.testing.assert_array_equal(clipped[j], clipped_optimum(problem.stage, problem.grid, rows / 10, limit))
     assert not np.allclose(seed[0], seed[1])

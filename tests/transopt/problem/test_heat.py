@@ -25,19 +25,19 @@ def coil(scene: Scene) -> CoilModel:
     return model
 
 
-def quadrature(before_A: float, command_A: float, amplifier: Amplifier, dt_s: float) -> float:
+def quadrature(before: float, command: float, amplifier: Amplifier, dt_s: float) -> float:
     """Mean of (|i| + 0.02)^2 along i(t) = c + (i - c) exp(-w t), split where the sign changes."""
     w = 2 * np.pi * amplifier.pole_Hz
     ends = [0.0, dt_s]
-    if before_A * (before_A - command_A) > 0 and command_A / (command_A - before_A) > 0:
-        crossing = np.log((before_A - command_A) / -command_A) / w
+    if before * (before - command) > 0 and command / (command - before) > 0:
+        crossing = np.log((before - command) / -command) / w
         if 0 < crossing < dt_s:
             ends.insert(1, crossing)
     nodes, weights = np.polynomial.legendre.leggauss(40)
     total = 0.0
     for start, end in itertools.pairwise(ends):
         t = start + (end - start) * (nodes + 1) / 2
-        current = command_A + (before_A - command_A) * np.exp(-w * t)
+        current = command + (before - command) * np.exp(-w * t)
         total += float((np.abs(current) + 0.02) ** 2 @ weights) * (end - start) / 2
     return total / dt_s
 
@@ -114,14 +114,14 @@ class TestHeating:
             assert np.all(model.mean_square(*((a + b) / 2)) <= chord + 1e-14)
 
 
-def ode(coil: CoilModel, command_A: np.ndarray, *, housing_held: bool = False) -> np.ndarray:
+def ode(coil: CoilModel, command: np.ndarray, *, housing_held: bool = False) -> np.ndarray:
     """(N + 1, 2) winding and housing at tau_0 to tau_N, DOP853 on the equations of `CoilModel`'s docstring."""
     w = 2 * np.pi * AMPLIFIER.pole_Hz
     C_w, C_h = coil.tau_w_s / coil.R_wh_K_W, coil.tau_h_s / coil.R_ha_K_W
     course = [np.array([coil.start_winding_C, coil.start_housing_C])]
     current = 0.0
     # From the first tick on; the first command is felt a delay later.
-    for c, duration in [(0.0, AMPLIFIER.delay_s), *((c, DT_S) for c in command_A)]:
+    for c, duration in [(0.0, AMPLIFIER.delay_s), *((c, DT_S) for c in command)]:
 
         def rate(t: float, T: np.ndarray, i: float = current, c: float = c) -> list[float]:
             heat = coil.R_ohm * (1 + 0.0039 * (T[0] - 25)) * (abs(c + (i - c) * np.exp(-w * t)) + 0.02) ** 2
@@ -139,12 +139,12 @@ def tap_like(stages: int, sign_changes: bool, seed: int = 5) -> np.ndarray:
     return random.uniform(-5 if sign_changes else 0.5, 5, stages)
 
 
-def currents(command_A: np.ndarray) -> np.ndarray:
+def currents(command: np.ndarray) -> np.ndarray:
     """(N,) currents at the switching instants."""
     p = np.exp(-2 * np.pi * AMPLIFIER.pole_Hz * DT_S)
-    i = np.zeros(command_A.size)
-    for k in range(command_A.size - 1):
-        i[k + 1] = p * i[k] + (1 - p) * command_A[k]
+    i = np.zeros(command.size)
+    for k in range(command.size - 1):
+        i[k + 1] = p * i[k] + (1 - p) * command[k]
     return i
 
 

@@ -44,7 +44,7 @@ def certified_objective(whole: TransientProblem, solved: TransientProblem, solve
     # An interior-point method leaves 1e-13 on a temperature that does not bind; so the global bound, another solve,
     # is not asked for: there is no warming copper in the answer's way.
     assert is_stationary(whole, answer)
-    return certify(whole, answer.command_A, answer.multipliers).objective
+    return certify(whole, answer.command, answer.multipliers).objective
 
 
 def check_same(whole: TransientProblem, small: TransientProblem, solver: str = "casadi-piqp") -> None:
@@ -152,7 +152,7 @@ class TestForcedIn:
         assert designed.left_out["limits"].startswith("the unlimited optimum is inside all limits: current ")
         assert designed.size is None
         assert designed.certificate.accepted
-        assert inside(whole, designed.solution.command_A)
+        assert inside(whole, designed.solution.command)
         for forced, solver in ((whole.without("temperature"), "casadi-piqp"), (whole, "casadi-ipopt")):
             objective = certified_objective(whole, forced, solver)
             assert abs(objective - designed.certificate.objective) <= 1e-6 * max(objective, 1e-3)
@@ -168,25 +168,25 @@ class TestForcedIn:
         check_same(replace(whole, wall=above), reduced.problem, "casadi-ipopt")
 
 
-def admissible(problem: TransientProblem, wanted_A: np.ndarray) -> np.ndarray:
+def admissible(problem: TransientProblem, wanted: np.ndarray) -> np.ndarray:
     """(M, N) commands whose currents go for the wanted ones (M, N) as fast as |c| allows, inside both limits."""
     limits, range_A, amplifier = problem.limits, command_limit_A(problem), problem.stage.amplifier
     p = np.exp(-amplifier.rate_rad_s * problem.grid.dt_s)
-    command, current = np.zeros(wanted_A.shape), np.zeros(wanted_A.shape[0])
-    for k in range(wanted_A.shape[1]):
-        target = np.clip(wanted_A[:, k], -limits.current_A, limits.current_A)
+    command, current = np.zeros(wanted.shape), np.zeros(wanted.shape[0])
+    for k in range(wanted.shape[1]):
+        target = np.clip(wanted[:, k], -limits.input_limit, limits.input_limit)
         command[:, k] = np.clip((target - p * current) / (1 - p), -range_A, range_A)
         current = p * current + (1 - p) * command[:, k]
     return command
 
 
-def square_waves(limit_A: float, stages: int, seed: int) -> np.ndarray:
+def square_waves(limit: float, stages: int, seed: int) -> np.ndarray:
     """(12, N) held, alternating with periods from 2 to 300 ticks, and at random."""
     random = np.random.default_rng(seed)
     ticks = np.arange(stages)
     periods = (2, 4, 8, 16, 26, 52, 100, 300)
     waves = [np.where(ticks // (period // 2) % 2 == 0, 1.0, -1.0) for period in periods]
-    return limit_A * np.stack([np.ones(stages), *waves, *random.choice([-1.0, 1.0], (3, stages))])
+    return limit * np.stack([np.ones(stages), *waves, *random.choice([-1.0, 1.0], (3, stages))])
 
 
 class TestBounds:

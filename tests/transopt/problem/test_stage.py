@@ -22,5 +22,5 @@ def test_that_of_another_reference_follows_from_it(make_problem: ProblemMaker) -
 
 def test_other_limits_have_units_of_their_own(make_problem: ProblemMaker) -> None:
     strong, weak = make_problem(0.4, 3.0), make_problem(0.2, 3.0, current_A=1.25)
-    assert weak.current_scale_A < strong.current_scale_A
+    assert weak.input_scale < strong.input_scale
     assert_same(linear_stage(strong).rescaled(weak), linear_stage(weak))

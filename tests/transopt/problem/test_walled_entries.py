@@ -54,7 +54,7 @@ class TestRefusal:
         designed = optimum(walled(2000, 0.4), SolverOptions())
         assert designed.solution.status is Status.OPTIMAL
         assert designed.certificate.accepted
-        assert np.abs(designed.solution.command_A[-10:]).max() < 4
+        assert np.abs(designed.solution.command[-10:]).max() < 4
 
     def test_a_refused_entry_says_so_in_the_design(self, scene: Scene, references: list[Reference]) -> None:
         data = walled_scene(scene, 2000.0).model_dump()
@@ -73,7 +73,7 @@ class TestMask:
         problem = without_tail(walled(500, 0.4, 5.0, damping_N_s_m=0.0))
         # Close to the surface the wall asks for next to nothing, so the answer is nearly that without a wall.
         plain = optimum(replace(problem, wall=None), SolverOptions())
-        answer = plain.problem.feedback.course(plain.problem.stage.motion(plain.solution.command_A))
+        answer = plain.problem.feedback.course(plain.problem.stage.motion(plain.solution.command))
         t, r = problem.grid.switching_times_s, problem.reference_m_s2
         velocity = np.append(0.0, np.cumsum((r[1:] + r[:-1]) / 2) * DT_S)
         intended = np.interp(
@@ -88,7 +88,7 @@ class TestMask:
         assert designed.certificate.accepted
         final = designed.problem
         first_guess = pressing(final, intended).wall
-        course = final.feedback.course(final.stage.motion(designed.solution.command_A))
+        course = final.feedback.course(final.stage.motion(designed.solution.command))
         last = pressing(final, course).wall
         tail = slice(final.free_stages - 1, None)
         np.testing.assert_array_equal(final.wall.pressing[tail], last.pressing[tail])
@@ -113,18 +113,18 @@ class TestLibrary:
         assert wall is not None
         for iv, speed in enumerate(lib.speeds_m_s):
             problem = lib.problem(iv, 0)
-            deviation = problem.feedback.course(problem.stage.motion(lib.command_A[iv, 0]))
+            deviation = problem.feedback.course(problem.stage.motion(lib.command[iv, 0]))
             law = plain_feedback(wall, lib.nominal_position_at_ticks_m[iv] + deviation, speed)
             assert law.max() > 0.3
-            expected = lib.command_A[iv, 0] - plain_prefilter(law)
-            np.testing.assert_allclose(lib.transient_command_A[iv, 0], expected, atol=1e-8)
-            assert not lib.transient_command_A[iv, 0, -10:].any()
+            expected = lib.command[iv, 0] - plain_prefilter(law)
+            np.testing.assert_allclose(lib.transient_command[iv, 0], expected, atol=1e-8)
+            assert not lib.transient_command[iv, 0, -10:].any()
 
     def test_round_trip_and_verify(self, walled_library: Library, tmp_path: Path) -> None:
         walled_library.save(tmp_path / "library.npz")
         loaded = load_library(tmp_path / "library.npz")
         assert loaded.wall() == walled_library.wall()
-        np.testing.assert_array_equal(loaded.transient_command_A, walled_library.transient_command_A)
+        np.testing.assert_array_equal(loaded.transient_command, walled_library.transient_command)
         checks = verify_library(loaded)
         assert len(checks) == 2
         for check in checks:
@@ -132,9 +132,9 @@ class TestLibrary:
             assert check.certificate.accepted
 
     def test_a_tampered_transient_is_noticed(self, walled_library: Library, tmp_path: Path) -> None:
-        transient = walled_library.transient_command_A.copy()
+        transient = walled_library.transient_command.copy()
         transient[1, 0, 100] += 0.01
-        replace(walled_library, transient_command_A=transient).save(tmp_path / "library.npz")
+        replace(walled_library, transient_command=transient).save(tmp_path / "library.npz")
         clean, tampered = verify_library(load_library(tmp_path / "library.npz"))
         assert clean.shortfalls == []
         assert any("transient_command_A" in text for text in tampered.shortfalls)

@@ -42,7 +42,7 @@ def test_two_methods_agree_and_are_certified(make_problem: ProblemMaker, variant
     objectives = []
     for solver in ("casadi-piqp", "casadi-ipopt"):
         solution = solve(problem, SolverOptions(solver))
-        certificate = certify(problem, solution.command_A, solution.multipliers)
+        certificate = certify(problem, solution.command, solution.multipliers)
         assert solution.status is Status.OPTIMAL
         assert certificate.accepted
         assert certificate.violation("A") <= 1e-6
@@ -54,10 +54,10 @@ def test_two_methods_agree_and_are_certified(make_problem: ProblemMaker, variant
 def test_certified_lower_bound_is_below_every_feasible_command(saturated: tuple[TransientProblem, Solution]) -> None:
     """J - gap bounds the optimum: random feasible commands, also close to the optimum, never fall below it."""
     problem, solution = saturated
-    certificate = certify(problem, solution.command_A, solution.multipliers)
+    certificate = certify(problem, solution.command, solution.multipliers)
     random = np.random.default_rng(11)
     for size in (1e-4, 1e-2, 1.0):
-        other = solution.command_A + size * random.standard_normal(problem.grid.stages)
+        other = solution.command + size * random.standard_normal(problem.grid.stages)
         other[problem.free_stages :] = 0
         # Commands scaled into the box stay feasible, because zero is.
         _, current = problem.stage.rollout(other)
@@ -74,15 +74,15 @@ def test_the_bound_by_the_movement_holds_and_falls_with_the_square(
     """The optimum itself is a command that the bound of every other one has to spare."""
     problem = replace(make_problem(0.2, 3.0), rho=rho)
     free = unlimited.solve(problem)
-    least = certify(problem, free.command_A, free.multipliers).objective
+    least = certify(problem, free.command, free.multipliers).objective
     wave = np.sin(np.linspace(0, 20 * np.pi, problem.grid.stages))
     wave[problem.free_stages :] = 0
     by_first, by_movement = [], []
     for off_A in (size_A, size_A / 10):
-        command = free.command_A + off_A * wave
+        command = free.command + off_A * wave
         acceleration, _ = problem.stage.rollout(command)
         g = reduced_gradient(Effect(problem, command), free.multipliers)
-        by_first.append(float(np.abs(g) @ (problem.command_bound_A + np.abs(command))))
+        by_first.append(float(np.abs(g) @ (problem.command_bound + np.abs(command))))
         by_movement.append(movement_bound(problem, g))
         proof = certify(problem, command, free.multipliers)
         assert problem.objective(command, acceleration) - by_movement[-1] <= least + 1e-14
@@ -94,7 +94,7 @@ def test_the_bound_by_the_movement_holds_and_falls_with_the_square(
 
 def test_without_a_weight_of_the_movement_only_the_first_bound_is_there(make_problem: ProblemMaker) -> None:
     problem = replace(make_problem(0.2, 3.0), rho=0.0)
-    command = unlimited.solve(problem).command_A + 1e-4
+    command = unlimited.solve(problem).command + 1e-4
     command[problem.free_stages :] = 0
     proof = certify(problem, command, Multipliers.zero(problem))
     assert 1e-6 < proof.relative_gap < np.inf
@@ -103,15 +103,15 @@ def test_without_a_weight_of_the_movement_only_the_first_bound_is_there(make_pro
 def test_unlimited_optimum_has_no_gradient_left(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.2, 3.0)
     free = unlimited.solve(problem)
-    certificate = certify(problem, free.command_A, free.multipliers)
+    certificate = certify(problem, free.command, free.multipliers)
     assert certificate.accepted
     assert certificate.dual_residual < 1e-12
-    np.testing.assert_allclose(free.command_A, solve(problem).command_A, atol=1e-6)
+    np.testing.assert_allclose(free.command, solve(problem).command, atol=1e-6)
 
 
 def test_unlimited_optimum_obeys_no_limit(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 5.0)
-    _, current = problem.stage.rollout(unlimited.solve(problem).command_A)
+    _, current = problem.stage.rollout(unlimited.solve(problem).command)
     assert np.abs(current).max() == pytest.approx(5.3, abs=0.1)
 
 
@@ -125,21 +125,21 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
     program = state_program(shape)
     nz = shape.variables - 1
     z = np.zeros((shape.stages + 1, nz))
-    movement = np.diff(solution.command_A, prepend=0.0) / stage.current_A
+    movement = np.diff(solution.command, prepend=0.0) / stage.input_scale
     for k in range(shape.stages):
         z[k + 1] = stage.A @ z[k] + stage.A[:, -1] * movement[k]
     x = np.column_stack([movement, z[1:]]).ravel()
 
     values = ca.Function("values", [program.x, program.p], [program.f, program.g, ca.gradient(program.f, program.x)])
     f, g, by_x = (np.asarray(value).ravel() for value in values(x, p))
-    motion = problem.stage.motion(solution.command_A)
-    objective = problem.objective(solution.command_A, motion.acceleration_m_s2)
+    motion = problem.stage.motion(solution.command)
+    objective = problem.objective(solution.command, motion.acceleration_m_s2)
     assert f[0] * OBJECTIVE_SCALE == pytest.approx(objective, rel=1e-12, abs=1e-12)
     dynamics = program.rows["dynamics"]
     assert dynamics.stop - dynamics.start == shape.stages * nz
     assert np.abs(g[dynamics]).max() < 1e-12
     assert np.abs(g[program.rows["hand_over"]]).max() < 1e-12
-    np.testing.assert_allclose(statement.command(x), solution.command_A, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(statement.command(x), solution.command, rtol=0, atol=1e-12)
 
     jacobian = program.qp_data(p=p)["A"].sparse().toarray()[dynamics] if shape.stages <= 60 else None
     if jacobian is not None:
@@ -148,8 +148,8 @@ def test_certificate_agrees_with_the_casadi_statement(make_problem: ProblemMaker
         moves = np.arange(0, x.size, nz + 1)
         sensitivity = -np.linalg.solve(jacobian[:, states], jacobian[:, moves])
         by_movement = by_x[moves] + sensitivity.T @ by_x[states]
-        by_command = (by_movement - np.append(by_movement[1:], 0.0)) * OBJECTIVE_SCALE / stage.current_A
-        plain = reduced_gradient(Effect(problem, solution.command_A), Multipliers.zero(problem))
+        by_command = (by_movement - np.append(by_movement[1:], 0.0)) * OBJECTIVE_SCALE / stage.input_scale
+        plain = reduced_gradient(Effect(problem, solution.command), Multipliers.zero(problem))
         np.testing.assert_allclose(plain, by_command, atol=1e-12)
 
 
@@ -191,8 +191,8 @@ class TestTampering:
         self, saturated: tuple[TransientProblem, Solution], change: Callable[[np.ndarray], np.ndarray]
     ) -> None:
         problem, solution = saturated
-        assert certify(problem, solution.command_A, solution.multipliers).accepted
-        assert not certify(problem, change(solution.command_A), solution.multipliers).accepted
+        assert certify(problem, solution.command, solution.multipliers).accepted
+        assert not certify(problem, change(solution.command), solution.multipliers).accepted
 
     @pytest.mark.parametrize("part", PARTS)
     def test_missing_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
@@ -200,19 +200,19 @@ class TestTampering:
         array = multipliers_at(solution.multipliers, part)
         assert np.any(array != 0), "the limit does not bind: the test shows nothing"
         missing = with_multipliers(solution.multipliers, part, np.zeros_like(array))
-        assert not certify(problem, solution.command_A, missing).accepted
+        assert not certify(problem, solution.command, missing).accepted
 
     @pytest.mark.parametrize("part", ["current upper", "command upper", "hand_over"])
     def test_negated_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
         problem, solution = saturated
         negated = with_multipliers(solution.multipliers, part, -multipliers_at(solution.multipliers, part))
-        assert not certify(problem, solution.command_A, negated).accepted
+        assert not certify(problem, solution.command, negated).accepted
 
     def test_swapped_multipliers(self, saturated: tuple[TransientProblem, Solution]) -> None:
         problem, solution = saturated
         m = solution.multipliers
         swapped = m.with_pair("current", m.upper("current"), m.lower("current"))
-        assert not certify(problem, solution.command_A, swapped).accepted
+        assert not certify(problem, solution.command, swapped).accepted
 
     @pytest.mark.parametrize("part", ALL_PARTS)
     def test_nan_in_a_multiplier(self, saturated: tuple[TransientProblem, Solution], part: str) -> None:
@@ -220,16 +220,16 @@ class TestTampering:
         array = multipliers_at(solution.multipliers, part).copy()
         array[-1] = np.nan
         wrong = with_multipliers(solution.multipliers, part, array)
-        assert not certify(problem, solution.command_A, wrong).accepted
+        assert not certify(problem, solution.command, wrong).accepted
 
     def test_clipped_unlimited_optimum(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0)
-        clipped = np.clip(unlimited.solve(problem).command_A, -4, 4)
+        clipped = np.clip(unlimited.solve(problem).command, -4, 4)
         assert not certify(problem, clipped, Multipliers.zero(problem)).accepted
 
     def test_command_that_does_not_end(self, saturated: tuple[TransientProblem, Solution]) -> None:
         problem, solution = saturated
-        command = solution.command_A.copy()
+        command = solution.command.copy()
         command[-3] = 1e-3
         certificate = certify(problem, command, solution.multipliers)
         assert certificate.violation("A") >= 1e-3
@@ -240,15 +240,15 @@ def test_zero_reference_is_the_zero_waveform(make_problem: ProblemMaker) -> None
     problem = make_problem().towards(np.full(600, 1e-9))
     solution = solve(problem)
     assert solution.status is Status.OPTIMAL
-    assert not solution.command_A.any()
-    assert certify(problem, solution.command_A, solution.multipliers).accepted
-    assert not certify(problem, solution.command_A + 1e-3, solution.multipliers).accepted
+    assert not solution.command.any()
+    assert certify(problem, solution.command, solution.multipliers).accepted
+    assert not certify(problem, solution.command + 1e-3, solution.multipliers).accepted
 
 
 def test_a_longer_horizon_is_certified_too(make_problem: ProblemMaker) -> None:
     problem = make_problem(0.4, 5.0, stages=3000)
     solution = solve(problem)
-    assert certify(problem, solution.command_A, solution.multipliers).accepted
+    assert certify(problem, solution.command, solution.multipliers).accepted
 
 
 def test_iteration_limit_is_not_optimal(make_problem: ProblemMaker) -> None:
@@ -260,8 +260,8 @@ def test_iteration_limit_is_not_optimal(make_problem: ProblemMaker) -> None:
 
 def test_binding_names_limit_sign_and_time(saturated: tuple[TransientProblem, Solution]) -> None:
     problem, solution = saturated
-    text = binding_limits(problem, solution.command_A, solution.multipliers)
-    _, current = problem.stage.rollout(solution.command_A)
+    text = binding_limits(problem, solution.command, solution.multipliers)
+    _, current = problem.stage.rollout(solution.command)
     at_limit = problem.grid.switching_times_s[current > 4 - 1e-6] * 1e3
     assert f"current +4 A at {at_limit[0]:.2f} to {at_limit[-1]:.2f} ms" in text
     assert "current -4 A" not in text
@@ -288,7 +288,7 @@ def test_multipliers_beyond_all_numbers_prove_nothing(saturated: tuple[Transient
     """A method that broke down may leave 1e300: no warning, no NaN, and no proof."""
     problem, solution = saturated
     huge = replace(solution.multipliers, hand_over=np.full(problem.hand_over_samples, 1e308))
-    certificate = certify(problem, solution.command_A, huge)
+    certificate = certify(problem, solution.command, huge)
     assert not certificate.accepted
     assert certificate.duality_gap == np.inf
     assert certificate.lower_bound == -np.inf

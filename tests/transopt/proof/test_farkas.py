@@ -32,7 +32,7 @@ def warm() -> TransientProblem:
     problem = with_limit(problem, thermal.relaxed())
     rest, full = np.zeros(40), np.full(40, 1e-3)
     full[problem.free_stages :] = 0.0
-    idle, hot = (problem.thermal.temperatures_C(problem.stage.motion(c).current_A, c) for c in (rest, full))
+    idle, hot = (problem.thermal.temperatures_C(problem.stage.motion(c).plant_input, c) for c in (rest, full))
     limit = idle + 0.2 * (hot - idle).max()
     problem = with_headroom(problem, limit - problem.thermal.model.unpowered_C)
     assert inside(problem, rest)
@@ -45,7 +45,7 @@ class TestFarkas:
         """The slope of |mean i| may be anything; what it leaves below the size has to count."""
         full = np.full(40, 1e-3)
         full[warm.free_stages :] = 0.0
-        sign = np.sign(warm.stage.motion(full).current_A)
+        sign = np.sign(warm.stage.motion(full).plant_input)
         last = np.eye(40)[-1]
         for slope in (np.zeros(40), sign, -sign, *np.random.default_rng(1).uniform(-1, 1, (20, 40))):
             ray = replace(Multipliers.zero(warm), slope=slope).with_pair("temperature", np.zeros(40), last)
@@ -63,7 +63,7 @@ class TestFarkas:
         answer = solve(problem)
         for _ in range(10):
             ray = drawn_ray(problem, random)
-            assert not is_infeasible(problem, answer.command_A, ray)
+            assert not is_infeasible(problem, answer.command, ray)
 
 
 def test_no_multiplier_counts_where_there_is_no_limit() -> None:
@@ -78,9 +78,9 @@ def test_no_multiplier_counts_where_there_is_no_limit() -> None:
     problem = case.problem()
     thermal = problem.thermal
     problem = with_headroom(with_limit(problem, thermal.relaxed()), np.array([np.inf, 5.0]))
-    command = 0.5 * solve(problem.without("temperature")).command_A
+    command = 0.5 * solve(problem.without("temperature")).command
     motion = problem.stage.motion(command)
-    slope = np.sign(problem.thermal.model.heating.mean_current(motion.current_A, command))
+    slope = np.sign(problem.thermal.model.heating.mean_current(motion.plant_input, command))
     forged = replace(Multipliers.zero(problem), slope=slope)
     plain = reduced_gradient(Effect(problem, command), forged)
     unit = forged.with_pair("temperature", np.zeros(2), np.array([1.0, 0.0]))
@@ -96,4 +96,4 @@ def test_too_many_devices_give_way_to_another_method(make_problem: ProblemMaker)
     many = replace(problem, spread=spread)
     assert "riccati" not in capable(many)
     answer = solve(many, SolverOptions())
-    assert certify(many, answer.command_A, answer.multipliers).accepted
+    assert certify(many, answer.command, answer.multipliers).accepted

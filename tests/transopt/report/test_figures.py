@@ -92,7 +92,7 @@ class TestLibrary:
                 # The largest error after the waveform is what the file says.
                 after = np.abs(drawn - wanted)[N:].max()
                 assert after == pytest.approx(library.peak_after_m_s2[iv, ig] / G, rel=1e-6)
-                np.testing.assert_array_equal(current[iv].get_ydata()[:N], library.current_A[iv, ig])
+                np.testing.assert_array_equal(current[iv].get_ydata()[:N], library.plant_input[iv, ig])
                 for line in (predicted[iv], references[iv], current[iv]):
                     np.testing.assert_allclose(line.get_xdata(), times_ms)
 
@@ -100,7 +100,7 @@ class TestLibrary:
         panels, times_ms = library_figure(library).axes, 1e3 * library.time_grid().switching_times_s
         bound = 0
         for ig in range(3):
-            at = np.flatnonzero(np.any(np.abs(library.current_A[:, ig]) > LIMIT_A * (1 - 1e-6), axis=0))
+            at = np.flatnonzero(np.any(np.abs(library.plant_input[:, ig]) > LIMIT_A * (1 - 1e-6), axis=0))
             runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1) if at.size else []
             expected = [(times_ms[run[0]] - 0.05, times_ms[run[-1]] + 0.05) for run in runs]
             for axes in (panels[ig], panels[3 + ig]):
@@ -132,7 +132,7 @@ class TestLibrary:
         assert_nothing_clipped(library_figure(resized(library, speeds, grips)))
 
     def test_a_zero_reference_of_the_free_device_can_be_drawn(self, library: Library) -> None:
-        zero = {name: 0 * getattr(library, name) for name in ("reference_m_s2", "acceleration_m_s2", "current_A")}
+        zero = {name: 0 * getattr(library, name) for name in ("reference_m_s2", "acceleration_m_s2", "plant_input")}
         figure = library_figure(replace(resized(library, 4, 1), grips_N=np.zeros(1)))
         assert figure.axes[0].get_title() == "free device"
         assert_nothing_clipped(library_figure(replace(library, **zero)))
@@ -152,8 +152,8 @@ class TestLibrary:
         assert len(columns) == 6
         curves = solid_curves(figure.axes[-1], 900)
         assert len(curves) == 8
-        np.testing.assert_array_equal(curves[0].get_ydata()[:600], large.current_A[0, -1])
-        np.testing.assert_array_equal(curves[-1].get_ydata()[:600], large.current_A[-1, -1])
+        np.testing.assert_array_equal(curves[0].get_ydata()[:600], large.plant_input[0, -1])
+        np.testing.assert_array_equal(curves[-1].get_ydata()[:600], large.plant_input[-1, -1])
         assert "8 of 20 speeds, 6 of 10 grips" in figure.get_supxlabel()
         assert "speeds" not in library_figure(library).get_supxlabel()
 

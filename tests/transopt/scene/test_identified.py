@@ -56,7 +56,7 @@ class TestTheSameDevice:
         scene = make(ON_FILE, parts, (POLE, ""))
         own = solved(scene, taps)
         for name in (
-            "command_A",
+            "command",
             "acceleration_m_s2",
             "nrmse",
             "floor",
@@ -86,7 +86,7 @@ class TestTheSameDevice:
         self, make: Make, library: Library, taps: list[Recording]
     ) -> None:
         own = solved(make(BOX, {"device": state_space_device()}), taps)
-        for name in ("command_A", "acceleration_m_s2", "nrmse", "floor"):
+        for name in ("command", "acceleration_m_s2", "nrmse", "floor"):
             ours, theirs = getattr(own, name), getattr(library, name)
             assert np.abs(ours - theirs).max() <= 1e-7 * max(np.abs(theirs).max(), 1), name
         assert own.plant_A.shape == (3, 12, 12)
@@ -335,7 +335,7 @@ class TestSpread:
         def commands(part: DriveDevice) -> FloatArray:
             library = build_library(make(ON_FILE + ROBUST, {"device": part}), taps).library
             assert library is not None
-            return library.command_A
+            return library.command
 
         sure, unsure = commands(with_error(1e-9, 0.0)), commands(with_error(1e-4, 0.1))
         assert np.linalg.norm(unsure - sure) > 5e-3 * np.linalg.norm(sure)
@@ -346,4 +346,4 @@ def test_python_refuses_an_unfit_model_too(make: Make, taps: list[Recording]) ->
     scene = make(ON_FILE, {"device": part})
     with pytest.raises(InputError, match=r"not fit to design with: device: 3 N: .*accept_unfit_model=True"):
         solve(scene, taps)
-    assert solve(scene, taps, accept_unfit_model=True).command_A.shape[0] == 4
+    assert solve(scene, taps, accept_unfit_model=True).command.shape[0] == 4

@@ -45,7 +45,7 @@ def test_a_scene_need_not_be_described(scene: Scene) -> None:
 
 def test_the_default_limits_are_the_seeds(tmp_path: Path) -> None:
     scene = problems.load("wood_on_foam")
-    assert limits_of(scene).current_A == pytest.approx(4.0, rel=1e-15)
+    assert limits_of(scene).input_limit == pytest.approx(4.0, rel=1e-15)
     assert scene.time_grid().lead_s == 3e-4
 
 

@@ -45,13 +45,13 @@ def answers(seeds: range) -> list[tuple[TransientProblem, np.ndarray, Certificat
         designed = optimum(problem, SolverOptions())
         answer = designed.solution
         if designed.is_proven and answer.multipliers.upper("temperature").any():
-            effect = Effect(problem, answer.command_A)
+            effect = Effect(problem, answer.command)
             bounds = [
                 designed.certificate.lower_bound,
                 global_bound(problem, SolverOptions()),
                 relaxed_bound(effect, answer.multipliers),
             ]
-            found.append((problem, answer.command_A, designed.certificate, bounds))
+            found.append((problem, answer.command, designed.certificate, bounds))
     return found
 
 

@@ -39,7 +39,7 @@ def test_a_method_that_ends_its_process_is_a_breakdown(saturated: TransientProbl
     assert answer.status is Status.NUMERICAL_FAILURE
     assert answer.solver == solver
     assert "ended with code 134" in answer.message
-    assert not answer.command_A.any()
+    assert not answer.command.any()
 
 
 @pytest.mark.parametrize("solver", FALLBACKS)
@@ -73,11 +73,11 @@ def test_a_linear_program_that_ends_its_process_decides_nothing(
 def test_a_problem_of_any_scale_has_the_same_least_widening() -> None:
     """A wall that asks for a hundred thousand times the limit: the factor goes with the limit, digit by digit."""
     factors = []
-    for limit_A in (3.0, 3e-2, 3e-5):
-        case = StressCase("wall", current=Current(limit_A=limit_A), horizon=Horizon(stages=40), surface=Surface(2e4))
+    for limit in (3.0, 3e-2, 3e-5):
+        case = StressCase("wall", current=Current(limit_A=limit), horizon=Horizon(stages=40), surface=Surface(2e4))
         found = feasibility.least_widening(case.problem(), ["current", "command"])
         assert found is not None
-        factors.append(found[0] * limit_A)
+        factors.append(found[0] * limit)
     assert factors[0] / 3e-5 > 1e4
     np.testing.assert_allclose(factors, factors[0], rtol=1e-6)
 

@@ -25,8 +25,8 @@ from transopt.solvers.options import SolverOptions
 SHORT = Horizon(stages=40)
 
 
-def walled(limit_A: float) -> TransientProblem:
-    case = StressCase("wall", current=Current(limit_A=limit_A, slew=0.05), horizon=SHORT, surface=Surface(2000.0))
+def walled(limit: float) -> TransientProblem:
+    case = StressCase("wall", current=Current(limit_A=limit, slew=0.05), horizon=SHORT, surface=Surface(2000.0))
     return case.problem()
 
 
@@ -144,7 +144,7 @@ def test_a_zero_reference_over_a_wall_leaves_it_alone() -> None:
     designed = optimum(case.problem(), SolverOptions())
     assert designed.solution.status is Status.OPTIMAL
     assert designed.certificate.accepted
-    assert np.abs(designed.solution.command_A).max() > 0.01
+    assert np.abs(designed.solution.command).max() > 0.01
 
 
 def test_a_delay_longer_than_the_horizon() -> None:

@@ -86,7 +86,7 @@ class TestAnswers:
     def test_certified_on_every_scene(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
         problem = hardest(name)
         answer = solve(problem, OWN)
-        proof = certify(problem, answer.command_A, answer.multipliers)
+        proof = certify(problem, answer.command, answer.multipliers)
         assert answer.solver == "riccati"
         assert answer.status is Status.OPTIMAL
         assert proof.is_stationary
@@ -98,22 +98,22 @@ class TestAnswers:
     def test_agrees_with_ipopt(self, hardest: Callable[[str], TransientProblem], name: str) -> None:
         problem = hardest(name)
         own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
-        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, other)]
+        proofs = [certify(problem, answer.command, answer.multipliers) for answer in (own, other)]
         assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
-        np.testing.assert_allclose(own.command_A, other.command_A, rtol=0, atol=2e-4)
+        np.testing.assert_allclose(own.command, other.command, rtol=0, atol=2e-4)
 
     @pytest.mark.parametrize("stages", [11, 12, 30])
     def test_short_horizons(self, make_problem: ProblemMaker, stages: int) -> None:
         problem = make_problem(0.4, 5.0, stages=stages)
         answer = solve(problem, OWN)
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
-    @pytest.mark.parametrize("current_A", [1e-3, 0.1, 1.25])
-    def test_tight_limits(self, make_problem: ProblemMaker, current_A: float) -> None:
-        problem = make_problem(0.4, 5.0, current_A=current_A, slew_A_per_s=2000.0 * current_A)
+    @pytest.mark.parametrize("limit_A", [1e-3, 0.1, 1.25])
+    def test_tight_limits(self, make_problem: ProblemMaker, limit_A: float) -> None:
+        problem = make_problem(0.4, 5.0, current_A=limit_A, slew_A_per_s=2000.0 * limit_A)
         answer = solve(problem, OWN)
         assert answer.iterations <= 40
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
     def test_no_smoothness_and_weights_of_zero(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.4, 5.0)
@@ -121,7 +121,7 @@ class TestAnswers:
         weights[200:] = 0.0
         problem = replace(problem, tracking_weights=weights, rho=1e-12)
         answer = solve(problem, OWN)
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
     @pytest.mark.parametrize("budget", [{"headroom_K": 0.05}, {"headroom_K": 0.01}, {"tap_rate_Hz": 12.0}])
     def test_temperature(
@@ -129,7 +129,7 @@ class TestAnswers:
     ) -> None:
         problem = hot(make_problem(0.4, 5.0), **budget)
         own, other = (solve(problem, SolverOptions(method)) for method in ("riccati", "casadi-ipopt"))
-        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, other)]
+        proofs = [certify(problem, answer.command, answer.multipliers) for answer in (own, other)]
         assert all(proof.is_stationary for proof in proofs)
         assert abs(proofs[0].objective - proofs[1].objective) <= 1e-6 * max(proofs[0].objective, OBJECTIVE_SCALE)
 
@@ -137,13 +137,13 @@ class TestAnswers:
         problem = make_problem(0.4, 3.0)
         problem = replace(problem, spread=tuple(make_problem(0.4, grip).stage for grip in (1.0, 5.0)))
         answer = solve(problem, OWN)
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
     def test_threads_change_no_bit(self, make_problem: ProblemMaker) -> None:
         entries = [make_problem(speed, grip) for speed in (0.3, 0.4) for grip in (1.0, 3.0, 5.0)]
-        alone = [solve(entry, OWN).command_A for entry in entries]
+        alone = [solve(entry, OWN).command for entry in entries]
         with ThreadPoolExecutor(4) as pool:
-            together = list(pool.map(lambda entry: solve(entry, OWN).command_A, entries * 3))
+            together = list(pool.map(lambda entry: solve(entry, OWN).command, entries * 3))
         for j, command in enumerate(together):
             np.testing.assert_array_equal(command, alone[j % len(entries)])
 
@@ -164,10 +164,10 @@ class TestInfeasible:
         problem = make_problem(0.4, 5.0, slew_A_per_s=5000.0)
         answer = solve(problem, OWN)
         random = np.random.default_rng(5)
-        assert not is_infeasible(problem, answer.command_A, answer.multipliers)
+        assert not is_infeasible(problem, answer.command, answer.multipliers)
         for scale in (1.0, 1e8):
             ray = drawn_ray(problem, random, scale)
-            assert not is_infeasible(problem, answer.command_A, ray)
+            assert not is_infeasible(problem, answer.command, ray)
 
 
 class TestTheLastInstant:
@@ -245,7 +245,7 @@ class TestBounds:
     def test_are_refused_by_every_method(self, make_problem: ProblemMaker, solver: str) -> None:
         problem = make_problem(0.4, 5.0)
         limit = copy(problem.limits["current"])
-        object.__setattr__(limit, "limit_A", float("nan"))  # whatever a limit's own checks let through
+        object.__setattr__(limit, "limit", float("nan"))  # whatever a limit's own checks let through
         problem = problem.replaced(limit)
         with pytest.raises(InputError, match=r"limit .*bounds nan and nan at stage"):
             choose.SOLVERS[solver](problem, SolverOptions(solver))

@@ -83,7 +83,7 @@ class TestOptimum:
     ) -> None:
         problem, ipopt = tight[headroom_K]
         own = solve(problem, SolverOptions("riccati"))
-        proofs = [certify(problem, answer.command_A, answer.multipliers) for answer in (own, ipopt)]
+        proofs = [certify(problem, answer.command, answer.multipliers) for answer in (own, ipopt)]
         for answer, proof in zip((own, ipopt), proofs, strict=True):
             assert answer.status is Status.OPTIMAL
             assert answer.multipliers.upper("temperature").max() > 1e-3
@@ -97,7 +97,7 @@ class TestOptimum:
     ) -> None:
         """Measured 0.001 to 0.012 %."""
         problem, answer = tight[headroom_K]
-        objective = certify(problem, answer.command_A, answer.multipliers).objective
+        objective = certify(problem, answer.command, answer.multipliers).objective
         bound = global_bound(problem, SolverOptions())
         assert 0 < (objective - bound) / max(objective, 1e-3) <= 3e-4
 
@@ -109,8 +109,8 @@ class TestOptimum:
         problem, answer = tight[headroom]
         relaxed = with_limit(problem, problem.thermal.relaxed())
         least = solve(relaxed, SolverOptions("casadi-ipopt"))
-        optimum_of_relaxed = certify(relaxed, least.command_A, least.multipliers).objective
-        effect = Effect(problem, answer.command_A)
+        optimum_of_relaxed = certify(relaxed, least.command, least.multipliers).objective
+        effect = Effect(problem, answer.command)
         bound = relaxed_bound(effect, answer.multipliers)
         assert optimum_of_relaxed * (1 - 1e-4) < bound <= optimum_of_relaxed * (1 + 1e-9)
         # Any multipliers bound, wrong ones worse: too high, too low, at the wrong time, of the wrong sign.
@@ -125,11 +125,11 @@ class TestOptimum:
         """Commands from anywhere, shrunk until they keep all limits: zero does, and heat shrinks with them."""
         problem, answer = tight[0.02]
         bound = global_bound(problem, SolverOptions())
-        cold = solve(problem.without("temperature")).command_A
+        cold = solve(problem.without("temperature")).command
         random = np.random.default_rng(10)
         noise = random.standard_normal((4, problem.grid.stages))
         noise[:, problem.free_stages :] = 0
-        wild = [cold, *(answer.command_A + size * n for size, n in zip((1e-3, 1e-2, 0.1, 1.0), noise, strict=True))]
+        wild = [cold, *(answer.command + size * n for size, n in zip((1e-3, 1e-2, 0.1, 1.0), noise, strict=True))]
         objectives = []
         for command in wild:
             low, high = 0.0, 1.0
@@ -149,8 +149,8 @@ class TestHotStart:
         designed = optimum(problem, SolverOptions())
         assert designed.solution.status is Status.OPTIMAL
         assert designed.certificate.accepted
-        assert np.abs(designed.solution.command_A).max() > 1
-        assert played(problem, designed.solution.command_A).winding_C <= 100 + 1e-5
+        assert np.abs(designed.solution.command).max() > 1
+        assert played(problem, designed.solution.command).winding_C <= 100 + 1e-5
 
     def test_at_the_limit_over_an_equally_hot_housing_is_refused_by_name(self, entry: Maker) -> None:
         """No command at all is cool enough, the ripple of Eq. 7 alone heats: few stages say so soon."""
@@ -185,7 +185,7 @@ def repeated(entry: Maker) -> tuple[TransientProblem, Solution]:
     return problem, designed.solution
 
 
-def period_map(coil: CoilModel, command_A: np.ndarray, period_s: float) -> list[np.ndarray]:
+def period_map(coil: CoilModel, command: np.ndarray, period_s: float) -> list[np.ndarray]:
     """Affine maps (3, 3) of (winding, housing, 1) from the period's start to each tick and to its end."""
     w = 2 * np.pi * AMPLIFIER.pole_Hz
     C_w, C_h = coil.tau_w_s / coil.R_wh_K_W, coil.tau_h_s / coil.R_ha_K_W
@@ -203,7 +203,7 @@ def period_map(coil: CoilModel, command_A: np.ndarray, period_s: float) -> list[
         return np.asarray((flow @ flat.reshape(3, 3)).ravel())
 
     maps, current = [np.eye(3)], 0.0
-    pieces = [(c, DT_S) for c in command_A] + [(0.0, period_s - command_A.size * DT_S)]
+    pieces = [(c, DT_S) for c in command] + [(0.0, period_s - command.size * DT_S)]
     for c, duration in pieces:
         run = solve_ivp(rate, (0, duration), maps[-1].ravel(), method="RK45", rtol=1e-9, atol=1e-9, args=(current, c))
         maps.append(run.y[:, -1].reshape(3, 3))
@@ -217,10 +217,10 @@ class TestRepetition:
         problem, answer = repeated
         thermal = problem.thermal
         coil = thermal.coil
-        maps = period_map(coil, answer.command_A, 1 / RATE_Hz)
-        _, current = problem.stage.rollout(answer.command_A)
-        predicted = float(thermal.temperatures_C(current, answer.command_A).max())
-        replayed_C = played(problem, answer.command_A).winding_C
+        maps = period_map(coil, answer.command, 1 / RATE_Hz)
+        _, current = problem.stage.rollout(answer.command)
+        predicted = float(thermal.temperatures_C(current, answer.command).max())
+        replayed_C = played(problem, answer.command).winding_C
         taps = round(5 * coil.tau_h_s * RATE_Hz)
         start = np.linalg.matrix_power(maps[-1], taps) @ [coil.ambient_C, coil.ambient_C, 1.0]
         peak = max(float((step @ start)[0]) for step in maps)
@@ -239,15 +239,15 @@ class TestRepetition:
 
     def test_its_own_multipliers_claim_no_bound(self, repeated: tuple[TransientProblem, Solution]) -> None:
         problem, answer = repeated
-        assert relaxed_bound(Effect(problem, answer.command_A), answer.multipliers) == -np.inf
+        assert relaxed_bound(Effect(problem, answer.command), answer.multipliers) == -np.inf
 
     def test_its_bound_holds(self, repeated: tuple[TransientProblem, Solution]) -> None:
         """The mean-heat relaxation: feasible commands found otherwise stay above it; measured gap 0.38 %."""
         problem, answer = repeated
         bound = global_bound(problem, SolverOptions())
-        best = certify(problem, answer.command_A, answer.multipliers).objective
+        best = certify(problem, answer.command, answer.multipliers).objective
         assert 0 < (best - bound) / best < 6e-3
-        cold = solve(problem.without("temperature")).command_A
+        cold = solve(problem.without("temperature")).command
         shares = np.linspace(0.5, 1.0, 11)
         kept = [share for share in shares if inside(problem, share * cold)]
         assert 0 < len(kept) < shares.size
@@ -274,7 +274,7 @@ class TestRepetitionOnAWall:
             hottest.append(entry.played.winding_C)
             thermal = entry.problem.thermal
             if idle is None:
-                at_the_end = entry.solution.command_A[-1]
+                at_the_end = entry.solution.command[-1]
                 # Known before the solve, from the reference's course, and no less than what is left at the end.
                 assert at_the_end <= thermal.budget.pause_A <= 1.5 * at_the_end
                 # 64 % of the time: R i^2 over both resistances.
@@ -291,8 +291,8 @@ class TestRepetitionOnAWall:
 @pytest.fixture(scope="module")
 def honest(tight: dict[float, tuple[TransientProblem, Solution]]) -> tuple[TransientProblem, Solution, float]:
     problem, answer = tight[0.02]
-    objective = certify(problem, answer.command_A, answer.multipliers).objective
-    assert certify(problem, answer.command_A, answer.multipliers, objective).accepted
+    objective = certify(problem, answer.command, answer.multipliers).objective
+    assert certify(problem, answer.command, answer.multipliers, objective).accepted
     return problem, answer, objective
 
 
@@ -319,10 +319,10 @@ class TestTampering:
         problem, answer, objective = honest
         mu = tamper(answer.multipliers.upper("temperature"))
         wrong = answer.multipliers.with_pair("temperature", np.zeros_like(mu), mu)
-        assert not certify(problem, answer.command_A, wrong, objective).accepted
+        assert not certify(problem, answer.command, wrong, objective).accepted
 
     def test_a_command_that_is_too_hot(self, honest: tuple[TransientProblem, Solution, float]) -> None:
         problem, answer, objective = honest
-        certificate = certify(problem, 1.001 * answer.command_A, answer.multipliers, objective)
+        certificate = certify(problem, 1.001 * answer.command, answer.multipliers, objective)
         assert certificate.violation("K") > 1e-6
         assert not certificate.accepted

@@ -91,8 +91,8 @@ def test_agrees_with_solvers_whose_limits_are_far_away(make_problem: ProblemMake
     problem = make_problem(0.3, 3.0, ideal=ideal, stages=60, current_A=40.0, **({} if ideal else {"command_A": 60.0}))
     free = unlimited.solve(problem)
     for solver in ("casadi-piqp", "casadi-ipopt"):
-        np.testing.assert_allclose(free.command_A, solve(problem, SolverOptions(solver)).command_A, atol=1e-6)
-    np.testing.assert_allclose(free.command_A, unlimited.solve_sparse_kkt(problem).command_A, atol=1e-9)
+        np.testing.assert_allclose(free.command, solve(problem, SolverOptions(solver)).command, atol=1e-6)
+    np.testing.assert_allclose(free.command, unlimited.solve_sparse_kkt(problem).command, atol=1e-9)
 
 
 def test_every_entry_of_the_default_scene_is_proven_by_the_pass(make_problem: ProblemMaker) -> None:
@@ -101,7 +101,7 @@ def test_every_entry_of_the_default_scene_is_proven_by_the_pass(make_problem: Pr
             # Limits wide enough for every optimum, so that the certificate judges nothing else.
             problem = make_problem(speed, grip, current_A=8.0, command_A=20.0)
             answer = unlimited.solve(problem)
-            proof = certify(problem, answer.command_A, answer.multipliers)
+            proof = certify(problem, answer.command, answer.multipliers)
             assert answer.status is Status.OPTIMAL
             assert answer.message == "Riccati pass"
             assert proof.accepted
@@ -126,9 +126,9 @@ def device(
     return replace(problem, stage=discretise(plant, problem.stage.amplifier, problem.grid.dt_s))
 
 
-def limited(problem: TransientProblem, current_A: float) -> TransientProblem:
-    range_A = 1.5 * current_A if "command" in problem.limits else None
-    return with_numbers(problem, current_A=current_A, command_A=range_A)
+def limited(problem: TransientProblem, plant_input: float) -> TransientProblem:
+    range_A = 1.5 * plant_input if "command" in problem.limits else None
+    return with_numbers(problem, current_A=plant_input, command_A=range_A)
 
 
 def shortened(problem: TransientProblem, stages: int) -> TransientProblem:
@@ -172,15 +172,15 @@ EXTREMES = {
 def test_extreme_problems(make_problem: ProblemMaker, name: str, ideal: bool) -> None:
     problem = EXTREMES[name](make_problem(0.4, 5.0, ideal=ideal))
     answer = unlimited.solve(problem)
-    proof = certify(problem, answer.command_A, answer.multipliers)
+    proof = certify(problem, answer.command, answer.multipliers)
     assert answer.status is Status.OPTIMAL
     assert answer.message.startswith("Riccati pass")
     # Masses of 1 g leave little more than rounding, and more or less of it on every processor.
-    by_command = gradient_rounding(problem, answer.command_A, answer.multipliers) / ROUNDED
-    rounding = float(by_command @ (problem.command_bound_A + np.abs(answer.command_A)))
+    by_command = gradient_rounding(problem, answer.command, answer.multipliers) / ROUNDED
+    rounding = float(by_command @ (problem.command_bound + np.abs(answer.command)))
     assert proof.dual_residual < 1e-12 + by_command.max()
     assert proof.duality_gap <= proof.GAP_TOLERANCE * max(proof.objective, OBJECTIVE_SCALE) + rounding
-    assert not answer.command_A[problem.free_stages :].any()
+    assert not answer.command[problem.free_stages :].any()
 
 
 class TestWhenThePassFallsShort:
@@ -198,12 +198,12 @@ class TestWhenThePassFallsShort:
 
     def test_a_small_error_is_refined_away(self, make_problem: ProblemMaker, monkeypatch: pytest.MonkeyPatch) -> None:
         problem = make_problem(0.2, 3.0)
-        wanted = unlimited.solve(problem).command_A
+        wanted = unlimited.solve(problem).command
         self.spoil(monkeypatch, 1 + 1e-5)
         answer = unlimited.solve_in_casadi(problem)
         assert answer.message == "Riccati pass, refined"
-        assert certify(problem, answer.command_A, answer.multipliers).dual_residual < 1e-14
-        np.testing.assert_allclose(answer.command_A, wanted, atol=1e-10)
+        assert certify(problem, answer.command, answer.multipliers).dual_residual < 1e-14
+        np.testing.assert_allclose(answer.command, wanted, atol=1e-10)
 
     @pytest.mark.parametrize("factor", [2.0, float("nan")])
     def test_a_large_one_is_left_to_the_sparse_system(
@@ -214,7 +214,7 @@ class TestWhenThePassFallsShort:
         answer = unlimited.solve_in_casadi(problem)
         assert answer.message == "sparse KKT system"
         assert answer.status is Status.OPTIMAL
-        proof = certify(problem, answer.command_A, answer.multipliers)
+        proof = certify(problem, answer.command, answer.multipliers)
         assert proof.accepted
         assert proof.dual_residual < 1e-14
 
@@ -222,8 +222,8 @@ class TestWhenThePassFallsShort:
         """Without weights pass and sparse system would break down; rest is as good as any command, and proven."""
         problem = replace(make_problem(0.2, 3.0, stages=30), rho=0.0, tracking_weights=np.zeros(30))
         answer = unlimited.solve_in_casadi(problem)
-        assert not answer.command_A.any()
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert not answer.command.any()
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
 
 def test_the_other_passes_run_apart_and_give_the_same(
@@ -231,7 +231,7 @@ def test_the_other_passes_run_apart_and_give_the_same(
 ) -> None:
     problem = make_problem(0.2, 3.0)
     monkeypatch.setattr(extension, "available", False)
-    np.testing.assert_array_equal(unlimited.solve(problem).command_A, unlimited.solve_in_casadi(problem).command_A)
+    np.testing.assert_array_equal(unlimited.solve(problem).command, unlimited.solve_in_casadi(problem).command)
 
 
 @pytest.mark.skipif(not extension.available, reason="the extension is not built")
@@ -248,7 +248,7 @@ class TestCompiledPass:
             rtol=0,
             atol=1e-8 * max(np.abs(other.multipliers.hand_over).max(), 1e-6),
         )
-        return float(np.abs(own.command_A - other.command_A).max() / np.abs(other.command_A).max())
+        return float(np.abs(own.command - other.command).max() / np.abs(other.command).max())
 
     @pytest.mark.parametrize("ideal", [False, True])
     @pytest.mark.parametrize("stages", [11, 600])
@@ -279,12 +279,12 @@ class TestCompiledPass:
         first, second = (extension.LinearPass(stages, shared) for stages in (light, firm))
         for other in (second, None, second):
             assert first.solve(unlimited.GAP).code == extension.SOLVED
-            np.testing.assert_array_equal(first.command_A(), alone.command_A())
+            np.testing.assert_array_equal(first.command(), alone.command())
             if other is None:
                 extension.interior_point(firm, shared, tolerance=1e-9, max_iterations=5)
             else:
                 assert other.solve(unlimited.GAP).code == extension.SOLVED
-                assert np.abs(other.command_A() - alone.command_A()).max() > 0.1
+                assert np.abs(other.command() - alone.command()).max() > 0.1
 
     def test_without_any_weight_it_breaks_down_and_keeps_no_gains(self, make_problem: ProblemMaker) -> None:
         problem = make_problem(0.2, 3.0, stages=30)
@@ -302,4 +302,4 @@ def test_a_gap_that_is_only_rounding_asks_no_other_method(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(unlimited, "solve_apart", asked)
     found = unlimited.solve(problem)
-    assert certify(problem, found.command_A, found.multipliers).is_stationary
+    assert certify(problem, found.command, found.multipliers).is_stationary

@@ -53,7 +53,7 @@ class TestNamed:
         fewer = replace(SWEPT["intensity"], axis="limits.current_A=2,3,4", speeds_m_s=(0.4,), grips_N=(5.0,))
         plan = fewer.plan(short)
         rows = run_plan(plan, tmp_path, serial())
-        energy, wave, needed = (entry_grid(plan, rows, name) for name in ("energy_dB", "waveform_dB", "free_peak_A"))
+        energy, wave, needed = (entry_grid(plan, rows, name) for name in ("energy_dB", "waveform_dB", "free_peak"))
         np.testing.assert_allclose(energy, 0.0, atol=0.011)
         assert np.all(np.diff(wave[:, 0, 0]) > 0)
         said = fewer.finding(plan, rows)
@@ -126,7 +126,7 @@ class TestNamed:
         assert worst.worst > 0.5
         plan, rows = found.studies["faulhaber_0816k003sr"]
         assert plan.scene.limits.transient_current_A == 0.55
-        assert max(float(row["peak_current_A"]) for row in rows) <= 0.55 + 1e-6
+        assert max(float(row["peak_input"]) for row in rows) <= 0.55 + 1e-6
         assert max(float(row["peak_voltage_V"]) for row in rows) <= motors.RAIL_V * 1.001
         text = "\n".join(found.report("motors.png", []))
         for words in ("## Maxon RE 25, 118743", "## Faulhaber 0816K003SR", "motors.png", "Ranked by"):

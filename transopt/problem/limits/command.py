@@ -23,14 +23,14 @@ class CommandLimit(Limit):
     price_step: ClassVar[float] = 1.0
     after_the_waveform: ClassVar[bool] = True
 
-    limit_A: float
+    limit: float
 
     def __post_init__(self) -> None:
-        positive("command_A", self.limit_A)
+        positive("command_A", self.limit)
 
     @property
     def stated(self) -> float:
-        return self.limit_A
+        return self.limit
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
@@ -42,16 +42,16 @@ class CommandLimit(Limit):
         return {"amplifier.command_limit_A": True}
 
     def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.limit_A)
+        return type(self)(factor * self.limit)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        return (Row("command", {COMMAND: 1.0}, -self.limit_A, self.limit_A),)
+        return (Row("command", {COMMAND: 1.0}, -self.limit, self.limit),)
 
-    def command_bound_A(self, *, ideal: bool) -> float:
-        return self.limit_A
+    def command_bound(self, *, ideal: bool) -> float:
+        return self.limit
 
-    def reach_A(self, grid: TimeGrid) -> float:
-        return self.limit_A
+    def reach(self, grid: TimeGrid) -> float:
+        return self.limit
 
     def replayed(self, peak: float) -> str:
-        return f"command {peak:.6f} A, limit {self.limit_A:g} A"
+        return f"command {peak:.6f} A, limit {self.limit:g} A"

@@ -27,29 +27,29 @@ class CurrentLimit(Limit):
     indispensable: ClassVar[bool] = True
     price_step: ClassVar[float] = 1.0
 
-    limit_A: float
+    limit: float
 
     def __post_init__(self) -> None:
-        positive(self.key, self.limit_A)
+        positive(self.key, self.limit)
 
     @property
     def stated(self) -> float:
-        return self.limit_A
+        return self.limit
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         return cls(asked[cls.key])
 
     def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.limit_A)
+        return type(self)(factor * self.limit)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         # An ideal amplifier has no state of its own: its current is the command.
         flows = COMMAND if problem.stage.amplifier is None else CURRENT
-        return (Row("current", {flows: 1.0}, -self.limit_A, self.limit_A),)
+        return (Row("current", {flows: 1.0}, -self.limit, self.limit),)
 
-    def command_bound_A(self, *, ideal: bool) -> float:
-        return self.limit_A if ideal else super().command_bound_A(ideal=ideal)
+    def command_bound(self, *, ideal: bool) -> float:
+        return self.limit if ideal else super().command_bound(ideal=ideal)
 
-    def reach_A(self, grid: TimeGrid) -> float:
-        return self.limit_A
+    def reach(self, grid: TimeGrid) -> float:
+        return self.limit

@@ -17,9 +17,9 @@ from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
 
 
-def residual(problem: TransientProblem, command_A: FloatArray, motion: Motion) -> FloatArray:
+def residual(problem: TransientProblem, command: FloatArray, motion: Motion) -> FloatArray:
     """(h,) by how much a command (N,) with this motion differs from what is asked for over the hand-over [A]."""
-    return np.asarray((command_A - problem.hand_over_command(motion))[problem.free_stages :])
+    return np.asarray((command - problem.hand_over_command(motion))[problem.free_stages :])
 
 
 def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -29,7 +29,7 @@ def transposed(problem: TransientProblem, by_residual: FloatArray) -> tuple[Floa
 
 
 def rows(problem: TransientProblem, stage: LinearStage) -> tuple[FloatArray, FloatArray]:
-    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `current_A`."""
+    """Hand-over as c_k = rows_k x_k + constant_k: (h, n) on scaled states and (h,), in units of `input_scale`."""
     return _rows(problem, stage, np.arange(problem.free_stages, problem.grid.stages))
 
 
@@ -48,7 +48,7 @@ def _rows(problem: TransientProblem, stage: LinearStage, at: NDArray[np.intp]) -
     earlier = np.where(at > 0, pressing[at - 1], 0.0)
     by_state = now * pressing[at, None] * stage.feedback[0] + before * earlier[:, None] * stage.feedback[1]
     without = problem.feedback.command(Motion.zero(pressing.size))
-    return by_state / stage.current_A, without[at] / stage.current_A
+    return by_state / stage.input_scale, without[at] / stage.input_scale
 
 
 def growth(problem: TransientProblem) -> float:

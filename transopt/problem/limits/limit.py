@@ -59,9 +59,9 @@ class Row:
     offset: FloatArray | float = 0.0
     condition: str = ""
 
-    def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
+    def value(self, motion: Motion, command: FloatArray) -> FloatArray:
         """(..., N) what a command (..., N) with this motion makes of it."""
-        parts: list[Any] = [by * output_values(output, motion, command_A) for output, by in self.outputs.items()]
+        parts: list[Any] = [by * output_values(output, motion, command) for output, by in self.outputs.items()]
         if isinstance(self.offset, np.ndarray) or self.offset or not parts:
             parts.append(self.offset)
         return np.asarray(reduce(add, parts))
@@ -70,7 +70,7 @@ class Row:
         """(stages,) lower and upper."""
         return _along(self.lower, stages), _along(self.upper, stages)
 
-    def by_outputs(self, motion: Motion, command_A: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
+    def by_outputs(self, motion: Motion, command: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
         """Output -> gradient (N,) by it, for a gradient (N,) by the value."""
         return {output: coefficient * gradient for output, coefficient in self.outputs.items()}
 
@@ -97,32 +97,32 @@ def _everywhere(value: float, stages: int) -> FloatArray:
     return found
 
 
-def output_values(name: str, motion: Motion, command_A: FloatArray) -> FloatArray:
+def output_values(name: str, motion: Motion, command: FloatArray) -> FloatArray:
     """(..., N) one output along a command (..., N)."""
     if name == CURRENT:
-        return motion.current_A
+        return motion.plant_input
     if name == COMMAND:
-        return command_A
+        return command
     if name == HELD:
-        held = np.zeros_like(command_A)
-        held[..., 1:] = command_A[..., :-1]
+        held = np.zeros_like(command)
+        held[..., 1:] = command[..., :-1]
         return held
     return motion.velocity_m_s if name == VELOCITY else motion.outputs[name]
 
 
 def transposed(
-    by_value: Iterable[tuple[Row, FloatArray]], motion: Motion, command_A: FloatArray
+    by_value: Iterable[tuple[Row, FloatArray]], motion: Motion, command: FloatArray
 ) -> tuple[Motion, FloatArray]:
     """Gradients by the motion and, directly, by the commands (N,) for gradients (N,) by the values of rows.
 
     Parameters
     ----------
-    motion, command_A : where the gradients are taken; only a row that is not linear looks at them.
+    motion, command : where the gradients are taken; only a row that is not linear looks at them.
     """
     by: dict[str, FloatArray] = {}
-    nothing = np.zeros(command_A.size)
+    nothing = np.zeros(command.size)
     for row, gradient in by_value:
-        for output, part in row.by_outputs(motion, command_A, gradient).items():
+        for output, part in row.by_outputs(motion, command, gradient).items():
             by[output] = by.get(output, nothing) + part
     by_command = by.pop(COMMAND, nothing)
     if (by_held := by.pop(HELD, None)) is not None:
@@ -296,11 +296,11 @@ class Limit(ABC):
         """By how much the replay may leave it at any time, also between the instants at which it is stated."""
         return self.tolerance
 
-    def command_bound_A(self, *, ideal: bool) -> float:
+    def command_bound(self, *, ideal: bool) -> float:
         """Bound on |c_k| that it implies, with an `ideal` amplifier or with one that has a pole."""
         return np.inf
 
-    def reach_A(self, grid: TimeGrid) -> float:
+    def reach(self, grid: TimeGrid) -> float:
         """Largest current that it leaves, for the scale of the problem."""
         return np.inf
 
@@ -323,7 +323,7 @@ class Limit(ABC):
         """What is said of a replay that leaves it."""
         return f"replayed {self.label} {peak:.6f} {self.unit}, limit {self.stated:g} {self.unit}"
 
-    def unresolved(self, problem: Posed, command_A: FloatArray, peak: float) -> str:
+    def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
         """Why the replay left it although it is kept at every instant at which it is stated; empty if unknown."""
         return ""
 
@@ -360,14 +360,14 @@ class Limits:
         return Limits(tuple(limit if each.name == limit.name else each for each in self.members))
 
     @property
-    def current_A(self) -> float:
+    def input_limit(self) -> float:
         """I, the unit of the movement's weight: the limit on |i(t)|."""
         return self["current"].stated
 
-    def command_bound_A(self, *, ideal: bool) -> float:
+    def command_bound(self, *, ideal: bool) -> float:
         """The bound on |c| that every admissible command obeys; that on the current where nothing else states one."""
-        bound = min(limit.command_bound_A(ideal=ideal) for limit in self.members)
-        return bound if np.isfinite(bound) else self.current_A
+        bound = min(limit.command_bound(ideal=ideal) for limit in self.members)
+        return bound if np.isfinite(bound) else self.input_limit
 
 
 def positive(key: str, value: float) -> None:

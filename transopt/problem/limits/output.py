@@ -79,7 +79,7 @@ class OutputLimit(Limit):
 
     def bound(self, problem: Posed) -> float:
         """What no admissible command can exceed: the sum of the response's sizes, every command at its largest."""
-        largest = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)
+        largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         impulse = np.eye(1, problem.grid.stages)[0]
         response = problem.stage.motion(impulse).outputs[self.output + AFTER]
         return float((np.cumsum(np.abs(response)) * largest + np.abs(self.nominal[1:])).max())
@@ -104,7 +104,7 @@ class OutputLimit(Limit):
 
     def _reach(self, problem: Posed) -> float:
         """By how much the first command can move the output within its period."""
-        largest = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)
+        largest = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         return largest * abs(problem.stage.output(self.output + AFTER)[1])
 
     def replayed(self, peak: float) -> str:

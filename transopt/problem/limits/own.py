@@ -59,15 +59,15 @@ class LawRow(Row):
     def linear(self) -> bool:
         return False
 
-    def arguments(self, motion: Motion, command_A: FloatArray) -> FloatArray:
+    def arguments(self, motion: Motion, command: FloatArray) -> FloatArray:
         """(m, N) the outputs, the nominal motion included."""
-        return np.stack([output_values(name, motion, command_A) + self.nominal[name] for name in self.outputs])
+        return np.stack([output_values(name, motion, command) + self.nominal[name] for name in self.outputs])
 
-    def value(self, motion: Motion, command_A: FloatArray) -> FloatArray:
-        return self.law.value(self.arguments(motion, command_A))
+    def value(self, motion: Motion, command: FloatArray) -> FloatArray:
+        return self.law.value(self.arguments(motion, command))
 
-    def by_outputs(self, motion: Motion, command_A: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
-        slopes = self.law.slopes(self.arguments(motion, command_A))
+    def by_outputs(self, motion: Motion, command: FloatArray, gradient: FloatArray) -> dict[str, FloatArray]:
+        slopes = self.law.slopes(self.arguments(motion, command))
         return {name: slope * gradient for name, slope in zip(self.outputs, slopes, strict=True)}
 
 

@@ -41,11 +41,11 @@ class SlewLimit(Limit):
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         return (Row("slew", {COMMAND: 1.0, HELD: -1.0}, -self.stated, self.stated),)
 
-    def reach_A(self, grid: TimeGrid) -> float:
+    def reach(self, grid: TimeGrid) -> float:
         return self.stated * grid.stages
 
     def cannot_bind(self, problem: Posed) -> str:
-        bound = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)
+        bound = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         if self.stated < 2 * bound:
             return ""
         return f"no command inside +-{bound:g} A moves by more than {2 * bound:g} A per tick, limit {self.stated:g} A"

@@ -151,8 +151,8 @@ class SupplyLimit(Limit):
 
     def bounds_V(self, problem: Posed) -> list[float]:
         """Of each end the largest terminal voltage of any command inside the current and command limits."""
-        current = problem.limits.current_A
-        command = problem.limits.command_bound_A(ideal=problem.stage.amplifier is None)
+        current = problem.limits.input_limit
+        command = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         impulse = np.zeros(problem.grid.stages)
         impulse[0] = 1.0
         response = np.abs(problem.stage.motion(impulse).velocity_m_s)
@@ -196,9 +196,9 @@ class SupplyLimit(Limit):
     def replayed(self, peak: float) -> str:
         return f"terminal voltage {peak:.4f} V, limit {self.limit_V:g} V"
 
-    def unresolved(self, problem: Posed, command_A: FloatArray, peak: float) -> str:
-        motion = problem.stage.motion(command_A)
-        stated = max(float(np.abs(row.value(motion, command_A)).max()) for row in self.rows(problem))
+    def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
+        motion = problem.stage.motion(command)
+        stated = max(float(np.abs(row.value(motion, command)).max()) for row in self.rows(problem))
         if stated > self.limit_V + self.replay_tolerance:
             return ""
         return (

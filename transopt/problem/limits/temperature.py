@@ -115,9 +115,9 @@ class TemperatureLimit(Limit):
     def replay_tolerance(self) -> float:
         return BETWEEN_INSTANTS_K
 
-    def temperatures_C(self, current_A: FloatArray, command_A: FloatArray) -> FloatArray:
+    def temperatures_C(self, current_A: FloatArray, command: FloatArray) -> FloatArray:
         """(N,) winding temperature at tau_1 to tau_N."""
-        h = self.model.heating.mean_square(current_A, command_A)
+        h = self.model.heating.mean_square(current_A, command)
         return np.asarray(self.model.rise(h)[1:, 0] + self.model.unpowered_C)
 
     def relaxed(self) -> "TemperatureLimit":
@@ -160,7 +160,7 @@ class TemperatureLimit(Limit):
 
     def bound_C(self, problem: Posed) -> float:
         """What the winding cannot exceed, whatever is commanded: the limit current held throughout."""
-        limit, grid = problem.limits.current_A, problem.grid
+        limit, grid = problem.limits.input_limit, problem.grid
         # The delay belongs to it: the ripple of Eq. 7 heats before the first command arrives.
         duration = (grid.stages + 1) * grid.dt_s + grid.delay_s
         if self.period_s is None:
@@ -174,7 +174,7 @@ class TemperatureLimit(Limit):
         bound = self.bound_C(problem)
         if bound > self.limit_C:
             return ""
-        throughout = f"cannot pass {bound:.2f} C even if {problem.limits.current_A:g} A flowed"
+        throughout = f"cannot pass {bound:.2f} C even if {problem.limits.input_limit:g} A flowed"
         if self.period_s is None:
             return f"{throughout} for the whole horizon and no heat left the winding, limit {self.limit_C:g} C"
         rate = self.budget.tap_rate_Hz
@@ -194,23 +194,23 @@ class TemperatureLimit(Limit):
     def replayed(self, peak: float) -> str:
         return f"winding {peak:.3f} C, limit {self.limit_C:.8g} C"
 
-    def unresolved(self, problem: Posed, command_A: FloatArray, peak: float) -> str:
-        motion, model, dt_s = problem.stage.motion(command_A), self.model, problem.grid.dt_s
-        hottest = float(self.temperatures_C(motion.current_A, command_A).max())
+    def unresolved(self, problem: Posed, command: FloatArray, peak: float) -> str:
+        motion, model, dt_s = problem.stage.motion(command), self.model, problem.grid.dt_s
+        hottest = float(self.temperatures_C(motion.plant_input, command).max())
         if hottest > self.limit_C + self.replay_tolerance:
             return ""
         over = f"coil {peak - self.limit_C:.3g} K over its {self.limit_C:g} C"
         # No winding warms faster than by the limit current with no heat leaving.
         resistance = self.coil.R_ohm * (1 + COPPER_PER_K * (self.limit_C - RESISTANCE_REFERENCE_C))
-        power_W = resistance * float(effective_square(np.asarray(problem.limits.current_A)))
+        power_W = resistance * float(effective_square(np.asarray(problem.limits.input_limit)))
         warming_K = power_W * self.coil.R_wh_K_W / self.coil.tau_w_s * dt_s
         if peak - hottest <= warming_K:
             return f"{over} within a servo period, in which it may warm by {warming_K:.3g} K: time.dt_s = {dt_s:g} s"
         if problem.stage.amplifier is None:
             return ""
         # The recursion takes |mean of i| for the mean of |i|, which is less where the current changes its sign.
-        decays = np.full(command_A.size, problem.stage.amplifier.rate_rad_s * dt_s)
-        heating = following_square_mean(motion.current_A, command_A, decays)
+        decays = np.full(command.size, problem.stage.amplifier.rate_rad_s * dt_s)
+        heating = following_square_mean(motion.plant_input, command, decays)
         truly = float((model.rise(heating)[1:, 0] + model.unpowered_C).max())
         if not peak - truly <= warming_K:
             return ""

@@ -18,30 +18,30 @@ class Movement:
     rho : >= 0.
     stages : N.
     dt_s : servo period.
-    current_A : I, the limit on the current, as the unit of the command.
+    input_limit : I, the limit on the current, as the unit of the command.
     """
 
     rho: float
     stages: int
     dt_s: float
-    current_A: float
+    input_limit: float
 
     @property
     def weight(self) -> float:
         """rho (1e-4 s / dt)^2 / (N I^2), of dc_k^2 [1/A^2]."""
         step = SMOOTHNESS_STEP_S / self.dt_s
-        return self.rho * step**2 / (self.stages * self.current_A**2)
+        return self.rho * step**2 / (self.stages * self.input_limit**2)
 
-    def value(self, command_A: FloatArray) -> float:
+    def value(self, command: FloatArray) -> float:
         """The term at a command (N,)."""
-        movement = np.diff(command_A, prepend=0.0)
+        movement = np.diff(command, prepend=0.0)
         return self.weight * float(movement @ movement)
 
-    def gradient(self, command_A: FloatArray) -> FloatArray:
+    def gradient(self, command: FloatArray) -> FloatArray:
         """(N,) of the term by the commands [1/A]."""
-        by_movement = 2 * self.weight * np.diff(command_A, prepend=0.0)
+        by_movement = 2 * self.weight * np.diff(command, prepend=0.0)
         return np.asarray(by_movement - np.append(by_movement[1:], 0.0))
 
-    def relief(self, command_A: FloatArray) -> float:
+    def relief(self, command: FloatArray) -> float:
         """By how much the term falls for each ampere that I is raised, the command as it is [1/A]."""
-        return 2 * self.value(command_A) / self.current_A
+        return 2 * self.value(command) / self.input_limit

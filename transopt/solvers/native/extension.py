@@ -204,12 +204,12 @@ class LinearPass:
         """Factor again at the next solve."""
         self.buffers.gains_of = None
 
-    def command_A(self) -> FloatArray:
+    def command(self) -> FloatArray:
         """(N,) the last answer's commands, moved by rounding only: zero at a plain hand-over."""
-        command: FloatArray = self.buffers.command * self.stages.current_A
+        command: FloatArray = self.buffers.command * self.stages.input_scale
         command[self._zeros] = 0.0
         return command
 
     def hand_over(self) -> FloatArray:
         """(hand_over_samples,) its multipliers of the hand-over [1/A]."""
-        return np.asarray(-self.buffers.gradient[self._tail] * OBJECTIVE_SCALE / self.stages.current_A)
+        return np.asarray(-self.buffers.gradient[self._tail] * OBJECTIVE_SCALE / self.stages.input_scale)

@@ -41,7 +41,7 @@ def test_a_linear_one_is_recognised_and_solved_by_the_compiled_method(tmp_path: 
     assert entry.status is Status.OPTIMAL, entry.shortfalls
     assert "joint_force 3 N" in entry.binding
     assert [price.limit for price in entry.prices].count("joint_force") == 1
-    problem, command = entry.problem, entry.solution.command_A
+    problem, command = entry.problem, entry.solution.command
     # The same by a dense solve, the states from the plant's own matrices.
     force = dense.states(problem) @ np.array([6e4, 0, 0, 8, -8, 0, 0])
     _, J = dense.optimum(problem, force[:-1], np.full(150, -3.0), np.full(150, 3.0))
@@ -68,16 +68,16 @@ def test_what_is_not_linear_goes_to_ipopt_and_is_certified(
     # The bound is rigorous in either case: that of the problem without the limit, or by the gap where it is convex.
     assert entry.certificate.lower_bound <= entry.certificate.objective * (1 + 1e-9)
     assert entry.certificate.accepted == (name == "area")
-    motion = entry.problem.stage.motion(entry.solution.command_A)
+    motion = entry.problem.stage.motion(entry.solution.command)
     velocity = motion.velocity_m_s + entry.problem.limits[name].rows(entry.problem)[0].nominal["velocity"]  # type: ignore[attr-defined]
-    current = motion.current_A
+    current = motion.plant_input
     taken = (current / 4) ** 2 + (velocity / 0.45) ** 2 if name == "area" else -1.25 * current * velocity
     assert taken.max() <= abs(value) * (1 + 1e-6)
 
 
 def test_the_gradient_of_a_law_is_that_of_differences(tmp_path: Path, taps: list[Recording]) -> None:
     entry = solved(tmp_path, taps, POWER).entries[-1][0]
-    problem, command = entry.problem, entry.solution.command_A
+    problem, command = entry.problem, entry.solution.command
     from transopt.proof.certify import reduced_gradient
 
     m = entry.solution.multipliers

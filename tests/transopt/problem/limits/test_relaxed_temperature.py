@@ -29,35 +29,35 @@ class Drawn:
     def limit(self) -> TemperatureLimit:
         return temperature_limit(self.coil, self.amplifier, self.grid, self.budget)
 
-    def currents(self, commands_A: np.ndarray) -> np.ndarray:
+    def currents(self, commands: np.ndarray) -> np.ndarray:
         """(M, N) at the switching instants."""
         decay = np.exp(-self.amplifier.rate_rad_s * self.grid.dt_s)
-        found = np.zeros_like(commands_A)
-        for k in range(commands_A.shape[1] - 1):
-            found[:, k + 1] = decay * found[:, k] + (1 - decay) * commands_A[:, k]
+        found = np.zeros_like(commands)
+        for k in range(commands.shape[1] - 1):
+            found[:, k + 1] = decay * found[:, k] + (1 - decay) * commands[:, k]
         return found
 
-    def hottest_C(self, commands_A: np.ndarray) -> np.ndarray:
+    def hottest_C(self, commands: np.ndarray) -> np.ndarray:
         """(M,) true temperature at its highest: the copper warms within the steps too, and |i| turns exactly."""
         N, dt = self.grid.stages, self.grid.dt_s
         # Before the first command is felt the ripple heats alone.
         steps = np.append(self.grid.delay_s, np.full(N, dt))
-        felt = following_square_mean(self.currents(commands_A), commands_A, self.amplifier.rate_rad_s * steps[1:])
-        heat = np.concatenate([np.full((len(commands_A), 1), PWM_RIPPLE_A**2), felt], axis=1)
+        felt = following_square_mean(self.currents(commands), commands, self.amplifier.rate_rad_s * steps[1:])
+        heat = np.concatenate([np.full((len(commands), 1), PWM_RIPPLE_A**2), felt], axis=1)
         if self.budget.tap_rate_Hz is None:
             winding, _ = self.coil.simulate(heat, steps)
             return np.asarray(winding[:, 1:].max(axis=1))
         pause = 1 / self.budget.tap_rate_Hz - N * dt
-        idle = np.full(len(commands_A), self.budget.pause_A)
+        idle = np.full(len(commands), self.budget.pause_A)
         winding, _ = self.coil.steady_course(felt, steps[1:], pause, idle)
         return np.asarray(winding.max(axis=1))
 
-    def excess(self, commands_A: np.ndarray) -> np.ndarray:
+    def excess(self, commands: np.ndarray) -> np.ndarray:
         """(M,) by how much the relaxed limit is left, of its largest headroom; negative inside."""
         model = self.limit.relaxed().model
         rises = [
             model.rise(model.heating.mean_square(i, c))[1:, 0]
-            for i, c in zip(self.currents(commands_A), commands_A, strict=True)
+            for i, c in zip(self.currents(commands), commands, strict=True)
         ]
         return np.asarray((np.array(rises) - model.headroom_K).max(axis=1) / np.abs(model.headroom_K).max())
 

@@ -80,9 +80,9 @@ def drawn_command(problem: TransientProblem, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-2.0, 2.0, problem.grid.stages)
 
 
-def value_of(problem: TransientProblem, row: str, command_A: np.ndarray) -> np.ndarray:
+def value_of(problem: TransientProblem, row: str, command: np.ndarray) -> np.ndarray:
     (found,) = (each for _, each in problem.rows() if each.name == row)
-    return found.value(problem.stage.motion(command_A), command_A)
+    return found.value(problem.stage.motion(command), command)
 
 
 class TestValues:
@@ -118,7 +118,7 @@ class TestValues:
         problem = all_limits(walled=walled)
         command, supply = drawn_command(problem), supply_of(problem)
         motion, w, coil = problem.stage.motion(command), supply.pole_rad_s, problem.thermal.coil
-        i, speed = motion.current_A, motion.velocity_m_s + supply.nominal_m_s
+        i, speed = motion.plant_input, motion.velocity_m_s + supply.nominal_m_s
         coldest = min(coil.start_winding_C, coil.start_housing_C, coil.ambient_C)
         assert coldest < coil.limit_C
         for name, copper_C in (("supply", coldest), ("supply_hot", coil.limit_C)):
@@ -150,7 +150,7 @@ class TestValues:
             for box in boxes(problem, command, motion, Multipliers.zero(problem))
             if box.limit.name == "temperature"
         )
-        course = thermal.temperatures_C(motion.current_A, command)
+        course = thermal.temperatures_C(motion.plant_input, command)
         np.testing.assert_allclose(box.value, course, rtol=1e-14)
         np.testing.assert_allclose(box.upper, thermal.limit_C, rtol=1e-12)
         assert np.all(np.isinf(box.lower))
@@ -197,7 +197,7 @@ def test_both_programs_have_every_limit(name: str) -> None:
     found = []
     for solver in ("riccati", "casadi-piqp"):
         answer = solve(problem, SolverOptions(solver))
-        proof = certify(problem, answer.command_A, answer.multipliers)
+        proof = certify(problem, answer.command, answer.multipliers)
         assert (answer.solver, proof.accepted) == (solver, True)
         assert set(answer.multipliers.pairs) == {row.name for _, row in problem.rows()}
         found.append(proof.objective)
@@ -225,10 +225,10 @@ class TestLimitsThatAreNotThere:
         for row in kind.row_names:
             for side in SIDES:
                 assert not getattr(answer.multipliers, side)(row).any()
-        proof = certify(problem, answer.command_A, answer.multipliers)
+        proof = certify(problem, answer.command, answer.multipliers)
         assert proof.accepted
         assert ("V" in proof.violations) == ("supply" in problem.limits)
-        assert set(played(problem, answer.command_A).reached) == {limit.name for limit in problem.limits}
+        assert set(played(problem, answer.command).reached) == {limit.name for limit in problem.limits}
 
     def test_no_temperature(self) -> None:
         problem = all_limits().without("temperature")
@@ -238,31 +238,31 @@ class TestLimitsThatAreNotThere:
         answer = solve(problem, SolverOptions())
         assert "temperature" not in answer.multipliers.pairs
         assert not answer.multipliers.slope.any()
-        assert "K" not in certify(problem, answer.command_A, answer.multipliers).violations
+        assert "K" not in certify(problem, answer.command, answer.multipliers).violations
 
     def test_multipliers_on_it_change_nothing(self) -> None:
         """Neither the gradient nor the gap: there is nothing that they could price."""
         problem = all_limits(coil=None).without("supply")
         answer = solve(problem, SolverOptions())
         stray = answer.multipliers.with_pair("supply_after", *np.ones((2, problem.grid.stages)))
-        own, other = (certify(problem, answer.command_A, m) for m in (answer.multipliers, stray))
+        own, other = (certify(problem, answer.command, m) for m in (answer.multipliers, stray))
         assert own == other
 
     def test_a_replay_that_was_not_asked_about_a_limit_does_not_pass_it(self) -> None:
         problem = all_limits(coil=None)
         answer = solve(problem, SolverOptions())
-        predicted, _ = problem.stage.rollout(answer.command_A)
+        predicted, _ = problem.stage.rollout(answer.command)
 
         def shortfalls(limits: Limits | None) -> list[str]:
             (run,) = replay(
                 problem.stage,
                 problem.grid,
-                answer.command_A[None],
+                answer.command[None],
                 [problem.target],
                 None,
                 limits=None if limits is None else [limits],
             )
-            return run.shortfalls(problem, answer.command_A, predicted)
+            return run.shortfalls(problem, answer.command, predicted)
 
         assert shortfalls(problem.limits) == []
         assert [text.split(" nan")[0] for text in shortfalls(problem.limits.without("supply"))] == [
@@ -301,14 +301,14 @@ class TestCollection:
     def test_in_the_order_of_the_kinds_whatever_they_are_given_in(self) -> None:
         made = limits_of(SlewLimit(1e4, 1e-4), None, CommandLimit(6.0), CurrentLimit(4.0))
         assert [limit.name for limit in made] == ["current", "command", "slew"]
-        assert made.current_A == pytest.approx(4.0)
-        assert made.command_bound_A(ideal=False) == pytest.approx(6.0)
+        assert made.input_limit == pytest.approx(4.0)
+        assert made.command_bound(ideal=False) == pytest.approx(6.0)
         assert made["slew"].stated == pytest.approx(1.0)
 
     def test_without_and_replaced(self) -> None:
         made = limits_of(CurrentLimit(4.0), CommandLimit(6.0))
         assert [limit.name for limit in made.without("command", "supply")] == ["current"]
-        assert made.replaced(CurrentLimit(2.0)).current_A == pytest.approx(2.0)
+        assert made.replaced(CurrentLimit(2.0)).input_limit == pytest.approx(2.0)
         # In the place of one of its name only.
         assert "slew" not in made.replaced(SlewLimit(1e4, 1e-4))
 

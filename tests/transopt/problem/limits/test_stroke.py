@@ -48,7 +48,7 @@ def test_a_wider_stroke_is_left_out_or_changes_nothing(scene: Scene, taps: list[
     assert "stroke" not in loose.binding
     # Both are proven; where the command saturates J hardly depends on how it gets there.
     assert loose.certificate.objective == pytest.approx(wide.certificate.objective, rel=1e-9)
-    np.testing.assert_allclose(loose.solution.command_A, wide.solution.command_A, atol=1e-3)
+    np.testing.assert_allclose(loose.solution.command, wide.solution.command, atol=1e-3)
 
 
 def test_its_price_is_what_it_says(scene: Scene, taps: list[Recording]) -> None:

@@ -65,7 +65,7 @@ def highest_V(
         designed = optimum(problem, SolverOptions())
         assert designed.solution.status is Status.OPTIMAL
         assert designed.certificate.accepted
-        taps.append(Tap(designed.solution.command_A, grip, pole, by_speed[speed]))
+        taps.append(Tap(designed.solution.command, grip, pole, by_speed[speed]))
     return dict(zip(problems, terminal_voltages(scene, taps, WINDING_C), strict=True))
 
 
@@ -131,7 +131,7 @@ class TestEnds:
 class TestWords:
     def binding(self, problem: TransientProblem) -> str:
         designed = optimum(problem, SolverOptions())
-        return binding_limits(problem, designed.solution.command_A, designed.solution.multipliers)
+        return binding_limits(problem, designed.solution.command, designed.solution.multipliers)
 
     def test_which_end_binds_is_said(self, problems: dict[Case, TransientProblem]) -> None:
         slow = self.binding(problems[9.0, 1050.0, 0.4, 5.0])
@@ -164,7 +164,7 @@ class TestWords:
         problem = problems[14.0, 5000.0, 0.4, 5.0]
         fewer = optimum(problem, SolverOptions())
         all_rows = solve(problem.without("temperature"), SolverOptions())
-        proof = certify(problem, all_rows.command_A, all_rows.multipliers)
+        proof = certify(problem, all_rows.command, all_rows.multipliers)
         assert fewer.certificate.accepted
         assert proof.accepted
         assert fewer.certificate.objective == pytest.approx(proof.objective, rel=1e-8)
@@ -198,7 +198,7 @@ class TestLibrary:
         """As files have it that were written before there were two ends: solved, proven and verified as they are."""
         limits = {key: value for key, value in low.meta["limits"].items() if key != "supply_copper_C"}
         plain = replace(low, meta={**low.meta, "limits": limits})
-        nothing = np.zeros(low.command_A.shape[2])
+        nothing = np.zeros(low.command.shape[2])
         solved, kept = resolve(plain, {(0, ig): nothing for ig in range(low.grips_N.size)}, {})
         assert not kept
         solved.save(tmp_path / "plain.npz")
@@ -217,6 +217,6 @@ class TestLibrary:
         for of in (low, library):
             for end_of_copper in ({}, {"supply_copper_C": None}):
                 meta = {**of.meta, "limits": {**of.meta["limits"], **end_of_copper}}
-                posing = with_limits({"supply_V": 9.0}, Posing.of(meta, of.command_A.shape[2]), meta)
+                posing = with_limits({"supply_V": 9.0}, Posing.of(meta, of.command.shape[2]), meta)
                 wanted = of.wanted(float(of.speeds_m_s[0]), np.eye(of.speeds_m_s.size)[0])
                 assert supply_of(posing.problem(wanted, of.stage(0))).copper_C == [25.0, 100.0]

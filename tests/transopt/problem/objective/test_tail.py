@@ -82,16 +82,16 @@ SOLVERS = ["riccati", "casadi-piqp", "casadi-ipopt"]
 def test_the_optimum_is_that_of_a_dense_program(plain: TransientProblem, kind: str, solver: str) -> None:
     problem = varied(plain, kind)
     answer = solve(problem, SolverOptions(solver))
-    proof = certify(problem, answer.command_A, answer.multipliers)
+    proof = certify(problem, answer.command, answer.multipliers)
     command, J = dense.optimum(problem, np.zeros((0, 150)), np.zeros(0), np.zeros(0))
     program = dense.Program.of(problem)
     assert proof.accepted
-    assert proof.objective == pytest.approx(program.merits(answer.command_A)[0], rel=1e-9)
-    assert proof.merit == pytest.approx(program.merits(answer.command_A)[1], rel=1e-9)
+    assert proof.objective == pytest.approx(program.merits(answer.command)[0], rel=1e-9)
+    assert proof.merit == pytest.approx(program.merits(answer.command)[1], rel=1e-9)
     scale = max(J, OBJECTIVE_SCALE)
     assert proof.merit <= program.merits(command)[1] + 1e-6 * scale
     assert proof.lower_bound <= program.merits(command)[1] + 1e-9 * scale
-    np.testing.assert_allclose(answer.command_A, command, atol=2e-3)
+    np.testing.assert_allclose(answer.command, command, atol=2e-3)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -101,12 +101,12 @@ def test_the_unlimited_optimum_is_that_of_a_dense_program(plain: TransientProble
     free = problem.free_stages
     command = np.append(np.linalg.solve(H[:free, :free], -g[:free]), np.zeros(problem.hand_over_samples))
     for found in (unlimited.solve(problem), unlimited.solve_in_casadi(problem)):
-        np.testing.assert_allclose(found.command_A, command, atol=1e-6)
+        np.testing.assert_allclose(found.command, command, atol=1e-6)
 
 
-def by_rollout(problem: TransientProblem, command_A: FloatArray) -> float:
+def by_rollout(problem: TransientProblem, command: FloatArray) -> float:
     """The tail's part of J as the certificate sees it."""
-    error = problem.tracking.error(problem.accelerations(command_A))[:, problem.grid.stages :]
+    error = problem.tracking.error(problem.accelerations(command))[:, problem.grid.stages :]
     return float(np.mean(np.sum(error**2, axis=1))) / problem.target.energy_m2_s4
 
 
@@ -128,7 +128,7 @@ class TestTail:
         stage = linear_stage(problem)
         command = np.append(np.random.default_rng(0).normal(size=140), np.zeros(10))
         found, x = tail(problem, stage), np.zeros(stage.units.size)
-        for movement in np.diff(command, prepend=0.0) / stage.current_A:
+        for movement in np.diff(command, prepend=0.0) / stage.input_scale:
             x = stage.A @ x + stage.A[:, -1] * movement
         squares = float(np.sum((found.gain @ x - found.target) ** 2)) + found.rest
         assert squares == pytest.approx(by_rollout(problem, command), rel=1e-9)
@@ -141,8 +141,8 @@ class TestTail:
         problem = lasting(make_problem(0.4, 5.0, stages=150, current_A=2.5), after=2)
         answer = solve(problem, SolverOptions())
         _, J = dense.optimum(problem, np.zeros((0, 150)), np.zeros(0), np.zeros(0))
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
-        assert problem.objective(answer.command_A, problem.accelerations(answer.command_A)) <= J * (1 + 1e-6)
+        assert certify(problem, answer.command, answer.multipliers).accepted
+        assert problem.objective(answer.command, problem.accelerations(answer.command)) <= J * (1 + 1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +196,7 @@ class TestOverAWall:
     def test_the_tail_is_a_function_of_the_last_state(self, problem: TransientProblem) -> None:
         command, stage = ended(problem, 5), linear_stage(problem)
         found, x = tail(problem, stage), np.zeros(stage.units.size)
-        for movement in np.diff(command, prepend=0.0) / stage.current_A:
+        for movement in np.diff(command, prepend=0.0) / stage.input_scale:
             x = stage.A @ x + stage.A[:, -1] * movement
         squares = float(np.sum((found.gain @ x - found.target) ** 2)) + found.rest
         assert squares == pytest.approx(by_rollout(problem, command), rel=1e-7)
@@ -205,7 +205,7 @@ class TestOverAWall:
     def test_it_is_solved_and_proven(self, problem: TransientProblem, solver: str) -> None:
         answer = solve(problem, SolverOptions(solver))
         assert answer.status is Status.OPTIMAL
-        assert certify(problem, answer.command_A, answer.multipliers).accepted
+        assert certify(problem, answer.command, answer.multipliers).accepted
 
 
 def test_a_tap_that_is_all_lost_has_an_error_of_one() -> None:

@@ -49,12 +49,12 @@ def test_a_perfect_copy_has_no_error_and_silence_all_of_it() -> None:
 
 
 def test_movement_is_its_formula_its_gradient_and_its_relief_the_differences() -> None:
-    term = Movement(rho=3e-3, stages=N, dt_s=2e-4, current_A=1.25)
+    term = Movement(rho=3e-3, stages=N, dt_s=2e-4, input_limit=1.25)
     command, direction, step = drawn(5, N), drawn(6, N), 1e-3
     movement = [command[0], *(after - before for before, after in pairwise(command))]
     expected = 3e-3 / (N * 1.25**2) * sum((dc * 1e-4 / 2e-4) ** 2 for dc in movement)
     assert term.value(command) == pytest.approx(expected, rel=1e-12)
     slope = (term.value(command + step * direction) - term.value(command - step * direction)) / (2 * step)
     assert float(term.gradient(command) @ direction) == pytest.approx(slope, rel=1e-9)
-    higher, lower = (replace(term, current_A=1.25 + sign * 1e-4).value(command) for sign in (1, -1))
+    higher, lower = (replace(term, input_limit=1.25 + sign * 1e-4).value(command) for sign in (1, -1))
     assert term.relief(command) == pytest.approx((lower - higher) / 2e-4, rel=1e-6)
