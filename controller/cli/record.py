@@ -260,8 +260,8 @@ def record_heat(
     coil, limits = truth.coil(), truth.limits
     if coil is None:
         raise InputError(f"record heat: {truth.name} states no motor, so no coil; give another --true-device")
-    amount = 0.9 * limits.steady_current_A if current is None else current
-    within("current", amount, 0.0, limits.transient_current_A, " A")
+    amount = 0.9 * limits.steady_input if current is None else current
+    within("current", amount, 0.0, limits.transient_input, " A")
     terminal.make_folder(out)
     refuse_old(out, ["heat.npz"])
     coil = true_coil(coil, mismatch, seed)

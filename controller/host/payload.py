@@ -108,7 +108,7 @@ def excitation_settings(hello: HelloReply, library: Path | None, device: DeviceF
         dt_s=hello.dt_s,
         lead_s=0.0,
         current_limit_A=min(EXCITATION_LIMIT_A, hello.current_A),
-        amplifier=replace(AMPLIFIER, command_limit_A=min(AMPLIFIER.command_limit_A, hello.command_A)),
+        amplifier=replace(AMPLIFIER, command_limit=min(AMPLIFIER.command_limit, hello.command_A)),
         coil=RE_25,
         host_starts=True,
         assumed_grip_N=assumed_grip_N(device, ()),
@@ -122,7 +122,7 @@ def excitation_settings_of(scene: Scene, amplifier_tolerance: float, device: Dev
     return Settings(
         dt_s=scene.time.dt_s,
         lead_s=0.0,
-        current_limit_A=scene.limits.transient_current_A,
+        current_limit_A=scene.limits.transient_input,
         amplifier=scene.amplifier_model(),
         amplifier_tolerance=amplifier_tolerance,
         coil=scene.coil(),

@@ -215,7 +215,7 @@ class Settings:
 
     @property
     def command_limit_A(self) -> float:
-        return self.current_limit_A if self.amplifier is None else self.amplifier.command_limit_A
+        return self.current_limit_A if self.amplifier is None else self.amplifier.command_limit
 
     @property
     def pulse_skip_ticks(self) -> int:

@@ -55,7 +55,7 @@ def plant_bytes(simulator: Simulator, user: User, duration_s: float) -> bytes:
     numbers = [
         *[*s.step_s, 0.0][:MOST_SEGMENTS],
         user.intention_m(0.0) + s.ahead_m,
-        0.0 if amplifier is None else amplifier.command_limit_A,
+        0.0 if amplifier is None else amplifier.command_limit,
         device.crossover_A,
         sensors.count_m,
         sensors.accelerometer_range_g * STANDARD_GRAVITY_M_S2,

@@ -283,7 +283,7 @@ class Simulator:
         """What the amplifier's pole follows: the command cut at its range, less the crossover's dead band."""
         amplifier, dead = self.device.amplifier, self.device.crossover_A
         if amplifier is not None:
-            command_A = min(max(command_A, -amplifier.command_limit_A), amplifier.command_limit_A)
+            command_A = min(max(command_A, -amplifier.command_limit), amplifier.command_limit)
         return command_A - min(max(command_A, -dead), dead)
 
     def _friction_N(self, speed_m_s: float) -> float:

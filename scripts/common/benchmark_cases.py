@@ -99,7 +99,7 @@ def entry(scene: Scene, speed_m_s: float, grip_N: float, stages: int) -> Transie
         target=Target(np.concatenate([wanted, np.zeros(max(0, stages - wanted.size))])[:stages]),
         tracking_weights=np.ones(stages),
         rho=scene.weights.rho,
-        limits=limits_of(CurrentLimit(scene.limits.transient_current_A), CommandLimit(amplifier.command_limit_A)),
+        limits=limits_of(CurrentLimit(scene.limits.transient_input), CommandLimit(amplifier.command_limit)),
         hand_over_samples=scene.hand_over_samples,
     )
 

@@ -151,7 +151,7 @@ def _settings(
     force = force_per_current_N_A or known.drive_at_tip().force_per_current_N_A
     amplifier = known.amplifier_model()
     if out.exists() and (part := load_model(out).amplifier) is not None:
-        amplifier = Amplifier(part.pole_Hz, part.delay_s, amplifier.command_limit_A if amplifier else UNLIMITED_A)
+        amplifier = Amplifier(part.pole_Hz, part.delay_s, amplifier.command_limit if amplifier else UNLIMITED_A)
     return Settings(
         nominal=nominal.with_force(force),
         # A device given by its force alone need not resemble any scene.

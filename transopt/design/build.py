@@ -11,23 +11,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from transopt.base.errors import InputError
-from transopt.base.shown import cut, html_figure, html_table, span, wrapped
+from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.base.writing import percent
 from transopt.design.entry import Entry, design_grip
 from transopt.design.refine_grid import Errors, Nodes, OffNode, Point, Refinement
 from transopt.design.scene_entry import with_remedies
 from transopt.design.trade_off import TradeOff, trade_off
-from transopt.library.library import PLANT, SCHEMA, Library, multiplier_arrays, own_arrays
-from transopt.library.meta import shared_left_out, temperature_is_in
+from transopt.library.library import PLANT, Library, multiplier_arrays, own_arrays
+from transopt.library.meta import in_file_form, shared_left_out, temperature_is_in
 from transopt.problem.answer import Status
 from transopt.problem.limits import needed_outputs
 from transopt.problem.limits.supply import COPPER, SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between, build_references
+from transopt.recordings.reference import Reference, between
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import MODEL_PARTS
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -51,20 +52,20 @@ class Build:
     refinement: Refinement | None = None
 
     def __repr__(self) -> str:
-        grid, entries = self.scene.grid, list(self.all_entries())
+        entries = list(self.all_entries())
         errors = [entry.nrmse for entry in entries if entry.status is Status.OPTIMAL]
         found = f", NRMSE {percent(min(errors))} to {percent(max(errors))} %" if errors else ""
         return wrapped(
-            f"Build({cut(self.scene.name)}: {span(grid.speeds_m_s, 'm/s', 'speed')}, "
-            f"{span(grid.grips_N, 'N', 'grip')}, {len(errors)} of {len(entries)} entries certified and replayed"
+            f"Build({cut(self.scene.name)}: {self.scene.axes.said}, "
+            f"{len(errors)} of {len(entries)} entries certified and replayed"
             f"{found}; {self.elapsed_s:.2f} s)"
         )
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
+        axes = self.scene.axes
         columns = [
-            "speed m/s",
-            "grip N",
+            *axes.columns,
             "NRMSE %",
             "floor %",
             "after %",
@@ -76,8 +77,7 @@ class Build:
         ]
         rows = [
             [
-                f"{entry.speed_m_s:g}",
-                f"{entry.grip_N:g}",
+                *axes.cells(iv, ig),
                 percent(entry.nrmse),
                 percent(entry.floor),
                 percent(entry.played.nrmse_after),
@@ -87,7 +87,8 @@ class Build:
                 entry.binding,
                 "; ".join([entry.verdict, *entry.shortfalls]),
             ]
-            for entry in self.all_entries()
+            for iv, row in enumerate(self.entries)
+            for ig, entry in enumerate(row)
         ]
         return html_table(repr(self), columns, rows) + html_figure(self.plot())
 
@@ -127,6 +128,8 @@ class Build:
         InputError : a point outside of the grid, or one without a proven optimum.
         """
         grid = self.scene.grid
+        if self.scene.targets:
+            raise InputError("between_nodes: named targets have nothing between them: ask for a scene with speeds")
         asked = list(points)
         for name, values, nodes, unit in (
             ("speed", [speed for speed, _ in asked], grid.speeds_m_s, "m/s"),
@@ -169,11 +172,11 @@ def build_library(
     """
     start = time.perf_counter()
     options = SolverOptions() if options is None else options
-    recorded = build_references(recordings, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+    recorded = references_of(scene, recordings)
     if refinement is not None:
         scene = scene.model_copy(update={"grid": refinement.grid})
-    speeds, grips = scene.grid.speeds_m_s, scene.grid.grips_N
-    references = [between(recorded, speed) for speed in speeds]
+    grips, speeds = scene.grid.grips_N, scene.axes.speeds_m_s
+    references = recorded if scene.targets else [between(recorded, speed) for speed in speeds]
     columns: list[list[Entry]] = []
     for grip in grips:
         columns.append(design_grip(scene, grip, references, options))
@@ -212,7 +215,8 @@ def _assemble(
 
     at_ticks = np.stack([r.nominal_position_at_ticks_m for r in references])
     return Library(
-        speeds_m_s=np.asarray(scene.grid.speeds_m_s),
+        speeds_m_s=np.asarray(scene.axes.speeds_m_s),
+        targets=np.array(scene.axes.targets or [""] * len(references), dtype=np.str_),
         grips_N=np.asarray(scene.grid.grips_N),
         command=over_grid(lambda e: e.solution.command),
         transient_command=over_grid(lambda e: e.transient_command),
@@ -269,11 +273,11 @@ def _meta(
     outputs = [entry.problem.stage.plant.stored(watched) for entry in entries[0]]
     return {
         **({"outputs": outputs} if any(outputs) else {}),
-        "schema": SCHEMA,
+        **in_file_form(scene.driven_by, scene.axes.targets),
         "dt_s": scene.time.dt_s,
         "lead_s": scene.lead_s,
         "grip_min_N": scene.grid.grip_min_N,
-        "amplifier": None if amplifier is None else asdict(amplifier),
+        "amplifier": None if amplifier is None else amplifier.table(entries[0][0].problem.driven_by.unit),
         "limits": {
             **scene.limits.asked(),
             **({COPPER: rail.copper_C} if isinstance(rail, SupplyLimit) else {}),
@@ -301,6 +305,7 @@ def _meta(
         "solver": asdict(options),
         "sources": [
             *(source for r in references if r.between_m_s is None for source in _sources(scene, r)),
+            *_target_sources(scene, references),
             *_model_sources(scene),
         ],
         "versions": {
@@ -359,4 +364,14 @@ def _sources(scene: Scene, reference: Reference) -> list[dict[str, Any]]:
             "polarity": tap.polarity,
         }
         for tap, factor in zip(reference.taps, reference.factors, strict=True)
+    ]
+
+
+def _target_sources(scene: Scene, references: list[Reference]) -> list[dict[str, Any]]:
+    """Named targets, each as it is stated, with the hash of its file if it was read from one."""
+    if not scene.targets:
+        return []
+    return [
+        {"origin": "target", **target.model_dump(exclude_none=True), "sha256": reference.sha256}
+        for target, reference in zip(scene.targets, references, strict=True)
     ]

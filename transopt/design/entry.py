@@ -20,7 +20,7 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, acting_states
 from transopt.problem.answer import Certificate, Multipliers, Solution, Status, verdict
 from transopt.problem.baselines import clipped_optimum, seed_inversion
-from transopt.problem.limits import KINDS
+from transopt.problem.limits import kinds_of
 from transopt.problem.objective.bands import Levels, levels
 from transopt.problem.posing import Wanted
 from transopt.problem.problem import TransientProblem
@@ -219,7 +219,11 @@ def left_out_by_scene(scene: Scene, problem: TransientProblem) -> dict[str, str]
         "hand": (scene.grid.grips_N[0] == 0, "free device, grip 0"),
         "weighting": (problem.error_filter is None, "the scene weighs all frequencies alike"),
     }
-    limits = {kind.name: (kind.name not in problem.limits, kind.said_without) for kind in KINDS if kind.said_without}
+    limits = {
+        kind.name: (kind.name not in problem.limits, kind.said_without)
+        for kind in kinds_of(problem.driven_by)
+        if kind.said_without
+    }
     parts = {**parts, **limits}
     return {part: reason for part, (missing, reason) in parts.items() if missing}
 
@@ -263,7 +267,7 @@ def design_grip(scene: Scene, grip_N: float, references: Sequence[Reference], op
     problems = [entry_problem(scene, stage, reference, spread) for reference in references]
     designed = [best(problem, options, objective=objective) for problem in problems]
     replays = replayed(scene.coil(), designed)
-    rivals = rivals_errors(scene.limits.steady_current_A, designed)
+    rivals = rivals_errors(scene.limits.steady_input, designed)
     return [
         _entry(scene, grip_N, reference, d, played, baselines, options)
         for reference, d, played, baselines in zip(references, designed, replays, rivals, strict=True)

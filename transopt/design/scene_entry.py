@@ -37,7 +37,7 @@ class SceneEntry:
     def value(self, key: str) -> float | None:
         """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
         if key == CURRENT:
-            return self.scene.limits.transient_current_A
+            return self.scene.limits.transient_input
         if key.startswith(COIL) and self.scene.motor is None:
             return None
         found: object = self.scene

@@ -314,7 +314,7 @@ def _finished(task: Task, group: Sequence[_Solved]) -> list[Outcome]:
     replays = replayed(scene.coil(), designed)
     rivals: Sequence[Baselines | None] = [None] * len(designed)
     if task.rivals:
-        rivals = rivals_errors(scene.limits.steady_current_A, designed)
+        rivals = rivals_errors(scene.limits.steady_input, designed)
     share = (time.perf_counter() - start) / len(group)
     return [
         _outcome(task, solved, played, baselines, share)

@@ -124,7 +124,7 @@ def _check_arrays(path: Path, arrays: dict[str, NDArray[Any]], names: dict[str, 
         if size > most:
             raise InputError(f"{path}: {size} {what}, at most {most}; solve a smaller scene")
     for name in ("speeds_m_s", "grips_N"):
-        if arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0):
+        if name in arrays and (arrays[name].size == 0 or np.any(np.diff(arrays[name]) <= 0)):
             raise InputError(f"{path}: {name} is empty or not strictly increasing; solve the scene again")
 
 
@@ -166,7 +166,8 @@ def _checked(path: Path, arrays: dict[str, NDArray[Any]], meta: dict[str, Any]) 
     _check_arrays(path, arrays, names, sizes)
     arrays |= {name: arrays[names[name]] for name in ARRAYS if names[name] in arrays}
     for name in optional:
-        arrays.setdefault(name, np.zeros([sizes[letter] for letter in ARRAYS[name].shape]))
+        shape = [sizes[letter] for letter in ARRAYS[name].shape]
+        arrays.setdefault(name, np.zeros(shape, dtype=np.str_ if ARRAYS[name].is_text else float))
     library = Library.of(arrays, meta)
     _check_problem(path, library)
     _check_words(path, library)
@@ -224,7 +225,7 @@ def _is_reason(said: Any, nv: int, ng: int) -> bool:
 def _check_problem(path: Path, library: Library) -> None:
     """The numbers of `meta` must make a time grid, a coil and a problem; only the first entry's is tried."""
     advice = "solve the scene again"
-    if not (library.speeds_m_s[0] > 0 and library.grips_N[0] >= 0):
+    if not ((library.axes.targets or library.speeds_m_s[0] > 0) and library.grips_N[0] >= 0):
         raise InputError(f"{path}: speeds_m_s must be > 0 and grips_N >= 0; {advice}")
     try:
         grid = library.time_grid()

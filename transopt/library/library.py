@@ -1,5 +1,6 @@
 """A library: waveforms over (speed, grip) with all it takes to check and to play them."""
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,16 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.base.files import whole_file
-from transopt.base.shown import brief, cut, html_figure, html_table, span, wrapped
+from transopt.base.shown import brief, cut, html_figure, html_table, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
 from transopt.library.arrays import HASH_FIELD, Array, absent, content_hash, declared, stored_names
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid
-from transopt.plant.state_space import Output, StateSpace
+from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, Output, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.answer import Multipliers
 from transopt.problem.leave_out import pressing_under
@@ -34,8 +36,7 @@ if TYPE_CHECKING:  # a device that plays a library loads neither matplotlib nor 
 
     from transopt.scene.scene import Scene
 
-SCHEMA = 2  # what is written
-SCHEMAS = (1, 2)  # what is read; 1 knows of nothing before the first command nor after the last one
+SCHEMAS = (1, 2, 3)  # what is read; 1 knows of nothing before the first command nor after the last one
 PLANT = ("A", "B", "C", "D", "Ce")
 INPUT = "A or V"  # unit of commands and of what drives the plant; `meta` says which of the two
 
@@ -120,7 +121,10 @@ class Library:
     `floor` stay the model's view of r, and what the device really did stands in `meta["refinement"]`.
     """
 
-    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising")]
+    speeds_m_s: Annotated[FloatArray, Array("v", "m/s", "incoming speeds of the grid, rising", needs="speeds")]
+    targets: Annotated[
+        NDArray[np.str_], Array("v", "", "names of the targets, in place of speeds", is_text=True, needs="targets")
+    ]
     grips_N: Annotated[
         FloatArray, Array("g", "N", "grip forces of the grid, rising; the only one is 0 for a free device")
     ]
@@ -216,19 +220,34 @@ class Library:
     def __repr__(self) -> str:
         stages, dt_s = self.command.shape[2], self.meta["dt_s"]
         return wrapped(
-            f"Library({cut(self.meta['scene']['name'])}: {span(self.speeds_m_s, 'm/s', 'speed')}, "
-            f"{span(self.grips_N, 'N', 'grip')}, {stages} commands of {1e3 * dt_s:g} ms, limit "
-            f"{self.meta['limits']['current_A']:g} A, NRMSE {percent(self.nrmse.min())} to "
+            f"Library({cut(self.meta['scene']['name'])}: {self.axes.said}, {stages} commands of {1e3 * dt_s:g} ms, "
+            f"limit {self.input_limit:g} {self.driven_by.unit}, NRMSE {percent(self.nrmse.min())} to "
             f"{percent(self.nrmse.max())} %)"
         )
 
+    @property
+    def axes(self) -> Axes:
+        """What its entries are for: speeds and grips, or named targets."""
+        names = tuple(map(str, self.targets)) if self.meta.get("targets") else ()
+        return Axes(tuple(self.speeds_m_s.tolist()), tuple(self.grips_N.tolist()), names)
+
+    @property
+    def input_limit(self) -> float:
+        """The transient limit on the plant's input."""
+        return float(self.meta["limits"][f"{self.driven_by.name}_{self.driven_by.unit}"])
+
+    @property
+    def steady_input(self) -> float:
+        """What the actuator stands for ever, at which the baselines are looked at besides."""
+        return float(self.meta["limits"][f"steady_{self.driven_by.name}_{self.driven_by.unit}"])
+
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
-        columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "after %", "after g", "peak A", "what binds"]
+        axes, unit = self.axes, self.driven_by.unit
+        columns = [*axes.columns, "NRMSE %", "floor %", "after %", "after g", f"peak {unit}", "what binds"]
         rows = [
             [
-                f"{speed:g}",
-                f"{grip:g}",
+                *axes.cells(iv, ig),
                 percent(self.nrmse[iv, ig]),
                 percent(self.floor[iv, ig]),
                 percent(self.nrmse_after[iv, ig]),
@@ -236,8 +255,8 @@ class Library:
                 f"{self.peak_input[iv, ig]:.3f}",
                 str(self.binding[iv, ig]),
             ]
-            for iv, speed in enumerate(self.speeds_m_s)
-            for ig, grip in enumerate(self.grips_N)
+            for iv in range(self.speeds_m_s.size)
+            for ig in range(self.grips_N.size)
         ]
         return html_table(repr(self), columns, rows) + html_figure(self.plot())
 
@@ -265,6 +284,11 @@ class Library:
         """Ticks and switching instants, and how many samples after them count."""
         return Posing.of(self.meta, self.command.shape[2]).grid
 
+    @property
+    def driven_by(self) -> Input:
+        """What drives the plant: a current, or a voltage."""
+        return INPUTS[self.meta.get("command_unit", CURRENT_INPUT.unit)]
+
     def coil(self) -> CoilModel | None:
         return None if self.meta["thermal"] is None else CoilModel(**self.meta["thermal"]["coil"])
 
@@ -272,7 +296,7 @@ class Library:
         return None if self.meta["feedback"] is None else Wall(**self.meta["feedback"])
 
     def amplifier(self) -> Amplifier | None:
-        return None if self.meta["amplifier"] is None else Amplifier(**self.meta["amplifier"])
+        return None if self.meta["amplifier"] is None else Amplifier.of(self.meta["amplifier"], self.driven_by.unit)
 
     def plant(self, ig: int) -> StateSpace:
         """The device of one grip, with the outputs that limits of a user's own look at."""
@@ -280,7 +304,7 @@ class Library:
         stored = by_grip[ig] if by_grip else {}
         outputs = {name: Output(**{**each, "row": np.array([each["row"]])}) for name, each in stored.items()}
         A, B, C, D, Ce = (getattr(self, f"plant_{name}")[ig] for name in PLANT)
-        return StateSpace.from_matrices(A, B, C, D, Ce, outputs)
+        return StateSpace.from_matrices(A, B, C, D, Ce, outputs, self.driven_by)
 
     def stage(self, ig: int) -> StageModel:
         """Stage model of one grip, discretised anew from the plant in the file."""
@@ -288,8 +312,12 @@ class Library:
 
     def spread(self, ig: int) -> tuple[StageModel, ...]:
         """Further devices that the entries of one grip were designed for."""
-        matrices = [[getattr(self, f"spread_{name}")[ig, j] for name in PLANT] for j in range(self.spread_A.shape[1])]
-        return tuple(self.posing().stage(StateSpace.from_matrices(*each), watched=False) for each in matrices)
+        devices = range(self.spread_A.shape[1])
+        matrices = [{name: getattr(self, f"spread_{name}")[ig, j] for name in PLANT} for j in devices]
+        return tuple(
+            self.posing().stage(StateSpace.from_matrices(**each, driven_by=self.driven_by), watched=False)
+            for each in matrices
+        )
 
     def problem(self, iv: int, ig: int, stage: StageModel | None = None) -> TransientProblem:
         """The problem that entry (iv, ig) claims to solve; a wall pushes where the entry's own motion makes it."""
@@ -375,6 +403,8 @@ class Library:
         ------
         InputError : speed or grip is not a finite number.
         """
+        if self.axes.targets:
+            raise InputError(f"this library has no speeds but targets: ask for one of {', '.join(self.axes.targets)}")
         speed_m_s, grip_N = finite("speed", speed_m_s, "m/s"), finite("grip", grip_N, "N")
         speed = min(max(float(speed_m_s), float(self.speeds_m_s[0])), float(self.speeds_m_s[-1]))
         grip = min(max(float(grip_N), float(self.grips_N[0])), float(self.grips_N[-1]))
@@ -428,20 +458,15 @@ class Library:
 
 
 def _multiplier_arrays() -> dict[str, tuple[str, Array]]:
-    return {
-        f"mu_{row}_{side}": (
-            row,
-            Array(
-                "vgN",
-                f"1/{kind.step_unit}",
-                f"multiplier of the {side} bound on the {kind.label}",
-                needs=kind.stored_with(row),
-            ),
-        )
-        for kind in KINDS
-        for row in kind.row_names
-        for side in kind.sides
-    }
+    found: dict[str, tuple[str, Array]] = {}
+    for kind in KINDS:
+        for row, side in itertools.product(kind.row_names, kind.sides):
+            name, meaning = f"mu_{row}_{side}", f"multiplier of the {side} bound on the {kind.label}"
+            unit = f"1/{kind.step_unit}"
+            if name in found and (before := found[name][1].unit) != unit:
+                unit = f"{before} or {unit}"  # of the same limit on an input of the other unit
+            found[name] = row, Array("vgN", unit, meaning, needs=kind.stored_with(row))
+    return found
 
 
 # Array -> the row it belongs to, and what it is; in the order of the limits.

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from transopt.plant.state_space import CURRENT_INPUT, Input
+
 
 @dataclass(frozen=True)
 class Stated:
@@ -18,6 +20,7 @@ class Stated:
     null : what null stands for; empty where it is never null.
     since : schema of the first files that have it.
     needed : a file that lacks it is refused, unless the table that it stands in is null.
+    of_unit : needed only where commands have this unit; empty for any.
     whole : a table or a list that is kept as it came, whose keys are not declared one by one.
     """
 
@@ -26,26 +29,34 @@ class Stated:
     since: int = 1
     needed: bool = False
     whole: bool = False
+    of_unit: str = ""
 
 
-def _needed(meaning: str, null: str = "", *, since: int = 1, whole: bool = False) -> Stated:
-    return Stated(meaning, null, since, True, whole)
+def _needed(meaning: str, null: str = "", *, since: int = 1, whole: bool = False, of_unit: str = "") -> Stated:
+    return Stated(meaning, null, since, True, whole, of_unit)
 
 
 # Dotted path -> what stands there. What a name ends in is its unit (`transopt.base.units`).
 META = {
     "schema": _needed("which of the forms of this file it is"),
+    "command_unit": _needed("`A` or `V`: what commands and the plant's input are", since=3),
+    "targets": Stated("names of what the rows are for", "the rows are speeds", whole=True),
     "dt_s": _needed("servo period"),
     "lead_s": _needed("how long before contact a waveform starts"),
     "grip_min_N": _needed("below this grip nothing is played"),
     "hand_over_samples": _needed("so many commands at the end are the wall's own, zero without one"),
-    "amplifier": _needed("between command and current", "ideal: the current is the command"),
+    "amplifier": _needed("between command and the plant's input", "ideal: the command is the input"),
     "amplifier.pole_Hz": _needed("where its low-pass has lost 3 dB", "no pole"),
     "amplifier.delay_s": _needed("pure delay, beyond the hold of the command"),
-    "amplifier.command_limit_A": _needed("largest command", "no limit"),
+    "amplifier.command_limit_A": _needed("largest command", "no limit", of_unit="A"),
+    "amplifier.command_limit_V": _needed("largest command", "no limit", of_unit="V"),
     "limits": _needed("what the tap has to keep; one that is null is not asked for"),
-    "limits.current_A": _needed("largest current at any time"),
-    "limits.steady_current_A": _needed("what the motor stands for ever, for the baselines"),
+    "limits.current_A": _needed("largest current at any time", of_unit="A"),
+    "limits.steady_current_A": _needed("what the motor stands for ever, for the baselines", of_unit="A"),
+    "limits.voltage_V": _needed("largest voltage at any time", of_unit="V"),
+    "limits.steady_voltage_V": _needed("what the actuator stands for ever, for the baselines", of_unit="V"),
+    "limits.sag": Stated("times from the first command on and the share of the voltage there", "none", whole=True),
+    "limits.slew_V_per_s": Stated("fastest change of the command", "not asked for"),
     "limits.temperature_C": _needed("largest temperature of the winding", "shown not to matter to any entry"),
     "limits.slew_A_per_s": Stated("fastest change of the command", "not asked for"),
     "limits.supply_V": Stated("largest voltage of the motor", "not asked for"),
@@ -101,11 +112,21 @@ META = {
 }
 
 
+def in_file_form(driven_by: Input, targets: Sequence[str]) -> dict[str, Any]:
+    """What `meta` says of the form of its file: the oldest schema that can hold it, so that most can read it.
+
+    Schema 2 knows a current as the input, and speeds; schema 3 names arrays for any input and holds named targets.
+    """
+    if driven_by is CURRENT_INPUT and not targets:
+        return {"schema": 2}
+    return {"schema": 3, "command_unit": driven_by.unit, "targets": list(targets) or None}
+
+
 def lacking(meta: dict[str, Any], schema: int) -> list[str]:
     """Paths of what a file of this schema has to state and does not; what a table that is null would hold is not."""
-    found = []
+    found, unit = [], meta.get("command_unit", "A")
     for path, stated in META.items():
-        if not stated.needed or stated.since > schema:
+        if not stated.needed or stated.since > schema or stated.of_unit not in ("", unit):
             continue
         table: Any = meta
         *tables, name = path.split(".")

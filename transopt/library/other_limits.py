@@ -47,7 +47,7 @@ def with_limits(limits: Mapping[str, float], posing: Posing, meta: dict[str, Any
     if AMPLIFIER in limits:
         if posing.amplifier is None:
             raise InputError("limits.command_A: the amplifier is ideal, its command is the current: give current_A")
-        posing = replace(posing, amplifier=replace(posing.amplifier, command_limit_A=float(limits[AMPLIFIER])))
+        posing = replace(posing, amplifier=replace(posing.amplifier, command_limit=float(limits[AMPLIFIER])))
     for name in limits:
         kind = BY_KEY.get(name)
         if kind is None:

@@ -116,15 +116,14 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
 
 def _rivals(library: Library, ig: int, stage: StageModel) -> Iterator[str]:
     """Errors of the seed's method that the file states for the entries of a grip, and that are other ones."""
-    limits = library.meta["limits"]
-    bounds = np.array([limits["current_A"], limits["steady_current_A"]])[:, None, None]
+    bounds = np.array([library.input_limit, library.steady_input])[:, None, None]
     references, taper = library.reference_m_s2, library.meta["hand_over_samples"]
     played = _accelerations(stage, seed_inversion(stage, library.time_grid(), references, bounds, taper))
     for iv, own in enumerate(np.eye(references.shape[0])):
         target = library.target(own)
         value = [target.nrmse(each) for each in played[:, iv]]
         if not np.allclose(library.nrmse_seed[iv, ig], value, rtol=RIVAL, atol=SAME):
-            where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N"
+            where = f"entry {library.axes.place(iv, ig)}"
             yield f"{where}: nrmse_seed says {library.nrmse_seed[iv, ig]}, recomputed {np.array(value)}"
 
 
@@ -320,7 +319,9 @@ def _against_scene(library: Library) -> Iterator[str]:
         for name, taps in (("b", [1.0] if heard is None else heard.b), ("a", [1.0] if heard is None else heard.a)):
             yield from _different(f"weights.error_filter_{name}", weights[f"error_filter_{name}"], np.asarray(taps))
     yield from _different("grip_min_N", library.meta["grip_min_N"], scene.grid.grip_min_N)
-    for name, nodes in (("speeds_m_s", scene.grid.speeds_m_s), ("grips_N", scene.grid.grips_N)):
+    if stray_targets := set(library.axes.targets) - set(scene.axes.targets):
+        yield f"targets: {min(stray_targets)} is no target of its scene"
+    for name, nodes in (("speeds_m_s", scene.axes.speeds_m_s), ("grips_N", scene.grid.grips_N)):
         # A library may be a part of what its scene asked for.
         stray = [node for node in getattr(library, name) if not np.isclose(node, nodes, rtol=SAME, atol=0).any()]
         if stray:

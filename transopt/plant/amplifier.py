@@ -1,5 +1,6 @@
-"""Current amplifier: one pole and a pure delay, and the prefilter that inverts the pole (seed Sec. 4.1)."""
+"""Amplifier: one pole and a pure delay, and the prefilter that inverts the pole (seed Sec. 4.1)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +11,13 @@ from transopt.base.signals import FloatArray
 
 @dataclass(frozen=True)
 class Amplifier:
-    """di/dt = w (c(t - delay) - i) with w = 2 pi pole, from the command c to the motor current i.
+    """du/dt = w (c(t - delay) - u) with w = 2 pi pole, from the command c to the plant's input u.
 
     Attributes
     ----------
     pole_Hz : > 0.
     delay_s : >= 0; it comes on top of the hold of the command over a servo period.
-    command_limit_A : the command may lie between minus and plus this [A], > 0.
+    command_limit : the command may lie between minus and plus this [A or V], > 0.
 
     Raises
     ------
@@ -25,15 +26,24 @@ class Amplifier:
 
     pole_Hz: float
     delay_s: float
-    command_limit_A: float
+    command_limit: float
 
     def __post_init__(self) -> None:
         if not 0 < self.pole_Hz < np.inf:
             raise InputError(f"amplifier.pole_Hz = {self.pole_Hz:g}: must be > 0 and finite; leave it out if ideal")
         if not 0 <= self.delay_s < np.inf:
             raise InputError(f"amplifier.delay_s = {self.delay_s:g}: must be >= 0 and finite")
-        if not 0 < self.command_limit_A < np.inf:
-            raise InputError(f"amplifier.command_limit_A = {self.command_limit_A:g}: must be > 0 and finite")
+        if not 0 < self.command_limit < np.inf:
+            raise InputError(f"amplifier: command limit {self.command_limit:g}: must be > 0 and finite")
+
+    @classmethod
+    def of(cls, table: Mapping[str, float], unit: str = "A") -> "Amplifier":
+        """As a library's `meta` states it, the command's limit under a name that ends in its unit."""
+        return cls(table["pole_Hz"], table["delay_s"], table[f"command_limit_{unit}"])
+
+    def table(self, unit: str) -> dict[str, float]:
+        """The same, to be stated in `meta`."""
+        return {"pole_Hz": self.pole_Hz, "delay_s": self.delay_s, f"command_limit_{unit}": self.command_limit}
 
     @property
     def rate_rad_s(self) -> float:

@@ -61,7 +61,8 @@ class Drive(PlantKind):
     stylus_mass_kg: Positive
     hand: HandSection
 
-    def plant(self, grip_N: float, tip: Tip, *, struck: bool = False) -> StateSpace:
+    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+        assert tip is not None
         assert tip.stiffness_N_m is not None
         assert tip.damping_N_s_m is not None
         return drive(

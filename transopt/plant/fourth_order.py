@@ -36,7 +36,8 @@ class FourthOrder(PlantKind):
     stylus_mass_kg: Positive
     hand: HandSection
 
-    def plant(self, grip_N: float, tip: Tip, *, struck: bool = False) -> StateSpace:
+    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+        assert tip is not None
         return fourth_order(
             grip_N,
             hand=self.hand.hand(),

@@ -21,6 +21,16 @@ class Motor(Section):
     winding_max_C: Finite
 
 
+class Winding(Section):
+    """How a coil heats: winding over housing over ambient, and the most that the winding stands."""
+
+    R_wh_K_W: Positive
+    R_ha_K_W: Positive
+    tau_w_s: Positive
+    tau_h_s: Positive
+    winding_max_C: Finite
+
+
 class Transmission(Section):
     """From motor shaft to stylus tip: `ratio_1_m` is shaft radian per metre of tip travel."""
 

@@ -43,5 +43,6 @@ class SecondOrder(PlantKind):
 
     kind: Literal["second_order"]
 
-    def plant(self, grip_N: float, tip: Tip, *, struck: bool = False) -> StateSpace:
+    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+        assert tip is not None
         return second_order(grip_N, force_per_current_N_A=1.0 if struck else tip.force_per_current_N_A)

@@ -1,7 +1,8 @@
 """A device at one grip as a continuous-time state space, its outputs named.
 
-The input is the motor current, the tracked output the stylus acceleration. What else a limit may be on, positions and
-velocities of its masses, each kind of plant names itself; the states can be asked for by number.
+The input is a current or a voltage (`Input`), the tracked output the acceleration that matters, the stylus's or a
+case's. What else a limit may be on, positions and velocities of its masses or the current of a coil that a voltage
+drives, each kind of plant names itself; the states can be asked for by number.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,8 +21,27 @@ VELOCITY: Final = "velocity"  # of the same mass
 
 
 @dataclass(frozen=True)
+class Input:
+    """What drives a plant, in the words and the unit of reports, figures and messages.
+
+    Attributes
+    ----------
+    name : "current" or "voltage".
+    unit : "A" or "V".
+    """
+
+    name: str
+    unit: str
+
+
+CURRENT_INPUT: Final = Input("current", "A")
+VOLTAGE_INPUT: Final = Input("voltage", "V")
+INPUTS: Final = MappingProxyType({each.unit: each for each in (CURRENT_INPUT, VOLTAGE_INPUT)})
+
+
+@dataclass(frozen=True)
 class Output:
-    """One named output of a plant, which the current moves only through the states.
+    """One named output of a plant, which the input moves only through the states.
 
     Attributes
     ----------
@@ -38,18 +58,19 @@ class Output:
 
 @dataclass(frozen=True)
 class StateSpace:
-    """Continuous-time model from motor current to the stylus acceleration the current adds.
+    """Continuous-time model from the input u, a current or a voltage, to the acceleration that it adds.
 
-    dx/dt = A x + B i,  y'' = C x + D i,  all SI, x = 0 on the nominal motion.
+    dx/dt = A x + B u,  y'' = C x + D u,  all SI, x = 0 on the nominal motion.
 
     Attributes
     ----------
     A : (n, n) [1/s].
-    B : (n, 1) [unit of the state/s/A].
+    B : (n, 1) [unit of the state/s per A or V].
     C : (1, n) [m/s^2 per unit of the state].
-    D : (1, 1) [m/s^2/A].
+    D : (1, 1) [m/s^2 per A or V].
     outputs : name -> further output. "position" and "velocity" are those of the mass that the encoder sees; a device
         without them, such as a black box, can have no wall and no limit on its motion.
+    driven_by : what u is.
 
     Raises
     ------
@@ -61,6 +82,7 @@ class StateSpace:
     C: FloatArray
     D: FloatArray
     outputs: Mapping[str, Output] = field(default_factory=dict)
+    driven_by: Input = CURRENT_INPUT
 
     __repr__ = brief
 
@@ -89,15 +111,16 @@ class StateSpace:
         D: FloatArray,
         Ce: FloatArray,
         outputs: Mapping[str, Output] = MappingProxyType({}),
+        driven_by: Input = CURRENT_INPUT,
     ) -> "StateSpace":
         """As a library stores it: the position that the encoder sees is Ce x, and its velocity Ce A x.
 
         A row Ce of zeros stands for a device without a known position. `outputs` are its other named outputs.
         """
         if not Ce.any():
-            return cls(A, B, C, D, outputs)
+            return cls(A, B, C, D, outputs, driven_by)
         seen = {POSITION: Output(Ce, "m", POSITION), VELOCITY: Output(Ce @ A, "m/s", VELOCITY)}
-        return cls(A, B, C, D, {**seen, **outputs})
+        return cls(A, B, C, D, {**seen, **outputs}, driven_by)
 
     @property
     def Ce(self) -> FloatArray:
@@ -129,7 +152,7 @@ class StateSpace:
         return {name: {**asdict(self.outputs[name]), "row": self.outputs[name].row[0].tolist()} for name in own}
 
     def response(self, frequencies_Hz: FloatArray) -> FloatArray:
-        """(m,) complex transfer function y''/i at the given frequencies [m/s^2/A]."""
+        """(m,) complex transfer function y''/u at the given frequencies [m/s^2 per A or V]."""
         s = 2j * np.pi * np.asarray(frequencies_Hz)
         shifted = s[:, None, None] * np.eye(self.order) - self.A
         return np.asarray((self.C @ np.linalg.solve(shifted, self.B) + self.D)[:, 0, 0])
@@ -145,4 +168,5 @@ def blended(one: StateSpace, other: StateSpace, share: float) -> StateSpace:
         B=np.vstack([one.B, other.B]),
         C=np.hstack([(1 - share) * one.C, share * other.C]),
         D=(1 - share) * one.D + share * other.D,
+        driven_by=one.driven_by,
     )

@@ -72,5 +72,5 @@ def clipped_optimum(
 def _play(stage: StageModel, grid: TimeGrid, wanted: FloatArray) -> FloatArray:
     if stage.amplifier is None:
         return wanted
-    bound = stage.amplifier.command_limit_A
+    bound = stage.amplifier.command_limit
     return np.clip(prefilter(wanted, stage.amplifier, grid.dt_s), -bound, bound)

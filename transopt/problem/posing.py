@@ -12,7 +12,7 @@ from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import StageModel, TimeGrid, discretise, samples_after
-from transopt.plant.state_space import StateSpace
+from transopt.plant.state_space import CURRENT_INPUT, INPUTS, Input, StateSpace
 from transopt.plant.wall import HandOver, Wall
 from transopt.problem.heat import Budget
 from transopt.problem.limits import needed_outputs, posed
@@ -56,6 +56,7 @@ class Posing:
     circuit, coil, wall, error_filter : None where the scene has none.
     objective : "waveform", J is minimised, or "intensity", the tap has to have the energy asked for as well.
     intensity_dB : that energy, over the recorded tap's [dB].
+    driven_by : what the input of the plants is.
     law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
@@ -73,13 +74,15 @@ class Posing:
     objective: str = "waveform"
     intensity_dB: float = 0.0
     law_of: LawOf | None = None
+    driven_by: Input = CURRENT_INPUT
 
     __repr__ = brief
 
     @classmethod
     def of(cls, meta: dict[str, Any], stages: int) -> "Posing":
         """Of a library's `meta` and its number of stages."""
-        amplifier = None if meta["amplifier"] is None else Amplifier(**meta["amplifier"])
+        driven_by = INPUTS[meta.get("command_unit", CURRENT_INPUT.unit)]  # files before schema 3 know currents alone
+        amplifier = None if meta["amplifier"] is None else Amplifier.of(meta["amplifier"], driven_by.unit)
         thermal, feedback, circuit = meta["thermal"], meta["feedback"], meta["circuit"]
         delay_s = 0.0 if amplifier is None else amplifier.delay_s
         # Files of schema 1 know of nothing after the window, and of no objective but the waveform.
@@ -100,6 +103,7 @@ class Posing:
             budget=Budget() if thermal is None else Budget(**thermal["budget"]),
             objective=weights["objective"],
             intensity_dB=weights["intensity_dB"],
+            driven_by=driven_by,
         )
 
     def stage(self, plant: StateSpace, *, watched: bool = True) -> StageModel:
@@ -118,7 +122,7 @@ class Posing:
             self.amplifier,
             self.grid.dt_s,
             position=self.wall is not None,
-            outputs=needed_outputs(self.asked) if watched else (),
+            outputs=needed_outputs(self.asked, self.driven_by) if watched else (),
         )
 
     def problem(

@@ -9,6 +9,7 @@ from transopt.base.errors import InputError
 from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import Motion, StageModel, TimeGrid
+from transopt.plant.state_space import Input
 from transopt.plant.wall import HandOver, feedback_command
 from transopt.problem.after import Feedback
 from transopt.problem.limits.limit import Limit, Limits, Row
@@ -166,6 +167,11 @@ class TransientProblem:
     def movement(self) -> Movement:
         """The second term."""
         return Movement(self.rho, self.grid.stages, self.grid.dt_s, self.limits.input_limit)
+
+    @property
+    def driven_by(self) -> Input:
+        """What commands and the plant's input are."""
+        return self.stage.plant.driven_by
 
     @property
     def devices(self) -> tuple[StageModel, ...]:

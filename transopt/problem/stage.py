@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import StageModel, state_scale
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Row
+from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Row
 from transopt.problem.problem import TransientProblem
 
 WALL_POSITION, WALL_VELOCITY = 0, 1  # among the wall's states
@@ -283,7 +283,7 @@ def _named(stage: StageModel, where: Layout, units: FloatArray) -> dict[str, tup
 
     flows = (of_device(stage.Ci[0]), 0.0) if where.amplifier else (command, current)
     return {
-        CURRENT: flows,
+        INPUT: flows,
         COMMAND: (command, current),
         HELD: (command, 0.0),
         VELOCITY: (of_device(stage.Cv[0]), 0.0),

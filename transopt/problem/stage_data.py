@@ -13,7 +13,7 @@ from transopt.plant.coil import PWM_RIPPLE_A
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.heat import mean_current
 from transopt.problem.limits import hand_over
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD
+from transopt.problem.limits.limit import COMMAND, HELD, INPUT
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.tail import tail
 from transopt.problem.problem import TransientProblem
@@ -95,7 +95,7 @@ class StatedRow:
     single: str
 
 
-SINGLE = {(CURRENT,): CURRENT, (COMMAND,): COMMAND, (COMMAND, HELD): "movement"}
+SINGLE = {(INPUT,): INPUT, (COMMAND,): COMMAND, (COMMAND, HELD): "movement"}
 
 
 def stated_rows(problem: TransientProblem, stage: LinearStage) -> list[StatedRow]:
@@ -171,7 +171,7 @@ def _rows(problem: TransientProblem, stage: LinearStage) -> Rows:
         row(stated.name, stated.G, stated.d, 0.0, stated.lower, stated.upper, every)
     if thermal is not None:
         # size >= |mean i|: the kink of Eq. 7 as two rows, on which Newton does not stumble.
-        heating, flows, asked = thermal.model.heating, stage.outputs[CURRENT], stage.outputs[COMMAND]
+        heating, flows, asked = thermal.model.heating, stage.outputs[INPUT], stage.outputs[COMMAND]
         G, d = (
             mean_current(heating.share, heating.decay, i, c) / stage.input_scale
             for i, c in zip(flows, asked, strict=True)

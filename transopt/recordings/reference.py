@@ -47,6 +47,8 @@ class Reference:
     times_s : (K,) of the repeats.
     repeats_m_s2 : (n, K) the aligned repeats, for figures.
     between_m_s : the two recorded speeds it was derived from by `between`; None if it was recorded itself.
+    name : of a named target, which has no speed; empty for a tap.
+    sha256 : of the file that a named target was read from; empty for one that is stated by parameters.
     """
 
     speed_m_s: float
@@ -65,6 +67,8 @@ class Reference:
     times_s: FloatArray
     repeats_m_s2: FloatArray
     between_m_s: tuple[float, float] | None = None
+    name: str = ""
+    sha256: str = ""
 
     __repr__ = brief
 

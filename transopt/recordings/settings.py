@@ -63,8 +63,8 @@ class Recordings(Section):
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:
-        if bool(self.files) == (self.simulated is not None):
-            raise ValueError("give either files or a simulated table, not both and not neither")
+        if self.files and self.simulated is not None:
+            raise ValueError("give either files or a simulated table, not both")
         if self.highpass_Hz >= self.lowpass_Hz:
             raise ValueError(f"highpass_Hz = {self.highpass_Hz:g}: must be below lowpass_Hz = {self.lowpass_Hz:g}")
         return self

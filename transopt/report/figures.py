@@ -48,7 +48,7 @@ class _Method:
 
 def _methods(build: "Build") -> list[_Method]:
     limits = build.scene.limits
-    high, low = f"{limits.transient_current_A:g} A", f"{limits.steady_current_A:g} A"
+    high, low = f"{limits.transient_input:g} A", f"{limits.steady_input:g} A"
     # A rival that heeds neither rail nor coil may lie below the optimum, which does.
     more = any({"supply", "coil"} & {price.limit for price in entry.prices} for entry in build.all_entries())
     only = ", no other limit" if more else ""

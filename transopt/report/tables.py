@@ -75,7 +75,7 @@ def refusal(entry: Entry) -> str:
 
 def columns_of(build: Build) -> list[str]:
     """Heads of the table of entries."""
-    limit, steady = build.scene.limits.transient_current_A, build.scene.limits.steady_current_A
+    limit, steady = build.scene.limits.transient_input, build.scene.limits.steady_input
     return [
         "speed m/s",
         "grip N",

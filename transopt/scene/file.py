@@ -208,7 +208,7 @@ def read_scene(
         stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0
         # Any other number of stages is refused below, and nothing is written out for it.
         limits["own"] = own_tables(path, limits["own"], stages if stages in range(MOST_STAGES + 1) else 0)
-    recordings = content.get("recordings")
+    recordings = content.setdefault("recordings", {}) if content.get("targets") else content.get("recordings")
     if isinstance(recordings, dict) and isinstance(recordings.get("folder", "."), str):
         recordings["folder"] = _resolved(path, recordings.get("folder", "."))
     try:

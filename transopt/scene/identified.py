@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.motor import Tip
-from transopt.plant.state_space import StateSpace
+from transopt.plant.state_space import CURRENT_INPUT, Input, StateSpace
 from transopt.scene.fitted import FittedPart, ModelPart
 from transopt.scene.model_parts import DriveDevice, HandPart, ModelParts, StateSpaceDevice, check_grip
 
@@ -93,6 +93,11 @@ class IdentifiedModel(ModelParts):
         if self.device.error is None:
             return self.device.error_at(grip_N)
         return self.device.error.nrmse(grip_N, current_A, dt_s, energy)
+
+    @property
+    def driven_by(self) -> Input:
+        """What its input is: models are identified from currents."""
+        return CURRENT_INPUT
 
     def plant(self, grip_N: float, force_per_current_N_A: float | None, *, struck: bool = False) -> StateSpace:
         """Motor current, or with `struck` a force on the stylus [N], to stylus acceleration.

@@ -10,10 +10,11 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.base.section import Name, Section, Words
-from transopt.base.shown import cut, span, wrapped
-from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS
+from transopt.base.shown import cut, wrapped
+from transopt.base.sizes import LONGEST_LEAD_S, MOST_AFTER, MOST_COMMANDS, MOST_NODES
 from transopt.base.writing import rounded_down
 from transopt.plant.amplifier import Amplifier
 from transopt.plant.circuit import Circuit
@@ -21,17 +22,19 @@ from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.plant.kind import PlantKind
 from transopt.plant.kinds import Model
-from transopt.plant.motor import Motor, Tip, Transmission, at_the_tip
-from transopt.plant.state_space import StateSpace
+from transopt.plant.motor import Motor, Tip, Transmission, Winding, at_the_tip
+from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
-from transopt.problem.limits import KINDS
+from transopt.problem.limits import kinds_of
 from transopt.problem.objective.weighting import ErrorFilter, error_filter
 from transopt.problem.posing import Posing
 from transopt.recordings.settings import Recordings
+from transopt.recordings.targets import TargetTable
 from transopt.scene.identified import IdentifiedModel
 from transopt.scene.model_parts import StateSpaceDevice
 from transopt.scene.sections import (
+    OF_A_CURRENT,
     AmplifierSection,
     Feedback,
     Grid,
@@ -53,9 +56,10 @@ class Scene(Section):
 
     name: Name
     description: Words = ""
-    grid: Grid
+    grid: Grid = Grid()
     time: Time = Time()
-    recordings: Recordings
+    recordings: Recordings = Recordings()
+    targets: Annotated[list[TargetTable], Field(max_length=MOST_NODES)] = Field(default_factory=list)
     model: Annotated[Model | IdentifiedModel, Field(discriminator="kind")]
     motor: Motor | None = None
     transmission: Transmission | None = None
@@ -70,31 +74,51 @@ class Scene(Section):
     striker: Striker | None = None
 
     def __repr__(self) -> str:
-        grid, time = self.grid, self.time
+        time = self.time
         named = ": ".join(filter(None, (cut(self.name), cut(self.description))))
         return wrapped(
-            f"Scene({named}; {span(grid.speeds_m_s, 'm/s', 'speed')}, "
-            f"{span(grid.grips_N, 'N', 'grip')}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
-            f"{self.limits.transient_current_A:g} A)"
+            f"Scene({named}; {self.axes.said}, {time.stages} commands of {1e3 * time.dt_s:g} ms, limit "
+            f"{self.limits.transient_input:g} {self.driven_by.unit})"
         )
+
+    @property
+    def axes(self) -> Axes:
+        """What the entries of its library are for: speeds and grips, or named targets."""
+        names = tuple(target.name for target in self.targets)
+        return Axes(tuple(self.grid.speeds_m_s) or (0.0,) * len(names), tuple(self.grid.grips_N), names)
+
+    @property
+    def driven_by(self) -> Input:
+        """What drives the plant: a current, or a voltage."""
+        return self.model.driven_by
 
     @model_validator(mode="after")
     def _one_drive(self) -> Self:
+        self._check_what_is_wanted()
+        self._check_input()
         if (self.motor is None) != (self.transmission is None):
             raise ValueError("motor and transmission belong together: give both, or a tip table in their place")
         if isinstance(self.model, IdentifiedModel):
             self._check_identified(self.model)
-        if not self._drive_in_file and (self.motor is None) == (self.tip is None):
+        whole = isinstance(self.model, PlantKind) and not self.model.driven_at_tip
+        if whole and (self.motor, self.transmission, self.tip) != (None, None, None):
+            raise ValueError(f"model.kind = {self.model.kind} is a whole actuator: take motor, transmission, tip out")
+        if whole and self.feedback is not None:
+            raise ValueError(f"feedback: a wall is for a stylus on a motor, not for model.kind = {self.model.kind}")
+        held = not isinstance(self.model, PlantKind) or self.model.held_by_hand
+        if not held and self.grid.grips_N != [0.0]:
+            raise ValueError(f"grid.grips_N: model.kind = {self.model.kind} depends on no grip: leave it out")
+        if not whole and not self._drive_in_file and (self.motor is None) == (self.tip is None):
             raise ValueError("the drive is stated either by motor and transmission or by tip: give exactly one")
         through = isinstance(self.model, PlantKind) and self.model.through_transmission
         if through and self.tip is not None and None in (self.tip.stiffness_N_m, self.tip.damping_N_s_m):
             raise ValueError(f"model.kind = {self.model.kind} needs tip.stiffness_N_m and tip.damping_N_s_m")
-        if self.motor is not None and self.limits.transient_current_A > self.motor.i_peak_A:
+        if self.motor is not None and self.limits.transient_input > self.motor.i_peak_A:
             raise ValueError(
-                f"limits: transient limit {self.limits.transient_current_A:g} A is above the motor's i_peak_A = "
+                f"limits: transient limit {self.limits.transient_input:g} A is above the motor's i_peak_A = "
                 f"{self.motor.i_peak_A:g} A: lower beta or current_A"
             )
-        commands = len(self.grid.speeds_m_s) * len(self.grid.grips_N) * self.time.stages
+        commands = self.axes.entries * self.time.stages
         if commands > MOST_COMMANDS:
             raise ValueError(
                 f"grid and time.stages: {commands} commands, at most {MOST_COMMANDS}: fewer nodes or stages"
@@ -102,7 +126,7 @@ class Scene(Section):
         self._check_amplifier()
         self._check_time()
         self._check_what_needs_what()
-        if self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
+        if not self.targets and self.recordings.highpass_Hz > 0.1 / self.time.dt_s:
             raise ValueError(
                 f"recordings.highpass_Hz = {self.recordings.highpass_Hz:g}: must not exceed a tenth of the servo "
                 f"rate, {rounded_down(0.1 / self.time.dt_s, 6):g} Hz"
@@ -113,20 +137,66 @@ class Scene(Section):
             )
         return self
 
+    def _check_what_is_wanted(self) -> None:
+        """Speeds with recordings of taps, or named targets: one of the two."""
+        names = [target.name for target in self.targets]
+        if not names:
+            if not self.grid.speeds_m_s:
+                raise ValueError("grid.speeds_m_s: missing; add it to the scene, or [[targets]] without speeds")
+            if not self.recordings.files and self.recordings.simulated is None:
+                raise ValueError("recordings: give either files or a simulated table, not both and not neither")
+            return
+        if len(set(names)) < len(names):
+            raise ValueError("targets: two of one name: give each its own")
+        if self.grid.speeds_m_s:
+            raise ValueError("grid.speeds_m_s: named targets have no speed: give either speeds or targets")
+        if self.grid.grips_N != [0.0]:
+            raise ValueError("grid.grips_N: named targets are for a device that nobody holds: leave it out")
+        if self.recordings.files or self.recordings.simulated is not None:
+            raise ValueError("recordings: named targets take the place of files and simulated taps: leave these out")
+        if self.feedback is not None:
+            raise ValueError("feedback: a virtual wall needs a stylus that comes in: leave it out with named targets")
+
+    def _check_input(self) -> None:
+        """The limits, and all that knows currents alone, must be of the plant's input."""
+        limits, unit = self.limits, self.driven_by.unit
+        if unit == "A":
+            if limits.voltage_V is not None:
+                raise ValueError(
+                    f"limits.voltage_V: a current drives model.kind = {self.model.kind}: state its limits in A, or a "
+                    "model that a voltage drives"
+                )
+            if limits.steady_current_A is None:
+                raise ValueError("limits.steady_current_A: missing; add it to the scene")
+            return
+        if limits.voltage_V is None:
+            raise ValueError(f"limits.voltage_V: missing; a voltage drives model.kind = {self.model.kind}")
+        for key, stated in (
+            ("limits.beta", limits.beta is not None),
+            *((f"limits.{key}", getattr(limits, key) is not None) for key in OF_A_CURRENT),
+            ("feedback", self.feedback is not None),
+            ("thermal", self.thermal != Thermal()),
+        ):
+            if stated:
+                raise ValueError(
+                    f"{key}: belongs to a motor that a current drives, and here a voltage does: leave it out"
+                )
+
     def _check_what_needs_what(self) -> None:
         """Keys that need or exclude keys of other tables."""
-        if self.limits.supply_V is not None and (self.motor is None or self.amplifier == "ideal"):
+        if self.limits.supply_V is not None and (self.circuit() is None or self.amplifier == "ideal"):
             raise ValueError(
                 "limits.supply_V needs [motor] (resistance, inductance, back-EMF) and an amplifier with a pole: an "
                 "ideal one changes the current at once, which no voltage can"
             )
         budgets = (self.thermal.headroom_K, self.thermal.tap_rate_Hz)
-        if budgets != (None, None) and self.motor is None:
+        if budgets != (None, None) and self._winding is None:
             raise ValueError("thermal.headroom_K and thermal.tap_rate_Hz need [motor]: a tip states no coil")
-        if self.motor is not None and self.thermal.start_winding_C > self.motor.winding_max_C:
+        winding = self._winding
+        if winding is not None and self.thermal.start_winding_C > winding.winding_max_C:
             raise ValueError(
                 f"thermal.start_winding_C = {self.thermal.start_winding_C:g} C: above the motor's winding_max_C = "
-                f"{self.motor.winding_max_C:g} C: let it cool"
+                f"{winding.winding_max_C:g} C: let it cool"
             )
         grid = self.time_grid()
         takes_s = (grid.stages + 1) * grid.dt_s + grid.delay_s
@@ -151,8 +221,8 @@ class Scene(Section):
 
     def _one_device(self) -> list[str]:
         """Keys of the limits asked for that depend on the motion of one device."""
-        asked = self.limits.asked()
-        return [kind.key for kind in KINDS if kind.of_one_device and asked.get(kind.key) is not None]
+        asked, kinds = self.limits.asked(), kinds_of(self.driven_by)
+        return [kind.key for kind in kinds if kind.of_one_device and asked.get(kind.key) is not None]
 
     def _check_identified(self, model: IdentifiedModel) -> None:
         """What the scene states beside a model file must not contradict it."""
@@ -264,7 +334,8 @@ class Scene(Section):
         if isinstance(self.model, IdentifiedModel):
             force = None if self._drive_in_file else self.drive_at_tip().force_per_current_N_A
             return self.model.plant(grip_N, force, struck=struck)
-        return self.model.plant(grip_N, self.drive_at_tip(), struck=struck)
+        tip = self.drive_at_tip() if self.model.driven_at_tip else None
+        return self.model.plant(grip_N, tip, struck=struck)
 
     def amplifier_model(self) -> Amplifier | None:
         """None for an ideal amplifier."""
@@ -275,7 +346,11 @@ class Scene(Section):
         stated = self.amplifier if identified is None else identified
         assert stated.pole_Hz is not None
         assert stated.delay_s is not None
-        return Amplifier(stated.pole_Hz, stated.delay_s, self.amplifier.command_limit_A)
+        if self.driven_by.unit == "V":
+            limit = self.amplifier.command_limit_V or self.limits.transient_input
+        else:
+            limit = self.amplifier.command_limit_A
+        return Amplifier(stated.pole_Hz, stated.delay_s, limit)
 
     @property
     def delay_s(self) -> float:
@@ -310,6 +385,7 @@ class Scene(Section):
             budget=self.budget(),
             objective=self.weights.objective,
             intensity_dB=self.weights.intensity_dB,
+            driven_by=self.driven_by,
         )
 
     def budget(self) -> Budget:
@@ -326,7 +402,7 @@ class Scene(Section):
     def circuit(self) -> Circuit | None:
         """None where the drive is stated at the tip. In SI the back-EMF per m/s is the force per ampere."""
         if self.motor is None:
-            return None
+            return self.model.circuit() if isinstance(self.model, PlantKind) and self.driven_by.unit == "A" else None
         return Circuit(self.motor.R_ohm, self.motor.L_H, self.drive_at_tip().force_per_current_N_A)
 
     def unfit_model(self) -> str:
@@ -361,19 +437,26 @@ class Scene(Section):
             devices += [(self.model_copy(update={"model": model}), grip_N) for model in drawn]
         return devices
 
+    @property
+    def _winding(self) -> Motor | Winding | None:
+        """How the winding heats, by the motor's datasheet or by that of a whole actuator; None where nobody says."""
+        if self.motor is not None:
+            return self.motor
+        return self.model.known_winding if isinstance(self.model, PlantKind) else None
+
     def coil(self) -> CoilModel | None:
-        """None where the drive is stated at the tip: no motor, no temperature."""
-        if self.motor is None:
+        """None where the drive is stated at the tip: no motor, no temperature; nor where a voltage is the input."""
+        circuit, winding = self.circuit(), self._winding
+        if circuit is None or winding is None:
             return None
-        motor = self.motor
         identified = self.model.coil if isinstance(self.model, IdentifiedModel) else None
-        heat = motor if identified is None else identified
+        heat = winding if identified is None else identified
         return CoilModel(
-            R_ohm=motor.R_ohm,
+            R_ohm=circuit.R_ohm,
             R_wh_K_W=heat.R_wh_K_W,
             R_ha_K_W=heat.R_ha_K_W,
             tau_w_s=heat.tau_w_s,
             tau_h_s=heat.tau_h_s,
-            limit_C=motor.winding_max_C,
+            limit_C=winding.winding_max_C,
             **self.thermal.model_dump(exclude={"headroom_K", "tap_rate_Hz", "idle_A"}),
         )

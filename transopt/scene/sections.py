@@ -40,11 +40,16 @@ def covering_lead_s(dt_s: float, delay_s: float) -> float:
     return float(f"{periods * dt_s:.12g}")  # 3e-4 and not 0.00030000000000000003, as a scene would state it
 
 
-class Grid(Section):
-    """Nodes of the library."""
+def _nobody() -> list[float]:
+    """Grips of a device that nobody holds."""
+    return [0.0]
 
-    speeds_m_s: Annotated[list[Speed], Field(min_length=1, max_length=MOST_NODES)]
-    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)]
+
+class Grid(Section):
+    """Nodes of the library: no speeds where there are named targets, grip 0 alone where nobody holds the device."""
+
+    speeds_m_s: Annotated[list[Speed], Field(max_length=MOST_NODES)] = Field(default_factory=list)
+    grips_N: Annotated[list[NonNegative], Field(min_length=1, max_length=MOST_NODES)] = Field(default_factory=_nobody)
     grip_min_N: Positive = 0.5
 
     _speeds_ordered = field_validator("speeds_m_s")(_increasing)
@@ -84,14 +89,16 @@ class Time(Section):
 
 
 class AmplifierSection(Section):
-    """Current amplifier: pole, delay beyond the hold, range of the command.
+    """Amplifier: pole, delay beyond the hold, range of the command.
 
-    Pole and delay stand here unless the scene's model file has them.
+    Pole and delay stand here unless the scene's model file has them. A voltage amplifier's range is
+    `command_limit_V`, a class-D stage's rail, by default `limits.voltage_V`.
     """
 
     pole_Hz: Positive | None = None
     delay_s: Annotated[float, Field(ge=0, le=LONGEST_DELAY_S)] | None = None
     command_limit_A: Positive = 6.0
+    command_limit_V: Positive | None = None
 
 
 class Striker(Section):
@@ -119,14 +126,27 @@ class OwnLimitTable(Section):
     convex: list[bool]
 
 
-class LimitsSection(Section):
-    """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place."""
+Instant = Annotated[list[Finite], Field(min_length=2, max_length=2)]  # a time [s] and a value there
+OF_A_VOLTAGE = ("steady_voltage_V", "slew_V_per_s", "sag")  # limits beside `voltage_V`
+OF_A_CURRENT = ("steady_current_A", "slew_A_per_s", "supply_V")  # limits where a current is the input
 
-    steady_current_A: Positive
+
+class LimitsSection(Section):
+    """The transient limit is beta * steady_current_A (seed Eq. 8), or `current_A` in its place.
+
+    Where a voltage is the input it is `voltage_V`, of which `sag` states the share that the supply has along the
+    waveform, and `current_A` bounds the coil's current.
+    """
+
+    steady_current_A: Positive | None = None
     beta: Annotated[float, Field(ge=1, le=1e4, allow_inf_nan=False)] | None = None
     current_A: Positive | None = None
     slew_A_per_s: Positive | None = None
     supply_V: Positive | None = None
+    voltage_V: Positive | None = None
+    steady_voltage_V: Positive | None = None
+    slew_V_per_s: Positive | None = None
+    sag: Annotated[list[Instant], Field(max_length=MOST_NODES)] | None = None
     stroke_m: Positive | None = None
     velocity_m_s: Positive | None = None
     own: list[OwnLimitTable] = Field(default_factory=list)
@@ -135,19 +155,39 @@ class LimitsSection(Section):
     def _one_statement(self) -> Self:
         if self.beta is not None and self.current_A is not None:
             raise ValueError("give beta or current_A, not both")
+        if self.voltage_V is None:
+            for key in OF_A_VOLTAGE:
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key}: belongs to voltage_V, which is not stated")
+        elif self.steady_voltage_V is not None and self.steady_voltage_V > self.voltage_V:
+            raise ValueError(
+                f"steady_voltage_V = {self.steady_voltage_V:g} V: above voltage_V = {self.voltage_V:g} V"
+            )
         return self
 
     def asked(self) -> dict[str, Any]:
-        """Key -> number of every limit, the current's as the number that it comes to; `own` where there are any."""
+        """Key -> number of every limit, the input's as the number that it comes to; `own` where there are any."""
         exclude = {"beta"} if self.own else {"beta", "own"}
-        return {**self.model_dump(exclude=exclude), "current_A": self.transient_current_A}
+        if self.voltage_V is not None:
+            stated = self.model_dump(exclude={*exclude, *OF_A_CURRENT})
+            return {**stated, "steady_voltage_V": self.steady_input}
+        return {**self.model_dump(exclude={*exclude, "voltage_V", *OF_A_VOLTAGE}), "current_A": self.transient_input}
 
     @property
-    def transient_current_A(self) -> float:
-        """The limit that holds over a transient: as stated, or beta (3.2 by default) times the steady current."""
+    def transient_input(self) -> float:
+        """The limit on the input over a transient: as stated, or beta (3.2 by default) times the steady current."""
+        if self.voltage_V is not None:
+            return self.voltage_V
         if self.current_A is not None:
             return self.current_A
-        return (3.2 if self.beta is None else self.beta) * self.steady_current_A
+        return (3.2 if self.beta is None else self.beta) * self.steady_input
+
+    @property
+    def steady_input(self) -> float:
+        """What the actuator stands for ever: the steady current or voltage, by default of a voltage the limit."""
+        steady = self.steady_current_A if self.voltage_V is None else self.steady_voltage_V or self.voltage_V
+        assert steady is not None
+        return steady
 
 
 class Thermal(Section):

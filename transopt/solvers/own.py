@@ -21,8 +21,9 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER
+from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits import KINDS
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY
+from transopt.problem.limits.limit import COMMAND, HELD, VELOCITY
 
 CURVED = 1e-12  # of the largest curvature: what rounding leaves of none
 TAKEN = {row for kind in KINDS for row in kind.row_names} | {"end"}
@@ -45,17 +46,22 @@ class StageSymbols:
 
     @property
     def current(self) -> ca.SX:
-        """i(tau_k) [A]."""
-        return self._output(CURRENT)
+        """i(tau_k) [A]: what drives a motor, or what a voltage makes flow in a coil."""
+        return self._output(CURRENT_INPUT.name)
+
+    @property
+    def voltage(self) -> ca.SX:
+        """u(tau_k) [V], of an actuator that a voltage drives."""
+        return self._output(VOLTAGE_INPUT.name)
 
     @property
     def command(self) -> ca.SX:
-        """c_k, felt from tau_k on [A]."""
+        """c_k, felt from tau_k on [A or V]."""
         return self._output(COMMAND)
 
     @property
     def previous_command(self) -> ca.SX:
-        """c_(k-1), felt until tau_k [A]."""
+        """c_(k-1), felt until tau_k [A or V]."""
         return self._output(HELD)
 
     @property

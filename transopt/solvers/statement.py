@@ -8,7 +8,7 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.problem.answer import OBJECTIVE_SCALE, Multipliers
 from transopt.problem.limits import hand_over
-from transopt.problem.limits.limit import COMMAND, CURRENT, Limit
+from transopt.problem.limits.limit import COMMAND, INPUT, Limit
 from transopt.problem.limits.own import LawRow
 from transopt.problem.problem import TransientProblem
 from transopt.problem.stage import LinearStage, linear_stage
@@ -80,7 +80,7 @@ class Statement:
             if row.single:
                 # The variable of stage k is the current at tau_(k+1); that at tau_0 is zero and has no limit.
                 on = boxes[:, variable(shape, row.single)]
-                mu = (np.append(0.0, on[:-1]) if row.single == CURRENT else on) * unit
+                mu = (np.append(0.0, on[:-1]) if row.single == INPUT else on) * unit
             else:
                 first = N - (rows[row.name].stop - rows[row.name].start)
                 mu = np.append(np.zeros(first), lam_g[rows[row.name]]) * (OBJECTIVE_SCALE / row.unit)
@@ -97,7 +97,7 @@ class Statement:
 
 def variable(shape: Shape, single: str) -> int:
     """Where among a stage's variables the one stands that a row bounds alone."""
-    return {"movement": 0, COMMAND: shape.command, CURRENT: shape.controls + shape.layout.current}[single]
+    return {"movement": 0, COMMAND: shape.command, INPUT: shape.controls + shape.layout.current}[single]
 
 
 def _parameters(
@@ -146,7 +146,7 @@ def _variable_bounds(
             continue
         column, to_variable = variable(shape, row.single), row.unit / stage.input_scale
         low, high = row.lower * to_variable, row.upper * to_variable
-        if row.single == CURRENT:
+        if row.single == INPUT:
             # The variable of stage k is the current at tau_(k+1); that at tau_N follows the hand-over.
             low, high = np.append(low[1:], -np.inf), np.append(high[1:], np.inf)
         elif row.single == COMMAND and problem.wall is None:

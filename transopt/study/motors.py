@@ -34,7 +34,7 @@ def motor_scene(scene: Scene, motor: dict[str, Any]) -> Scene:
     The current is limited by the motor's peak and by the amplifier's range, the coil by tapping for ever.
     """
     amplifier = scene.amplifier_model()
-    most = motor["i_peak_A"] if amplifier is None else min(motor["i_peak_A"], amplifier.command_limit_A)
+    most = motor["i_peak_A"] if amplifier is None else min(motor["i_peak_A"], amplifier.command_limit)
     return with_values(
         scene,
         {
@@ -153,7 +153,7 @@ class Selection:
                     entry_name(c.row),
                     f"{c.force_N_A:.2f}",
                     f"{1e3 * c.mass_kg:.1f}",
-                    f"{number(c.row, 'peak_input'):.2f} of {plan.scene.limits.transient_current_A:g}",
+                    f"{number(c.row, 'peak_input'):.2f} of {plan.scene.limits.transient_input:g}",
                     f"{number(c.row, 'peak_voltage_V'):.1f}",
                     f"{number(c.row, 'peak_temperature_C'):.1f} of {plan.scene.motor.winding_max_C:g}",
                     binding_names(c.row),
@@ -196,7 +196,7 @@ def _page(plan: Plan, rows: Sequence[Row]) -> Figure:
     assert motor is not None
     measures = (
         ("nrmse", 100.0, "NRMSE [%]", None),
-        ("peak_input", 1.0, "peak current [A]", plan.scene.limits.transient_current_A),
+        ("peak_input", 1.0, "peak current [A]", plan.scene.limits.transient_input),
         ("peak_voltage_V", 1.0, "peak voltage [V]", plan.scene.limits.supply_V),
         ("peak_temperature_C", 1.0, "winding [C]", motor.winding_max_C),
     )

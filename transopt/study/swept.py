@@ -131,7 +131,7 @@ def lead_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
-    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_current_A
+    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
     error = entry_grid(plan, rows, "nrmse")
     rates = plan.axes[0].values
     at = np.unravel_index(int(np.nanargmax(used[0] - used[-1])), used[-1].shape)
@@ -148,7 +148,7 @@ def rate_finding(plan: Plan, rows: Sequence[Row]) -> str:
 
 def rate_figure(plan: Plan, rows: Sequence[Row]) -> Figure:
     """Beta that the optimum uses, and its error, over the tap rate; a line per entry."""
-    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_current_A
+    used = entry_grid(plan, rows, "peak_input") / plan.scene.limits.steady_input
     error = 100 * entry_grid(plan, rows, "nrmse")
     rates = plan.axes[0].values
     figure = Figure(figsize=(7.4, 3.7), layout="constrained")

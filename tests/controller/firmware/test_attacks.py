@@ -212,7 +212,7 @@ def test_a_scale_beyond_single_precision_commands_no_nan(start: Start, scale_A: 
 
 
 def test_the_flowing_current_is_not_forgotten_by_a_configuration_in_one_write(start: Start) -> None:
-    hard = replace(EXCITED, amplifier=replace(AMPLIFIER, command_limit_A=6.0), stuck_A_s=1e3)
+    hard = replace(EXCITED, amplifier=replace(AMPLIFIER, command_limit=6.0), stuck_A_s=1e3)
     command = np.zeros((1, 1, 200))
     command[..., 0:2] = 6.0
     command[..., 2:-20] = 4.0

@@ -116,7 +116,7 @@ def test_numbers_that_do_not_belong_together(device: Talker, name: str, value: f
         (replace(SETTINGS, dt_s=2e-4), Reason.BAD_TIMING),
         (replace(SETTINGS, window_ticks=257), Reason.BEYOND_HARDWARE),
         (replace(SETTINGS, current_limit_A=10.5), Reason.BEYOND_HARDWARE),
-        (replace(SETTINGS, amplifier=replace(AMPLIFIER, command_limit_A=11.0)), Reason.BEYOND_HARDWARE),
+        (replace(SETTINGS, amplifier=replace(AMPLIFIER, command_limit=11.0)), Reason.BEYOND_HARDWARE),
         (replace(SETTINGS, amplifier=replace(AMPLIFIER, pole_Hz=1e-3)), Reason.BEYOND_HARDWARE),
         (replace(SETTINGS, amplifier=replace(AMPLIFIER, pole_Hz=21e3)), Reason.BEYOND_HARDWARE),
         (

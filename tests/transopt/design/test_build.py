@@ -36,7 +36,7 @@ def assert_entries_are_proven(build: Build) -> None:
         assert entry.status is Status.OPTIMAL, entry.shortfalls
         assert entry.certificate.violation("A") <= 1e-6
         assert entry.certificate.relative_gap <= 1e-6
-        assert entry.played.peak_input <= build.scene.limits.transient_current_A + 1e-6
+        assert entry.played.peak_input <= build.scene.limits.transient_input + 1e-6
         assert entry.played.step_error <= 1e-10
         assert entry.played.scale_m_s2 == np.abs(entry.played.acceleration_m_s2).max()
         # What changes of sign within a period add for ever.

@@ -164,7 +164,7 @@ class TestOfAScene:
 
     def test_knows_what_stands_there(self, scene: Scene, references: list[Reference]) -> None:
         entry = self.entry(scene, references, {})
-        assert entry.value("limits.current_A") == scene.limits.transient_current_A
+        assert entry.value("limits.current_A") == scene.limits.transient_input
         assert entry.value("limits.supply_V") is None
         assert entry.value("feedback.stiffness_N_m") is None
         assert entry.value("thermal.ambient_C") == scene.thermal.ambient_C

@@ -24,7 +24,7 @@ from transopt.recordings.reference import Reference
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
-AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit_A=6.0)
+AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit=6.0)
 DT_S = 1e-4
 COUNT_m = 24.5e-6
 WALL = Wall(

@@ -14,7 +14,7 @@ from transopt.problem.heat import Budget, HeatModel, heating
 from transopt.problem.limits.temperature import temperature_limit
 from transopt.scene.scene import Scene
 
-AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=0.0, command_limit_A=6.0)
+AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=0.0, command_limit=6.0)
 DT_S = 1e-4
 
 

@@ -231,7 +231,7 @@ def test_keys_of_a_scene_on_a_model_file(make: Make) -> None:
     paths = {key.path: key for key in keys(scene)}
     assert paths["model.device.moving_mass_kg"].unit == "kg"
     assert not [path for path in paths if "covariance" in path or "nrmse" in path or "sources" in path]
-    assert with_values(scene, {"limits.beta": 2.0}).limits.transient_current_A == 2.5
+    assert with_values(scene, {"limits.beta": 2.0}).limits.transient_input == 2.5
     heavier = with_values(scene, {"model.device.stylus_mass_kg": 0.05})
     assert isinstance(heavier.model, IdentifiedModel)
     assert heavier.plant(3.0).A[4, 4] == pytest.approx(scene.plant(3.0).A[4, 4] * 0.026 / 0.05)

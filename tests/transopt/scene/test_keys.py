@@ -74,9 +74,9 @@ class TestChanges:
     def test_one_statement_of_the_limit_takes_the_place_of_the_other(self, scene: Scene) -> None:
         assert scene.limits.beta == 3.2
         stated = with_values(scene, {"limits.current_A": 3.0})
-        assert (stated.limits.beta, stated.limits.transient_current_A) == (None, 3.0)
+        assert (stated.limits.beta, stated.limits.transient_input) == (None, 3.0)
         back = with_values(stated, {"limits.beta": 2.0})
-        assert (back.limits.current_A, back.limits.transient_current_A) == (None, 2.5)
+        assert (back.limits.current_A, back.limits.transient_input) == (None, 2.5)
 
     def test_both_statements_at_once_are_refused(self, scene: Scene) -> None:
         with pytest.raises(InputError, match="give beta or current_A, not both"):

@@ -32,7 +32,7 @@ from transopt.solvers import riccati
 from transopt.solvers.choose import global_bound, solve
 from transopt.solvers.options import SolverOptions
 
-AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit_A=6.0)
+AMPLIFIER = Amplifier(pole_Hz=1050.0, delay_s=68e-6, command_limit=6.0)
 DT_S = 1e-4
 RATE_Hz = 8.0  # of taps that repeat
 Maker = Callable[..., TransientProblem]

@@ -79,6 +79,6 @@ class TestAxes:
 
     def test_settings_hold_for_all_points(self, scene: Scene) -> None:
         changed = apply_settings(scene, ["limits.current_A=2"], FILES)
-        assert changed.limits.transient_current_A == pytest.approx(2.0)
+        assert changed.limits.transient_input == pytest.approx(2.0)
         with pytest.raises(InputError, match="one value; --vary takes several"):
             apply_settings(scene, ["limits.current_A=2,3"])

@@ -125,7 +125,7 @@ class TestNamed:
         assert best.worst < 0.2
         assert worst.worst > 0.5
         plan, rows = found.studies["faulhaber_0816k003sr"]
-        assert plan.scene.limits.transient_current_A == 0.55
+        assert plan.scene.limits.transient_input == 0.55
         assert max(float(row["peak_input"]) for row in rows) <= 0.55 + 1e-6
         assert max(float(row["peak_voltage_V"]) for row in rows) <= motors.RAIL_V * 1.001
         text = "\n".join(found.report("motors.png", []))

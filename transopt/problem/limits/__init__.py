@@ -7,25 +7,36 @@ follow from it.
 from collections.abc import Mapping
 from typing import Any
 
-from transopt.problem.limits.command import CommandLimit
-from transopt.problem.limits.current import CurrentLimit
+from transopt.plant.state_space import CURRENT_INPUT, Input
+from transopt.problem.limits.command import CommandLimit, VoltageCommandLimit
+from transopt.problem.limits.current import CoilCurrentLimit, CurrentLimit
 from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.own import LawOf, OwnLimit, outputs_needed, own_limits
-from transopt.problem.limits.slew import SlewLimit
+from transopt.problem.limits.slew import SlewLimit, VoltageSlewLimit
 from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.limits.velocity import VelocityLimit
+from transopt.problem.limits.voltage import VoltageLimit
 
 KINDS: tuple[type[Limit], ...] = (
     CurrentLimit,
+    VoltageLimit,
     CommandLimit,
+    VoltageCommandLimit,
     SlewLimit,
+    VoltageSlewLimit,
+    CoilCurrentLimit,
     SupplyLimit,
     StrokeLimit,
     VelocityLimit,
     TemperatureLimit,
 )
+
+
+def kinds_of(driven_by: Input) -> list[type[Limit]]:
+    """The kinds that a plant with this input may have."""
+    return [kind for kind in KINDS if kind.concerns(driven_by)]
 
 
 def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = None) -> Limits:
@@ -41,7 +52,8 @@ def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = Non
     ------
     InputError : a number that is no limit.
     """
-    made = (kind.posed(asked, setting) for kind in KINDS if kind.implied or asked.get(kind.key) is not None)
+    kinds = kinds_of(setting.stage.plant.driven_by)
+    made = (kind.posed(asked, setting) for kind in kinds if kind.implied or asked.get(kind.key) is not None)
     tables = asked.get(OwnLimit.key)
     own = own_limits(tables, setting, law_of) if tables else ()
     return Limits((*(limit for limit in made if limit is not None), *own))
@@ -49,13 +61,15 @@ def posed(asked: Mapping[str, Any], setting: Setting, law_of: LawOf | None = Non
 
 def limits_of(*limits: Limit | None) -> Limits:
     """These limits, in the order of `KINDS`; None stands for none."""
-    order = {kind.name: j for j, kind in enumerate(KINDS)}
+    order: dict[str, int] = {}
+    for j, kind in enumerate(KINDS):
+        order.setdefault(kind.name, j)
     given = [each for each in limits if each is not None]
     return Limits(tuple(sorted(given, key=lambda limit: order.get(limit.name, len(order)))))
 
 
-def needed_outputs(asked: Mapping[str, Any]) -> tuple[str, ...]:
+def needed_outputs(asked: Mapping[str, Any], driven_by: Input = CURRENT_INPUT) -> tuple[str, ...]:
     """Outputs that a stage has to name for the limits that a scene asks for."""
-    needed = [name for kind in KINDS if asked.get(kind.key) is not None for name in kind.needs]
+    needed = [name for kind in kinds_of(driven_by) if asked.get(kind.key) is not None for name in kind.needs]
     tables = asked.get(OwnLimit.key)
-    return tuple(dict.fromkeys([*needed, *(outputs_needed(tables) if tables else ())]))
+    return tuple(dict.fromkeys([*needed, *(outputs_needed(tables, driven_by) if tables else ())]))

@@ -1,10 +1,11 @@
-"""|c_k| <= range of the amplifier's command."""
+"""|c_k| <= range of the amplifier's command, a current or a voltage."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from transopt.plant.discretise import TimeGrid
+from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits.limit import COMMAND, Limit, Posed, Row, Setting, positive
 
 
@@ -16,6 +17,7 @@ class CommandLimit(Limit):
     label: ClassVar[str] = "command"
     unit: ClassVar[str] = "A"
     step_unit: ClassVar[str] = "A"
+    driven_by = CURRENT_INPUT
     implied: ClassVar[bool] = True
     row_names: ClassVar[tuple[str, ...]] = ("command",)
     in_every_file: ClassVar[bool] = True
@@ -26,7 +28,7 @@ class CommandLimit(Limit):
     limit: float
 
     def __post_init__(self) -> None:
-        positive("command_A", self.limit)
+        positive(f"command_{self.unit}", self.limit)
 
     @property
     def stated(self) -> float:
@@ -35,11 +37,11 @@ class CommandLimit(Limit):
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         amplifier = setting.stage.amplifier
-        return None if amplifier is None else cls(amplifier.command_limit_A)
+        return None if amplifier is None else cls(amplifier.command_limit)
 
     @classmethod
     def relieved_by(cls) -> Mapping[str, bool]:
-        return {"amplifier.command_limit_A": True}
+        return {f"amplifier.command_limit_{cls.unit}": True}
 
     def wider(self, factor: float) -> Self:
         return type(self)(factor * self.limit)
@@ -54,4 +56,13 @@ class CommandLimit(Limit):
         return self.limit
 
     def replayed(self, peak: float) -> str:
-        return f"command {peak:.6f} A, limit {self.limit:g} A"
+        return f"command {peak:.6f} {self.unit}, limit {self.limit:g} {self.unit}"
+
+
+@dataclass(frozen=True, repr=False)
+class VoltageCommandLimit(CommandLimit):
+    """The same of a voltage amplifier [V], a class-D stage's rail."""
+
+    unit: ClassVar[str] = "V"
+    step_unit: ClassVar[str] = "V"
+    driven_by = VOLTAGE_INPUT

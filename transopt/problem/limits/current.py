@@ -1,55 +1,46 @@
-"""|i(t)| <= I for all t (seed Eq. 8): the transient limit of the motor.
+"""|i(t)| <= I for all t: of a motor that a current drives its transient limit (seed Eq. 8), else that of a coil."""
 
-The current goes monotonically from one switching instant to the next, so a box on i(tau_k) bounds it for all t.
-"""
-
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
-from transopt.plant.discretise import TimeGrid
-from transopt.problem.limits.limit import COMMAND, CURRENT, Limit, Posed, Row, Setting, positive
+import numpy as np
+
+from transopt.base.signals import FloatArray
+from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
+from transopt.problem.limits.input import InputLimit
+from transopt.problem.limits.limit import Setting
+from transopt.problem.limits.output import OutputLimit
 
 
 @dataclass(frozen=True, repr=False)
-class CurrentLimit(Limit):
-    """The limit on the total current [A], > 0."""
+class CurrentLimit(InputLimit):
+    """The limit on the total current [A], > 0, where a current is the input."""
 
     name: ClassVar[str] = "current"
     label: ClassVar[str] = "current"
     unit: ClassVar[str] = "A"
     step_unit: ClassVar[str] = "A"
     key: ClassVar[str] = "current_A"
+    driven_by = CURRENT_INPUT
     row_names: ClassVar[tuple[str, ...]] = ("current",)
-    in_every_file: ClassVar[bool] = True
-    after_the_waveform: ClassVar[bool] = True
-    scales_movement: ClassVar[bool] = True
-    indispensable: ClassVar[bool] = True
-    price_step: ClassVar[float] = 1.0
 
-    limit: float
 
-    def __post_init__(self) -> None:
-        positive(self.key, self.limit)
+@dataclass(frozen=True, repr=False)
+class CoilCurrentLimit(OutputLimit):
+    """The limit on the current of a coil that a voltage drives [A], > 0: an output of the plant like any other."""
 
-    @property
-    def stated(self) -> float:
-        return self.limit
+    name: ClassVar[str] = "current"
+    label: ClassVar[str] = "coil current"
+    unit: ClassVar[str] = "A"
+    step_unit: ClassVar[str] = "A"
+    key: ClassVar[str] = "current_A"
+    driven_by = VOLTAGE_INPUT
+    row_names: ClassVar[tuple[str, ...]] = ("current",)
+    needs: ClassVar[tuple[str, ...]] = ("current",)
+    of_one_device: ClassVar[bool] = True
+    said_without: ClassVar[str] = "the scene states no limit on the coil's current"
+    output: ClassVar[str] = "current"
 
-    @classmethod
-    def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
-        return cls(asked[cls.key])
-
-    def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.limit)
-
-    def rows(self, problem: Posed) -> tuple[Row, ...]:
-        # An ideal amplifier has no state of its own: its current is the command.
-        flows = COMMAND if problem.stage.amplifier is None else CURRENT
-        return (Row("current", {flows: 1.0}, -self.limit, self.limit),)
-
-    def command_bound(self, *, ideal: bool) -> float:
-        return self.limit if ideal else super().command_bound(ideal=ideal)
-
-    def reach(self, grid: TimeGrid) -> float:
-        return self.limit
+    @staticmethod
+    def nominal_part(setting: Setting) -> FloatArray:
+        return np.zeros(setting.grid.stages)

@@ -21,13 +21,14 @@ from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
 from transopt.plant.discretise import AFTER, Motion, StageModel, TimeGrid
+from transopt.plant.state_space import Input
 from transopt.plant.wall import HandOver
 from transopt.problem.heat import Budget
 
 # Outputs that every stage has, all at the switching instant tau_k; a stage may name more (`StageModel.outputs`).
-CURRENT = "current"  # i(tau_k) [A]
-COMMAND = "command"  # c_k, felt from tau_k on [A]
-HELD = "held command"  # c_(k-1), felt until tau_k [A]
+INPUT = "plant input"  # u(tau_k), a current [A] or a voltage [V]
+COMMAND = "command"  # c_k, felt from tau_k on, in the unit of the input
+HELD = "held command"  # c_(k-1), felt until tau_k
 VELOCITY = "velocity"  # dy/dt of the motor mass [m/s]
 
 SIDES = ("lower", "upper")  # of a row
@@ -99,7 +100,7 @@ def _everywhere(value: float, stages: int) -> FloatArray:
 
 def output_values(name: str, motion: Motion, command: FloatArray) -> FloatArray:
     """(..., N) one output along a command (..., N)."""
-    if name == CURRENT:
+    if name == INPUT:
         return motion.plant_input
     if name == COMMAND:
         return command
@@ -127,7 +128,7 @@ def transposed(
     by_command = by.pop(COMMAND, nothing)
     if (by_held := by.pop(HELD, None)) is not None:
         by_command = by_command + np.append(by_held[1:], 0.0)
-    return Motion(nothing, by.pop(CURRENT, nothing), by.pop(VELOCITY, nothing), nothing, by), by_command
+    return Motion(nothing, by.pop(INPUT, nothing), by.pop(VELOCITY, nothing), nothing, by), by_command
 
 
 class Posed(Protocol):
@@ -169,6 +170,11 @@ class Setting:
     nominal_m: FloatArray
     nominal_m_s: FloatArray
 
+    def input_limit(self, asked: Mapping[str, Any]) -> float:
+        """The number among those asked for that bounds the plant's input."""
+        driven_by = self.stage.plant.driven_by
+        return float(asked[f"{driven_by.name}_{driven_by.unit}"])
+
 
 @dataclass(frozen=True)
 class Limit(ABC):
@@ -180,6 +186,7 @@ class Limit(ABC):
     label : how it is called where it binds.
     unit : of what it bounds. step_unit : of differences.
     key : its number in a scene, below `limits`; empty where the number stands elsewhere.
+    driven_by : the input of the plants that may have it; None for any.
     implied : whether a problem may have it although the scene states no number for it below `limits`.
     row_names : of all rows that it can have. sides : on which they are bounded.
     needs : outputs of the stage that its rows use beyond those that every stage has.
@@ -199,6 +206,7 @@ class Limit(ABC):
     unit: ClassVar[str]
     step_unit: ClassVar[str]
     key: ClassVar[str] = ""
+    driven_by: ClassVar[Input | None] = None
     implied: ClassVar[bool] = False
     row_names: ClassVar[tuple[str, ...]]
     sides: ClassVar[tuple[str, ...]] = SIDES
@@ -248,6 +256,11 @@ class Limit(ABC):
         """The bound of a side where it binds."""
         sign = {"lower": "-", "upper": "+" if two_sided else ""}[side]
         return f"{sign}{self.stated:.8g}"
+
+    @classmethod
+    def concerns(cls, driven_by: Input) -> bool:
+        """Whether a plant with this input may have it."""
+        return cls.driven_by in (None, driven_by)
 
     @classmethod
     def stored_with(cls, row: str) -> str:
@@ -360,9 +373,14 @@ class Limits:
         return Limits(tuple(limit if each.name == limit.name else each for each in self.members))
 
     @property
+    def input(self) -> Limit:
+        """The limit on the plant's input, which every problem has."""
+        return next(limit for limit in self.members if limit.scales_movement)
+
+    @property
     def input_limit(self) -> float:
-        """I, the unit of the movement's weight: the limit on |i(t)|."""
-        return self["current"].stated
+        """U, the unit of the movement's weight: the limit on |u(t)|."""
+        return self.input.stated
 
     def command_bound(self, *, ideal: bool) -> float:
         """The bound on |c| that every admissible command obeys; that on the current where nothing else states one."""

@@ -54,7 +54,7 @@ class OutputLimit(Limit):
         stage, own = setting.stage, cls.nominal_part(setting)
         # To tau_N the nominal motion goes on straight.
         nominal = np.append(own, 2 * own[-1] - own[-2])
-        largest = asked["current_A"] if stage.amplifier is None else stage.amplifier.command_limit_A
+        largest = setting.input_limit(asked) if stage.amplifier is None else stage.amplifier.command_limit
         curved = float(np.abs(np.diff(nominal, 2)).max(initial=0.0)) / 8
         return cls(asked[cls.key], nominal, _excursion(stage, cls.output, setting.grid.stages) * largest + curved)
 
@@ -112,7 +112,7 @@ class OutputLimit(Limit):
 
 
 def _excursion(stage: StageModel, output: str, stages: int) -> float:
-    """Largest |q - its chord| within a servo period per ampere of command, over all commands of at most that size."""
+    """Largest |q - its chord| within a servo period per unit of command, over all commands of at most that size."""
     row = stage.outputs[output]
     impulse = np.eye(1, stages + 1)[0]
     states, largest = stage.states(impulse), 0.0

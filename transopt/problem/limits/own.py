@@ -14,9 +14,10 @@ import numpy as np
 from transopt.base.errors import InputError
 from transopt.base.signals import FloatArray
 from transopt.plant.discretise import AFTER, Motion
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, Limit, Posed, Row, Setting, output_values
+from transopt.plant.state_space import Input
+from transopt.problem.limits.limit import COMMAND, HELD, INPUT, Limit, Posed, Row, Setting, output_values
 
-OF_EVERY_STAGE = (CURRENT, COMMAND, HELD)
+OF_EVERY_STAGE = (COMMAND, HELD)
 
 
 class Law(Protocol):
@@ -126,10 +127,10 @@ class OwnLimit(Limit):
         return f"{self.lower if side == 'lower' else self.upper:.8g}"
 
 
-def outputs_needed(tables: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Outputs that a stage has to name for these limits."""
+def outputs_needed(tables: Sequence[Mapping[str, Any]], driven_by: Input) -> list[str]:
+    """Outputs that a stage has to name for these limits; it has the input and the commands anyway."""
     named = [name.removesuffix(AFTER) for table in tables for name in table["outputs"]]
-    return [name for name in dict.fromkeys(named) if name not in OF_EVERY_STAGE]
+    return [name for name in dict.fromkeys(named) if name not in (*OF_EVERY_STAGE, driven_by.name)]
 
 
 def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: LawOf | None) -> tuple[OwnLimit, ...]:
@@ -140,10 +141,12 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
     InputError : offsets for another number of stages, or an expression that is not linear where nothing computes it.
     """
     found = []
+    driven_by = setting.stage.plant.driven_by.name
     for table in tables:
+        names = [INPUT if name == driven_by else name for name in table["outputs"]]
         lower = -np.inf if table["lower"] is None else float(table["lower"])
         upper = np.inf if table["upper"] is None else float(table["upper"])
-        part = {name: _nominal(name, setting) for name in table["outputs"]}
+        part = {name: _nominal(name, setting) for name in names}
         row: Row
         if table["coefficients"] is not None:
             offset = np.asarray(table["offsets"], dtype=float)
@@ -152,13 +155,13 @@ def own_limits(tables: Sequence[Mapping[str, Any]], setting: Setting, law_of: La
                     f"limits.own: {table['name']} was read for {offset.size} stages, the problem has "
                     f"{setting.grid.stages}: load the scene again"
                 )
-            outputs = dict(zip(table["outputs"], table["coefficients"], strict=True))
+            outputs = dict(zip(names, table["coefficients"], strict=True))
             moved = sum((coefficient * part[name] for name, coefficient in outputs.items()), start=offset)
             row = Row(table["name"], outputs, lower, upper, np.broadcast_to(moved, setting.grid.stages))
         else:
             if law_of is None:
                 raise InputError(f"limits.own: {table['name']} is not linear, and nothing here evaluates it")
-            outputs = dict.fromkeys(table["outputs"], 1.0)
+            outputs = dict.fromkeys(names, 1.0)
             row = LawRow(
                 table["name"],
                 outputs,
@@ -178,7 +181,7 @@ def _made(name: str, unit: str, lower: float, upper: float, row: Row) -> OwnLimi
 
 def _nominal(name: str, setting: Setting) -> FloatArray | float:
     """(N,) or 0: what the nominal motion adds to an output. Of a later state it is none: states are deviations."""
-    if name in OF_EVERY_STAGE or name.endswith(AFTER):
+    if name in (INPUT, *OF_EVERY_STAGE) or name.endswith(AFTER):
         return 0.0
     follows = setting.stage.plant.output(name).follows
     if follows == "position":

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from transopt.plant.discretise import TimeGrid
+from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT
 from transopt.problem.limits.limit import COMMAND, HELD, Limit, Posed, Row, Setting, positive
 
 
@@ -17,29 +18,30 @@ class SlewLimit(Limit):
     unit: ClassVar[str] = "A/tick"
     step_unit: ClassVar[str] = "A/tick"
     key: ClassVar[str] = "slew_A_per_s"
+    driven_by = CURRENT_INPUT
     row_names: ClassVar[tuple[str, ...]] = ("slew",)
     said_without: ClassVar[str] = "the scene states no slew limit"
 
-    rate_A_s: float
+    rate: float
     dt_s: float
 
     def __post_init__(self) -> None:
-        positive(self.key, self.rate_A_s)
+        positive(self.key, self.rate)
 
     @property
     def stated(self) -> float:
-        """The largest step [A/tick]."""
-        return self.rate_A_s * self.dt_s
+        """The largest step per tick."""
+        return self.rate * self.dt_s
 
     @classmethod
     def posed(cls, asked: Mapping[str, Any], setting: Setting) -> Self | None:
         return cls(asked[cls.key], setting.grid.dt_s)
 
     def wider(self, factor: float) -> Self:
-        return type(self)(factor * self.rate_A_s, self.dt_s)
+        return type(self)(factor * self.rate, self.dt_s)
 
     def rows(self, problem: Posed) -> tuple[Row, ...]:
-        return (Row("slew", {COMMAND: 1.0, HELD: -1.0}, -self.stated, self.stated),)
+        return (Row(self.row_names[0], {COMMAND: 1.0, HELD: -1.0}, -self.stated, self.stated),)
 
     def reach(self, grid: TimeGrid) -> float:
         return self.stated * grid.stages
@@ -48,4 +50,20 @@ class SlewLimit(Limit):
         bound = problem.limits.command_bound(ideal=problem.stage.amplifier is None)
         if self.stated < 2 * bound:
             return ""
-        return f"no command inside +-{bound:g} A moves by more than {2 * bound:g} A per tick, limit {self.stated:g} A"
+        unit = self.base_unit()
+        return (
+            f"no command inside +-{bound:g} {unit} moves by more than {2 * bound:g} {unit} per tick, limit "
+            f"{self.stated:g} {unit}"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class VoltageSlewLimit(SlewLimit):
+    """The same of a voltage amplifier's command [V/s]."""
+
+    name: ClassVar[str] = "voltage_slew"
+    unit: ClassVar[str] = "V/tick"
+    step_unit: ClassVar[str] = "V/tick"
+    key: ClassVar[str] = "slew_V_per_s"
+    driven_by = VOLTAGE_INPUT
+    row_names: ClassVar[tuple[str, ...]] = ("voltage_slew",)

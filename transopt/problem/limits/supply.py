@@ -18,8 +18,9 @@ import numpy as np
 from transopt.base.signals import FloatArray
 from transopt.plant.circuit import Circuit
 from transopt.plant.coil import CoilModel
+from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.heat import Budget, winding_limit_C
-from transopt.problem.limits.limit import COMMAND, CURRENT, HELD, VELOCITY, Limit, Posed, Row, Setting, positive
+from transopt.problem.limits.limit import COMMAND, HELD, INPUT, VELOCITY, Limit, Posed, Row, Setting, positive
 
 BETWEEN_INSTANTS = 1e-3  # of the rail: within a period only the back-EMF is left to its own devices
 COPPER = "supply_copper_C"  # among a library's limits: the temperatures of the copper at which its rail is kept
@@ -81,6 +82,7 @@ class SupplyLimit(Limit):
     of_one_device: ClassVar[bool] = True
     price_step: ClassVar[float] = 1.0
     asks_for: ClassVar[str] = "the motor's circuit and an amplifier with a pole"
+    driven_by = CURRENT_INPUT
     said_without: ClassVar[str] = "the scene states no supply limit"
 
     limit_V: float
@@ -143,7 +145,7 @@ class SupplyLimit(Limit):
     def rows(self, problem: Posed) -> tuple[Row, ...]:
         found, volts, nominal = list[Row](), self.limit_V, self.nominal_V
         for end in self.ends:
-            common, by_command = {CURRENT: self._by_current(end), VELOCITY: self.emf_V_s_m}, self._by_command(end)
+            common, by_command = {INPUT: self._by_current(end), VELOCITY: self.emf_V_s_m}, self._by_command(end)
             for side, command in (("before", HELD), ("after", COMMAND)):
                 outputs = {**common, command: by_command}
                 found.append(Row(f"{end.rows}_{side}", outputs, -volts, volts, nominal, end.said))

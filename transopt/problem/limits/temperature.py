@@ -22,6 +22,7 @@ from transopt.plant.coil import (
     following_square_mean,
 )
 from transopt.plant.discretise import TimeGrid
+from transopt.plant.state_space import CURRENT_INPUT
 from transopt.plant.wall import HandOver, reference_course
 from transopt.problem.heat import Budget, HeatModel, heat_model, steady_margin_K, winding_limit_C
 from transopt.problem.limits.limit import VIOLATION_TOLERANCE, Limit, Posed, Setting
@@ -52,6 +53,7 @@ class TemperatureLimit(Limit):
     sides: ClassVar[tuple[str, ...]] = ("upper",)
     price_step: ClassVar[float] = 10.0
     asks_for: ClassVar[str] = "the motor whose winding it is"
+    driven_by = CURRENT_INPUT
     said_without: ClassVar[str] = "the scene has no motor data"
 
     coil: CoilModel

@@ -1,0 +1,40 @@
+"""An inertial actuator, as an LRA in a phone: a moving mass in a case, by what its datasheet states.
+
+The resonance f0 and its quality Q are those of the mounted actuator with its terminals open, so of the moving mass
+against the case: with the reduced mass mu = m M / (m + M), k = mu (2 pi f0)^2 and c = mu 2 pi f0 / Q. A datasheet
+states them on a jig of some 100 g, which is the case then. Outputs: "position" and "velocity" of the mass against the
+case, whose stroke ends at its stops, and "current" where a voltage drives a coil with an inductance.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from transopt.base.section import Positive
+from transopt.plant.motor import Tip
+from transopt.plant.moving_coil import MovingCoil, moving_coil
+from transopt.plant.state_space import StateSpace
+
+
+class Inertial(MovingCoil):
+    """A mass on a spring in a case that it shakes: an LRA, by f0, Q, moving mass, force factor, R and L."""
+
+    kind: Literal["inertial"]
+    resonance_Hz: Positive
+    quality: Positive
+    moving_mass_kg: Positive
+    case_mass_kg: Positive
+
+    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+        w = 2 * np.pi * self.resonance_Hz
+        reduced_kg = self.moving_mass_kg * self.case_mass_kg / (self.moving_mass_kg + self.case_mass_kg)
+        return moving_coil(
+            moving_mass_kg=self.moving_mass_kg,
+            case_mass_kg=self.case_mass_kg,
+            stiffness_N_m=reduced_kg * w**2,
+            damping_N_s_m=reduced_kg * w / self.quality,
+            force_factor_N_A=self.force_factor_N_A,
+            R_ohm=self.resistance_in_the_way_ohm,
+            L_H=self.L_H,
+            struck=struck,
+        )

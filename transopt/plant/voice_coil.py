@@ -1,0 +1,42 @@
+"""A voice coil: at the tip of a stylus or a shaker's table, or with a moving magnet in a case.
+
+Outputs: "position" and "velocity" of the moving part against what holds it, and "current" where a voltage drives a
+coil with an inductance.
+"""
+
+from typing import Literal
+
+from transopt.base.section import NonNegative, Positive
+from transopt.plant.motor import Tip, Winding
+from transopt.plant.moving_coil import MovingCoil, moving_coil
+from transopt.plant.state_space import StateSpace
+
+
+class VoiceCoil(MovingCoil):
+    """A coil in a magnet, by moving mass, suspension, force factor BL, R and L; in a case if one is stated.
+
+    Its coil's temperature is known where `winding` is stated and a current drives it.
+    """
+
+    kind: Literal["voice_coil"]
+    moving_mass_kg: Positive
+    case_mass_kg: Positive | None = None
+    stiffness_N_m: NonNegative = 0.0
+    damping_N_s_m: NonNegative
+    winding: Winding | None = None
+
+    @property
+    def known_winding(self) -> Winding | None:
+        return self.winding
+
+    def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
+        return moving_coil(
+            moving_mass_kg=self.moving_mass_kg,
+            case_mass_kg=self.case_mass_kg,
+            stiffness_N_m=self.stiffness_N_m,
+            damping_N_s_m=self.damping_N_s_m,
+            force_factor_N_A=self.force_factor_N_A,
+            R_ohm=self.resistance_in_the_way_ohm,
+            L_H=self.L_H,
+            struck=struck,
+        )
