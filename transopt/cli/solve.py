@@ -162,8 +162,7 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
                 options=wanted.options,
                 progress=tell,
             )
-        grid = scene.grid if refinement is None else refinement.grid
-        tell("entries", 0, len(grid.speeds_m_s) * len(grid.grips_N))
+        tell("entries", 0, scene.axes.entries if refinement is None else refinement.entries)
         build = build_library(
             scene,
             taps,
@@ -180,21 +179,21 @@ def _build(wanted: Wanted) -> "tuple[Build, list[str]]":
 def _print(console: "Console", build: "Build", written: str, unfit: str) -> None:
     """The table, what deserves a second look, what was refused and why; the last line sums up."""
     from transopt.report.identified import model_warning, moving_target
-    from transopt.report.tables import LEGEND, build_table, refinement_summary, refusal, summary, warnings
+    from transopt.report.tables import build_table, legend, refinement_summary, refusal, summary, warnings
     from transopt.report.taps import implausible_lines
 
     def line(text: str, style: str | None = None) -> None:
         console.print(text, style=style, highlight=False, soft_wrap=True)
 
     console.print(build_table(build, console.width))
-    console.print(LEGEND, style="dim", highlight=False)
+    console.print(legend(build.scene), style="dim", highlight=False)
     doubtful = {tap.recording.name for reference in build.references for tap in reference.taps if tap.notes}
     if doubtful:
         console.print(f"recordings with notes, see the report: {len(doubtful)}", style="yellow")
     for warning in (*warnings(build), *filter(None, [model_warning(build), moving_target(build.scene)])):
         line(warning, "yellow")
     for entry in build.refused:
-        line(f"refused: {entry.speed_m_s:g} m/s, {entry.grip_N:g} N: {refusal(entry)}", "red")
+        line(f"refused: {entry.place}: {refusal(entry)}", "red")
     if build.refinement is not None:
         line(refinement_summary(build.refinement), "red" if build.refinement.shortfall else None)
     line(written)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from transopt.base.axes import Axes
 from transopt.base.shown import cut, html_figure, html_table, wrapped
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.base.writing import percent
@@ -66,6 +67,8 @@ class Entry:
 
     Attributes
     ----------
+    speed_m_s, grip_N : that it is for; 0 where it is for a named target.
+    target : its name; empty for a tap.
     predicted_m_s2, plant_input : (N,) y'' and i of the command at the switching instants.
     floor : NRMSE of the unlimited optimum. free_peak : its peak current.
     transient_command : (N,) the command without the wall's predicted feedback; the command itself without a wall.
@@ -80,6 +83,7 @@ class Entry:
 
     speed_m_s: float
     grip_N: float
+    target: str
     problem: TransientProblem
     solution: Solution
     certificate: Certificate
@@ -108,19 +112,37 @@ class Entry:
             if self.status is Status.OPTIMAL
             else f"refused: {cut('; '.join(self.shortfalls) or self.status.value)}"
         )
-        return wrapped(f"Entry({self.speed_m_s:g} m/s, {self.grip_N:g} N: {found})")
+        return wrapped(f"Entry({self.place}: {found})")
+
+    @property
+    def place(self) -> str:
+        """Which entry it is, in a sentence."""
+        return self._axes.place(0, 0)
+
+    @property
+    def cells(self) -> list[str]:
+        """Which entry it is, in the columns of a table (`Axes.columns`)."""
+        return self._axes.cells(0, 0)
+
+    @property
+    def _axes(self) -> Axes:
+        return Axes((self.speed_m_s,), (self.grip_N,), (self.target,) if self.target else ())
+
+    @property
+    def unit(self) -> str:
+        """Of its commands: "A" or "V"."""
+        return self.problem.driven_by.unit
 
     def _repr_html_(self) -> str:
         """Table and figure in a notebook."""
         rows = [
-            ["speed", f"{self.speed_m_s:g} m/s"],
-            ["grip", f"{self.grip_N:g} N"],
+            ["entry", self.place],
             ["NRMSE", f"{percent(self.nrmse)} %"],
             ["floor, the same without limits", f"{percent(self.floor)} %"],
             *self._after_rows(),
             ["seed inversion", f"{percent(self.baselines.seed)} %"],
             ["clipped optimum", f"{percent(self.baselines.clipped)} %"],
-            ["peak current", f"{self.played.peak_input:.3f} A"],
+            [f"peak {self.problem.driven_by.name}", f"{self.played.peak_input:.3f} {self.unit}"],
             ["what binds", self.binding],
             ["J", f"{self.certificate.objective:.6g}, gap {self.certificate.relative_gap:.0e}"],
             ["verdict", "; ".join([self.verdict, *self.shortfalls])],
@@ -344,6 +366,7 @@ def _entry(
     return Entry(
         speed_m_s=reference.speed_m_s,
         grip_N=grip_N,
+        target=reference.name,
         problem=problem,
         solution=solution,
         certificate=designed.certificate,

@@ -186,10 +186,11 @@ def _rounding(problem: TransientProblem, answer: Solution) -> str:
         return ""
     taken = float(np.abs(answer.command).max())
     in_extended = "" if extended is double else f", in extended precision {extended.relative_gap:.1e}"
+    unit = problem.driven_by.unit
     return (
         f"precision: the gap of {double.relative_gap:.1e} is at the rounding of double precision{in_extended}, limit "
-        f"{double.GAP_TOLERANCE:.0e}; the answer takes {taken:.4g} A of {problem.limits.input_limit:.4g} A in "
-        f"{problem.grid.stages} stages"
+        f"{double.GAP_TOLERANCE:.0e}; the answer takes {taken:.4g} {unit} of "
+        f"{problem.limits.input_limit:.4g} {unit} in {problem.grid.stages} stages"
     )
 
 
@@ -262,9 +263,11 @@ def _solved(problem: TransientProblem, options: SolverOptions) -> Designed:
         if inside(problem, other.command) and its_proof.relative_gap < free_proof.relative_gap:
             free, free_proof = other, its_proof
     if free_proof is not None and free.status is Status.OPTIMAL and free_proof.is_stationary:
+        unit = problem.driven_by.unit
         left_out["limits"] = (
-            f"the unlimited optimum is inside all limits: current {peak:.3g} A of {problem.limits.input_limit:g} A, "
-            f"command {np.abs(free.command).max():.3g} A of {problem.command_bound:g} A"
+            f"the unlimited optimum is inside all limits: {problem.driven_by.name} {peak:.3g} {unit} of "
+            f"{problem.limits.input_limit:g} {unit}, "
+            f"command {np.abs(free.command).max():.3g} {unit} of {problem.command_bound:g} {unit}"
         )
         return designed(free, None, [], free_proof)
     hopeless = unavoidable(small)

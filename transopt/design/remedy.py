@@ -21,7 +21,6 @@ from transopt.design.explain import Change, Remedy
 from transopt.design.intensity import best
 from transopt.design.verify import admit
 from transopt.problem.answer import Status
-from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.problem import TransientProblem
 from transopt.proof.replay import Replay
 from transopt.solvers.options import SolverOptions, TrialOptions
@@ -39,7 +38,7 @@ SHORTER = (2.0, 4.0, 8.0)  # times as many servo periods in the same window
 STEADIER = (1e-9, 1e-6, 1e-3)  # weights of the command's movement
 COLD_C = 0.0  # nothing around a coil is asked to be colder
 
-CURRENT, RHO = f"limits.{CurrentLimit.key}", "weights.rho"
+RHO = "weights.rho"
 STIFFNESS, DAMPING, LATENCY = "feedback.stiffness_N_m", "feedback.damping_N_s_m", "feedback.latency_ticks"
 FEEDBACK, TAP_RATE = "feedback", "thermal.tap_rate_Hz"
 PERIOD, STAGES = "time.dt_s", "time.stages"
@@ -241,7 +240,7 @@ def _ways(entry: Adjustable, problem: TransientProblem, status: Status) -> Itera
         return [(key, up) for key, up in moves if _is_movable(entry, key)]
 
     if status is Status.PRECISION:
-        yield [_way(entry, [(CURRENT, False)]), _steadier(entry)]
+        yield [_way(entry, [(f"limits.{problem.limits.input.key}", False)]), _steadier(entry)]
         yield [_shortened(entry)]
         if entry.value(STIFFNESS) is not None:
             yield [_steadier(entry, [FEEDBACK])]

@@ -7,12 +7,15 @@ from time import process_time
 from transopt.base.errors import InputError
 from transopt.design.entry import Entry, entry_problem, scene_stage, spread_stages
 from transopt.design.explain import Change, Remedy, what_would_do
-from transopt.design.remedy import CURRENT, MOST_S, MOTOR, Values, does, remedies
+from transopt.design.remedy import MOST_S, MOTOR, Values, does, remedies
+from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.answer import Status
+from transopt.problem.limits.current import CurrentLimit
 from transopt.problem.limits.own import OwnLimit
 from transopt.problem.problem import TransientProblem
-from transopt.recordings.reference import Reference, build_reference
+from transopt.recordings.reference import Reference
 from transopt.scene.keys import with_values
+from transopt.scene.recordings import sampled_again
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -36,9 +39,9 @@ class SceneEntry:
 
     def value(self, key: str) -> float | None:
         """What stands at a dotted key; None where nothing does, or nothing that this entry depends on."""
-        if key == CURRENT:
+        if key == f"limits.{CurrentLimit.key}" and self.scene.driven_by is CURRENT_INPUT:
             return self.scene.limits.transient_input
-        if key.startswith(COIL) and self.scene.motor is None:
+        if key.startswith(COIL) and self.scene.coil() is None:
             return None
         found: object = self.scene
         for name in key.split("."):
@@ -63,9 +66,7 @@ class SceneEntry:
         if grid != self.scene.time_grid():
             if reference.between_m_s is not None:
                 raise InputError(f"{reference.speed_m_s:g} m/s: not recorded, so not sampled on another time axis")
-            reference = build_reference(
-                reference.speed_m_s, reference.taps, reference.factors, grid, scene.recordings
-            )
+            reference = sampled_again(scene, reference)
         return entry_problem(scene, scene_stage(scene, self.grip_N), reference, spread_stages(scene, self.grip_N))
 
 
@@ -101,6 +102,6 @@ def with_remedies(
 
 def _in_place_of_beta(scene: Scene, remedy: Remedy) -> Remedy:
     """The same for a scene that states its limit on the current by beta, which then has to go."""
-    if scene.limits.beta is None or CURRENT not in remedy.values or BETA in remedy.values:
+    if scene.limits.beta is None or f"limits.{CurrentLimit.key}" not in remedy.values or BETA in remedy.values:
         return remedy
     return replace(remedy, changes=(*remedy.changes, Change(BETA, None, "")))

@@ -85,8 +85,8 @@ def solve(
     first, count = made.refused[0], sum(1 for _ in made.all_entries())
     reason = "; ".join(first.shortfalls) or first.status.value
     raise InputError(
-        f"{made.scene.name}: {len(made.refused)} of {count} entries refused, the first at {first.speed_m_s:g} m/s, "
-        f"{first.grip_N:g} N: {cut(reason, 200)}; transopt.build returns all of them with their reasons"
+        f"{made.scene.name}: {len(made.refused)} of {count} entries refused, the first at "
+        f"{first.place}: {cut(reason, 200)}; transopt.build returns all of them with their reasons"
     )
 
 

@@ -42,6 +42,7 @@ class TradeOff:
 
     Attributes
     ----------
+    place, cells : which entry it is, in a sentence and in the columns of a table.
     waveform : the optimum of J.
     intensity : the one with the energy that the scene asks for, or that of r where it asks for none.
     missing_dB : of that energy, where no lam reaches it.
@@ -50,6 +51,8 @@ class TradeOff:
 
     speed_m_s: float
     grip_N: float
+    place: str
+    cells: list[str]
     waveform: TradeOffPoint
     intensity: TradeOffPoint
     missing_dB: float
@@ -76,6 +79,8 @@ def trade_off(entry: Entry, options: SolverOptions) -> TradeOff | None:
     return TradeOff(
         speed_m_s=entry.speed_m_s,
         grip_N=entry.grip_N,
+        place=entry.place,
+        cells=entry.cells,
         waveform=ends[0],
         intensity=ends[1],
         missing_dB=found.attained.missing_dB,

@@ -90,7 +90,8 @@ def _pushes_elsewhere(played: Replay, problem: TransientProblem, command: FloatA
     off = float(np.abs(played.command - command).max())
     return (
         f"hand-over: the stylus grazes the surface, and the wall pushes at {ticks} of its ticks other than the "
-        f"optimum was sought for: the command is {off:.1e} A off, limit {tolerated(problem.limits.input_limit):.0e} A"
+        f"optimum was sought for: the command is {off:.1e} {problem.driven_by.unit} off, limit "
+        f"{tolerated(problem.limits.input_limit):.0e} {problem.driven_by.unit}"
     )
 
 
@@ -110,10 +111,17 @@ def _after_hand_over(played: Replay, problem: TransientProblem, late: list[Limit
 
 @dataclass(frozen=True)
 class EntryCheck:
-    """One entry checked again from the file alone."""
+    """One entry checked again from the file alone.
 
-    speed_m_s: float
-    grip_N: float
+    Attributes
+    ----------
+    columns, cells : which entry it is, in a table.
+    unit : of its commands.
+    """
+
+    columns: list[str]
+    cells: list[str]
+    unit: str
     certificate: Certificate
     played: Replay
     shortfalls: list[str]
@@ -149,7 +157,9 @@ def _stored(
     found += contradictions(library, iv, ig, effect, certificate, floor, of_bound=Certificate.GAP_TOLERANCE)
     current_off = float(np.abs(library.plant_input[iv, ig] - played.plant_input).max())
     if not current_off <= tolerated(problem.limits.input_limit):
-        found.append(f"current_A differs from the replay by {current_off:.1e} A")
+        found.append(
+            f"{library.in_file('plant_input')} differs from the replay by {current_off:.1e} {library.driven_by.unit}"
+        )
     return found
 
 
@@ -162,7 +172,7 @@ def verify_library(library: Library) -> list[EntryCheck]:
     -------
     One check per entry, speeds outermost; clean where `shortfalls` is empty.
     """
-    options = SolverOptions()
+    options, axes = SolverOptions(), library.axes
     nv, ng, _ = library.command.shape
     checks: dict[tuple[int, int], EntryCheck] = {}
     for ig in range(ng):
@@ -189,8 +199,9 @@ def verify_library(library: Library) -> list[EntryCheck]:
             if status is not Status.OPTIMAL:
                 shortfalls = [f"status in the file: {claimed}"]
             checks[iv, ig] = EntryCheck(
-                speed_m_s=float(library.speeds_m_s[iv]),
-                grip_N=float(library.grips_N[ig]),
+                columns=axes.columns,
+                cells=axes.cells(iv, ig),
+                unit=library.driven_by.unit,
                 certificate=certificate,
                 played=played,
                 shortfalls=shortfalls + _stored(library, iv, ig, problem, certificate, played),

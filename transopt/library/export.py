@@ -50,7 +50,8 @@ def mat_file(library: Library) -> bytes:
     of a char array would have to share one length. MATLAB itself drops trailing dimensions of size 1.
     """
     arrays = library.arrays()
-    cells = {name: arrays[name].astype(object) for name, stated in ARRAYS.items() if stated.is_text}
+    texts = [name for name, stated in ARRAYS.items() if stated.is_text and name in arrays]
+    cells = {name: arrays[name].astype(object) for name in texts}
     file = io.BytesIO()
     content = {**arrays, **cells}
     savemat(file, content, do_compression=True)  # type: ignore[arg-type]  # scipy-stubs forgets file objects

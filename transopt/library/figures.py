@@ -17,10 +17,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from transopt.base.axes import Axes
 from transopt.base.plotting import DARK, LABEL_PT, SMALL_PT, Drawing, colours, plain, style
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
 from transopt.library.library import Library
 from transopt.plant.discretise import TimeGrid
+from transopt.plant.state_space import Input
+from transopt.problem.limits.limit import SIDES
 from transopt.proof.certify import BINDING_MULTIPLIER, BINDING_SLACK
 
 MARKERS = "os^Dv<>P"
@@ -112,28 +115,30 @@ class Transients:
 
     Attributes
     ----------
-    speeds_m_s, grips_N : (nv,), (ng,) the grid.
+    axes : speeds and grips, or named targets.
+    driven_by : what the input is.
     reference_m_s2 : (nv, N + M) r at the switching instants, through the window and after it.
     acceleration_m_s2, plant_input : (nv, ng, N + M) there.
-    limit : the limit of the current. current_multiplier : (nv, ng, N) the larger one of its two sides [1/A].
+    limit : of the input.
+    input_multiplier : (nv, ng, N) the larger one of the limit's two sides.
     """
 
     grid: TimeGrid
-    speeds_m_s: FloatArray
-    grips_N: FloatArray
+    axes: Axes
+    driven_by: Input
     reference_m_s2: FloatArray
     acceleration_m_s2: FloatArray
     plant_input: FloatArray
     limit: float
-    current_multiplier: FloatArray
+    input_multiplier: FloatArray
     hand_over_samples: int
 
     @property
     def limit_binds(self) -> NDArray[np.bool_]:
-        """(nv, ng, N) where the current limit binds, as in `certify.binding_limits`."""
+        """(nv, ng, N) where the limit on the input binds, as in `certify.binding_limits`."""
         within = self.plant_input[..., : self.grid.stages]
         at_limit = np.abs(np.abs(within) - self.limit) < BINDING_SLACK * self.limit
-        return np.asarray(at_limit & (self.current_multiplier > BINDING_MULTIPLIER))
+        return np.asarray(at_limit & (self.input_multiplier > BINDING_MULTIPLIER))
 
     def binding_spans_ms(self, ig: int) -> list[tuple[float, float]]:
         """When the limit binds at a grip, for at least one speed."""
@@ -159,13 +164,13 @@ def library_figure(library: Library) -> Figure:
     return transients_figure(
         Transients(
             grid=grid,
-            speeds_m_s=library.speeds_m_s,
-            grips_N=library.grips_N,
+            axes=library.axes,
+            driven_by=library.driven_by,
             reference_m_s2=np.append(library.reference_m_s2, library.reference_after_m_s2, axis=1),
             acceleration_m_s2=acceleration,
             plant_input=current,
-            limit=library.meta["limits"]["current_A"],
-            current_multiplier=np.maximum(library.array("mu_current_lower"), library.array("mu_current_upper")),
+            limit=library.input_limit,
+            input_multiplier=np.maximum(*(library.array(f"mu_{library.driven_by.name}_{side}") for side in SIDES)),
             hand_over_samples=library.meta["hand_over_samples"],
         )
     )
@@ -175,17 +180,17 @@ def transients_figure(drawn: Transients) -> Figure:
     """Every waveform in the layout of the seed's Fig. 10.
 
     One column per grip; above, the reference r (dashed) and the predicted acceleration (solid) [g], below, the
-    current [A] with its limit. The whole horizon is shown, with what counts after the waveform, whose end a
-    dash-dotted line marks. Where the references have died away the time axis is compressed, and says so. Of a large
-    grid some nodes are drawn, its edges among them; the axis says of how many.
+    input, a current or a voltage, with its limit. The whole horizon is shown, with what counts after the waveform,
+    whose end a dash-dotted line marks. Where the references have died away the time axis is compressed, and says so.
+    Of a large grid some nodes are drawn, its edges among them; the axis says of how many.
     """
     grid = drawn.grid
     times_ms = np.append(grid.switching_times_s, grid.after_times_s) * 1e3
     ends_ms = grid.end_s * 1e3
     end_ms = ends_ms + grid.after_stages * grid.dt_s * 1e3
     axis = _time_axis(times_ms, end_ms, drawn.reference_m_s2)
-    speeds, grips = drawn.speeds_m_s, drawn.grips_N
-    shown_speeds, shown_grips = _some(speeds.size, MOST_SPEEDS), _some(grips.size, MOST_GRIPS)
+    speeds, grips, named = drawn.axes.speeds_m_s, drawn.axes.grips_N, drawn.axes.targets
+    shown_speeds, shown_grips = _some(len(speeds), MOST_SPEEDS), _some(len(grips), MOST_GRIPS)
     limit = drawn.limit
     hand_over_ms = (grid.issue_times_s[-drawn.hand_over_samples] + grid.delay_s) * 1e3
     shades = colours(len(shown_speeds))
@@ -208,7 +213,7 @@ def transients_figure(drawn: Transients) -> Figure:
                 axes.axvspan(*span, color=BINDING, linewidth=0)
         for line, iv in enumerate(shown_speeds):
             line_style: dict[str, Any] = {
-                "label": f"{speeds[iv]:g} m/s",
+                "label": named[iv] if named else f"{speeds[iv]:g} m/s",
                 "color": shades[line],
                 "marker": MARKERS[line % len(MARKERS)],
                 "markersize": 3.5,
@@ -220,24 +225,26 @@ def transients_figure(drawn: Transients) -> Figure:
             above.plot(times_ms, reference / STANDARD_GRAVITY_M_S2, color=DARK, linewidth=0.8, linestyle="--")
         for sign in (1, -1):
             below.axhline(sign * limit, color=DARK, linewidth=1.0, linestyle=":")
-        above.set_title(grip_label(grips[ig]), fontsize=LABEL_PT)
+        if not named:
+            above.set_title(grip_label(grips[ig]), fontsize=LABEL_PT)
     rows[0, 0].set_xscale("function", functions=(axis.forward, axis.inverse))
     rows[0, 0].set_xlim(*axis.limits_ms)
     rows[0, 0].set_xticks(axis.ticks_ms, [plain(tick) for tick in axis.ticks_ms])
     for axes in rows[:, 0]:
         axes.yaxis.set_major_locator(MaxNLocator(6, steps=TICK_STEPS))
     rows[0, 0].set_ylabel("acceleration [g]", fontsize=LABEL_PT)
-    rows[1, 0].set_ylabel("current [A]", fontsize=LABEL_PT)
+    rows[1, 0].set_ylabel(f"{drawn.driven_by.name} [{drawn.driven_by.unit}]", fontsize=LABEL_PT)
     squeezed = f"compressed {axis.factor:.1f} times after {axis.knee_ms:g} ms, " if axis.factor > 1 else ""
-    whole = len(shown_speeds) == speeds.size and len(shown_grips) == grips.size
-    some = "" if whole else f"; {len(shown_speeds)} of {speeds.size} speeds, {len(shown_grips)} of {grips.size} grips"
-    label = f"time after contact [ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
+    whole = len(shown_speeds) == len(speeds) and len(shown_grips) == len(grips)
+    rows_of = f"{len(shown_speeds)} of {len(speeds)} {'targets' if named else 'speeds'}"
+    some = "" if whole else f"; {rows_of}, {len(shown_grips)} of {len(grips)} grips"
+    label = f"time {'' if named else 'after contact '}[ms]\n{squeezed}hand-over from {hand_over_ms:.1f} ms{some}"
     figure.supxlabel(label, fontsize=LABEL_PT)
 
     handles = [
         *rows[1, 0].get_legend_handles_labels()[0],
         Line2D([], [], color=DARK, linewidth=0.8, linestyle="--", label="reference"),
-        Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} A"),
+        Line2D([], [], color=DARK, linewidth=1.0, linestyle=":", label=f"limit {limit:g} {drawn.driven_by.unit}"),
         *([Patch(color=BINDING, label="limit binds")] if binds else []),
         *([Line2D([], [], label="waveform ends", **END)] if grid.after_stages else []),
     ]

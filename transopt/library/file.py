@@ -63,7 +63,7 @@ def _check_meta(path: Path, text: NDArray[Any]) -> dict[str, Any]:
         raise InputError(f"{path}: meta is not JSON ({error}); solve the scene again") from None
     schema = meta.get("schema") if isinstance(meta, dict) else None
     if not isinstance(meta, dict) or isinstance(schema, bool) or schema not in SCHEMAS:
-        known = " and ".join(map(str, SCHEMAS))
+        known = f"{', '.join(map(str, SCHEMAS[:-1]))} and {SCHEMAS[-1]}"
         raise InputError(f"{path}: schema {cut(repr(schema))}, this version reads {known}; solve the scene again")
     if missing := lacking(meta, int(schema)):
         raise InputError(f"{path}: meta lacks {', '.join(missing)}; solve the scene again")

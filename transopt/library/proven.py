@@ -99,7 +99,7 @@ def _of_grip(library: Library, ig: int) -> Iterator[str]:
     yield from _rivals(library, ig, stage)
     floors = Floors()
     for iv in range(library.speeds_m_s.size):
-        where = f"entry {library.speeds_m_s[iv]:g} m/s, {library.grips_N[ig]:g} N: "
+        where = f"entry {library.axes.place(iv, ig)}: "
         problem, command = library.problem(iv, ig, stage), library.command[iv, ig]
         effect = Effect(problem, command)
         proof = proof_of(effect, library.multipliers(iv, ig), _bound_by_interior_point)
@@ -270,7 +270,8 @@ def _predictions(library: Library, iv: int, ig: int, effect: Effect) -> Iterator
     # A wall pushes on after the waveform; its limit there is the replay's to check.
     most = problem.limits.input_limit * (1 + SAME) if problem.wall is not None else peak * (1 + FIGURE) + ROUNDING
     if not peak * (1 - FIGURE) - ROUNDING <= stored <= most:
-        yield f"peak_current_A says {stored:.6g} A, recomputed {peak:.6g} A"
+        unit = library.driven_by.unit
+        yield f"{library.in_file('peak_input')} says {stored:.6g} {unit}, recomputed {peak:.6g} {unit}"
     stored = float(library.peak_temperature_C[iv, ig])
     if problem.thermal is None:
         if not np.isnan(stored):

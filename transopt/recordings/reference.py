@@ -78,6 +78,11 @@ class Reference:
         return Target(self.motor_m_s2, self.after_m_s2, self.before_m_s2)
 
     @property
+    def said(self) -> str:
+        """What it is of, in a sentence."""
+        return self.name or f"the tap at {self.speed_m_s:g} m/s"
+
+    @property
     def scalings(self) -> FloatArray:
         """(n,) by which each recorded acceleration was multiplied in all."""
         return np.asarray([factor * tap.amplitude for factor, tap in zip(self.factors, self.taps, strict=True)])

@@ -9,6 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from transopt.base import writing
+from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
 from transopt.library.library import Library
 from transopt.problem.answer import verdict
@@ -16,22 +17,12 @@ from transopt.problem.objective.bands import levels
 from transopt.report.tables import percent
 
 LONGEST_VALUE = 60  # characters of a value that are shown; of a longer list or text, its size
-ENTRY_COLUMNS = (
-    "speed m/s",
-    "grip N",
-    "NRMSE %",
-    "floor %",
-    "after g",
-    "peak A",
-    "winding C",
-    "command apart A",
-    "verdict",
-)
 CHANGE_COLUMNS = ("stated", "A", "B")
 LEGEND = "One figure where both libraries print the same, A -> B where they differ."
 ABSENT = "not stated"
 
-Node = tuple[str, str]  # speed [m/s] and grip [N], to nine digits: nodes computed by refinement differ in their last
+# Speed [m/s] and grip [N], to nine digits: nodes computed by refinement differ in their last; or a target's name.
+Node = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -75,6 +66,8 @@ class Comparison:
     changes : (dotted path in `meta`, value in A, value in B) of what differs.
     same_instants : whether the commands of both are issued at the same instants.
     same_content : whether both files hold the same, to the last bit.
+    columns : heads of what a node is.
+    unit : of the commands.
     """
 
     both: dict[Node, tuple[Figures, Figures]]
@@ -83,10 +76,23 @@ class Comparison:
     changes: list[tuple[str, str, str]]
     same_instants: bool
     same_content: bool
+    columns: list[str]
+    unit: str
 
     @classmethod
     def of(cls, first: Library, second: Library) -> "Comparison":
-        """Compare by nodes; entries whose nodes agree to nine digits are the same entry."""
+        """Compare by nodes; entries whose nodes agree to nine digits are the same entry.
+
+        Raises
+        ------
+        InputError : one has speeds and the other targets, or their commands are a current and a voltage.
+        """
+        for what, (one, other) in (
+            ("entries", (first.axes.columns, second.axes.columns)),
+            ("commands", (first.driven_by.name, second.driven_by.name)),
+        ):
+            if one != other:
+                raise InputError(f"compare: the {what} of A are by {one}, those of B by {other}: nothing to compare")
         ours, theirs = _entries(first), _entries(second)
         return cls(
             both={node: (ours[node], theirs[node]) for node in ours if node in theirs},
@@ -95,9 +101,17 @@ class Comparison:
             changes=_changes(first.meta, second.meta),
             same_instants=_instants(first) == _instants(second),
             same_content=first.content_sha256 == second.content_sha256,
+            columns=first.axes.columns,
+            unit=first.driven_by.unit,
         )
 
-    def apart_A(self, node: Node) -> float:
+    @property
+    def heads(self) -> list[str]:
+        """Of the table of entries."""
+        before, after = ["NRMSE %", "floor %", "after g"], ["winding C", f"command apart {self.unit}", "verdict"]
+        return [*self.columns, *before, f"peak {self.unit}", *after]
+
+    def apart(self, node: Node) -> float:
         """Largest difference of the two commands; NaN where they are issued at different instants."""
         ours, theirs = self.both[node]
         return float(np.abs(ours.command - theirs.command).max()) if self.same_instants else float("nan")
@@ -109,12 +123,15 @@ def _instants(library: Library) -> tuple[float, float, int]:
 
 
 def _entries(library: Library) -> dict[Node, Figures]:
-    found, looked = {}, library.reference_after_m_s2.shape[1] > 0
+    found: dict[Node, Figures] = {}
+    looked = library.reference_after_m_s2.shape[1] > 0
+    names = library.axes.targets
     for iv, speed in enumerate(library.speeds_m_s):
         spread = library.meta["repeatability"][iv]
         for ig, grip in enumerate(library.grips_N):
             nrmse, floor = float(library.nrmse[iv, ig]), float(library.floor[iv, ig])
-            found[f"{speed:.9g}", f"{grip:.9g}"] = Figures(
+            node = (names[iv],) if names else (f"{speed:.9g}", f"{grip:.9g}")
+            found[node] = Figures(
                 nrmse=nrmse,
                 floor=floor,
                 peak_after_m_s2=float(library.peak_after_m_s2[iv, ig]) if looked else float("nan"),
@@ -176,7 +193,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
     """Cells of the entry table, and whether the verdict changed or only one library has the entry."""
     for node, (ours, theirs) in found.both.items():
         figures = [_from_to(a, b) for a, b in zip(ours.cells(), theirs.cells(), strict=True)]
-        apart = found.apart_A(node)
+        apart = found.apart(node)
         command = "-" if np.isnan(apart) else f"{apart:.2g}"
         yield [*node, *figures, command, _from_to(ours.verdict, theirs.verdict)], ours.verdict != theirs.verdict
     for name, nodes in (("A", found.only_first), ("B", found.only_second)):
@@ -187,7 +204,7 @@ def _rows(found: Comparison) -> Iterator[tuple[list[str], bool]]:
 def entry_table(found: Comparison, title: str) -> Table:
     """One row per entry; yellow where the verdict changed or only one library has the entry."""
     table = Table(title=title, caption=LEGEND)
-    for column in ENTRY_COLUMNS:
+    for column in found.heads:
         table.add_column(column, justify="left" if column == "verdict" else "right", overflow="fold")
     for cells, striking in _rows(found):
         table.add_row(*cells, style="yellow" if striking else None)
@@ -214,9 +231,10 @@ def comparison_summary(found: Comparison) -> str:
     ]
     change = {node: theirs.nrmse - ours.nrmse for node, (ours, theirs) in found.both.items()}
     if change:
-        speed, grip = worst = max(change, key=lambda node: abs(change[node]))
+        worst = max(change, key=lambda node: abs(change[node]))
+        place = worst[0] if len(worst) == 1 else f"{worst[0]} m/s and {worst[1]} N"
         points = f"{100 * change[worst]:+.2g} points" if change[worst] else "nothing"
-        said.append(f"NRMSE changes most by {points}, at {speed} m/s and {grip} N")
+        said.append(f"NRMSE changes most by {points}, at {place}")
     said.append(f"{len(found.changes)} values stated differently")
     return "; ".join(said)
 
@@ -224,7 +242,7 @@ def comparison_summary(found: Comparison) -> str:
 def comparison_markdown(found: Comparison, names: str) -> str:
     """The same as a Markdown document."""
     lines = ["# Two libraries", "", names, "", comparison_summary(found), "", "## Entries", "", LEGEND, ""]
-    lines += writing.table(ENTRY_COLUMNS, [cells for cells, _ in _rows(found)])
+    lines += writing.table(found.heads, [cells for cells, _ in _rows(found)])
     if found.changes:
         escaped = [[cell.replace("|", "\\|") for cell in row] for row in found.changes]
         lines += ["## Stated differently", "", *writing.table(CHANGE_COLUMNS, escaped)]

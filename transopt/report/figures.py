@@ -48,7 +48,8 @@ class _Method:
 
 def _methods(build: "Build") -> list[_Method]:
     limits = build.scene.limits
-    high, low = f"{limits.transient_input:g} A", f"{limits.steady_input:g} A"
+    unit = build.scene.driven_by.unit
+    high, low = f"{limits.transient_input:g} {unit}", f"{limits.steady_input:g} {unit}"
     # A rival that heeds neither rail nor coil may lie below the optimum, which does.
     more = any({"supply", "coil"} & {price.limit for price in entry.prices} for entry in build.all_entries())
     only = ", no other limit" if more else ""
@@ -85,7 +86,9 @@ def _label_entries(axes: Axes, build: "Build", optimum_percent: FloatArray) -> N
     crowded = len(entries) > 20
     rotation = 90 if crowded else 0
     if crowded:
-        labels = [", ".join([f"{e.speed_m_s:g} m/s", f"{e.grip_N:g} N", *_refused(e)]) for e in entries]
+        labels = [", ".join([e.place, *_refused(e)]) for e in entries]
+    elif build.scene.targets:
+        labels = ["\n".join([*e.target.split(), *_refused(e)]) for e in entries]
     else:
         labels = ["\n".join([f"{e.grip_N:g} N", *_refused(e)]) for e in entries]
         below = axes.secondary_xaxis("bottom")
@@ -148,7 +151,8 @@ def method_figure(build: "Build") -> Figure:
         # One label for each speed, and what stands in its stripe.
         axes.set_xticks(_middles(build), [f"{group[0].speed_m_s:.3g}" for group in build.entries], fontsize=SMALL_PT)
         grips = [entry.grip_N for entry in build.entries[0]]
-        axes.set_xlabel(f"speed [m/s], grips {grips[0]:g} to {grips[-1]:g} N in each stripe", fontsize=LABEL_PT)
+        stripes = f"speed [m/s], grips {grips[0]:g} to {grips[-1]:g} N in each stripe"
+        axes.set_xlabel(f"{len(entries)} targets" if build.scene.targets else stripes, fontsize=LABEL_PT)
     else:
         _label_entries(axes, build, percent[0])
 

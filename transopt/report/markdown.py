@@ -1,7 +1,7 @@
 """The text of the two report files that a build leaves: report.md to read, report.json with the same numbers."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from transopt.base.files import without_nan
 from transopt.base.signals import STANDARD_GRAVITY_M_S2
+from transopt.base.writing import table
 from transopt.design.build import Build
 from transopt.design.entry import Entry
 from transopt.design.refine_grid import Refinement
@@ -17,9 +18,9 @@ from transopt.problem.limits.limit import Limit
 from transopt.recordings.reference import Reference
 from transopt.report.identified import identified_lines, identified_rows
 from transopt.report.tables import (
-    LEGEND,
     columns_of,
     entry_cells,
+    legend,
     percent,
     refinement_summary,
     refusal,
@@ -73,7 +74,10 @@ def _between_lines(refinement: Refinement) -> list[str]:
 
 
 def _recorded_lines(references: Sequence[Reference]) -> list[str]:
-    """The table of references and the notes on their taps."""
+    """The table of references and the notes on their taps, or the named targets."""
+    if any(r.name for r in references):
+        rows = [[r.name, f"{1e3 * r.times_s[-1]:.4g}", f"{_peak_g(r):.3g}", r.sha256[:12] or "-"] for r in references]
+        return table(["target", "lasts ms", "peak g", "SHA-256 of its file"], rows)
     derived = [f"{r.speed_m_s:g}" for r in references if r.between_m_s is not None]
     references = [r for r in references if r.between_m_s is None]
     lines = [
@@ -98,8 +102,15 @@ def _recorded_lines(references: Sequence[Reference]) -> list[str]:
     return [*lines, "", *(f"- {note}" for note in shown[:10]), *more]
 
 
+def _peak_g(reference: Reference) -> float:
+    """Largest size of a target, in g."""
+    return float(np.abs(reference.repeats_m_s2).max()) / STANDARD_GRAVITY_M_S2
+
+
 def _origin(build: Build) -> str:
     """Where the recordings come from, in words."""
+    if build.scene.targets:
+        return f"What it shall make is stated by name: {build.scene.axes.said}."
     simulated = build.scene.recordings.simulated
     if simulated is not None:
         whose = "" if build.scene.striker is None else " (the scene's own device, not that of the model file)"
@@ -129,11 +140,11 @@ def _left_out_lines(entries: Sequence[Entry]) -> list[str]:
     ]
 
 
-def _size_cells(entry: Entry) -> str:
+def _size_cells(entry: Entry) -> list[str]:
     """States, rows and nonzeros of the program that an entry was solved by; dashes where there was none."""
     if entry.size is None:
-        return "- | - | -"
-    return f"{entry.size.states} | {entry.size.rows} | {entry.size.nonzeros}"
+        return ["-", "-", "-"]
+    return [str(entry.size.states), str(entry.size.rows), str(entry.size.nonzeros)]
 
 
 def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
@@ -149,30 +160,32 @@ def _kept_back_lines(entries: Sequence[Entry]) -> list[str]:
     return ["", f"Of these limits the problem keeps so much back, for what happens between its instants: {said}."]
 
 
-def _price_lines(entries: Sequence[Entry]) -> list[str]:
+def _price_lines(build: Build) -> list[str]:
     """The section on which limits bind, and what a wider one would buy."""
-    priced = [(entry, price) for entry in entries for price in entry.prices]
+    priced = [(entry, price) for entry in build.all_entries() for price in entry.prices]
     if not priced:
         return []
-    lines = [
-        "",
-        "## What binds, and what more would buy",
-        "",
-        "| speed m/s | grip N | limit | NRMSE % | raised by | NRMSE % then | would not bind from | NRMSE % there |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
     other = ""
     if any(entry.problem.error_filter is not None or entry.problem.spread for entry, _ in priced):
         other = " What a wider limit lowers is the error that the design minimises; this NRMSE need not fall with it."
-    lines += [
-        f"| {entry.speed_m_s:g} | {entry.grip_N:g} | {price.stated} | {100 * price.nrmse:.2f} | {price.more} | "
-        f"{_solved_percent(price.then, price.then)} | {price.free_from} | "
-        f"{_solved_percent(price.there, price.enough)} |"
+    head = ["limit", "NRMSE %", "raised by", "NRMSE % then", "would not bind from", "NRMSE % there"]
+    rows = [
+        [
+            *entry.cells,
+            price.stated,
+            f"{100 * price.nrmse:.2f}",
+            price.more,
+            _solved_percent(price.then, price.then),
+            price.free_from,
+            _solved_percent(price.there, price.enough),
+        ]
         for entry, price in priced
     ]
     return [
-        *lines,
         "",
+        "## What binds, and what more would buy",
+        "",
+        *table([*build.scene.axes.columns, *head], rows),
         "Each figure is of an optimum that was solved and certified, with that limit alone wider and the others as "
         "they are; none is extrapolated. would not bind from: the least limit, to the digits printed, at which it "
         "does not bind any more." + other,
@@ -184,39 +197,40 @@ def _solved_percent(error: float, of: float) -> str:
     return "not certified" if np.isnan(of) else "-" if np.isnan(error) else f"{100 * error:.2f}"
 
 
-def _weighted_lines(entries: Sequence[Entry]) -> list[str]:
+def _weighted_lines(build: Build) -> list[str]:
     """The section on the error as the filter of the weights sees it; empty without a filter."""
+    entries = list(build.all_entries())
     if all(entry.problem.error_filter is None for entry in entries):
         return []
-    lines = ["", "## Weighted error", "", "| speed m/s | grip N | NRMSE % | weighted % |", "|---|---|---|---|"]
-    lines += [
-        f"| {e.speed_m_s:g} | {e.grip_N:g} | {percent(e.nrmse)} | {percent(e.weighted_nrmse)} |" for e in entries
+    rows = [[*e.cells, percent(e.nrmse), percent(e.weighted_nrmse)] for e in entries]
+    return [
+        "",
+        "## Weighted error",
+        "",
+        *table([*build.scene.axes.columns, "NRMSE %", "weighted %"], rows),
+        "weighted: |F e| / |F r|, F the Pacinian band-pass (275 Hz, Q 0.5, floor -20 dB).",
     ]
-    return [*lines, "", "weighted: |F e| / |F r|, F the Pacinian band-pass (275 Hz, Q 0.5, floor -20 dB)."]
 
 
-def _spread_lines(entries: Sequence[Entry]) -> list[str]:
+def _spread_lines(build: Build) -> list[str]:
     """The section on the error over the spread of devices; empty where the scene is not robust."""
-    spreads = [(entry, entry.spread) for entry in entries if entry.spread is not None]
+    spreads = [(entry, entry.spread) for entry in build.all_entries() if entry.spread is not None]
     if not spreads:
         return []
-    lines = [
-        "",
-        "## Robust against the spread",
-        "",
-        "| speed m/s | grip N | made for the node: there / rms / worst % | for the spread: there / rms / worst % |",
-        "|---|---|---|---|",
-    ]
-    lines += [
-        f"| {e.speed_m_s:g} | {e.grip_N:g} | {percent(s.nominal)} / {percent(s.nominal_rms)} / "
-        f"{percent(s.nominal_worst)} | {percent(e.nrmse)} / {percent(s.robust_rms)} / {percent(s.robust_worst)} |"
+    head = ["made for the node: there / rms / worst %", "for the spread: there / rms / worst %"]
+    rows = [
+        [
+            *e.cells,
+            f"{percent(s.nominal)} / {percent(s.nominal_rms)} / {percent(s.nominal_worst)}",
+            f"{percent(e.nrmse)} / {percent(s.robust_rms)} / {percent(s.robust_worst)}",
+        ]
         for e, s in spreads
     ]
+    lines = ["", "## Robust against the spread", "", *table([*build.scene.axes.columns, *head], rows)]
     gains = [100 * (1 - s.robust_rms / s.nominal_rms) for _, s in spreads]
     least, most = (round(gain, 1) + 0.0 for gain in (min(gains), max(gains)))  # no -0.0
     return [
         *lines,
-        "",
         f"rms: root of the mean squared NRMSE over the spread, which is what the design minimises; it falls by "
         f"{least:.1f} to {most:.1f} % of itself. What remains is the difference between the "
         "devices: one command gives each its own acceleration, and only their mean can be moved onto the reference.",
@@ -239,42 +253,58 @@ def build_markdown(build: Build) -> str:
         ]
     lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(entry_cells(entry)) + " |" for entry in entries]
-    lines += ["", LEGEND, ""]
+    lines += ["", legend(build.scene), ""]
     if build.refused:
         lines += ["## Refused", ""]
-        lines += [f"- {each.speed_m_s:g} m/s, {each.grip_N:g} N: {refusal(each)}" for each in build.refused]
+        lines += [f"- {each.place}: {refusal(each)}" for each in build.refused]
         lines += [""]
+    head = ["J", "gap / max(J, 1e-3)", "over bound", "violation", "to r_raw %", "winding C", "states", "rows"]
+    head += ["nonzeros", "solver"]
+    rows = [
+        [
+            *e.cells,
+            f"{e.certificate.objective:.6e}",
+            f"{e.certificate.relative_gap:.1e}",
+            f"{e.certificate.relative_bound:.1e}",
+            f"{e.certificate.primal_violation:.1e}",
+            percent(e.nrmse / _raw_over_motor(reference)),
+            f"{e.played.winding_C:.3f}",
+            *_size_cells(e),
+            e.solution.solver,
+        ]
+        for e, reference in _with_references(build)
+    ]
     lines += [
         "## Certificates",
         "",
-        "| speed m/s | grip N | J | gap / max(J, 1e-3) | over bound | violation | to r_raw % | winding C | "
-        "states | rows | nonzeros | solver |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
-    for e in entries:
-        c = e.certificate
-        lines.append(
-            f"| {e.speed_m_s:g} | {e.grip_N:g} | {c.objective:.6e} | {c.relative_gap:.1e} | {c.relative_bound:.1e} | "
-            f"{c.primal_violation:.1e} | {percent(e.nrmse * shares[e.speed_m_s])} | {e.played.winding_C:.3f} | "
-            f"{_size_cells(e)} | {e.solution.solver} |"
-        )
-    lines += [
-        "",
+        *table([*build.scene.axes.columns, *head], rows),
         CERTIFICATE_LEGEND.format(", in the steady state of tapping" if build.scene.thermal.tap_rate_Hz else ""),
         *_kept_back_lines(entries),
-        *_price_lines(entries),
+        *_price_lines(build),
         *trade_off_lines(build),
         *attained_lines(entries),
-        *_weighted_lines(entries),
-        *_spread_lines(entries),
+        *_weighted_lines(build),
+        *_spread_lines(build),
     ]
     lines += identified_lines(build)
     if build.refinement is not None:
         lines += ["", *_between_lines(build.refinement)]
     lines += ["", "## Left out", "", *_left_out_lines(entries)]
-    lines += ["", "## Recordings", "", *_recorded_lines(build.references), ""]
+    lines += [
+        "",
+        "## Targets" if build.scene.targets else "## Recordings",
+        "",
+        *_recorded_lines(build.references),
+        "",
+    ]
     return "\n".join(lines)
+
+
+def _with_references(build: Build) -> Iterator[tuple[Entry, Reference]]:
+    """Every entry with what was wanted of it."""
+    for row, reference in zip(build.entries, build.references, strict=True):
+        for entry in row:
+            yield entry, reference
 
 
 def _raw_over_motor(reference: Reference) -> float:
@@ -294,22 +324,21 @@ def _certificate_row(certificate: Certificate) -> dict[str, Any]:
 
 def build_json(build: Build) -> str:
     """The text of report.json: the report's numbers, with units in their names; NaN becomes null."""
-    shares = {r.speed_m_s: 1 / _raw_over_motor(r) for r in build.references}
+    peak = f"peak_{build.scene.driven_by.name}_{build.scene.driven_by.unit}"
     rows = [
         {
-            "speed_m_s": e.speed_m_s,
-            "grip_N": e.grip_N,
+            **({"target": e.target} if e.target else {"speed_m_s": e.speed_m_s, "grip_N": e.grip_N}),
             "status": e.status.value,
             "shortfalls": e.shortfalls,
             "remedies": [asdict(remedy) for remedy in e.remedies],
             "verdict": e.verdict,
             "nrmse": e.nrmse,
-            "nrmse_to_raw": e.nrmse * shares[e.speed_m_s],
+            "nrmse_to_raw": e.nrmse / _raw_over_motor(reference),
             "floor": e.floor,
             "baselines": asdict(e.baselines),
             "repeatability": e.repeatability,
-            "peak_current_A": e.played.peak_input,
-            "free_peak_current_A": e.free_peak,
+            peak: e.played.peak_input,
+            f"free_{peak}": e.free_peak,
             "nrmse_after": e.played.nrmse_after,
             "peak_after_m_s2": e.played.error_peak_after_m_s2,
             "after_peak_m_s2": e.played.after_peak_m_s2,
@@ -322,7 +351,7 @@ def build_json(build: Build) -> str:
             "weighted_nrmse": e.weighted_nrmse,
             "levels": levels_row(e.levels),
             "attained": None if e.attained is None else asdict(e.attained),
-            "trade_off": trade_off_row(build, e.speed_m_s, e.grip_N),
+            "trade_off": trade_off_row(build, e),
             "spread": None if e.spread is None else asdict(e.spread),
             "certificate": _certificate_row(e.certificate),
             "replay_step_error": e.played.step_error,
@@ -331,7 +360,7 @@ def build_json(build: Build) -> str:
             "solve_time_s": e.solution.solve_time_s,
             "left_out": e.left_out,
         }
-        for e in build.all_entries()
+        for e, reference in _with_references(build)
     ]
     content = {
         "scene": build.scene.name,
@@ -346,8 +375,7 @@ def build_json(build: Build) -> str:
         "refinement": None if build.refinement is None else _refinement_rows(build.refinement),
         "references": [
             {
-                "speed_m_s": r.speed_m_s,
-                "between_m_s": r.between_m_s,
+                **({"target": r.name} if r.name else {"speed_m_s": r.speed_m_s, "between_m_s": r.between_m_s}),
                 "taps": [tap.recording.name for tap in r.taps],
                 "scaling": r.scalings.tolist(),
                 "repeatability": r.repeatability,

@@ -15,6 +15,7 @@ from transopt.design.verify import EntryCheck
 from transopt.library.library import Library
 from transopt.problem.answer import OBJECTIVE_SCALE, Status, verdict
 from transopt.problem.objective.bands import JUST_NOTICED_dB, levels
+from transopt.scene.scene import Scene
 from transopt.scene.sections import covering_lead_s
 
 
@@ -28,16 +29,22 @@ def percent(value: float) -> str:
 FELT_g = 1.0  # peak error after the waveform, from which on a user is warned of it
 LOST = 1e-3  # share of a tap's energy before the first command can act, from which on a user is warned of it
 WIDE_TERMINAL = 120  # columns; below, a table shows only what decides
-ESSENTIAL = (0, 1, 2, 3, 9, 11, 12)  # columns of the entry table that a narrow terminal keeps
-RIGHT = 11  # so many columns hold numbers
-LEGEND = (
-    "NRMSE: |a - r| / |r| after replay, r the motor's share of the recorded tap from contact on. floor: the same "
+ESSENTIAL = (0, 1, 7, 9, 10)  # columns behind those of the place that a narrow terminal keeps of the entry table
+RIGHT = 9  # so many of them hold numbers
+_LEGEND = (
+    "NRMSE: |a - r| / |r| after replay, r {wanted}. floor: the same "
     "problem without its limits. after %: |a - r| when the waveform is over, relative to the same |r|; after g: the "
-    "largest |a - r| there. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its current "
-    "clipped (both keep current and command limits only). repeats: NRMSE of the recordings to their mean. "
+    "largest |a - r| there. seed: clipped frequency-domain inversion. clipped: the unlimited optimum, its {input} "
+    "clipped (both keep {input} and command limits only). repeats: NRMSE of the recordings to their mean. "
     "verdict: weak, strong: energy as vibration is felt, around 275 Hz, beside that of r; "
     f"{JUST_NOTICED_dB:g} dB are just noticed."
 )
+
+
+def legend(scene: Scene) -> str:
+    """What the columns of the table of entries mean."""
+    wanted = "the target" if scene.targets else "the motor's share of the recorded tap from contact on"
+    return _LEGEND.format(wanted=wanted, input=scene.driven_by.name)
 
 
 def after_cells(nrmse_after: float, peak_after_m_s2: float, samples: int) -> list[str]:
@@ -51,10 +58,9 @@ def entry_cells(entry: Entry) -> list[str]:
     """The cells of an entry under `columns_of`; dashes and the kind of refusal for one that is refused."""
     b = entry.baselines
     if entry.status is not Status.OPTIMAL:
-        return [f"{entry.speed_m_s:g}", f"{entry.grip_N:g}", *["-"] * 9, entry.status.value, entry.verdict]
+        return [*entry.cells, *["-"] * 9, entry.status.value, entry.verdict]
     return [
-        f"{entry.speed_m_s:g}",
-        f"{entry.grip_N:g}",
+        *entry.cells,
         percent(entry.nrmse),
         percent(entry.floor),
         *after_cells(entry.played.nrmse_after, entry.played.error_peak_after_m_s2, entry.problem.grid.after_stages),
@@ -76,17 +82,17 @@ def refusal(entry: Entry) -> str:
 def columns_of(build: Build) -> list[str]:
     """Heads of the table of entries."""
     limit, steady = build.scene.limits.transient_input, build.scene.limits.steady_input
+    unit = build.scene.driven_by.unit
     return [
-        "speed m/s",
-        "grip N",
+        *build.scene.axes.columns,
         "NRMSE %",
         "floor %",
         "after %",
         "after g",
-        f"seed % at {limit:g} / {steady:g} A",
-        f"clipped % at {limit:g} / {steady:g} A",
+        f"seed % at {limit:g} / {steady:g} {unit}",
+        f"clipped % at {limit:g} / {steady:g} {unit}",
         "repeats %",
-        "peak A",
+        f"peak {unit}",
         "ms",
         "what binds",
         "verdict",
@@ -96,11 +102,14 @@ def columns_of(build: Build) -> list[str]:
 def build_table(build: Build, width: int) -> Table:
     """The table that `transopt solve` prints into `width` columns."""
     columns = columns_of(build)
-    shown = range(len(columns)) if width >= WIDE_TERMINAL else ESSENTIAL
+    places = len(build.scene.axes.columns)
+    shown = range(len(columns)) if width >= WIDE_TERMINAL else [*range(places), *(places + j for j in ESSENTIAL)]
     table = Table(title=": ".join(filter(None, (build.scene.name, build.scene.description))), show_lines=False)
     for j in shown:
         # Only what binds may be long; a verdict stays in one piece.
-        table.add_column(columns[j], justify="right" if j < RIGHT else "left", no_wrap=j == len(columns) - 1)
+        table.add_column(
+            columns[j], justify="right" if places <= j < places + RIGHT else "left", no_wrap=j == len(columns) - 1
+        )
     for row in build.entries:
         for entry in row:
             cells = entry_cells(entry)
@@ -127,7 +136,7 @@ def summary(build: Build) -> str:
         said.append(
             f"{len(admitted)} of {len(entries)} entries certified and replayed: NRMSE "
             f"{100 * min(entry.nrmse for entry in admitted):.2f} to {100 * worst.nrmse:.2f} % (worst at "
-            f"{worst.speed_m_s:g} m/s, {worst.grip_N:g} N: {over:.2f} points over its "
+            f"{worst.place}: {over:.2f} points over its "
             f"floor), gap <= {max(entry.certificate.relative_gap for entry in admitted):.0e}, "
             f"violation <= {max(entry.certificate.primal_violation for entry in admitted):.0e} A, V or K"
         )
@@ -151,7 +160,7 @@ def aftermath(build: Build) -> str:
     if loudest is None or after_m_s2(loudest) < FELT_g * STANDARD_GRAVITY_M_S2:
         return ""
     after_g = after_m_s2(loudest) / STANDARD_GRAVITY_M_S2
-    where = f"({loudest.speed_m_s:g} m/s, {loudest.grip_N:g} N)"
+    where = f"({loudest.place})"
     if looked:
         return (
             f"after the waveform the error still reaches {after_g:.1f} g {where}: more time.stages or "
@@ -176,8 +185,8 @@ def lost_start(build: Build) -> str:
         else f"no lead up to {LONGEST_LEAD_S * 1e3:g} ms covers that delay: take a faster amplifier"
     )
     return (
-        f"{100 * share:.2g} % of the tap's energy at {worst.speed_m_s:g} m/s is over before the first command can "
-        f"act, and counts as error: the waveform starts {scene.lead_s * 1e3:g} ms before contact, the amplifier "
+        f"{100 * share:.2g} % of the energy of {worst.said} is over before the first command can "
+        f"act, and counts as error: the waveform starts {scene.lead_s * 1e3:g} ms before it, the amplifier "
         f"delays it by {scene.delay_s * 1e3:g} ms; {remedy}"
     )
 
@@ -205,24 +214,23 @@ def refinement_summary(refinement: Refinement) -> str:
 
 def library_table(library: Library, name: str) -> Table:
     """The table that `transopt show` prints, from the file alone."""
-    limits = library.meta["limits"]
-    at = f"at {limits['current_A']:g} / {limits['steady_current_A']:g} A"
-    columns = ["speed m/s", "grip N", "NRMSE %", "floor %", "after %", "after g", f"seed % {at}", f"clipped % {at}"]
-    columns += ["peak A", "winding C"]
+    axes, unit = library.axes, library.driven_by.unit
+    at = f"at {library.input_limit:g} / {library.steady_input:g} {unit}"
+    columns = [*axes.columns, "NRMSE %", "floor %", "after %", "after g", f"seed % {at}", f"clipped % {at}"]
+    columns += [f"peak {unit}", "winding C"]
     samples = library.reference_after_m_s2.shape[1]
     table = Table(title=name)
     for column in (*columns, "gap", "ms"):
         table.add_column(column, justify="right", overflow="fold")
     for column in ("what binds", "verdict"):
         table.add_column(column, overflow="fold")
-    for iv, speed in enumerate(library.speeds_m_s):
+    for iv in range(library.speeds_m_s.size):
         spread = library.meta["repeatability"][iv]
-        for ig, grip in enumerate(library.grips_N):
+        for ig in range(library.grips_N.size):
             gap = library.duality_gap[iv, ig] / max(library.objective[iv, ig], OBJECTIVE_SCALE)
             nrmse, floor = library.nrmse[iv, ig], library.floor[iv, ig]
             table.add_row(
-                f"{speed:g}",
-                f"{grip:g}",
+                *axes.cells(iv, ig),
                 percent(nrmse),
                 percent(floor),
                 *after_cells(library.nrmse_after[iv, ig], library.peak_after_m_s2[iv, ig], samples),
@@ -247,15 +255,15 @@ def library_table(library: Library, name: str) -> Table:
 def verify_table(checks: Sequence[EntryCheck], name: str) -> Table:
     """The table that `transopt verify` prints."""
     table = Table(title=name)
-    for column in ("speed m/s", "grip N", "NRMSE %", "peak A", "violation A", "gap", "result"):
+    unit = checks[0].unit
+    for column in (*checks[0].columns, "NRMSE %", f"peak {unit}", f"violation {unit}", "gap", "result"):
         table.add_column(column, justify="left" if column == "result" else "right", overflow="fold")
     for check in checks:
         table.add_row(
-            f"{check.speed_m_s:g}",
-            f"{check.grip_N:g}",
+            *check.cells,
             percent(check.played.nrmse),
             f"{check.played.peak_input:.4f}",
-            f"{check.certificate.violation('A'):.0e}",
+            f"{check.certificate.violation(unit):.0e}",
             f"{check.certificate.relative_gap:.0e}",
             "; ".join(check.shortfalls) or "certified, replayed clean",
             style="red" if check.shortfalls else None,

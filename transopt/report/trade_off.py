@@ -27,7 +27,7 @@ def trade_off_lines(build: "Build") -> list[str]:
     weights = build.scene.weights
     asked_dB = weights.intensity_dB if weights.objective == "intensity" else 0.0
     bands = _bands(found)
-    head = ["m/s", "N", "optimum of", "lam", "NRMSE %", "dB", "felt dB", f"below {EDGES_Hz[0]:.0f} Hz"]
+    head = [*build.scene.axes.columns, "optimum of", "lam", "NRMSE %", "dB", "felt dB", f"below {EDGES_Hz[0]:.0f} Hz"]
     lines = [
         "",
         "## Waveform and intensity",
@@ -37,15 +37,11 @@ def trade_off_lines(build: "Build") -> list[str]:
     ]
     for each in found:
         for name, point in (("waveform", each.waveform), ("intensity", each.intensity)):
-            cells = [f"{each.speed_m_s:g}", f"{each.grip_N:g}", name, f"{point.price:.3g}", percent(point.nrmse)]
+            cells = [*each.cells, name, f"{point.price:.3g}", percent(point.nrmse)]
             thirds = [point.levels.thirds_dB.get(band, np.nan) for band in bands]
             cells += map(_dB, (point.levels.broadband_dB, point.levels.pacinian_dB, point.levels.below_dB, *thirds))
             lines.append("| " + " | ".join(cells) + " |")
-    missing = "; ".join(
-        f"{each.speed_m_s:g} m/s, {each.grip_N:g} N ({each.missing_dB:.2f} dB short)"
-        for each in found
-        if each.missing_dB
-    )
+    missing = "; ".join(f"{each.place} ({each.missing_dB:.2f} dB short)" for each in found if each.missing_dB)
     said = f"No lam reaches it at {missing}. That is no proof that no command within the limits has more."
     return [
         *lines,
@@ -69,7 +65,7 @@ def attained_lines(entries: Sequence[Entry]) -> list[str]:
     said = [(entry, entry.attained) for entry in entries if entry.attained is not None]
     if not said:
         return []
-    lines = [f"- {e.speed_m_s:g} m/s, {e.grip_N:g} N: {attained.sentence}" for e, attained in said]
+    lines = [f"- {e.place}: {attained.sentence}" for e, attained in said]
     return [
         "",
         "## Intensity",
@@ -90,10 +86,10 @@ def _row(point: TradeOffPoint) -> dict[str, Any]:
     return {**asdict(point), "levels": levels_row(point.levels)}
 
 
-def trade_off_row(build: "Build", speed_m_s: float, grip_N: float) -> dict[str, Any] | None:
+def trade_off_row(build: "Build", entry: Entry) -> dict[str, Any] | None:
     """Of an entry's row in report.json; None where nothing binds."""
     for each in build.trade_offs:
-        if (each.speed_m_s, each.grip_N) == (speed_m_s, grip_N):
+        if each.place == entry.place:
             return {
                 "waveform": _row(each.waveform),
                 "intensity": _row(each.intensity),

@@ -30,16 +30,16 @@ def trade_off_figure(build: "Build") -> Figure:
     style(axes)
     axes.axvspan(-JUST_NOTICED_dB, JUST_NOTICED_dB, color="0.93", linewidth=0)
     axes.axvline(0.0, color="0.6", linewidth=0.8)
-    speeds = sorted({each.speed_m_s for each in found})
+    speeds = sorted({(each.speed_m_s, each.cells[0]) for each in found})
     grips = sorted({each.grip_N for each in found})
     shades = colours(len(speeds))
     dashes = ("-", "--", "-.", ":")
     lines = []
     for each in found:
-        i, j = speeds.index(each.speed_m_s), grips.index(each.grip_N)
+        i, j = speeds.index((each.speed_m_s, each.cells[0])), grips.index(each.grip_N)
         dB, error = ([getattr(p, name) for p in each.path] for name in ("energy_dB", "nrmse"))
         drawn: dict[str, Any] = {"color": shades[i], "linewidth": 1.2}
-        label = f"{each.speed_m_s:g} m/s, {each.grip_N:g} N"
+        label = each.place
         (line,) = axes.plot(dB, 100 * np.array(error), linestyle=dashes[j % len(dashes)], label=label, **drawn)
         lines.append(line)
         for point, marker in ((each.waveform, "o"), (each.intensity, "s")):

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, build_references
+from transopt.recordings.reference import Reference, build_reference, build_references
 from transopt.recordings.tap import read_recordings
-from transopt.recordings.targets import target_references
+from transopt.recordings.targets import target_reference, target_references
 from transopt.scene import strikes
 from transopt.scene.scene import Scene
 
@@ -32,3 +32,17 @@ def references_of(scene: Scene, recordings: Sequence[Recording]) -> list[Referen
     if scene.targets:
         return target_references(scene.targets, scene.time_grid(), scene.recordings)
     return build_references(recordings, scene.grid.speeds_m_s, scene.time_grid(), scene.recordings)
+
+
+def sampled_again(scene: Scene, reference: Reference) -> Reference:
+    """A reference of the scene's recordings or targets on the scene's time axis, which is another one now.
+
+    Raises
+    ------
+    InputError : a recording or a target that does not fit the time axis.
+    """
+    grid = scene.time_grid()
+    if reference.name:
+        (target,) = (each for each in scene.targets if each.name == reference.name)
+        return target_reference(target, grid, scene.recordings)
+    return build_reference(reference.speed_m_s, reference.taps, reference.factors, grid, scene.recordings)

@@ -53,7 +53,7 @@ class TestScene:
         rows = rows_of(outcome.out)
         assert rows["limits.slew_A_per_s"][1] == "A/s"
         assert rows["time.stages"][2:5] == ["600", "600", ">= 2, <= 20000"]
-        assert rows["limits.steady_current_A"][2] == "to be stated"
+        assert rows["model.stylus_mass_kg"][2] == "to be stated"
         Path("mine.toml").write_text(WOOD.replace("beta = 3.2", "beta = 2.5"))
         assert rows_of(run("scene", "keys", "mine.toml").out)["limits.beta"][3] == "2.5"
         assert_refused(run("scene", "keys", "absent"), "absent", "no built-in scene")

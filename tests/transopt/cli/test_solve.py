@@ -206,7 +206,7 @@ class TestLostStart:
         assert by_speed[0.4] == pytest.approx(46.3, abs=0.2)
         shares = [100 * reference["lost_share"] for reference in report["references"]]
         assert all(4 < share < 9 for share in shares)
-        said = f"{max(shares):.2g} % of the tap's energy at 0.4 m/s is over before the first command can act"
+        said = f"{max(shares):.2g} % of the energy of the tap at 0.4 m/s is over before the first command can act"
         assert said in outcome.out
         assert "time.lead_s = 0.0012 would do" in outcome.out
         assert said in Path("late/report.md").read_text()

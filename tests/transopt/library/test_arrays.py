@@ -38,6 +38,8 @@ def test_every_shape_is_made_of_known_sizes_and_every_meaning_is_said() -> None:
         assert stated.meaning, name
         assert stated.needs in (
             "",
+            "speeds",
+            "targets",
             "spread",
             "refinement",
             "after_s",

@@ -55,10 +55,10 @@ def test_file_holds_the_fields_of_design_and_no_pickles(saved: Path, library: Li
         absent = {
             name
             for name in ARRAYS
-            if name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB"))
+            if name.startswith(("mu_", "current_sign", "spread", "correction", "intensity", "energy_dB", "targets"))
             and not name.startswith(("mu_current", "mu_command", "mu_end"))
         }
-        assert len(absent) == 28
+        assert len(absent) == 29
         assert names >= {stored_names(ARRAYS, 2)[name] for name in set(ARRAYS) - absent} | {"meta"}
         assert not absent & names, "no limit beside those of current and command is in force and there is one device"
         meta = json.loads(str(file["meta"]))
@@ -230,7 +230,9 @@ class TestRefusals:
     def test_meta_that_describes_no_problem(self, saved: Path, library: Library, change: dict) -> None:
         rewrite(saved, meta=np.array(json.dumps({**library.meta, **change})))
         rehash(saved)
-        with pytest.raises(InputError, match="this version reads 1 and 2" if "schema" in change else "meta"):
+        with pytest.raises(
+            InputError, match="this version reads 1, 2 and 3|lacks command_unit" if "schema" in change else "meta"
+        ):
             load_library(saved)
 
     @pytest.mark.parametrize(
