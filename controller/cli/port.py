@@ -354,8 +354,8 @@ def check(
     from controller.host.measured_pulse import remember
     from controller.host.payload import Payload, payload, trial_sweep
     from controller.servo.settings import Settings
+    from controller.waveforms.playable import load_playable
     from transopt.base.signals import STANDARD_GRAVITY_M_S2
-    from transopt.library.proven import load_proven
 
     within("grip-weight-g", grip_weight_g, 10.0, 5000.0, " g")
     within("patience", patience, 0.1, 3600.0, " s")
@@ -392,7 +392,7 @@ def check(
             if isinstance(given, Payload)
             else None
             if library is None
-            else load_proven(library),
+            else load_playable(library),
             grip_weight_N=None if grip_weight_g is None else 1e-3 * grip_weight_g * STANDARD_GRAVITY_M_S2,
             configuration=None if given is None else given.configuration,
             take_measured=take_measured if sweep and library is None else None,

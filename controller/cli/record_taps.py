@@ -23,11 +23,11 @@ from controller.sim.sensors import noise_seed
 from controller.sim.simulated_tap import SimulatedTap
 from controller.sim.simulator import Imperfections
 from controller.sim.tapping import Motion, TappingHand, strike_of, tap_of
+from controller.waveforms.playable import load_playable
 from controller.waveforms.prediction import scene_of
 from transopt.base import terminal
 from transopt.base.errors import InputError
 from transopt.base.signals import STANDARD_GRAVITY_M_S2, FloatArray
-from transopt.library.proven import load_proven
 
 
 def taps_by_a_person(
@@ -200,7 +200,7 @@ def taps_on_object(wanted: Wanted, scene: str, trigger_g: float, force_noise_N: 
 
 def taps_of_library(wanted: Wanted, library: Path, scene: str | None) -> None:
     """A library's taps, as a device on a port plays and measures them; exit code 1 if one was not played."""
-    loaded = load_proven(library)
+    loaded = load_playable(library)
     given = payload_of(loaded, device=wanted.device, amplifier_tolerance=wanted.wrong.mismatch)
     if given.settings.assumed_grip_N == 0 and any(wanted.grips_N or ()):
         raise InputError(f"--grips: {library} is of the free device, which nobody holds: give --grips 0")

@@ -108,9 +108,9 @@ def refine(
     within("taps", taps, 2, 100)
     within("for", seconds, 1.0, 1e6, " s")
     wrong = imperfect(mismatch, seed, crossover)
-    from transopt.library.proven import load_proven
+    from controller.waveforms.playable import load_playable
 
-    loaded = load_proven(library)
+    loaded = load_playable(library)
     if loaded.meta["feedback"] is not None:
         raise InputError(f"{library}: has a wall, whose feedback answers the hand's own motion: it is not refined")
     if (out / "library.npz").resolve() == library.resolve():

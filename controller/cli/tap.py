@@ -124,12 +124,12 @@ def _simulated(
     from controller.sim.true_device import device_of
     from controller.sim.user import Habit
     from controller.waveforms.bank import Method, bank
+    from controller.waveforms.playable import load_playable
     from controller.waveforms.prediction import scene_of
-    from transopt.library.proven import load_proven
 
     one_of("method", method, (choice.value for choice in Method))
     one_of("user", user, (choice.value for choice in Habit))
-    library = load_proven(path)
+    library = load_playable(path)
     speed_m_s, grip_N = _middle(library, speed, grip)
     table = bank(library, Method(method))
     if method == Method.ONLINE.value:

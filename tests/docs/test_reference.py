@@ -83,7 +83,9 @@ class TestMeta:
 
     def test_all_that_is_needed_is_written(self, library: Library) -> None:
         written = set(paths(library.meta))
-        missing = {path for path, stated in META.items() if stated.needed} - written
+        # Of schema 2, of a library of currents.
+        needed = {path for path, stated in META.items() if stated.needed and stated.since < 3 and stated.of_unit != "V"}
+        missing = needed - written
         assert {path.partition(".")[0] for path in missing} <= {"feedback"}  # the scene has no wall
 
 

@@ -167,6 +167,10 @@ def run(request: Request, scene: str) -> int:
     jobs = (os.cpu_count() or 1) if request.jobs is None else request.jobs
     with closing(executor_pool(request.executor or "processes", jobs)) as pool:
         terminal.make_folder(request.out)
+        if request.name and loaded.targets:
+            raise InputError(
+                f"--study {request.name}: asks about speeds and grips, {loaded.name} has named targets: --vary"
+            )
         if request.name:
             worst = 0
             for name in STUDIES if request.name == "all" else [request.name]:
@@ -174,7 +178,11 @@ def run(request: Request, scene: str) -> int:
                 typer.echo(f"{name}: {finding}")
                 worst = max(worst, code)
             return worst
-        speeds, grips = loaded.grid.speeds_m_s, loaded.grid.grips_N
+        speeds, grips = loaded.axes.speeds_m_s, loaded.axes.grips_N
+        if loaded.targets and (request.speed or request.grip):
+            raise InputError(
+                f"--speed and --grip: {loaded.name} has named targets, all of which are solved: leave them out"
+            )
         plan = Plan(
             loaded,
             tuple(parse_axis(loaded, "--vary", text, files) for text in request.vary),
@@ -226,7 +234,7 @@ def _answer(request: Request, plan: "Plan", pool: "Pool") -> int:
     found = run_question(plan, question, request.out, pool)
     save_figure(question_figure(found, axis_label(question.key.path)), request.out / "answer.png")
     head = provenance(_command(), time.perf_counter() - started)
-    write_text(answer_markdown(plan.scene.name, found, head), request.out / "report.md")
+    write_text(answer_markdown(plan.scene, found, head), request.out / "report.md")
     for sentence in found.sentences:
         typer.echo(sentence)
     typer.echo(f"{request.out}: rows.csv, answer.png, report.md")

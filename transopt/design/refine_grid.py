@@ -350,11 +350,13 @@ def check_tolerance(scene: Scene, tolerance: float, cap: int) -> None:
 
     Raises
     ------
-    InputError : tolerance or cap that cannot be.
+    InputError : tolerance or cap that cannot be, a scene of named targets.
     """
     if not 0 < tolerance < 1:
         raise InputError(f"--grid-tolerance {tolerance:g}: must be between 0 and 1 (0.02: two percentage points)")
-    entries = len(scene.grid.speeds_m_s) * len(scene.grid.grips_N)
+    if scene.targets:
+        raise InputError(f"--grid-tolerance: {scene.name} has named targets, nothing lies between them: leave it out")
+    entries = scene.axes.entries
     if cap < entries:
         raise InputError(f"--grid-cap {cap}: the scene's own grid has {entries} entries: raise the cap")
 

@@ -32,8 +32,9 @@ from transopt.problem.problem import TransientProblem
 from transopt.proof.certify import binding_limits, boxes
 from transopt.proof.replay import Replay
 from transopt.recordings.recording import Recording
-from transopt.recordings.reference import Reference, between, build_references
+from transopt.recordings.reference import Reference, between
 from transopt.scene.keys import Changes, with_values
+from transopt.scene.recordings import references_of
 from transopt.scene.scene import Scene
 from transopt.solvers.options import SolverOptions
 
@@ -46,11 +47,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Item:
-    """One entry of a task: `index` is the caller's, `point` the place of its changes in the task."""
+    """One entry of a task: `index` is the caller's, `point` the place of its changes in the task.
+
+    It is for a speed, or for the target of that name.
+    """
 
     index: int
     point: int
     speed_m_s: float
+    target: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class Outcome:
     index: int
     speed_m_s: float
     grip_N: float
+    target: str
     status: str
     nrmse: float = NAN
     floor: float = NAN
@@ -151,13 +157,14 @@ def _text(scene: Scene, *parts: str) -> str:
     return json.dumps(scene.model_dump(include=set(parts), mode="json"), sort_keys=True)
 
 
-def _reference(task: Task, scene: Scene, speed_m_s: float) -> Reference:
+def _reference(task: Task, scene: Scene, item: Item) -> Reference:
     recorded = task.scene.grid.speeds_m_s
-    key = f"{task.source} {scene.time_grid()} {_text(scene, 'recordings')} {recorded}"
-    references = _references.get(
-        key, lambda: build_references(task.recordings, recorded, scene.time_grid(), scene.recordings)
-    )
-    return between(references, speed_m_s)
+    key = f"{task.source} {scene.time_grid()} {_text(scene, 'recordings', 'targets')} {recorded}"
+    grid = task.scene.grid
+    references = _references.get(key, lambda: references_of(scene.model_copy(update={"grid": grid}), task.recordings))
+    if item.target:
+        return next(reference for reference in references if reference.name == item.target)
+    return between(references, item.speed_m_s)
 
 
 def _device(scene: Scene, grip_N: float) -> str:
@@ -190,7 +197,7 @@ def _solved(task: Task, item: Item, scenes: dict[int, Scene]) -> _Solved:
         scenes[item.point] = with_values(task.scene, task.points[item.point])
     scene = scenes[item.point]
     spread = tuple(_stage(of, grip) for of, grip in scene.spread(task.grip_N))
-    reference = _reference(task, scene, item.speed_m_s)
+    reference = _reference(task, scene, item)
     problem = entry_problem(scene, _stage(scene, task.grip_N), reference, spread)
     designed = best(problem, task.options, objective=scene.weights.objective)
     return _Solved(item, scene, designed, time.perf_counter() - start)
@@ -244,6 +251,7 @@ def _outcome(task: Task, solved: _Solved, played: Replay, rivals: Baselines | No
         index=item.index,
         speed_m_s=item.speed_m_s,
         grip_N=task.grip_N,
+        target=item.target,
         status=status.name,
         nrmse=played.nrmse,
         floor=designed.floor,
@@ -276,7 +284,8 @@ def _guarded(items: Sequence[Item], task: Task, work: Callable[[], T]) -> tuple[
     """What the work gives, or an outcome for each of its items that tells why it gives nothing."""
 
     def ended(status: str, reason: str) -> list[Outcome]:
-        return [Outcome(i.index, i.speed_m_s, task.grip_N, status, reason=" ".join(reason.split())) for i in items]
+        said = " ".join(reason.split())
+        return [Outcome(i.index, i.speed_m_s, task.grip_N, i.target, status, reason=said) for i in items]
 
     try:
         return work(), []

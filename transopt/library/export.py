@@ -16,6 +16,7 @@ from transopt.base.signals import FloatArray
 from transopt.library.arrays import HASH_FIELD
 from transopt.library.c_header import c_header
 from transopt.library.library import ARRAYS, Library
+from transopt.plant.state_space import CURRENT_INPUT
 from transopt.problem.baselines import seed_inversion
 
 SOUND_RATE_HZ = 48000
@@ -64,25 +65,28 @@ def csv_file(library: Library) -> bytes:
     Numbers have as many digits as it takes to read back the same double.
     """
     grid, meta = library.time_grid(), library.meta
+    named, drive = library.axes.targets, library.driven_by
+    taps = {"speed_m_s": library.speeds_m_s[:, None, None], "grip_N": library.grips_N[:, None]}
     columns: dict[str, NDArray[np.generic]] = {
-        "speed_m_s": library.speeds_m_s[:, None, None],
-        "grip_N": library.grips_N[:, None],
+        **({"target": library.targets[:, None, None]} if named else taps),
         "k": np.arange(grid.stages),
         "issue_time_s": grid.issue_times_s,
         "switching_time_s": grid.switching_times_s,
-        "command_A": library.command,
-        "transient_command_A": library.transient_command,
-        "current_A": library.plant_input,
+        f"command_{drive.unit}": library.command,
+        f"transient_command_{drive.unit}": library.transient_command,
+        f"{drive.name}_{drive.unit}": library.plant_input,
         "acceleration_m_s2": library.acceleration_m_s2,
         "reference_m_s2": library.reference_m_s2[:, None],
     }
     comments = [
         # JSON keeps the name on one line, whatever is in it.
         f"transopt library, scene {json.dumps(meta['scene']['name'])}, {HASH_FIELD} {library.content_sha256}",
-        "SI units; current > 0 pushes out of the surface, acceleration > 0 decelerates the incoming stylus, "
+        "SI units; the target begins at time 0"
+        if named
+        else "SI units; current > 0 pushes out of the surface, acceleration > 0 decelerates the incoming stylus, "
         "contact at time 0",
-        "command k is issued at issue_time_s = -lead + k dt and held; current, acceleration (what the current "
-        "adds) and reference are those at switching_time_s = issue_time_s + delay",
+        f"command k is issued at issue_time_s = -lead + k dt and held; {drive.name}, acceleration (what the "
+        f"{drive.name} adds) and reference are those at switching_time_s = issue_time_s + delay",
         f"dt_s: {grid.dt_s!r}",
         f"lead_s: {grid.lead_s!r}",
         f"delay_s: {grid.delay_s!r}",
@@ -91,20 +95,25 @@ def csv_file(library: Library) -> bytes:
     lines = [
         *(f"# {comment}" for comment in comments),
         ",".join(columns),
-        *(",".join(map(repr, row)) for row in zip(*flat, strict=True)),
+        *(",".join(map(_cell, row)) for row in zip(*flat, strict=True)),
     ]
     return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _cell(value: object) -> str:
+    """A number with all its digits; a name in quotes, as CSV has it."""
+    return '"' + value.replace('"', '""') + '"' if isinstance(value, str) else repr(value)
 
 
 def wav_file(library: Library) -> bytes:
     """16 bit mono at 48 kHz, to listen to the accelerations.
 
     For every entry, speeds outermost: the recorded r, then what the seed's clipped inversion makes of it at the
-    library's current limit, then the optimum; 0.3 s of silence after each. One scale for the whole file, its
+    library's transient limit, then the optimum; 0.3 s of silence after each. One scale for the whole file, its
     peak at -1 dBFS, so that loudness compares.
     """
     grid, meta = library.time_grid(), library.meta
-    limit, taper = meta["limits"]["current_A"], meta["hand_over_samples"]
+    limit, taper = library.input_limit, meta["hand_over_samples"]
     stages = [library.stage(ig) for ig in range(library.grips_N.size)]
     silence = np.zeros(round(SILENCE_S / grid.dt_s))
     pieces: list[FloatArray] = []
@@ -126,4 +135,9 @@ def wav_file(library: Library) -> bytes:
 
 def header_file(library: Library) -> bytes:
     """C99/C++ header, see `transopt.library.c_header`."""
+    if library.axes.targets or library.driven_by is not CURRENT_INPUT:
+        raise InputError(
+            "the C header blends currents between speeds and grips, and this library has "
+            f"{library.axes.said} and commands in {library.driven_by.unit}: export .csv, .mat or .wav"
+        )
     return c_header(library).encode("ascii")

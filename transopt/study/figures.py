@@ -17,7 +17,7 @@ from transopt.base.units import unit_of
 from transopt.study.axes import Axis
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
-from transopt.study.rows import OPTIMAL, Row, number
+from transopt.study.rows import OPTIMAL, Row, entry_cells, entry_name, number
 
 MOST_PANELS = 12  # of heat maps, one per entry; beyond, one of the worst entry
 MOST_WRITTEN = 80  # cells of a heat map with their figures written in
@@ -93,9 +93,9 @@ def legend_above(figure: Figure, handles: Sequence[Any], most_columns: int = 6) 
 
 def entry_lines(axes: Axes, plan: Plan, x: FloatArray, values: FloatArray) -> None:
     """A line per entry of values (points, speeds, grips): a colour per grip, dashes per speed."""
-    for iv, (speed, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
-        for ig, (grip, colour) in enumerate(zip(plan.grips_N, colours(len(plan.grips_N)), strict=True)):
-            name = f"{speed:g} m/s, {grip:g} N"
+    for iv, (_, dash) in enumerate(zip(plan.speeds_m_s, ("--", "-", ":"), strict=False)):
+        for ig, colour in enumerate(colours(len(plan.grips_N))):
+            name = plan.entry_axes.place(iv, ig)
             drawn: dict[str, Any] = {"color": colour, "linestyle": dash, "linewidth": 1.2, "marker": "o"}
             axes.plot(x, values[:, iv, ig], markersize=3, label=name, **drawn)
 
@@ -112,11 +112,12 @@ def curves(plan: Plan, rows: Sequence[Row]) -> Figure:
         for iv in range(len(speeds)):
             axes.plot(x, floor[:, iv, ig], color=shade[iv], linewidth=0.8, linestyle=":")
             axes.plot(x, error[:, iv, ig], color=shade[iv], linewidth=1.3, marker="o", markersize=3)
-        axes.set_title(f"grip {grip:g} N", fontsize=LABEL_PT)
+        if not plan.entry_axes.targets:
+            axes.set_title(f"grip {grip:g} N", fontsize=LABEL_PT)
         percent_axis(axes)
+    names = plan.entry_axes.targets or [f"{v:g} m/s" for v in speeds]
     handles = [
-        Line2D([], [], color=c, marker="o", markersize=3, label=f"{v:g} m/s")
-        for c, v in zip(shade, speeds, strict=True)
+        Line2D([], [], color=c, marker="o", markersize=3, label=name) for c, name in zip(shade, names, strict=True)
     ]
     handles.append(Line2D([], [], color="0.4", linewidth=0.8, linestyle=":", label="floor"))
     legend_above(figure, handles)
@@ -167,7 +168,7 @@ def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
         error = error.max(axis=(2, 3), keepdims=True)
         titles = [["worst entry"]]
     else:
-        titles = [[f"{speed:g} m/s, {grip:g} N" for grip in grips] for speed in speeds]
+        titles = [[plan.entry_axes.place(iv, ig) for ig in range(len(grips))] for iv in range(len(speeds))]
     nv, ng = error.shape[2:]
     figure = Figure(
         figsize=(1.8 + max(2.6, 0.3 * len(across.values)) * ng, 0.9 + max(2.0, 0.2 * len(down.values)) * nv),
@@ -190,23 +191,26 @@ def maps(plan: Plan, rows: Sequence[Row]) -> Figure:
 
 def small_multiples(plan: Plan, rows: Sequence[Row]) -> Figure:
     """NRMSE of every entry over each key, the others as they come; a colour per speed."""
-    shade = dict(zip(plan.speeds_m_s, colours(len(plan.speeds_m_s)), strict=True))
+    targets = plan.entry_axes.targets
+    names = targets or tuple(f"{v:g}" for v in plan.speeds_m_s)
+    shade = dict(zip(names, colours(len(names)), strict=True))
     there = [row for row in rows if row["status"] == OPTIMAL]
     figure, panels = panels_of(len(plan.axes), 3, 2.7, 0.8, share_x=False)
     size = 4.0 if len(there) < 300 else 2.0
     for axes, axis in zip(panels.flat, plan.axes, strict=False):
         style(axes)
         places = dict(zip(axis.labels, _prepared(axes, axis), strict=True))
-        for speed in plan.speeds_m_s:
-            own = [row for row in there if float(row["speed_m_s"]) == speed]
+        for name in names:
+            own = [row for row in there if entry_cells(row)[0] == name]
             x = [places[row[axis.key]] if row[axis.key] in places else float(row[axis.key]) for row in own]
             y = [100 * number(row, "nrmse") for row in own]
             axes.plot(
-                x, y, linestyle="", marker="o", markersize=size, color=shade[speed], alpha=0.6, markeredgewidth=0
+                x, y, linestyle="", marker="o", markersize=size, color=shade[name], alpha=0.6, markeredgewidth=0
             )
         percent_axis(axes)
     handles = [
-        Line2D([], [], linestyle="", marker="o", markersize=4, color=c, label=f"{v:g} m/s") for v, c in shade.items()
+        Line2D([], [], linestyle="", marker="o", markersize=4, color=c, label=v if targets else f"{v} m/s")
+        for v, c in shade.items()
     ]
     legend_above(figure, handles)
     return figure
@@ -227,15 +231,18 @@ def question_figure(found: Answer, label_of_key: str) -> Figure:
     figure = Figure(figsize=(5.6, 3.8), layout="constrained")
     axes = figure.subplots()
     style(axes)
-    entries = list(dict.fromkeys((row["speed_m_s"], row["grip_N"]) for row in found.tried[0].rows))
+    entries = list(dict.fromkeys((row["target"] or row["speed_m_s"], row["grip_N"]) for row in found.tried[0].rows))
     scale = 100.0 if "nrmse" in requirement.measure or requirement.measure == "floor" else 1.0
     x = [tried.value for tried in found.tried]
     shade, dashes = ({text: j for j, text in enumerate(dict.fromkeys(each))} for each in zip(*entries, strict=True))
     by_speed = colours(len(shade))
     for entry in entries:
-        own = [next(row for row in tried.rows if (row["speed_m_s"], row["grip_N"]) == entry) for tried in found.tried]
+        own = [
+            next(row for row in tried.rows if (row["target"] or row["speed_m_s"], row["grip_N"]) == entry)
+            for tried in found.tried
+        ]
         y = [scale * number(row, requirement.measure) if row["status"] == OPTIMAL else np.nan for row in own]
-        name = f"{float(entry[0]):g} m/s, {float(entry[1]):g} N"
+        name = entry_name(own[0])
         colour, dash = by_speed[shade[entry[0]]], DASHES[dashes[entry[1]] % len(DASHES)]
         axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.0, marker="o", markersize=2.5, label=name)
     axes.axhline(scale * requirement.bound, color=DARK, linewidth=0.9, linestyle=":")

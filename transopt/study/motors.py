@@ -184,7 +184,7 @@ class Selection:
         for stem, (plan, rows) in self.studies.items():
             assert plan.scene.motor is not None
             lines += [f"## {plan.scene.motor.name}", "", plan.scene.motor.datasheet, "", f"![{stem}]({stem}.png)", ""]
-            lines += rows_table(rows, [plan.axes[0].key])
+            lines += rows_table(rows, [plan.axes[0].key], plan.scene.driven_by.unit)
         return [*lines, LEGEND, ""]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from transopt.base.axes import Axes
 from transopt.base.errors import InputError
 from transopt.design.sweep import Item, Task
 from transopt.scene.keys import with_values
@@ -21,7 +22,7 @@ from transopt.study.recordings import StudyRecordings
 TOGETHER = 16  # entries of a task: replaying 16 together takes 1.5 times as long as replaying one
 MOST_POINTS = 10_000_000
 # Tables that the device, its time axis or the recordings depend on: what differs in one of them shares less work.
-HEAVY = ("model", "motor", "transmission", "tip", "amplifier", "time", "recordings", "feedback")
+HEAVY = ("model", "motor", "transmission", "tip", "amplifier", "time", "recordings", "targets", "feedback")
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Plan:
     ----------
     scene : everything that is not varied.
     axes : the keys that are varied, with their values.
-    speeds_m_s : speeds of the entries of every point [m/s], within the recorded ones of the scene.
+    speeds_m_s : speeds of the entries of every point [m/s], within the recorded ones of the scene; zeros for targets.
     grips_N : grips of the entries of every point [N].
     sample : number of points of a Latin hypercube; None for all combinations of the axes' values.
     seed : of the Latin hypercube.
@@ -63,7 +64,7 @@ class Plan:
         if rivals <= set(names):
             raise InputError("--vary limits.beta: limits.current_A states the same limit: vary one of the two")
         recorded = self.scene.grid.speeds_m_s
-        for speed in self.speeds_m_s:
+        for speed in self.speeds_m_s if recorded else ():
             if not recorded[0] <= speed <= recorded[-1]:
                 raise InputError(
                     f"--speed {speed:g}: must be between {recorded[0]:g} and {recorded[-1]:g} m/s, "
@@ -72,6 +73,11 @@ class Plan:
         with_values(self.scene, {"grid.grips_N": list(self.grips_N)})
         if not 1 <= self.points <= MOST_POINTS:
             raise InputError(f"{self.points} points: must be at least 1 and at most {MOST_POINTS}")
+
+    @property
+    def entry_axes(self) -> Axes:
+        """What the entries of every point are for."""
+        return Axes(self.speeds_m_s, self.grips_N, self.scene.axes.targets)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -149,6 +155,7 @@ class Plan:
         Which rows share a task never depends on what is done: entries that are replayed together agree to the last
         digit only with the same neighbours, and a study that was stopped is to end with the rows of one that was not.
         """
+        names = self.scene.axes.targets or ("",) * len(self.speeds_m_s)
         for points in self.groups():
             recordings, source = recorded.of(self.changes(points[0]))
             for ig, grip in enumerate(self.grips_N):
@@ -164,7 +171,8 @@ class Plan:
                         grip_N=grip,
                         points=tuple(self.changes(p) for p in own),
                         items=tuple(
-                            Item(self.index(p, iv, ig), own.index(p), self.speeds_m_s[iv]) for p, iv in together
+                            Item(self.index(p, iv, ig), own.index(p), self.speeds_m_s[iv], names[iv])
+                            for p, iv in together
                         ),
                         options=self.options,
                         rivals=self.rivals,

@@ -9,11 +9,13 @@ from transopt.base.machine import machine, versions
 from transopt.base.units import unit_of
 from transopt.base.writing import percent, table
 from transopt.design.sweep import REFUSED
+from transopt.scene.scene import Scene
 from transopt.study.axes import label
 from transopt.study.columns import MULTIPLIERS, VIOLATIONS
 from transopt.study.inverse import Answer
 from transopt.study.plan import Plan
 from transopt.study.rows import OPTIMAL, Row, entry_name, number
+from transopt.study.rows import entry_cells as place_cells
 from transopt.study.store import LIBRARIES
 
 MOST_ROWS = 120  # of the table; rows.csv has them all
@@ -51,7 +53,7 @@ def largest_multiplier(row: Row) -> str:
 def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
     """A row of the table."""
     values = [row[key] for key in keys]
-    entry = [f"{float(row['speed_m_s']):g}", f"{float(row['grip_N']):g}"]
+    entry = place_cells(row)
     if row["status"] == REFUSED:
         return [*values, *entry, "refused", "-", "-", "-", "-", "-", "-", row["reason"]]
     return [
@@ -68,15 +70,15 @@ def entry_cells(row: Row, keys: Sequence[str]) -> list[str]:
     ]
 
 
-def rows_table(rows: Sequence[Row], keys: Sequence[str]) -> list[str]:
+def rows_table(rows: Sequence[Row], keys: Sequence[str], unit: str) -> list[str]:
+    """The table of rows; `unit` is that of the commands."""
     columns = [f"{key} {unit_of(key)}".strip() for key in keys]
     head = [
         *columns,
-        "speed m/s",
-        "grip N",
+        *(["target"] if rows and rows[0]["target"] else ["speed m/s", "grip N"]),
         "NRMSE %",
         "floor %",
-        "peak A",
+        f"peak {unit}",
         "winding C",
         "largest multiplier",
         "gap",
@@ -113,22 +115,20 @@ def refusal_lines(rows: Sequence[Row]) -> list[str]:
 def spread_lines(plan: Plan, rows: Sequence[Row]) -> list[str]:
     """Per entry least, median and largest NRMSE over all points, and where."""
     lines = []
-    for speed in plan.speeds_m_s:
-        for grip in plan.grips_N:
-            own = [
-                row
-                for row in rows
-                if float(row["speed_m_s"]) == speed and float(row["grip_N"]) == grip and row["status"] == OPTIMAL
-            ]
+    axes = plan.entry_axes
+    for iv in range(len(plan.speeds_m_s)):
+        for ig in range(len(plan.grips_N)):
+            place = axes.cells(iv, ig)
+            own = [row for row in rows if place_cells(row) == place and row["status"] == OPTIMAL]
             if not own:
-                lines.append([f"{speed:g}", f"{grip:g}", "0", "-", "-", "-", "-"])
+                lines.append([*place, "0", "-", "-", "-", "-"])
                 continue
             errors = [number(row, "nrmse") for row in own]
             best = own[int(np.argmin(errors))]
             at = ", ".join(f"{axis.key} = {best[axis.key]}" for axis in plan.axes)
             cells = [percent(value) for value in (min(errors), float(np.median(errors)), max(errors))]
-            lines.append([f"{speed:g}", f"{grip:g}", str(len(own)), *cells, at])
-    head = ["speed m/s", "grip N", "certified", "least NRMSE %", "median %", "largest %", "least at"]
+            lines.append([*place, str(len(own)), *cells, at])
+    head = [*axes.columns, "certified", "least NRMSE %", "median %", "largest %", "least at"]
     return table(head, lines)
 
 
@@ -146,16 +146,16 @@ def study_markdown(plan: Plan, rows: Sequence[Row], figure: str, head: Sequence[
     lines += ["## Rows", ""]
     if len(rows) > MOST_ROWS:
         lines += [f"The first {MOST_ROWS} of {len(rows)}; all are in rows.csv.", ""]
-    lines += [*rows_table(rows[:MOST_ROWS], keys), LEGEND, ""]
+    lines += [*rows_table(rows[:MOST_ROWS], keys, plan.scene.driven_by.unit), LEGEND, ""]
     prices = [f"- row {row['index']}: {row['price']}" for row in rows[:MOST_ROWS] if row["price"]]
     return "\n".join([*lines, *(["## Prices", "", *prices, ""] if prices else [])])
 
 
-def answer_markdown(scene: str, found: Answer, head: Sequence[str]) -> str:
+def answer_markdown(scene: Scene, found: Answer, head: Sequence[str]) -> str:
     """report.md of the inverse question."""
     question = found.question
     key, unit = question.key.path, unit_of(question.key.path)
-    lines = [f"# {scene}: {'greatest' if question.greatest else 'least'} {key}", "", *head, *found.sentences, ""]
+    lines = [f"# {scene.name}: {'greatest' if question.greatest else 'least'} {key}", "", *head, *found.sentences, ""]
     cells = []
     for tried in found.tried:
         row = found.worst(tried)
@@ -169,5 +169,6 @@ def answer_markdown(scene: str, found: Answer, head: Sequence[str]) -> str:
     lines += table([f"{key} {unit}".strip(), "", "entry", *measures, "status", "gap"], cells)
     for name, side in (("where it is met", found.met), ("where it is missed", found.missed)):
         if side is not None:
-            lines += [f"## Evidence {name}: {key} = {label(side.value)}", "", *rows_table(side.rows, [key])]
+            rows = rows_table(side.rows, [key], scene.driven_by.unit)
+            lines += [f"## Evidence {name}: {key} = {label(side.value)}", "", *rows]
     return "\n".join([*lines, LEGEND, ""])

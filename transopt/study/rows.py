@@ -46,7 +46,12 @@ def number(row: Row, column: str) -> float:
 
 def entry_name(row: Row) -> str:
     """How messages and tables call the entry of a row."""
-    return f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
+    return row["target"] or f"{float(row['speed_m_s']):g} m/s, {float(row['grip_N']):g} N"
+
+
+def entry_cells(row: Row) -> list[str]:
+    """Which entry a row is of, in the columns of a table (`Axes.columns`)."""
+    return [row["target"]] if row["target"] else [f"{float(row['speed_m_s']):g}", f"{float(row['grip_N']):g}"]
 
 
 def exit_code(rows: Sequence[Row]) -> int:

@@ -34,7 +34,7 @@ class TestSearch:
         question = parse_question(scene, f"limits.current_A={span}", [require], **{"greatest": False, **options})
 
         def rows(value: float) -> list[dict[str, str]]:
-            common = {"speed_m_s": "0.4", "reason": "", "status": "OPTIMAL"}
+            common = {"speed_m_s": "0.4", "target": "", "reason": "", "status": "OPTIMAL"}
             worse = {**common, "grip_N": "5.0", "nrmse": repr(error(value))}
             if np.isnan(error(value)):
                 worse.update(status="INFEASIBLE", nrmse="", reason="no way")
@@ -88,7 +88,7 @@ class TestSearch:
 
         def rows(value: float) -> list[dict[str, str]]:
             asked.append(value)
-            return [{"speed_m_s": "1", "grip_N": "1", "status": "OPTIMAL", "nrmse": repr(value / 1000), "reason": ""}]
+            return [{"speed_m_s": "1", "target": "", "grip_N": "1", "status": "OPTIMAL", "nrmse": repr(value / 1000), "reason": ""}]
 
         found = answer(question, lambda values: [rows(value) for value in values])
         assert (found.met.value, found.missed.value) == (300, 299)
