@@ -274,6 +274,7 @@ def _meta(
     return {
         **({"outputs": outputs} if any(outputs) else {}),
         **in_file_form(scene.driven_by, scene.axes.targets),
+        **({"target_ends_s": [r.ends_s for r in references]} if scene.targets else {}),
         "dt_s": scene.time.dt_s,
         "lead_s": scene.lead_s,
         "grip_min_N": scene.grid.grip_min_N,
@@ -288,10 +289,11 @@ def _meta(
         "feedback": None if wall is None else asdict(wall),
         "weights": {
             "rho": problem.rho,
-            "tracking": problem.tracking_weights.tolist(),
+            "tracking": scene.posing().tracking_weights.tolist(),
             "after_s": scene.weights.after_s,
             "objective": scene.weights.objective,
             "intensity_dB": scene.weights.intensity_dB,
+            **({"calm": scene.weights.calm} if scene.targets else {}),
             "error_filter": scene.weights.error_filter,
             # F = 1 is b = a = 1.
             "error_filter_b": [1.0] if heard is None else heard.b.tolist(),

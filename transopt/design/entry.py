@@ -275,6 +275,7 @@ def wanted_of(reference: Reference) -> Wanted:
         reference.nominal_velocity_m_s,
         reference.nominal_position_m,
         reference.nominal_position_at_ticks_m,
+        reference.ends_s,
     )
 
 

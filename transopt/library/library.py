@@ -358,6 +358,7 @@ class Library:
             by_speed @ self.nominal_velocity_m_s,
             by_speed @ self.nominal_position_m,
             by_speed @ np.append(self.nominal_position_at_ticks_m, self.nominal_after_at_ticks_m, axis=1),
+            np.inf if self.meta.get("target_ends_s") is None else float(by_speed @ self.meta["target_ends_s"]),
         )
 
     def target(self, by_speed: FloatArray) -> Target:

@@ -35,6 +35,7 @@ class Wanted:
     nominal_velocity_m_s, nominal_position_m : (N,) the hand's own motion z_nom and its derivative at the switching
         instants.
     nominal_position_at_ticks_m : (N + M,) z_nom at the servo ticks, where the encoder is read, for the wall.
+    ends_s : when it is over; infinite for a tap, which goes on as it was recorded.
     """
 
     speed_m_s: float
@@ -42,6 +43,7 @@ class Wanted:
     nominal_velocity_m_s: FloatArray
     nominal_position_m: FloatArray
     nominal_position_at_ticks_m: FloatArray
+    ends_s: float = np.inf
 
     __repr__ = brief
 
@@ -57,6 +59,7 @@ class Posing:
     objective : "waveform", J is minimised, or "intensity", the tap has to have the energy asked for as well.
     intensity_dB : that energy, over the recorded tap's [dB].
     driven_by : what the input of the plants is.
+    calm : factor on the tracking weights behind the end of what is wanted, >= 1.
     law_of : what evaluates limits of a user's own that are not linear; None where nothing does.
     """
 
@@ -75,6 +78,7 @@ class Posing:
     intensity_dB: float = 0.0
     law_of: LawOf | None = None
     driven_by: Input = CURRENT_INPUT
+    calm: float = 1.0
 
     __repr__ = brief
 
@@ -86,7 +90,7 @@ class Posing:
         thermal, feedback, circuit = meta["thermal"], meta["feedback"], meta["circuit"]
         delay_s = 0.0 if amplifier is None else amplifier.delay_s
         # Files of schema 1 know of nothing after the window, and of no objective but the waveform.
-        weights = {"after_s": 0.0, "objective": "waveform", "intensity_dB": 0.0, **meta["weights"]}
+        weights = {"after_s": 0.0, "objective": "waveform", "intensity_dB": 0.0, "calm": 1.0, **meta["weights"]}
         after = samples_after(weights["after_s"], meta["dt_s"])
         return cls(
             grid=TimeGrid(meta["dt_s"], stages, meta["lead_s"], delay_s, after),
@@ -104,6 +108,7 @@ class Posing:
             objective=weights["objective"],
             intensity_dB=weights["intensity_dB"],
             driven_by=driven_by,
+            calm=weights["calm"],
         )
 
     def stage(self, plant: StateSpace, *, watched: bool = True) -> StageModel:
@@ -147,6 +152,7 @@ class Posing:
         if self.wall is not None:
             nominal = wanted.nominal_position_at_ticks_m
             hand_over = HandOver(self.wall, nominal, wanted.speed_m_s, nominal < 0)
+        over = self.grid.switching_times_s > wanted.ends_s
         setting = Setting(
             stage=stage,
             grid=self.grid,
@@ -162,7 +168,7 @@ class Posing:
             stage=stage,
             grid=self.grid,
             target=wanted.target,
-            tracking_weights=self.tracking_weights,
+            tracking_weights=self.tracking_weights * np.where(over, self.calm, 1.0),
             rho=self.rho,
             limits=posed(self.asked, setting, self.law_of),
             hand_over_samples=self.hand_over_samples,

@@ -78,6 +78,11 @@ class Reference:
         return Target(self.motor_m_s2, self.after_m_s2, self.before_m_s2)
 
     @property
+    def ends_s(self) -> float:
+        """When it is over: a named target has an end, a tap goes on as it was recorded."""
+        return float(self.times_s[-1]) if self.name else np.inf
+
+    @property
     def said(self) -> str:
         """What it is of, in a sentence."""
         return self.name or f"the tap at {self.speed_m_s:g} m/s"

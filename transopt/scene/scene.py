@@ -141,6 +141,8 @@ class Scene(Section):
         """Speeds with recordings of taps, or named targets: one of the two."""
         names = [target.name for target in self.targets]
         if not names:
+            if self.weights.calm != 1:
+                raise ValueError("weights.calm: a tap goes on as it was recorded, only a named target has an end")
             if not self.grid.speeds_m_s:
                 raise ValueError("grid.speeds_m_s: missing; add it to the scene, or [[targets]] without speeds")
             if not self.recordings.files and self.recordings.simulated is None:
@@ -386,6 +388,7 @@ class Scene(Section):
             objective=self.weights.objective,
             intensity_dB=self.weights.intensity_dB,
             driven_by=self.driven_by,
+            calm=self.weights.calm,
         )
 
     def budget(self) -> Budget:

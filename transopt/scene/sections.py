@@ -225,11 +225,13 @@ class Weights(Section):
     """What is minimised: weight of the command's movement, band of the error, how long after the waveform it counts.
 
     With `objective = "intensity"` the tap is asked to have at least the recorded energy, `intensity_dB` above it.
+    What is left after the end of a named target counts `calm` times: a little error of a click for much less ringing.
     """
 
     rho: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = 1e-3
     error_filter: Literal["none", "pacinian"] = "none"
     after_s: Annotated[float, Field(ge=0, le=LONGEST_AFTER_S)] = 30e-3
+    calm: Annotated[float, Field(ge=1, le=1e6)] = 1.0
     objective: Literal["waveform", "intensity"] = "waveform"
     intensity_dB: Annotated[float, Field(ge=-40, le=20)] = 0.0
 

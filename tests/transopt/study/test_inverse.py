@@ -88,7 +88,8 @@ class TestSearch:
 
         def rows(value: float) -> list[dict[str, str]]:
             asked.append(value)
-            return [{"speed_m_s": "1", "target": "", "grip_N": "1", "status": "OPTIMAL", "nrmse": repr(value / 1000), "reason": ""}]
+            entry = {"speed_m_s": "1", "target": "", "grip_N": "1"}
+            return [{**entry, "status": "OPTIMAL", "nrmse": repr(value / 1000), "reason": ""}]
 
         found = answer(question, lambda values: [rows(value) for value in values])
         assert (found.met.value, found.missed.value) == (300, 299)
