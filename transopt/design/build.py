@@ -269,7 +269,7 @@ def _meta(
     rail, heard = problem.limits.get(SupplyLimit.name), problem.error_filter
     # Null where it is shown not to matter (left_out) in every entry: then it is no constraint of any problem.
     warm = any(temperature_is_in(entry.left_out) for row in entries for entry in row)
-    watched = needed_outputs(scene.limits.asked())
+    watched = needed_outputs(scene.limits.asked(), scene.driven_by)
     outputs = [entry.problem.stage.plant.stored(watched) for entry in entries[0]]
     return {
         **({"outputs": outputs} if any(outputs) else {}),

@@ -17,11 +17,12 @@ from transopt.problem.limits.stroke import StrokeLimit
 from transopt.problem.limits.supply import SupplyLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.limits.velocity import VelocityLimit
-from transopt.problem.limits.voltage import VoltageLimit
+from transopt.problem.limits.voltage import SaggingVoltageLimit, VoltageLimit
 
 KINDS: tuple[type[Limit], ...] = (
     CurrentLimit,
     VoltageLimit,
+    SaggingVoltageLimit,
     CommandLimit,
     VoltageCommandLimit,
     SlewLimit,
