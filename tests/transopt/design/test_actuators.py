@@ -1,0 +1,249 @@
+"""Actuators that are no stylus on a motor: clicks of an LRA against an own formulation, other inputs, other words."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import problems
+from tests.benches.lra import Actuator, optimum
+from transopt.base.errors import InputError
+from transopt.design.build import Build, build_library
+from transopt.design.verify import verify_library
+from transopt.library.export import export_library
+from transopt.library.file import load_library
+from transopt.library.library import Library
+from transopt.library.proven import load_proven
+from transopt.problem.answer import Status
+from transopt.report.comparison import Comparison
+from transopt.report.markdown import build_json, build_markdown
+from transopt.scene.keys import with_values
+from transopt.scene.scene import Scene
+
+SHORT = {"time.dt_s": 1e-4, "time.stages": 160, "weights.after_s": 8e-3}  # 16 ms at 10 kHz
+
+
+def lra(changes: dict[str, Any] | None = None) -> Scene:
+    """The built-in LRA, on a time axis that a dense program can have."""
+    return with_values(problems.load("lra_click"), {**SHORT, **(changes or {})})
+
+
+def built(scene: Scene) -> Build:
+    build = build_library(scene, [])
+    assert not build.refused
+    return build
+
+
+@pytest.fixture(scope="module")
+def click() -> Build:
+    return built(lra())
+
+
+@pytest.mark.parametrize("stroke_m", [0.1e-3, 0.2e-3, 0.3e-3, 0.6e-3])
+def test_a_click_is_the_optimum_of_an_own_dense_program(stroke_m: float) -> None:
+    scene = lra({"limits.stroke_m": stroke_m})
+    build = built(scene)
+    numbers = {name: getattr(scene.model, name) for name in Actuator.__dataclass_fields__}
+    for row in build.entries:
+        (entry,) = row
+        problem, grid = entry.problem, entry.problem.grid
+        kept = problem.limits["stroke"].stated - problem.limits["stroke"].kept_back
+        command, J = optimum(
+            Actuator(**numbers),
+            problem.target.continued_m_s2,
+            np.append(problem.tracking_weights, np.ones(grid.after_stages)),
+            grid.dt_s,
+            grid.stages,
+            voltage_V=3.0,
+            stroke_m=kept,
+            rho=scene.weights.rho,
+            handed_over=scene.hand_over_samples,
+        )
+        assert entry.certificate.objective == pytest.approx(J, rel=1e-6)
+        assert np.abs(entry.solution.command - command).max() < 1e-2 * 3.0  # J is flat in the command
+        assert entry.status is Status.OPTIMAL
+
+
+@pytest.mark.parametrize("stroke_m", [0.1e-3, 0.6e-3])
+def test_the_stroke_is_kept_at_all_times(stroke_m: float) -> None:
+    scene = lra({"limits.stroke_m": stroke_m})
+    numbers = {name: getattr(scene.model, name) for name in Actuator.__dataclass_fields__}
+    A, b = Actuator(**numbers).flow()
+    grid = scene.time_grid()
+    for (entry,) in built(scene).entries:
+        state, largest = np.zeros(5), 0.0
+        for held in entry.solution.command:
+            run = solve_ivp(
+                lambda _, x, held=held: A @ x + b * held,
+                (0.0, grid.dt_s),
+                state,
+                method="DOP853",
+                rtol=1e-10,
+                atol=1e-14,
+                t_eval=np.linspace(0.0, grid.dt_s, 21),
+            )
+            largest = max(largest, float(np.abs(run.y[2] - run.y[0]).max()))
+            state = run.y[:, -1]
+        assert largest <= stroke_m * (1 + 1e-6)
+        if stroke_m == 0.1e-3:  # it binds, but for what is kept back for the time between the instants
+            assert largest >= 0.98 * stroke_m
+            assert "stroke" in entry.binding
+
+
+class TestLibrary:
+    def test_is_of_schema_3_and_is_read_back(self, click: Build, tmp_path: Path) -> None:
+        assert click.library is not None
+        path = tmp_path / "library.npz"
+        click.library.save(path)
+        with np.load(path, allow_pickle=False) as file:
+            names, meta = set(file.files), json.loads(str(file["meta"]))
+            assert file["targets"].tolist() == ["click 150 Hz", "click 250 Hz"]
+        assert meta["schema"] == 3
+        assert meta["command_unit"] == "V"
+        assert {
+            "command",
+            "transient_command",
+            "plant_input",
+            "peak_input",
+            "mu_voltage_upper",
+            "mu_stroke_lower",
+        } <= names
+        assert not {"command_A", "current_A", "speeds_m_s", "mu_current_upper"} & names
+        again = load_proven(path)
+        np.testing.assert_array_equal(again.command, click.library.command)
+        assert again.content_sha256 == click.library.content_sha256
+        assert all(not check.shortfalls for check in verify_library(again))
+
+    def test_a_changed_command_is_not_proven(self, click: Build, tmp_path: Path) -> None:
+        assert click.library is not None
+        changed = click.library.command * 0.98
+        replace(click.library, command=changed, transient_command=changed).save(tmp_path / "library.npz")
+        with pytest.raises(InputError, match=r"above the optimum|is off by"):
+            load_proven(tmp_path / "library.npz")
+
+    def test_has_no_speeds_to_ask_for(self, click: Build) -> None:
+        assert click.library is not None
+        with pytest.raises(InputError, match="no speeds but targets: ask for one of click 150 Hz, click 250 Hz"):
+            click.library.at(0.2, 3.0)
+
+    def test_a_missing_array_is_named_as_in_the_file(self, click: Build, tmp_path: Path) -> None:
+        assert click.library is not None
+        arrays = click.library.arrays()
+        del arrays["command"]
+        np.savez(tmp_path / "library.npz", **arrays)  # type: ignore[arg-type]
+        with pytest.raises(InputError, match="array command is missing"):
+            load_library(tmp_path / "library.npz")
+
+    def test_is_not_compared_with_currents(self, click: Build, library: Library) -> None:
+        assert click.library is not None
+        with pytest.raises(InputError, match="nothing to compare"):
+            Comparison.of(click.library, library)
+
+
+class TestWords:
+    def test_no_ampere_where_there_are_volts(self, click: Build, tmp_path: Path) -> None:
+        assert click.library is not None
+        export_library(click.library, tmp_path / "x.csv")
+        head = (tmp_path / "x.csv").read_text().splitlines()[6]
+        assert head.startswith("target,k,issue_time_s,switching_time_s,command_V,transient_command_V,voltage_V,")
+        report = build_markdown(click)
+        table = report.split("## Certificates")[0]
+        for amperes in (" A |", "[A]", "peak A", "current", "speed m/s", "grip N"):
+            assert amperes not in table, amperes
+        rows = json.loads(build_json(click))["entries"]
+        assert {"target", "peak_voltage_V", "free_peak_voltage_V"} <= set(rows[0])
+        assert not any("current" in key or key.endswith("_A") for key in rows[0])
+        assert "limit 3 V" in repr(click.library)
+        assert "m/s" not in repr(click)
+
+    def test_the_figure_has_the_unit_of_its_axis(self, click: Build) -> None:
+        labels = [axes.get_ylabel() for axes in click.plot().axes]
+        assert "voltage [V]" in labels
+        assert not any("[A]" in label for label in labels)
+
+
+class TestScene:
+    @pytest.mark.parametrize(
+        ("changes", "said"),
+        [
+            (
+                {"limits.voltage_V": None, "limits.steady_voltage_V": None},
+                "limits.voltage_V: missing; a voltage drives",
+            ),
+            ({"limits.beta": 3.0}, "limits.beta: belongs to a motor that a current drives"),
+            ({"limits.supply_V": 5.0}, "limits.supply_V: belongs to a motor"),
+            ({"limits.steady_voltage_V": 4.0}, "steady_voltage_V = 4 V: above voltage_V = 3 V"),
+            ({"limits.sag": [[0.0, 1.2]]}, "limits.sag: must be pairs"),
+            ({"grid.grips_N": [3.0]}, "grid.grips_N: named targets are for a device that nobody holds"),
+            ({"grid.speeds_m_s": [0.3]}, "grid.speeds_m_s: named targets have no speed"),
+            ({"model.R_ohm": None}, "R_ohm: missing; a voltage drives the coil"),
+            ({"model.input": "current"}, "limits.voltage_V: a current drives"),
+            ({"time.stages": 40}, "targets.click 150 Hz: lasts 13.33 ms, the waveform ends at"),
+            ({"tip": {"force_per_current_N_A": 1.0, "moving_mass_kg": 0.1}}, "is a whole actuator"),
+        ],
+    )
+    def test_what_contradicts_is_refused_in_one_line(self, changes: dict[str, Any], said: str) -> None:
+        with pytest.raises(InputError) as refused:
+            build_library(lra(changes), [])
+        assert said in str(refused.value)
+        assert "\n" not in str(refused.value)
+
+    def test_a_current_through_the_same_coil_makes_the_same_case_move(self) -> None:
+        by_voltage, by_current = (
+            lra(),
+            lra(
+                {
+                    "model.input": "current",
+                    "limits.voltage_V": None,
+                    "limits.steady_voltage_V": None,
+                    "limits.steady_current_A": 0.4,
+                    "limits.current_A": 0.4,
+                }
+            ),
+        )
+        f = np.array([80.0, 150.0, 400.0])
+        s, plant = 2j * np.pi * f, by_voltage.plant(0.0)
+        i_by_u = (plant.outputs["current"].row @ np.linalg.solve(s[:, None, None] * np.eye(3) - plant.A, plant.B))[
+            :, 0, 0
+        ]
+        np.testing.assert_allclose(plant.response(f), i_by_u * by_current.plant(0.0).response(f), rtol=1e-10)
+
+
+class TestSag:
+    def test_the_supply_is_kept_at_all_times(self) -> None:
+        course = [[0.0, 1.0], [0.004, 0.5], [0.016, 0.9]]
+        scene = lra({"limits.sag": course, "amplifier": {"pole_Hz": 5e3, "delay_s": 2e-5, "command_limit_V": 9.0}})
+        times, shares = np.array(course).T
+        for (entry,) in built(scene).entries:
+            grid, w = entry.problem.grid, 2 * np.pi * 5e3
+            u = 0.0
+            for k, held in enumerate(entry.solution.command):
+                within = np.linspace(0.0, grid.dt_s, 11)
+                felt = held + (u - held) * np.exp(-w * within)
+                most = 3.0 * np.interp(k * grid.dt_s + within, times, shares)
+                assert np.all(np.abs(felt) <= most * (1 + 1e-6))
+                u = felt[-1]
+            assert "sagging voltage" in entry.binding
+
+    def test_costs_what_it_takes_away(self, click: Build) -> None:
+        sagging = built(lra({"limits.sag": [[0.0, 0.8]]}))
+        weaker = built(lra({"limits.voltage_V": 2.4, "limits.steady_voltage_V": 2.0}))
+        for (one,), (other,), (free,) in zip(sagging.entries, weaker.entries, click.entries, strict=True):
+            assert one.nrmse == pytest.approx(other.nrmse, rel=1e-4)  # the movement is weighed by the limit
+            assert one.nrmse > free.nrmse
+
+
+def test_calm_costs_little_and_rings_less() -> None:
+    plain, calm = (built(lra({"weights.calm": weight})) for weight in (1.0, 100.0))
+    for (one,), (other,) in zip(plain.entries, calm.entries, strict=True):
+        after = one.problem.grid.switching_times_s > 2 / 150.0
+
+        def ring(entry: Any, after: Any = after) -> float:
+            return float(np.sum(entry.predicted_m_s2[after] ** 2))
+
+        assert ring(other) < 0.1 * ring(one)
+        assert other.nrmse < one.nrmse + 0.03
