@@ -6,7 +6,7 @@ states them on a jig of some 100 g, which is the case then. Outputs: "position" 
 case, whose stroke ends at its stops, and "current" where a voltage drives a coil with an inductance.
 """
 
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -24,6 +24,11 @@ class Inertial(MovingCoil):
     quality: Positive
     moving_mass_kg: Positive
     case_mass_kg: Positive
+
+    def produced(self, resonance: float, quality: float) -> Self:
+        return self.model_copy(
+            update={"resonance_Hz": resonance * self.resonance_Hz, "quality": quality * self.quality}
+        )
 
     def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
         w = 2 * np.pi * self.resonance_Hz

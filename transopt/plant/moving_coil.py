@@ -10,6 +10,7 @@ The acceleration that matters is x'' of the moving part against the ground, or F
 positive input. A voltage on a coil without inductance sees i = (u - BL dx/dt) / R, which damps the motion.
 """
 
+from abc import abstractmethod
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -48,6 +49,10 @@ class MovingCoil(PlantKind):
     def resistance_in_the_way_ohm(self) -> float | None:
         """Between the input and the coil's current: none where that is the input."""
         return self.R_ohm if self.input == "voltage" else None
+
+    @abstractmethod
+    def produced(self, resonance: float, quality: float) -> Self:
+        """Another specimen: resonance and quality times these factors, as production spreads them."""
 
     def circuit(self) -> Circuit | None:
         # The back-EMF per m/s is the force per ampere.

@@ -4,7 +4,7 @@ Outputs: "position" and "velocity" of the moving part against what holds it, and
 coil with an inductance.
 """
 
-from typing import Literal
+from typing import Literal, Self
 
 from transopt.base.section import NonNegative, Positive
 from transopt.plant.motor import Tip, Winding
@@ -28,6 +28,15 @@ class VoiceCoil(MovingCoil):
     @property
     def known_winding(self) -> Winding | None:
         return self.winding
+
+    def produced(self, resonance: float, quality: float) -> Self:
+        # w0^2 = k / mu, Q = sqrt(k mu) / c.
+        return self.model_copy(
+            update={
+                "stiffness_N_m": resonance**2 * self.stiffness_N_m,
+                "damping_N_s_m": resonance / quality * self.damping_N_s_m,
+            }
+        )
 
     def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
         return moving_coil(

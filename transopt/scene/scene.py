@@ -23,6 +23,7 @@ from transopt.plant.discretise import TimeGrid, samples_after
 from transopt.plant.kind import PlantKind
 from transopt.plant.kinds import Model
 from transopt.plant.motor import Motor, Tip, Transmission, Winding, at_the_tip
+from transopt.plant.moving_coil import MovingCoil
 from transopt.plant.state_space import Input, StateSpace
 from transopt.plant.wall import Wall
 from transopt.problem.heat import Budget
@@ -213,6 +214,12 @@ class Scene(Section):
             )
         if self.robust is not None and self.robust.grip_spread is not None and self.grid.grips_N[0] == 0:
             raise ValueError("robust.grip_spread: the free device has no grip to spread")
+        produced = self.robust is not None and (self.robust.resonance_spread or self.robust.quality_spread)
+        if produced and not isinstance(self.model, MovingCoil):
+            raise ValueError(
+                "robust.resonance_spread and quality_spread: are of a mass on a spring, model.kind = inertial or "
+                f"voice_coil, not of {self.model.kind}: leave them out"
+            )
         if self.robust is not None and self.robust.model_uncertainty and not isinstance(self.model, IdentifiedModel):
             raise ValueError('robust.model_uncertainty: needs a model file (model = "MODEL.json"), which has it')
 
@@ -438,6 +445,9 @@ class Scene(Section):
             assert isinstance(self.model, IdentifiedModel)
             drawn = self.model.drawn(self.robust.samples, self.grid.grips_N)
             devices += [(self.model_copy(update={"model": model}), grip_N) for model in drawn]
+        if self.robust is not None and isinstance(self.model, MovingCoil):
+            others = [self.model.produced(*factors) for factors in self.robust.produced()]
+            devices += [(self.model_copy(update={"model": model}), grip_N) for model in others]
         return devices
 
     @property

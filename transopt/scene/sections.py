@@ -236,18 +236,34 @@ class Weights(Section):
     intensity_dB: Annotated[float, Field(ge=-40, le=20)] = 0.0
 
 
+SAME_DEVICE = 1e-9  # a factor this near to 1 makes no other device
+
+
 class Robust(Section):
     """One command for a spread of devices around each node: the mean of the squared errors is minimised.
 
-    The spread is of grips, of devices that the uncertainty of the identified model allows, or of both side by side.
+    The spread is of grips, of devices that the uncertainty of the identified model allows, or of both side by side;
+    of a moving coil it is that of resonance and quality as production has it, `samples` resonances evenly across and
+    three qualities for each.
     """
 
     grip_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     model_uncertainty: bool = False
+    resonance_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
+    quality_spread: Annotated[float, Field(gt=0, lt=1)] | None = None
     samples: Annotated[int, Field(ge=2, le=15)] = 5
+
+    def produced(self) -> list[tuple[float, float]]:
+        """Factors on resonance and quality of the devices beside the nominal one."""
+        wide, steps = self.resonance_spread or 0.0, self.samples if self.resonance_spread else 1
+        resonances = [1 + wide * x for x in np.linspace(-1, 1, steps)] if steps > 1 else [1.0]
+        qualities = [1.0] if self.quality_spread is None else [1 - self.quality_spread, 1.0, 1 + self.quality_spread]
+        pairs = [(float(f), float(q)) for f in resonances for q in qualities]
+        return [pair for pair in pairs if max(abs(pair[0] - 1), abs(pair[1] - 1)) > SAME_DEVICE]
 
     @model_validator(mode="after")
     def _of_something(self) -> Self:
-        if self.grip_spread is None and not self.model_uncertainty:
-            raise ValueError("give grip_spread, or model_uncertainty = true, or both")
+        made = (self.resonance_spread, self.quality_spread)
+        if self.grip_spread is None and not self.model_uncertainty and made == (None, None):
+            raise ValueError("give grip_spread, model_uncertainty = true, resonance_spread or quality_spread")
         return self

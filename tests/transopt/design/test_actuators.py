@@ -247,3 +247,36 @@ def test_calm_costs_little_and_rings_less() -> None:
 
         assert ring(other) < 0.1 * ring(one)
         assert other.nrmse < one.nrmse + 0.03
+
+
+SPREAD: dict[str, Any] = {
+    "limits.stroke_m": None,
+    "weights.calm": 1.0,  # so that what is minimised is the error that is looked at
+    "robust": {"resonance_spread": 0.04, "quality_spread": 0.25, "samples": 3},
+}
+
+
+class TestProduction:
+    def test_the_spread_is_of_resonance_and_quality(self) -> None:
+        devices = lra(SPREAD).spread(0.0)
+        assert len(devices) == 8
+        numbers = {(of.model.resonance_Hz, of.model.quality) for of, _ in devices}  # type: ignore[union-attr]
+        assert numbers == {(f, q) for f in (144.0, 150.0, 156.0) for q in (6.0, 8.0, 10.0)} - {(150.0, 8.0)}
+
+    def test_one_command_for_all_errs_less_on_their_mean(self) -> None:
+        build = built(lra(SPREAD))
+        for (entry,) in build.entries:
+            assert entry.spread is not None
+            assert entry.spread.robust_rms < entry.spread.nominal_rms
+            assert entry.spread.robust_worst < entry.spread.nominal_worst
+        assert "Robust against the spread" in build_markdown(build)
+        assert build.library is not None
+        assert all(not check.shortfalls for check in verify_library(build.library))
+
+    def test_a_voice_coil_keeps_its_masses(self) -> None:
+        coil = problems.load("voice_coil_thud").model.model_copy(update={"input": "current"})
+        other = coil.produced(1.1, 0.8)  # type: ignore[union-attr]
+        poles = [np.linalg.eigvals(each.plant(0.0, None).A)[0] for each in (coil, other)]
+        assert abs(poles[1]) / abs(poles[0]) == pytest.approx(1.1, rel=1e-12)
+        quality = [abs(pole) / (-2 * pole.real) for pole in poles]
+        assert quality[1] / quality[0] == pytest.approx(0.8, rel=1e-12)
