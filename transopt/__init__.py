@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from transopt.library.file import load_library
     from transopt.library.library import Library, Waveform
     from transopt.library.online import Online
+    from transopt.plant.state_space import Input, Output, StateSpace
     from transopt.problem.answer import Certificate, Multipliers, Solution, Status
     from transopt.problem.limits.limit import Limits
     from transopt.problem.problem import TransientProblem
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from transopt.recordings.tap import prepare, read_recordings
     from transopt.report.write import write_report
     from transopt.scene.builtin import load_scene, scene_names
-    from transopt.scene.file import with_model
+    from transopt.scene.file import with_model, with_plant
     from transopt.scene.keys import with_values
     from transopt.scene.recordings import recordings_of
     from transopt.scene.scene import Scene
@@ -53,11 +54,13 @@ __all__ = [
     "Build",
     "Certificate",
     "Entry",
+    "Input",
     "InputError",
     "Library",
     "Limits",
     "Multipliers",
     "Online",
+    "Output",
     "Recording",
     "Recordings",
     "Reference",
@@ -65,6 +68,7 @@ __all__ = [
     "Scene",
     "Solution",
     "SolverOptions",
+    "StateSpace",
     "Status",
     "TransientProblem",
     "Waveform",
@@ -84,6 +88,7 @@ __all__ = [
     "solve_problem",
     "verify",
     "with_model",
+    "with_plant",
     "with_values",
     "write_report",
 ]
@@ -93,11 +98,13 @@ _HOME = {
     "Build": "design.build",
     "Certificate": "problem.answer",
     "Entry": "design.entry",
+    "Input": "plant.state_space",
     "InputError": "base.errors",
     "Library": "library.library",
     "Limits": "problem.limits.limit",
     "Multipliers": "problem.answer",
     "Online": "library.online",
+    "Output": "plant.state_space",
     "Recording": "recordings.recording",
     "Recordings": "recordings.settings",
     "Reference": "recordings.reference",
@@ -105,6 +112,7 @@ _HOME = {
     "Scene": "scene.scene",
     "Solution": "problem.answer",
     "SolverOptions": "solvers.options",
+    "StateSpace": "plant.state_space",
     "Status": "problem.answer",
     "TransientProblem": "problem.problem",
     "Waveform": "library.library",
@@ -124,6 +132,7 @@ _HOME = {
     "solve_problem": "solvers.choose:solve",
     "verify": "design.verify:verify_library",
     "with_model": "scene.file",
+    "with_plant": "scene.file",
     "with_values": "scene.keys",
     "write_report": "report.write",
 }

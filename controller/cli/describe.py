@@ -3,7 +3,6 @@
 Also how every other command finds the device that it is about.
 """
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import typer
 
 from controller.cli.options import DeviceName
 from transopt.base import terminal
+from transopt.base.asking import answer
 from transopt.base.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ device_app = typer.Typer(
     help="Describe a device in a file that every command reads.",
     epilog="Example: transopt-play device new device.toml",
 )
+NO_ANSWERS = "device new: no answers came; type them, or take the values offered with --defaults"
 # Without a sensor nothing is asked of it, with one nothing is assumed.
 POINTLESS = {
     "grip": {True: ("assumed_grip_N",), False: ("scale", "zero_N")},
@@ -96,7 +97,7 @@ def _asked(offered: Any) -> dict[str, Any]:
     from controller.device.device_file import TABLES
 
     console = terminal.console()
-    answers: dict[str, Any] = {"name": _answer("name", "what you call it", "", offered.name, lambda text: text)}
+    answers: dict[str, Any] = {"name": answer("name", "what you call it", "", offered.name, str, without=NO_ANSWERS)}
     for table, kind in TABLES.items():
         console.print(f"\n{table}: {(kind.__doc__ or '').splitlines()[0]}", highlight=False)
         given: dict[str, Any] = {}
@@ -129,25 +130,7 @@ def _checked_answer(kind: Any, table: str, key: str, why: str, default: Any) -> 
             raise ValueError(error.errors()[0]["msg"].replace("Input should be", "must be")) from None
         return value
 
-    return _answer(f"{table}.{key}", why, unit_of(key), default, parsed)
-
-
-def _answer(name: str, why: str, unit: str, default: Any, parsed: Any) -> Any:
-    """One question, repeated until the answer is one."""
-    offered = {True: "yes", False: "no", None: "not stated"}.get(default) if default in (True, False, None) else None
-    if offered is None or (isinstance(default, int | float) and not isinstance(default, bool)):
-        offered = str(default)
-    while True:
-        typer.echo(f"  {name}{f' [{unit}]' if unit else ''}: {why}\n    ({offered}) ", nl=False)
-        text = sys.stdin.readline()
-        if text == "":
-            raise InputError("device new: no answers came; type them, or take the values offered with --defaults")
-        if not text.strip():
-            return default
-        try:
-            return parsed(text.strip())
-        except ValueError as error:
-            typer.echo(f"    {text.strip()}: {error}")
+    return answer(f"{table}.{key}", why, unit_of(key), default, parsed, without=NO_ANSWERS)
 
 
 def described(named: str | None, library: Path | None = None, *, quiet: bool = False) -> "Described":

@@ -1,5 +1,6 @@
 """A plant by its matrices: any linear device that the other kinds do not describe, measured or modelled elsewhere."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -12,21 +13,28 @@ from transopt.plant.motor import Tip
 from transopt.plant.state_space import CURRENT_INPUT, VOLTAGE_INPUT, Input, Output, StateSpace
 
 Row = Annotated[list[Finite], Field(min_length=1, max_length=MOST_STATES)]
-FOLLOWED = {"position": "position", "velocity": "velocity"}  # outputs that the nominal motion of a stylus is added to
+# Outputs that the nominal motion of a stylus is added to.
+FOLLOWED: Mapping[str, Literal["position", "velocity"]] = {"position": "position", "velocity": "velocity"}
 
 
 class OutputTable(Section):
-    """One further output of the plant: its row over the states, and its unit."""
+    """One further output of the plant: its row over the states, its unit, and what nominal motion it follows.
+
+    Without `follows`, "position" and "velocity" are those of a mass that moves with a stylus; `follows = ""` says
+    that they are against a case.
+    """
 
     row: Row
     unit: Words
+    follows: Literal["", "position", "velocity"] | None = None
 
 
 class Matrices(PlantKind):
     """dx/dt = A x + B u, acceleration = C x + D u, u a current or a voltage, all SI.
 
-    `outputs` names what limits may be on; "position" and "velocity" are those that `limits.stroke_m` and
-    `limits.velocity_m_s` bound, "current" of a coil that a voltage drives that of `limits.current_A`.
+    A scene states the matrices or names the `file` that has them. `outputs` names what limits may be on; "position"
+    and "velocity" are those that `limits.stroke_m` and `limits.velocity_m_s` bound, "current" of a coil that a
+    voltage drives that of `limits.current_A`.
     """
 
     driven_at_tip: ClassVar[bool] = False
@@ -51,13 +59,31 @@ class Matrices(PlantKind):
                 raise ValueError(f"{name}: a row of {odd} numbers, A has {n} states: every row needs {n}")
         return self
 
+    @classmethod
+    def of(cls, plant: StateSpace) -> Self:
+        """The table that states a plant by its matrices."""
+        return cls(
+            kind="state_space",
+            input="voltage" if plant.driven_by == VOLTAGE_INPUT else "current",
+            A=plant.A.tolist(),
+            B=plant.B[:, 0].tolist(),
+            C=plant.C[0].tolist(),
+            D=float(plant.D[0, 0]),
+            outputs={
+                name: OutputTable(row=output.row[0].tolist(), unit=output.unit, follows=output.follows)
+                for name, output in plant.outputs.items()
+            },
+        )
+
     @property
     def driven_by(self) -> Input:
         return VOLTAGE_INPUT if self.input == "voltage" else CURRENT_INPUT
 
     def plant(self, grip_N: float, tip: Tip | None, *, struck: bool = False) -> StateSpace:
         outputs = {
-            name: Output(np.array([table.row]), table.unit, FOLLOWED.get(name, ""))  # type: ignore[arg-type]
+            name: Output(
+                np.array([table.row]), table.unit, FOLLOWED.get(name, "") if table.follows is None else table.follows
+            )
             for name, table in self.outputs.items()
         }
         return StateSpace(

@@ -6,8 +6,13 @@ F = BL i - k x - c dx/dt the force between them,
     x'' = F / mu,   mu = m M / (m + M), and m where nothing but the ground holds it,
     L di/dt = u - R i - BL dx/dt   where a voltage u is the input.
 
-The acceleration that matters is x'' of the moving part against the ground, or F / M of the case, positive for a
-positive input. A voltage on a coil without inductance sees i = (u - BL dx/dt) / R, which damps the motion.
+The acceleration that matters is x'' of the moving part against the ground, or F / M of the case. Both are positive
+for a positive input: that of the case is counted in the direction in which F pushes it, against that of x. A voltage
+on a coil without inductance sees i = (u - BL dx/dt) / R, which damps the motion.
+
+Struck by a force f from outside on the part whose acceleration that is, its terminals open, the actuator does
+
+    x'' = F / mu + f / m,  and with a case  x'' = F / mu + f / M,  where (F + f) / M is the acceleration of the case.
 """
 
 from abc import abstractmethod
@@ -76,7 +81,7 @@ def moving_coil(
     ----------
     case_mass_kg : None where the ground holds the coil or the magnet.
     R_ohm : of the coil; None where a current is the input.
-    struck : the input is a force on the moving part [N] instead.
+    struck : the input is a force on the part whose acceleration it is, the moving one or the case [N] instead.
     """
     reduced_kg = (
         moving_mass_kg if case_mass_kg is None else moving_mass_kg * case_mass_kg / (moving_mass_kg + case_mass_kg)
@@ -96,11 +101,14 @@ def moving_coil(
             gain, c = BL / R_ohm, c + BL**2 / R_ohm
         force, direct = np.array([-k, -c]), gain
         A = np.array([[0.0, 1.0], force / reduced_kg])
-        B = np.array([0.0, gain / reduced_kg])
+        # A force from outside has no counterpart in the coil: it accelerates one of the two masses only.
+        B = np.array([0.0, gain / (accelerated_kg if struck else reduced_kg)])
     n = B.size
+    # The nominal motion of a stylus takes a case and the mass in it along: x is what one moves against the other.
+    grounded = case_mass_kg is None
     outputs = {
-        POSITION: Output(np.eye(1, n, 0), "m", POSITION),
-        VELOCITY: Output(np.eye(1, n, 1), "m/s", VELOCITY),
+        POSITION: Output(np.eye(1, n, 0), "m", POSITION if grounded else ""),
+        VELOCITY: Output(np.eye(1, n, 1), "m/s", VELOCITY if grounded else ""),
         **({CURRENT: Output(np.eye(1, n, 2), "A")} if n > 2 else {}),
     }
     return StateSpace(

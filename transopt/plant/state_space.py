@@ -132,6 +132,11 @@ class StateSpace:
         """(1, n) row of the velocity of the same mass, which the back-EMF follows; zero where there is none."""
         return self.outputs[VELOCITY].row if VELOCITY in self.outputs else np.zeros((1, self.order))
 
+    @property
+    def moves_in_a_case(self) -> bool:
+        """Whether its position is against a case that the nominal motion takes along: z_nom has no part in it."""
+        return POSITION in self.outputs and not self.outputs[POSITION].follows
+
     def output(self, name: str) -> Output:
         """A named output; "state 1" to "state n" are the plant's own states.
 
@@ -148,7 +153,8 @@ class StateSpace:
 
     def stored(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
         """Those of the named outputs that A and Ce do not tell, as the `meta` of a library has them."""
-        own = [name for name in names if name in self.outputs and name not in (POSITION, VELOCITY)]
+        told = [name for name in (POSITION, VELOCITY) if name in self.outputs and self.outputs[name].follows == name]
+        own = [name for name in names if name in self.outputs and name not in told]
         return {name: {**asdict(self.outputs[name]), "row": self.outputs[name].row[0].tolist()} for name in own}
 
     def response(self, frequencies_Hz: FloatArray) -> FloatArray:

@@ -153,6 +153,7 @@ class Posing:
             nominal = wanted.nominal_position_at_ticks_m
             hand_over = HandOver(self.wall, nominal, wanted.speed_m_s, nominal < 0)
         over = self.grid.switching_times_s > wanted.ends_s
+        carried = 0.0 if stage.plant.moves_in_a_case else 1.0
         setting = Setting(
             stage=stage,
             grid=self.grid,
@@ -161,8 +162,8 @@ class Posing:
             budget=self.budget,
             wall=hand_over,
             reference_m_s2=wanted.target.window_m_s2,
-            nominal_m=wanted.nominal_position_m,
-            nominal_m_s=wanted.nominal_velocity_m_s,
+            nominal_m=carried * wanted.nominal_position_m,
+            nominal_m_s=carried * wanted.nominal_velocity_m_s,
         )
         return TransientProblem(
             stage=stage,

@@ -9,6 +9,7 @@ A name in a file is understood in one of three ways:
 A unit is never guessed: 9.81 lies between the two that are usual for an acceleration.
 """
 
+import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
@@ -24,6 +25,9 @@ UNIT_SUFFIX = re.compile(r"_([mc]?m_s2?|[mcu]?m|m?g|m?N|m?A|[mu]?s)$", re.IGNORE
 _WITH_UNIT = re.compile(r"(?P<base>[^\[\](){}/]+?)\s*(?:[\[({](?P<inside>[^\[\](){}]*)[\])}]|/\s*(?P<behind>\S+))")
 _G = STANDARD_GRAVITY_M_S2
 _TEMPERATURE = {"C": 1.0, "degC": 1.0, "°C": 1.0}
+# In the place of a factor: a magnitude of so many dB is 10^(dB / 20), re 1 m/s^2 per A or V.
+LEVEL = math.nan
+_PER_INPUT = {f"{a}/{u}": factor for a, factor in (("m/s^2", 1.0), ("m/s2", 1.0), ("g", _G)) for u in "AV"}
 # Quantity -> unit as instruments write it -> factor to SI. `_plain` spells a superscript or a dot as the table does.
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
@@ -46,6 +50,11 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "winding": _TEMPERATURE,
     "housing": _TEMPERATURE,
     "ambient": _TEMPERATURE,
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "rad/s": 1 / (2 * math.pi)},
+    "magnitude": {**_PER_INPUT, "dB": LEVEL},
+    "real": _PER_INPUT,
+    "imaginary": _PER_INPUT,
+    "phase": {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0},
 }
 # Quantity -> what else it is called, in small letters.
 ALIASES: Mapping[str, tuple[str, ...]] = {
@@ -56,6 +65,11 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
     "current": ("i", "strom"),
     "command": ("cmd",),
     "voltage": ("u", "v"),
+    "frequency": ("freq", "f", "frequenz"),
+    "magnitude": ("mag", "abs", "amplitude", "gain", "betrag"),
+    "real": ("re", "realteil"),
+    "imaginary": ("imag", "im", "imaginaerteil"),
+    "phase": ("angle", "arg"),
 }
 
 

@@ -15,8 +15,11 @@ from transopt.base.nearest import did_you_mean
 from transopt.base.section import Section
 from transopt.base.shown import cut
 from transopt.base.sizes import MOST_STAGES, MOST_TEXT_BYTES
+from transopt.plant.matrices import Matrices
+from transopt.plant.state_space import StateSpace
 from transopt.scene.model_place import identified_table, put_model, served_grips
 from transopt.scene.own_file import own_tables
+from transopt.scene.plant_file import with_plant_file
 from transopt.scene.scene import Scene
 from transopt.scene.sections import Time
 
@@ -155,6 +158,20 @@ def with_model(scene: Scene, file: str | Path) -> Scene:
         raise InputError(explain(scene.name, error, content)) from None
 
 
+def with_plant(scene: Scene, plant: StateSpace) -> Scene:
+    """The scene of a whole actuator with a plant by its matrices in place of its own, checked as a whole.
+
+    Raises
+    ------
+    InputError : a plant that does not go with what the scene states, as its input with the limits.
+    """
+    content = {**scene.model_dump(), "model": Matrices.of(plant).model_dump()}
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(scene.name, error, content)) from None
+
+
 def _resolved(scene: Path, folder: str) -> str:
     """The recordings' folder from anywhere."""
     try:
@@ -170,7 +187,8 @@ def read_scene(
 
     Relative paths in it count from the scene's folder; motor and transmission, where they are file names and
     not tables, are also looked for in the `search` folders. A model that is a file name is a model file, which takes
-    the place of the [model] table; `model_file` names one beside that table. The files below `limits.own` are run.
+    the place of the [model] table; `model_file` names one beside that table. A plant by its matrices may have them in
+    a file, `model.file`. The files below `limits.own` are run.
 
     Parameters
     ----------
@@ -203,6 +221,8 @@ def read_scene(
         _take_model_file(path, content)
     elif isinstance(content.get("model"), str):
         content["model"] = _identified(path, "model", content["model"])
+    if isinstance(content.get("model"), dict):
+        content["model"] = with_plant_file(path, content["model"])
     limits, time = content.get("limits"), content.get("time", {})
     if isinstance(limits, dict) and "own" in limits:
         stages = time.get("stages", Time.model_fields["stages"].default) if isinstance(time, dict) else 0

@@ -174,6 +174,11 @@ class Scene(Section):
             return
         if limits.voltage_V is None:
             raise ValueError(f"limits.voltage_V: missing; a voltage drives model.kind = {self.model.kind}")
+        if limits.current_A is not None and isinstance(self.model, MovingCoil) and self.model.L_H == 0:
+            raise ValueError(
+                "limits.current_A: the current of a coil without inductance follows the voltage at once and is no "
+                "state to be limited: state model.L_H, or bound the voltage by limits.voltage_V"
+            )
         for key, stated in (
             ("limits.beta", limits.beta is not None),
             *((f"limits.{key}", getattr(limits, key) is not None) for key in OF_A_CURRENT),

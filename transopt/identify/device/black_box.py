@@ -19,11 +19,11 @@ from transopt.base.errors import InputError
 from transopt.base.signals import ComplexArray, FloatArray
 from transopt.identify.device.chain_search import GripResponse
 from transopt.identify.device.response import Instrument, Slope, sampled_response
+from transopt.identify.vector_fit import vector_fit
 from transopt.plant.state_space import StateSpace
 
 ORDERS = (2, 4, 6, 8, 10)  # tried in turn where none is stated, as long as the criterion falls
 HIGHEST_ORDER = 20
-RELOCATIONS = 20
 ENOUGH = 1.2  # mean square of residuals over the noise's, below which no other start is tried
 MORE = (
     (0.05, 0.2),
@@ -151,44 +151,6 @@ class _Sections:
         )
 
 
-def _vector_fit(s: ComplexArray, target: ComplexArray, weight: FloatArray, order: int, direct: bool) -> ComplexArray:
-    """(order,) stable poles of a rational function near `target` at the points s, conjugate pairs adjacent.
-
-    Iterates: least squares for numerator and denominator with a common set of poles, whose new set are the zeros of
-    the denominator; those to the right are reflected.
-    """
-    size = np.abs(s)
-    imaginary = np.geomspace(size.min(), size.max(), order // 2)
-    poles = np.stack([-0.1 * imaginary + 1j * imaginary, -0.1 * imaginary - 1j * imaginary], axis=1).ravel()
-    for _ in range(RELOCATIONS):
-        basis = np.empty((s.size, order), dtype=complex)
-        A, b = np.zeros((order, order)), np.empty(order)
-        j = 0
-        while j < order:
-            p = poles[j]
-            if p.imag != 0:
-                one, other = 1 / (s - p), 1 / (s - p.conjugate())
-                basis[:, j], basis[:, j + 1] = one + other, 1j * (one - other)
-                A[j : j + 2, j : j + 2] = [[p.real, p.imag], [-p.imag, p.real]]
-                b[j : j + 2] = 2.0, 0.0
-                j += 2
-            else:
-                basis[:, j], A[j, j], b[j] = 1 / (s - p), p.real, 1.0
-                j += 1
-        columns = [basis] + ([np.ones((s.size, 1))] if direct else []) + [-target[:, None] * basis]
-        system = np.hstack(columns) * weight[:, None]
-        right = target * weight
-        stacked, wanted = np.vstack([system.real, system.imag]), np.concatenate([right.real, right.imag])
-        norm = np.linalg.norm(stacked, axis=0)
-        solution = np.linalg.lstsq(stacked / norm, wanted, rcond=None)[0] / norm
-        moved = np.linalg.eigvals(A - np.outer(b, solution[-order:]))
-        moved = -np.abs(moved.real) + 1j * moved.imag
-        upper = moved[moved.imag > 0]
-        real = np.sort(moved[moved.imag == 0].real)
-        poles = np.concatenate([np.stack([upper, upper.conj()], axis=1).ravel(), real.astype(complex)])
-    return poles
-
-
 def _start(poles: ComplexArray) -> FloatArray:
     """(order,) log w and log a of sections with these poles; real ones are paired by size."""
     upper = poles[poles.imag > 0]
@@ -311,7 +273,7 @@ def _fit(one: GripResponse, instrument: Instrument, order: int) -> tuple[StateSp
         target, weight = target / s**2, weight * np.abs(s) ** 2
 
     def fitted(poles: int) -> ComplexArray:
-        return np.asarray(high * _vector_fit(s / high, target, weight / weight.max(), poles, direct=not held))
+        return np.asarray(high * vector_fit(s / high, target, weight / weight.max(), poles, direct=not held))
 
     sections = _Sections(order, held)
     best = _polished(one, instrument, sections, fitted(order))

@@ -157,7 +157,8 @@ class Setting:
     budget : what the winding may do beside keeping below its limit.
     wall : the virtual wall over this tap; None without one.
     reference_m_s2 : (N,) r at the switching instants.
-    nominal_m, nominal_m_s : (N,) z_nom and its derivative at the switching instants.
+    nominal_m, nominal_m_s : (N,) z_nom and its derivative at the switching instants, as far as they are part of the
+        device's position: zero where that is of a mass in a case.
     """
 
     stage: StageModel

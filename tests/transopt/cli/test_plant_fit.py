@@ -1,0 +1,132 @@
+"""`transopt plant fit`, and one device stated in three ways: by a scene, by Python, by its measured response."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import transopt as to
+from tests.benches.actuators import HEAD, LIMITS, file_scene, ten_states
+from tests.benches.commands import Outcome, Run, assert_refused
+
+F_HZ = np.linspace(10, 2000, 400)
+SAME = 1e-6  # of the limit, between designs of one device stated in three ways
+BY_VOLTAGE = ("--input", "voltage")
+
+
+def measure(path: str = "response.csv", delay_s: float = 0.0, noise: float = 0.0) -> None:
+    """What an analyser would write of the plant of ten states."""
+    G = ten_states().response(F_HZ) * np.exp(-2j * np.pi * F_HZ * delay_s)
+    random = np.random.default_rng(1)
+    G = G + noise * np.sqrt(np.mean(np.abs(G) ** 2) / 2) * (
+        random.normal(size=G.size) + 1j * random.normal(size=G.size)
+    )
+    rows = np.column_stack([F_HZ, 20 * np.log10(np.abs(G)), np.degrees(np.angle(G))])
+    np.savetxt(path, rows, delimiter=",", fmt="%.15g", header="frequency_Hz,magnitude_dB,phase_deg", comments="")
+
+
+@pytest.fixture
+def fit(run: Run) -> Callable[..., Outcome]:
+    return lambda *options: run("plant", "fit", "response.csv", "--out", "plant.npz", *BY_VOLTAGE, *options)
+
+
+def in_toml() -> str:
+    """The plant of ten states written out in a scene."""
+    plant = ten_states()
+    outputs = "".join(
+        f'[model.outputs."{name}"]\nrow = {output.row[0].tolist()}\nunit = "{output.unit}"\n'
+        for name, output in plant.outputs.items()
+    )
+    matrices = f"A = {plant.A.tolist()}\nB = {plant.B[:, 0].tolist()}\nC = {plant.C[0].tolist()}\n"
+    table = f'[model]\nkind = "state_space"\ninput = "voltage"\n{matrices}D = {float(plant.D[0, 0])}\n{outputs}'
+    return HEAD.format(peak=PEAK) + table + LIMITS
+
+
+PEAK = 60.0  # m/s^2: the rail binds
+
+
+def test_one_device_stated_in_three_ways_has_one_design(fit: Callable[..., Outcome]) -> None:
+    measure()
+    outcome = fit("--order", "10")
+    assert outcome.code == 0, outcome.out + outcome.err
+    Path("written.toml").write_text(in_toml(), encoding="utf-8")
+    Path("measured.toml").write_text(file_scene("plant.npz", peak_m_s2=PEAK), encoding="utf-8")
+    written = to.load_scene("written.toml")
+    other = to.load_scene("measured.toml")
+    scenes = {"scene": written, "Python": to.with_plant(other, ten_states()), "response": other}
+    commands = {name: to.solve(scene).command for name, scene in scenes.items()}
+    limit = written.limits.transient_input
+    assert np.abs(commands["scene"]).max() == pytest.approx(limit, rel=1e-6), "a limit binds"
+    assert np.abs(commands["Python"] - commands["scene"]).max() < SAME * limit
+    # What the fit leaves of an exact response, 1e-9 of it, is as little in the design.
+    assert np.abs(commands["response"] - commands["scene"]).max() < SAME * limit
+
+
+def test_the_design_for_a_noisy_response_is_as_good_as_its_fit(fit: Callable[..., Outcome]) -> None:
+    measure(noise=0.01)
+    assert fit("--order", "10").code == 0
+    Path("written.toml").write_text(in_toml(), encoding="utf-8")
+    Path("measured.toml").write_text(file_scene("plant.npz", peak_m_s2=PEAK), encoding="utf-8")
+    true, found = (to.solve(f"{name}.toml") for name in ("written", "measured"))
+    # Played on the true device the command of the fitted one loses about the noise of the response.
+    stage = true.stage(0)
+    target = true.reference_m_s2[0]
+    made = stage.rollout(found.command[0, 0])[0]
+    best = stage.rollout(true.command[0, 0])[0]
+    errors = [float(np.linalg.norm(a - target) / np.linalg.norm(target)) for a in (made, best)]
+    assert errors[0] == pytest.approx(errors[1], abs=0.002)
+
+
+def test_it_says_what_was_found_and_what_comes_next(fit: Callable[..., Outcome]) -> None:
+    measure()
+    outcome = fit("--order", "10")
+    assert "10 states to 400 points, 10 to 2000 Hz" in outcome.out
+    assert "resonances: 60 Hz (Q 4), 140 Hz (Q 8), 310 Hz (Q 12), 520 Hz (Q 10), 900 Hz (Q 15)" in outcome.out
+    assert "no acceleration under a constant input" in outcome.out
+    assert "fit to design with; next" in outcome.out
+    assert Path("plant.png").stat().st_size > 10_000
+    with np.load("plant.npz") as file:
+        assert str(file["input"]) == "voltage"
+        assert file["A"].shape == (10, 10)
+
+
+def test_a_poor_fit_is_not_fit_to_design_with(fit: Callable[..., Outcome]) -> None:
+    measure()
+    outcome = fit("--order", "4")
+    assert outcome.code == 1
+    assert "not fit to design with: misfit" in outcome.out
+    assert "--order 6 for a resonance more" in outcome.out
+    assert Path("plant.png").exists()
+    assert not Path("plant.npz").exists()
+
+
+def test_a_delay_is_no_state_and_is_taken_out(fit: Callable[..., Outcome]) -> None:
+    measure(delay_s=4e-4)
+    assert fit("--order", "10").code == 1
+    assert fit("--order", "10", "--delay-s", "4e-4").code == 0
+
+
+def test_a_band_and_a_scale(fit: Callable[..., Outcome], run: Run) -> None:
+    measure()
+    outcome = fit("--order", "8", "--band-Hz", "30", "400", "--scale", "9.80665")
+    assert outcome.code == 0, outcome.out
+    assert "74 points, 34.94 to 399 Hz" in outcome.out
+    with np.load("plant.npz") as file:
+        found = to.StateSpace(*(file[name] for name in "ABCD"))
+    f = np.linspace(40, 390, 50)
+    expected = 9.80665 * ten_states().response(f)
+    np.testing.assert_allclose(found.response(f), expected, atol=0.05 * np.abs(expected).max())
+
+
+def test_refusals(fit: Callable[..., Outcome], run: Run) -> None:
+    measure()
+    assert_refused(fit("--order", "4", "--delay-s", "-1"), "--delay-s -1: must be 0 to 1 s")
+    assert_refused(fit("--order", "99"), "--order 99: must be 1 to 40")
+    assert_refused(fit("--order", "4", "--scale", "0"), "--scale 0.0: must be a number other than 0")
+    gone = run("plant", "fit", "gone.csv", "--order", "4", "--out", "plant.npz")
+    assert_refused(gone, "gone.csv: no such file")
+    other = run("plant", "fit", "response.csv", "--order", "4", "--out", "plant.json")
+    assert_refused(other, "--out plant.json", "ends in .npz")
+    force = run("plant", "fit", "response.csv", "--order", "4", "--out", "p.npz", "--input", "force")
+    assert_refused(force, "--input force: unknown; choose current, voltage")

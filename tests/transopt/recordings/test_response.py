@@ -1,0 +1,151 @@
+"""Files of measured frequency responses: tables as instruments write them, and dataset 58 of universal files."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import io
+
+from transopt.base.errors import InputError
+from transopt.base.signals import STANDARD_GRAVITY_M_S2, ComplexArray, FloatArray
+from transopt.recordings.names import Layout
+from transopt.recordings.response import read_response
+
+F_HZ = np.linspace(10, 500, 50)
+S = 2j * np.pi * F_HZ
+W = 2 * np.pi * 150
+G = np.asarray(3.0 * S**2 / (S**2 + W / 8 * S + W**2))
+
+
+def table(path: Path, head: str, *columns: FloatArray, mark: str = ",") -> None:
+    np.savetxt(path, np.column_stack(columns), header=head, comments="", delimiter=mark, fmt="%.17g")
+
+
+DEGREES, DB = np.degrees(np.angle(G)), 20 * np.log10(np.abs(G))
+TABLES: dict[str, Callable[[Path], None]] = {
+    "real.csv": lambda p: table(p, "frequency_Hz,real,imag", F_HZ, G.real, G.imag),
+    "polar.csv": lambda p: table(p, "frequency_Hz,magnitude,phase_deg", F_HZ, np.abs(G), DEGREES),
+    "radian.csv": lambda p: table(p, "frequency_Hz,magnitude,phase_rad", F_HZ, np.abs(G), np.angle(G)),
+    "level.csv": lambda p: table(p, "frequency_Hz,magnitude_dB,phase_deg", F_HZ, DB, DEGREES),
+    "bode.txt": lambda p: table(p, "Frequency [Hz];Magnitude [dB];Phase [deg]", F_HZ, DB, DEGREES, mark=";"),
+    "inverse.csv": lambda p: table(
+        p,
+        "f [kHz],Mag (g/V),Phase (rad)",
+        F_HZ[::-1] / 1e3,
+        np.abs(G)[::-1] / STANDARD_GRAVITY_M_S2,
+        np.angle(G)[::-1],
+    ),
+    "with_dc.csv": lambda p: table(
+        p, "frequency_Hz,real,imag", np.append(0.0, F_HZ), np.append(1.0, G.real), np.append(0.0, G.imag)
+    ),
+    "arrays.npz": lambda p: np.savez(p, frequency_Hz=F_HZ, real=G.real, imaginary=G.imag),
+    "arrays.mat": lambda p: io.savemat(p, {"frequency_Hz": F_HZ, "magnitude": np.abs(G), "phase_deg": DEGREES}),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_every_form_is_the_same_response(name: str, tmp_path: Path) -> None:
+    TABLES[name](tmp_path / name)
+    found = read_response(tmp_path / name)
+    np.testing.assert_allclose(found.frequencies_Hz, F_HZ, rtol=1e-12)
+    np.testing.assert_allclose(found.response, G, rtol=1e-12)
+
+
+def test_scale_and_columns_that_state_nothing(tmp_path: Path) -> None:
+    table(tmp_path / "r.csv", "a,b,c", F_HZ, G.real, G.imag)
+    layout = Layout(("frequency_Hz", "real", "imag"))
+    np.testing.assert_allclose(read_response(tmp_path / "r.csv", layout, scale=-2.0).response, -2 * G, rtol=1e-12)
+
+
+def uff(
+    kind: int, *, even: bool, function: int = 4, abscissa: int = 18, ordinate: int = 12, response: ComplexArray
+) -> str:
+    """Dataset 58 as its description has it, in columns (SDRC Universal File Format)."""
+    width = {5: "13.5E", 6: "20.12E"}[kind]
+    cells = [[f"{x:{width}}" for x in (v.real, v.imag)] for v in response]
+    if not even:
+        cells = [[f"{f:13.5E}", *pair] for f, pair in zip(F_HZ, cells, strict=True)]
+    per_line = 80 // len("".join(cells[0]))
+    lines = ["".join("".join(point) for point in cells[k : k + per_line]) for k in range(0, len(cells), per_line)]
+    step = float(F_HZ[1] - F_HZ[0]) if even else 0.0
+    head = [
+        "    58",
+        "accelerance of a jig",
+        *["NONE"] * 4,
+        f"{function:5d}{1:10d}{1:5d}{0:10d} {'jig':10s}{1:10d}{3:4d} {'coil':10s}{1:10d}{3:4d}",
+        f"{kind:10d}{F_HZ.size:10d}{int(even):10d}{F_HZ[0]:13.5E}{step:13.5E}{0.0:13.5E}",
+        f"{abscissa:10d}{0:5d}{0:5d}{0:5d} {'Frequency':20s} {'Hz':20s}",
+        f"{ordinate:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {'m/s^2':20s}",
+        f"{0:10d}{0:5d}{0:5d}{0:5d} {'Voltage':20s} {'V':20s}",
+        f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
+    ]
+    return "\n".join(["    -1", *head, *lines, "    -1"]) + "\n"
+
+
+@pytest.mark.parametrize("even", [True, False])
+@pytest.mark.parametrize(("kind", "digits"), [(5, 1e-5), (6, 1e-11)])
+def test_dataset_58(kind: int, digits: float, even: bool, tmp_path: Path) -> None:
+    (tmp_path / "r.unv").write_text(uff(kind, even=even, response=G))
+    found = read_response(tmp_path / "r.unv")
+    np.testing.assert_allclose(found.frequencies_Hz, F_HZ, rtol=1e-5)
+    np.testing.assert_allclose(found.response, G, rtol=digits)
+
+
+def test_numbers_of_fixed_width_may_touch(tmp_path: Path) -> None:
+    # As compilers write it that give every exponent three digits.
+    text = re.sub(r" (-?\d\.\d{5}E[+-])(\d\d)", r"\g<1>0\g<2>", uff(5, even=True, response=np.asarray(-G)))
+    assert "E+000-" in text
+    (tmp_path / "r.uff").write_text(text)
+    np.testing.assert_allclose(read_response(tmp_path / "r.uff").response, -G, rtol=1e-5)
+
+
+WHOLE = uff(6, even=True, response=G)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (uff(6, even=True, response=G, function=1), "0 frequency responses in 1 datasets 58, must be one"),
+        (WHOLE + WHOLE, "2 frequency responses in 2 datasets 58, must be one"),
+        (uff(6, even=True, response=G, abscissa=17), "its abscissa is no frequency"),
+        (uff(6, even=True, response=G, ordinate=8), r"its ordinate is no acceleration \(type 12\); export the acc"),
+        ("\n".join([*WHOLE.splitlines()[:-4], "    -1"]), "88 numbers, its head promises 100; it is cut short"),
+        (WHOLE.replace("         6        50", "         2        50"), "ordinate type 2, must be 5 or 6, complex"),
+        (
+            WHOLE.replace("         6        50", "         6      many"),
+            "number of points is 'many', no whole number",
+        ),
+        (WHOLE.replace("    58\n", "    58b\n"), "a binary dataset 58b; export dataset 58 in ASCII"),
+        ("    -1\n   164\n         3 mm\n    -1\n" + WHOLE, "dataset 164: units other than SI"),
+        ("nothing", "no dataset between two lines of -1"),
+        (WHOLE.replace("E-0", "X-0", 1), "is no number; export it again"),
+    ],
+)
+def test_universal_files_that_hold_no_response(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "r.unv").write_text(text)
+    with pytest.raises(InputError, match=said) as caught:
+        read_response(tmp_path / "r.unv")
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("head", "columns", "said"),
+    [
+        ("frequency_Hz,magnitude", [F_HZ, np.abs(G)], "a response has frequency_Hz and either magnitude"),
+        ("real,imag", [G.real, G.imag], "0 frequency columns"),
+        ("frequency_Hz,magnitude,phase_deg", [F_HZ, DB, DEGREES], "a magnitude is negative: is it in dB"),
+        ("frequency_Hz,real,imag", [F_HZ * 0 + 5, G.real, G.imag], "5 Hz stands there twice"),
+        ("frequency_Hz,real,imag", [F_HZ, G.real * 1e12, G.imag], "point 1: 10 Hz, .*at most 1e.09"),
+        ("frequency_Hz,real,imag", [F_HZ[:5], G.real[:5], G.imag[:5]], "5 frequencies above 0, at least 8"),
+        ("f [Hz],Mag (ohm),phase_deg", [F_HZ, np.abs(G), DEGREES], "'ohm' is no unit of magnitude; known: m/s"),
+        ("frequency_Hz,real,imag,magnitude", [F_HZ, G.real, G.imag, np.abs(G)], "either magnitude"),
+    ],
+)
+def test_tables_that_are_no_response(head: str, columns: list[FloatArray], said: str, tmp_path: Path) -> None:
+    table(tmp_path / "r.csv", head, *columns)
+    with pytest.raises(InputError, match=said) as caught:
+        read_response(tmp_path / "r.csv")
+    assert str(caught.value).isprintable()
+    assert "r.csv: " in str(caught.value)

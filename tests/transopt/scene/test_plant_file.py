@@ -1,0 +1,178 @@
+"""A plant by its matrices, in a file that a scene names."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import io
+
+from tests.benches.actuators import file_scene, lra_scene, ten_states
+from transopt.base.errors import InputError
+from transopt.plant.state_space import StateSpace
+from transopt.scene.builtin import load_scene
+from transopt.scene.file import with_plant
+from transopt.scene.keys import with_values
+from transopt.scene.plant_file import save_plant
+from transopt.scene.scene import Scene
+
+UNITS = '[model.outputs.pull]\nunit = "N"\n'
+VOLTAGE = 'input = "voltage"\n'
+
+
+def arrays(plant: StateSpace) -> dict[str, Any]:
+    rows = {f"output_{name}": output.row for name, output in plant.outputs.items()}
+    return {**{name: getattr(plant, name) for name in "ABCD"}, **rows}
+
+
+def as_npz(plant: StateSpace, path: Path) -> None:
+    np.savez(path, **arrays(plant))
+
+
+def as_mat(plant: StateSpace, path: Path) -> None:
+    io.savemat(path, arrays(plant))
+
+
+def as_csv(plant: StateSpace, path: Path) -> None:
+    n = plant.order
+    rows = [np.hstack([plant.A, plant.B]), np.hstack([plant.C, plant.D])]
+    rows += [np.append(output.row[0], 0.0)[None] for output in plant.outputs.values()]
+    head = f"a plant of {n} states\noutputs: {', '.join(plant.outputs)}"
+    np.savetxt(path, np.vstack(rows), delimiter=",", fmt="%.17g", header=head)
+
+
+WRITERS: dict[str, Callable[[StateSpace, Path], None]] = {".npz": as_npz, ".mat": as_mat, ".csv": as_csv}
+
+
+def read(folder: Path, text: str) -> Scene:
+    (folder / "mine.toml").write_text(text, encoding="utf-8")
+    return load_scene(folder / "mine.toml")
+
+
+def assert_same(found: StateSpace, expected: StateSpace) -> None:
+    for name in "ABCD":
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-15)
+    assert found.driven_by == expected.driven_by
+    assert set(found.outputs) == set(expected.outputs)
+    for name, output in expected.outputs.items():
+        np.testing.assert_allclose(found.outputs[name].row, output.row, rtol=1e-15)
+        assert (found.outputs[name].unit, found.outputs[name].follows) == (output.unit, output.follows)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_every_format_holds_the_same_plant(suffix: str, tmp_path: Path) -> None:
+    plant = ten_states()
+    WRITERS[suffix](plant, tmp_path / f"plant{suffix}")
+    scene = read(tmp_path, file_scene(f"plant{suffix}", VOLTAGE + UNITS, "stroke_m = 1e-3\n"))
+    assert_same(scene.plant(0.0), plant)
+
+
+def test_what_is_saved_is_read_and_needs_no_file_afterwards(tmp_path: Path) -> None:
+    plant = ten_states()
+    save_plant(plant, tmp_path / "plant.npz")
+    scene = read(tmp_path, file_scene("plant.npz", UNITS))
+    (tmp_path / "plant.npz").unlink()
+    assert_same(Scene.model_validate(scene.model_dump()).plant(0.0), plant)
+    assert_same(with_values(scene, {"limits.voltage_V": 2.0}).plant(0.0), plant)
+
+
+def test_a_plant_of_python_is_put_into_a_scene(tmp_path: Path) -> None:
+    scene = read(tmp_path, lra_scene())
+    assert_same(with_plant(scene, ten_states()).plant(0.0), ten_states())
+    own = scene.plant(0.0)
+    assert_same(with_plant(scene, own).plant(0.0), own)
+    by_current = StateSpace(own.A, own.B, own.C, own.D)
+    with pytest.raises(InputError, match="limits"):
+        with_plant(scene, by_current)
+
+
+def test_a_row_of_the_scene_stands_beside_those_of_the_file(tmp_path: Path) -> None:
+    save_plant(ten_states(), tmp_path / "plant.npz")
+    own = "[model.outputs.sway]\nrow = [1, 0, 0, 0, 0, 0, 0, 0, 0, 0]\nunit = 'mm'\n"
+    outputs = read(tmp_path, file_scene("plant.npz", UNITS + own)).plant(0.0).outputs
+    assert set(outputs) == {"position", "pull", "sway"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "more", "words"),
+    [
+        ({"A": np.eye(3, 4)}, "", r"A: of shape \(3, 4\), must be square"),
+        ({"B": np.ones((10, 2))}, "", r"B: of shape \(10, 2\), must have 10 numbers, one input and one output"),
+        ({"C": np.ones(9)}, "", r"C: of shape \(1, 9\), must have 10 numbers"),
+        ({"D": np.ones(2)}, "", r"D: of shape \(1, 2\), must have 1 number, one input"),
+        ({"B": np.full(10, np.nan)}, "", "B: holds a number that is not finite"),
+        ({"A": np.array(["a"])}, "", "A: must be a matrix of real numbers"),
+        ({"B": None}, "", "no B: a plant file holds the matrices A, B, C, D .* it has A, C, D"),
+        ({"input": "force"}, "", "input = 'force': must be current or voltage"),
+        ({"input": "current"}, VOLTAGE, "a current drives it, and the scene states input = 'voltage'"),
+        (
+            {},
+            "[model.outputs.pull]\nrow = [1]\nunit = 'N'\n",
+            "model.outputs.pull: the scene has a row of it as well",
+        ),
+        (
+            {},
+            "[model.outputs.pul]\nunit = 'N'\n" + UNITS,
+            r"model.outputs.pul: no row output_pul .*did you mean pull",
+        ),
+        ({}, "", r'output_pull has no unit: add \[model.outputs.pull\] with unit = "m"'),
+        ({}, "A = [[1.0]]\n", "model.A: stands in model.file = 'plant.npz' too"),
+        ({"output_pull": np.ones(3)}, UNITS, r"output_pull: of shape \(1, 3\), must have 10 numbers"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(changed: dict[str, Any], more: str, words: str, tmp_path: Path) -> None:
+    content = {**arrays(ten_states()), **changed}
+    np.savez(tmp_path / "plant.npz", **{name: value for name, value in content.items() if value is not None})
+    with pytest.raises(InputError, match=words) as caught:
+        read(tmp_path, file_scene("plant.npz", more))
+    assert str(caught.value).isprintable()
+    assert "mine.toml: model." in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1,2,3\n4,5,6\n", r"2 rows of 3 cells: the block matrix \[A B; C D\] of n states has n \+ 1 rows"),
+        ("1,2\n3\n", "row 2: 1 cells, the rows above have 2"),
+        ("a,b\n", "row 1: 'a,b' is no row of numbers; put # before a remark"),
+        ("", "0 rows of 1 cells"),
+        ("# outputs: x\n-1,1\n1,0\n1,2\n", "output x: its last cell must be 0"),
+        ("# input: force\n-1,1\n1,0\n", "input = 'force': must be current or voltage"),
+    ],
+)
+def test_a_text_that_is_no_block_matrix(text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "plant.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, file_scene("plant.csv"))
+
+
+def test_a_spreadsheets_semicolons_and_the_input_in_a_comment(tmp_path: Path) -> None:
+    (tmp_path / "plant.csv").write_text("# input: voltage;\n-1,5;1\n2;0\n", encoding="utf-8")
+    plant = read(tmp_path, file_scene("plant.csv")).plant(0.0)
+    np.testing.assert_array_equal(plant.A, [[-1.5]])
+    assert plant.driven_by.unit == "V"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("gone.npz", None, "gone.npz: no such file; a plant file holds the matrices"),
+        ("plant.json", b"{}", "unknown format '.json': save the matrices as .npz, .mat, .csv"),
+        ("plant.npz", b"PK no zip", "not a readable NPZ file"),
+        ("plant.mat", b"\0" * 300, "not a readable MAT file"),
+        ("plant.csv", b"\xff\xfe", "cannot be read as text"),
+    ],
+)
+def test_a_file_that_is_none(name: str, content: bytes | None, words: str, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, file_scene(name))
+
+
+class TestCoilsInScenes:
+    def test_the_current_of_a_coil_without_inductance_is_no_state(self, tmp_path: Path) -> None:
+        text = lra_scene().replace("L_H = 1e-4\n", "") + "current_A = 0.3\n"
+        with pytest.raises(InputError, match=r"limits.current_A: the current of a coil without .*state model.L_H"):
+            read(tmp_path, text)

@@ -1,0 +1,178 @@
+"""`transopt plant new`: a commented scene from the values of a datasheet."""
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from transopt.base import asking
+from transopt.base.errors import InputError
+from transopt.cli.scene import FORCE_HELP, write_new
+
+if TYPE_CHECKING:
+    from transopt.scene.datasheet import Datasheet
+
+
+def plant_new(
+    name: Annotated[Path, typer.Argument(help="The scene to write: lra writes lra.toml.")],
+    kind: Annotated[str, typer.Option(help="inertial (an LRA), voice_coil or shaker.")] = "inertial",
+    driven_by: Annotated[str, typer.Option("--input", help="What the driver sets: voltage or current.")] = "voltage",
+    resonance_Hz: Annotated[
+        float | None, typer.Option("--resonance-Hz", help="Resonance f0, terminals open.")
+    ] = None,
+    quality: Annotated[float | None, typer.Option(help="Quality Q of that resonance, terminals open.")] = None,
+    damping_N_s_m: Annotated[
+        float | None, typer.Option("--damping-N-s-m", help="Damper, in place of f0 and Q where no spring holds it.")
+    ] = None,
+    moving_mass_kg: Annotated[
+        float | None, typer.Option("--moving-mass-kg", help="Moving mass; of a shaker the bare table with its coil.")
+    ] = None,
+    payload_kg: Annotated[float | None, typer.Option("--payload-kg", help="What stands on a shaker's table.")] = None,
+    case_mass_kg: Annotated[
+        float | None, typer.Option("--case-mass-kg", help="Case with all that shakes with it, as a phone or a jig.")
+    ] = None,
+    force_factor_N_A: Annotated[
+        float | None, typer.Option("--force-factor-N-A", "--BL", help="Force factor BL in N/A, T m or V s/m.")
+    ] = None,
+    R_ohm: Annotated[float | None, typer.Option("--R-ohm", help="Resistance of the coil.")] = None,
+    L_H: Annotated[float | None, typer.Option("--L-H", help="Its inductance; without it 0.")] = None,
+    rated: Annotated[
+        float | None,
+        typer.Option(help="What it stands for ever, in V or A, as the peak of a sine (1.414 times its rms)."),
+    ] = None,
+    peak: Annotated[float | None, typer.Option(help="The most that the driver may ever put out, in V or A.")] = None,
+    stroke_m: Annotated[
+        float | None, typer.Option("--stroke-m", help="From rest to the stop, in either direction.")
+    ] = None,
+    frequency_Hz: Annotated[
+        float | None, typer.Option("--frequency-Hz", help="Of the first target; default the resonance, or 100 Hz.")
+    ] = None,
+    rate_Hz: Annotated[
+        float | None, typer.Option("--rate-Hz", help="Of the driver's samples; default 48000, else 10000 Hz.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help=FORCE_HELP)] = False,
+) -> None:
+    """Write a commented scene of an actuator from its datasheet; on a terminal what is missing is asked for."""
+    from transopt.scene.datasheet import KINDS, needed, scene_text
+
+    for option, word, known in (("--kind", kind, KINDS), ("--input", driven_by, ("voltage", "current"))):
+        if word not in known:
+            raise InputError(f"{option} {word}: unknown; choose {', '.join(known)}")
+    options = {
+        "resonance_Hz": resonance_Hz,
+        "quality": quality,
+        "damping_N_s_m": damping_N_s_m,
+        "moving_mass_kg": moving_mass_kg,
+        "payload_kg": payload_kg,
+        "case_mass_kg": case_mass_kg,
+        "force_factor_N_A": force_factor_N_A,
+        "R_ohm": R_ohm,
+        "L_H": L_H,
+        "rated": rated,
+        "peak": peak,
+        "stroke_m": stroke_m,
+        "frequency_Hz": frequency_Hz,
+        "rate_Hz": rate_Hz,
+    }
+    stated = {"kind": kind, "input": driven_by, **{key: each for key, each in options.items() if each is not None}}
+    file = name if name.suffix == ".toml" else name.with_name(f"{name.name}.toml")
+    missing = [key for key in needed(kind, driven_by) if key not in stated]
+    if missing and asking.on_a_terminal():
+        stated = _asked(stated, set(needed(kind, driven_by)))
+    elif missing:
+        raise InputError(
+            f"{', '.join(map(option_of, missing))}: missing for --kind {kind} --input {driven_by}; state what the "
+            "datasheet says, or call the command on a terminal, which asks for it"
+        )
+    write_new(file, scene_text(_sheet(stated), file.stem), force=force)
+    typer.echo(f"{file} written; edit its targets, then: transopt solve {shlex.quote(str(file))}")
+
+
+def option_of(key: str) -> str:
+    """The option of a key of the datasheet."""
+    return f"--{key.replace('_', '-')}"
+
+
+def _sheet(stated: dict[str, Any]) -> "Datasheet":
+    """The datasheet, checked.
+
+    Raises
+    ------
+    InputError : the first complaint, in the words of the options.
+    """
+    from pydantic import ValidationError
+
+    from transopt.scene.datasheet import Datasheet
+
+    try:
+        return Datasheet.model_validate(stated)
+    except ValidationError as error:
+        first = error.errors()[0]
+        message = first["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
+        where = f"{option_of(str(first['loc'][0]))} {first['input']}: " if first["loc"] else ""
+        for key in sorted(Datasheet.model_fields, key=len, reverse=True):
+            if "_" in key:
+                message = message.replace(key, option_of(key))
+        raise InputError(f"{where}{message}") from None
+
+
+def _asked(stated: dict[str, Any], must: set[str]) -> dict[str, Any]:
+    """What the command line states, and what a person answers for the rest, key by key."""
+    from transopt.base.units import unit_of
+    from transopt.scene.datasheet import Datasheet
+
+    driven_by = "V" if stated["input"] == "voltage" else "A"
+    found = dict(stated)
+    typer.echo(f"a {stated['kind']}, driven by a {stated['input']}; an empty answer takes what is in brackets")
+    for key, field in Datasheet.model_fields.items():
+        if key in found or not _asked_for(key, found):
+            continue
+        unit = driven_by if key in ("rated", "peak") else unit_of(key)
+        # What the others of a pair leave open is needed as well.
+        required = key in {*must, "quality", "damping_N_s_m"}
+        value = asking.answer(
+            key,
+            (field.description or "").removesuffix(" [V or A]"),
+            unit,
+            field.default if not field.is_required() else None,
+            _positive if key not in ("L_H", "payload_kg", "damping_N_s_m") else _not_negative,
+            without="plant new: no answers came; type them, or state the options",
+            needed=required,
+        )
+        if value is not None:
+            found[key] = value
+    return found
+
+
+def _asked_for(key: str, found: dict[str, Any]) -> bool:
+    """Whether a key means anything beside what is known already."""
+    match key:
+        case "quality":
+            return "resonance_Hz" in found
+        case "damping_N_s_m":
+            return "resonance_Hz" not in found
+        case "payload_kg":
+            return bool(found["kind"] == "shaker")
+        case "case_mass_kg":
+            return bool(found["kind"] != "shaker")
+        case "R_ohm" | "L_H":
+            return bool(found["input"] == "voltage")
+    return True
+
+
+def _positive(text: str) -> float:
+    value = _not_negative(text)
+    if value == 0:
+        raise ValueError("must be a number above 0")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value < float("inf"):
+        raise ValueError("must be a number, not below 0")
+    return value

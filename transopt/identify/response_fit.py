@@ -1,0 +1,158 @@
+"""A stable real state space from a measured frequency response of an actuator.
+
+The response is that of the continuous device, from what drives it to the acceleration, as an analyser measures it.
+Poles come from vector fitting, the rest from linear least squares, whose figure is the verdict:
+
+    misfit = sqrt(sum |G_fit - G|^2 / sum |G|^2)  over the points of the band.
+
+Below the band nothing was measured, and a fit may put an acceleration there that goes on for ever under a constant
+input, which a design would play into. What a spring holds has none: G has two zeros at s = 0. They are asked for
+wherever that costs next to no misfit.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from transopt.base.errors import InputError
+from transopt.base.shown import brief
+from transopt.base.signals import ComplexArray, FloatArray
+from transopt.identify.vector_fit import fractions, vector_fit
+from transopt.plant.state_space import Input, StateSpace
+
+HIGHEST_ORDER = 40
+MOST_MISFIT = 0.05  # above it a fit is no base of a design
+COSTS_NOTHING = 1.1  # times the misfit without them, up to which the zeros at s = 0 are taken
+EXACT = 1e-6  # a misfit as small needs no comparison
+RESOLVED = 0.5  # of the distance between points: no resonance may be narrower, since nothing was measured within
+
+
+@dataclass(frozen=True)
+class ResponseFit:
+    """A fitted plant and how far it is from what was measured.
+
+    Attributes
+    ----------
+    plant : without further outputs, since nothing else was measured.
+    frequencies_Hz : (m,) of the band. measured : (m,) [m/s^2 per A or V].
+    misfit : relative rms over the band.
+    worst_Hz : where the fit is farthest off. worst : by how much, of the largest size of the response.
+    at_rest : whether the fit has its two zeros at s = 0.
+    """
+
+    plant: StateSpace
+    frequencies_Hz: FloatArray
+    measured: ComplexArray
+    misfit: float
+    worst_Hz: float
+    worst: float
+    at_rest: bool
+
+    __repr__ = brief
+
+    @property
+    def fit_to_design_with(self) -> bool:
+        """Whether the misfit is small enough; NaN is not."""
+        return self.misfit <= MOST_MISFIT
+
+    def resonances(self) -> list[tuple[float, float]]:
+        """Frequency [Hz] and quality of every pair of poles, by frequency."""
+        poles = np.linalg.eigvals(self.plant.A)
+        pairs = sorted((p for p in poles if p.imag > 0), key=abs)
+        return [(float(abs(p)) / (2 * np.pi), float(abs(p) / (-2 * p.real))) for p in pairs]
+
+
+def fit_response(
+    frequencies_Hz: FloatArray,
+    response: ComplexArray,
+    order: int,
+    driven_by: Input,
+    band_Hz: tuple[float, float] | None = None,
+) -> ResponseFit:
+    """The state space of an order that is nearest to a response over a band.
+
+    Parameters
+    ----------
+    frequencies_Hz : (m,) increasing, above 0.
+    response : (m,) acceleration over input [m/s^2 per A or V].
+    order : number of states.
+    band_Hz : lowest and highest frequency that count; None for all.
+
+    Raises
+    ------
+    InputError : an order or a band out of range, too few points for the order, or a response of zero.
+    """
+    if not 1 <= order <= HIGHEST_ORDER:
+        raise InputError(f"--order {order}: must be 1 to {HIGHEST_ORDER}; two for each resonance")
+    low, high = (frequencies_Hz[0], frequencies_Hz[-1]) if band_Hz is None else band_Hz
+    if not 0 < low < high:
+        raise InputError(f"--band-Hz {low:g} {high:g}: must be two frequencies above 0, the lower one first")
+    inside = (frequencies_Hz >= low) & (frequencies_Hz <= high)
+    f, G = frequencies_Hz[inside], response[inside]
+    needed = 2 * order + 2
+    if f.size < needed:
+        said = f"{low:g} to {high:g} Hz"
+        raise InputError(
+            f"--order {order}: needs {needed} points, {f.size} from {said}: lower it, or widen --band-Hz"
+        )
+    largest = float(np.abs(G).max())
+    if largest == 0:
+        raise InputError("the response is zero at every frequency of the band: check its columns")
+    top = 2 * np.pi * float(f[-1])
+    s = np.asarray(2j * np.pi * f / top, dtype=np.complex128)
+    poles = _resolved(vector_fit(s, G / largest, np.ones(f.size), order, direct=True), f, top)
+    free, held = (_nearest(s, G / largest, poles, at_rest=zeros and order > 1) for zeros in (False, True))
+    misfits = [_misfit(s, G / largest, poles, row) for row in (free, held)]
+    at_rest = order > 1 and bool(misfits[1] <= max(COSTS_NOTHING * misfits[0], EXACT))
+    row = held if at_rest else free
+    _, A, b = fractions(s, poles)
+    plant = StateSpace(
+        A=top * A,
+        B=top * b[:, None],
+        C=largest * row[None, :-1],
+        D=np.array([[largest * row[-1]]]),
+        driven_by=driven_by,
+    )
+    off = np.abs(plant.response(f) - G)
+    return ResponseFit(
+        plant=plant,
+        frequencies_Hz=f,
+        measured=G,
+        misfit=float(np.linalg.norm(off) / np.linalg.norm(G)),
+        worst_Hz=float(f[off.argmax()]),
+        worst=float(off.max()) / largest,
+        at_rest=at_rest,
+    )
+
+
+def _resolved(poles: ComplexArray, frequencies_Hz: FloatArray, top: float) -> ComplexArray:
+    """The poles with no resonance narrower than the points can show: a width of -2 Re p [rad/s]."""
+    width = RESOLVED * np.interp(np.abs(poles) * top / (2 * np.pi), frequencies_Hz, np.gradient(frequencies_Hz))
+    least = np.pi * width / top
+    return np.asarray(np.where(poles.imag == 0, poles.real, np.minimum(poles.real, -least)) + 1j * poles.imag)
+
+
+def _nearest(s: ComplexArray, target: ComplexArray, poles: ComplexArray, *, at_rest: bool) -> FloatArray:
+    """(n + 1,) coefficients of the fractions, then the constant, by least squares.
+
+    With `at_rest` the value and the slope at s = 0, both linear in the coefficients, are kept at zero.
+    """
+    basis, A, b = fractions(s, poles)
+    columns = np.hstack([basis, np.ones((s.size, 1))])
+    system, wanted = np.vstack([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
+    free = np.eye(poles.size + 1)
+    if at_rest:
+        # (s I - A)^-1 b = -A^-1 b - s A^-2 b - ...
+        value = -np.linalg.solve(A, b)
+        slope = np.linalg.solve(A, value)
+        rows = np.array([np.append(value, 1.0), np.append(slope, 0.0)])
+        free = linalg.null_space(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+    reduced = system @ free
+    norm = np.maximum(np.linalg.norm(reduced, axis=0), np.finfo(float).tiny)
+    return np.asarray(free @ (np.linalg.lstsq(reduced / norm, wanted, rcond=None)[0] / norm))
+
+
+def _misfit(s: ComplexArray, target: ComplexArray, poles: ComplexArray, row: FloatArray) -> float:
+    basis, _, _ = fractions(s, poles)
+    return float(np.linalg.norm(basis @ row[:-1] + row[-1] - target) / np.linalg.norm(target))

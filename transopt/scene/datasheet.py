@@ -1,0 +1,245 @@
+"""From the values of a datasheet to the text of a scene: what `transopt plant new` writes.
+
+The scene is to be read and changed: every number of the datasheet stands in it with a comment that says what it is,
+and what follows from several of them with the formula. It solves as it stands: its target is a burst that the
+actuator can make.
+"""
+
+import math
+import tomllib
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from transopt.base.errors import InputError
+from transopt.base.section import NonNegative, Positive, Section
+from transopt.base.sizes import MOST_STAGES
+from transopt.base.writing import rounded_down
+from transopt.plant.state_space import POSITION, StateSpace
+from transopt.scene.file import explain
+from transopt.scene.scene import Scene
+
+KINDS = ("inertial", "voice_coil", "shaker")
+RATES_HZ = {"inertial": 48e3, "voice_coil": 10e3, "shaker": 10e3}  # of audio drivers, and of servo amplifiers
+FREQUENCY_HZ = 100.0  # of the first target where no sharp resonance suggests one
+# Of the first target, and of the waveform that also brakes it. A whole number: a burst of 1.5 cycles has a mean,
+# which nothing on a spring can make: of an LRA the least error was 17 % with it, and 3 % with 2.
+CYCLES, WINDOW_CYCLES = 2.0, 5.0
+SHARE = 0.25  # of what a sine at the peak input makes in the long run: a burst ends before the resonance has built up
+LEAST_RATE = 20  # samples per period of the target and of the resonance
+
+
+class Datasheet(Section):
+    """What a datasheet states of an actuator with a coil in a magnet; the description of a key says what it is.
+
+    A shaker is a voice coil whose table carries a payload; its resonance is that of the bare table.
+    """
+
+    kind: Literal["inertial", "voice_coil", "shaker"] = "inertial"
+    input: Literal["voltage", "current"] = Field("voltage", description="what the driver sets: voltage or current")
+    resonance_Hz: Positive | None = Field(None, description="resonance f0, terminals open")
+    quality: Positive | None = Field(None, description="quality Q of that resonance, terminals open")
+    damping_N_s_m: NonNegative | None = Field(None, description="damper of a moving part that no spring holds")
+    moving_mass_kg: Positive = Field(description="moving mass; of a shaker the bare table with its coil")
+    payload_kg: NonNegative = Field(0.0, description="what stands on a shaker's table")
+    case_mass_kg: Positive | None = Field(None, description="case with all that shakes with it, as a phone or a jig")
+    force_factor_N_A: Positive = Field(
+        description="force factor BL: newton per ampere, tesla metre, volt second per m"
+    )
+    R_ohm: Positive | None = Field(None, description="resistance of the coil")
+    L_H: NonNegative = Field(0.0, description="its inductance; 0 leaves it out")
+    rated: Positive | None = Field(None, description="what it stands for ever, as the peak of a sine [V or A]")
+    peak: Positive = Field(description="the most that the driver may ever put out [V or A]")
+    stroke_m: Positive | None = Field(None, description="from rest to the stop, in either direction")
+    frequency_Hz: Positive | None = Field(None, description="of the first target; an inertial one's resonance")
+    rate_Hz: Annotated[float, Field(ge=100, le=1e5)] | None = Field(None, description="rate of the driver's samples")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.kind == "inertial" and self.case_mass_kg is None:
+            raise ValueError("case_mass_kg: missing; an inertial actuator shakes its case")
+        if self.kind == "inertial" and self.resonance_Hz is None:
+            raise ValueError("resonance_Hz: missing; an inertial actuator is stated by resonance and quality")
+        if (self.resonance_Hz is None) != (self.quality is None):
+            raise ValueError("resonance_Hz and quality belong together: state both, or neither and damping_N_s_m")
+        if self.resonance_Hz is not None and self.damping_N_s_m is not None:
+            raise ValueError("damping_N_s_m: follows from resonance_Hz and quality: leave one or the other out")
+        if self.resonance_Hz is None and self.damping_N_s_m is None:
+            raise ValueError("resonance_Hz and quality are missing; a part without a spring states damping_N_s_m")
+        if self.kind == "shaker" and self.case_mass_kg is not None:
+            raise ValueError("case_mass_kg: a shaker's body is held; take kind = voice_coil for one that floats")
+        if self.kind != "shaker" and self.payload_kg > 0:
+            raise ValueError(f"payload_kg: belongs to a shaker; of kind = {self.kind} it is part of the masses")
+        if self.input == "voltage" and self.R_ohm is None:
+            raise ValueError("R_ohm: missing; a voltage drives the coil")
+        if self.rated is not None and self.rated > self.peak:
+            raise ValueError(
+                f"rated = {self.rated:g} {self.unit}: above peak = {self.peak:g} {self.unit}; what it stands for "
+                "ever is at most what it stands for an instant: exchange or correct them"
+            )
+        for name, value in (("resonance_Hz", self.resonance_Hz or 0.0), ("frequency_Hz", self.target_Hz)):
+            if self.samples_Hz < LEAST_RATE * value:
+                raise ValueError(
+                    f"rate_Hz = {self.samples_Hz:g}: must be at least {LEAST_RATE} times {name} = {value:g} Hz, "
+                    f"{LEAST_RATE * value:g} Hz"
+                )
+        if self.stages > MOST_STAGES:
+            raise ValueError(
+                f"rate_Hz = {self.samples_Hz:g}: {self.stages} samples in {WINDOW_CYCLES:g} periods of "
+                f"{self.target_Hz:g} Hz, at most {MOST_STAGES}: lower rate_Hz or raise frequency_Hz"
+            )
+        return self
+
+    @property
+    def unit(self) -> str:
+        """Of the input."""
+        return "V" if self.input == "voltage" else "A"
+
+    @property
+    def samples_Hz(self) -> float:
+        """Rate of the driver's samples."""
+        return RATES_HZ[self.kind] if self.rate_Hz is None else self.rate_Hz
+
+    @property
+    def target_Hz(self) -> float:
+        """Frequency of the first target."""
+        if self.frequency_Hz is not None:
+            return self.frequency_Hz
+        return self.resonance_Hz if self.kind == "inertial" and self.resonance_Hz else FREQUENCY_HZ
+
+    @property
+    def stages(self) -> int:
+        """Of the waveform."""
+        return math.ceil(WINDOW_CYCLES / self.target_Hz * self.samples_Hz)
+
+
+def needed(kind: str, driven_by: str) -> tuple[str, ...]:
+    """Keys without which no scene can be written."""
+    own = ("resonance_Hz", "quality", "case_mass_kg") if kind == "inertial" else ()
+    coil = ("R_ohm",) if driven_by == "voltage" else ()
+    return (*own, "moving_mass_kg", "force_factor_N_A", *coil, "peak")
+
+
+def scene_text(sheet: Datasheet, name: str) -> str:
+    """The scene of a datasheet as the text of its file, checked.
+
+    Parameters
+    ----------
+    name : of the scene.
+
+    Raises
+    ------
+    InputError : values that no scene can have.
+    """
+    plant = _scene(sheet, name, _text(sheet, 1.0)).plant(0.0)
+    text = _text(sheet, _peak_m_s2(sheet, plant))
+    _scene(sheet, name, text)
+    return text
+
+
+def _scene(sheet: Datasheet, name: str, text: str) -> Scene:
+    content = {**tomllib.loads(text), "name": name}
+    try:
+        return Scene.model_validate(content)
+    except ValidationError as error:
+        raise InputError(explain(f"the datasheet of {name}", error, content)) from None
+
+
+def _peak_m_s2(sheet: Datasheet, plant: StateSpace) -> float:
+    """Peak of a burst that is well within the actuator's reach: its input and its stroke."""
+    f = np.array([sheet.target_Hz])
+    per_input = float(abs(plant.response(f)[0]))
+    reach = per_input * sheet.peak
+    if sheet.stroke_m is not None:
+        moved = StateSpace(plant.A, plant.B, plant.outputs[POSITION].row, np.zeros((1, 1)))
+        reach = min(reach, per_input / float(abs(moved.response(f)[0])) * sheet.stroke_m)
+    return rounded_down(SHARE * reach, 2)
+
+
+def _n(value: float | None) -> str:
+    """A number as a scene states it, its digits kept; one that is there, by what has been checked."""
+    assert value is not None
+    return f"{value:.12g}"
+
+
+def _text(sheet: Datasheet, peak_m_s2: float) -> str:
+    made = {"inertial": "mass in a case", "voice_coil": "voice coil", "shaker": "shaker with its payload"}[sheet.kind]
+    head = [
+        f'description = "a {made}, by its datasheet"',
+        'amplifier = "ideal"  # or a table [amplifier] with pole_Hz and delay_s of the driver',
+        "hand_over_samples = 1  # the waveform ends in a sample of zero",
+        "",
+        "[time]",
+        f"dt_s = {1 / sheet.samples_Hz:.17g}  # the driver plays {_n(sheet.samples_Hz)} samples a second",
+        f"stages = {sheet.stages}  # samples, {_n(WINDOW_CYCLES)} periods of the target: it also brakes",
+        "lead_s = 0.0  # nobody comes in before the waveform begins",
+        "",
+        "# What it shall make, one table [[targets]] for each: a burst, a decay, a half sine, or file = a recording.",
+        "[[targets]]",
+        f'name = "click {_n(sheet.target_Hz)} Hz"',
+        'shape = "burst"',
+        f"frequency_Hz = {_n(sheet.target_Hz)}",
+        f"cycles = {_n(CYCLES)}",
+        f"peak_m_s2 = {_n(peak_m_s2)}  # a quarter of what a long sine at the limits makes",
+        "",
+    ]
+    return "\n".join([*head, *_model(sheet), "", *_limits(sheet), ""])
+
+
+def _model(sheet: Datasheet) -> list[str]:
+    coil = [
+        f'input = "{sheet.input}"  # what the driver sets',
+        f"force_factor_N_A = {_n(sheet.force_factor_N_A)}  # BL: force per ampere, and back-EMF per m/s",
+        *([f"R_ohm = {_n(sheet.R_ohm)}"] if sheet.R_ohm is not None else []),
+        f"L_H = {_n(sheet.L_H)}",
+    ]
+    if sheet.kind == "inertial":
+        return [
+            "[model]",
+            'kind = "inertial"  # the acceleration is that of the case',
+            f"resonance_Hz = {_n(sheet.resonance_Hz)}  # f0 in its case, terminals open",
+            f"quality = {_n(sheet.quality)}",
+            f"moving_mass_kg = {_n(sheet.moving_mass_kg)}",
+            f"case_mass_kg = {_n(sheet.case_mass_kg)}  # with all that shakes with it",
+            *coil,
+        ]
+    m = sheet.moving_mass_kg
+    carried = f"  # {_n(m)} of the table and {_n(sheet.payload_kg)} of the payload" if sheet.kind == "shaker" else ""
+    if sheet.resonance_Hz is None:
+        spring = ["stiffness_N_m = 0  # no spring holds it", f"damping_N_s_m = {_n(sheet.damping_N_s_m)}"]
+    else:
+        assert sheet.quality is not None
+        # In a case the datasheet's resonance is that of both masses against each other.
+        M = sheet.case_mass_kg
+        mass, symbol = (m, "m") if M is None else (m * M / (m + M), "mu")
+        said = ", mu = m M / (m + M)" if M is not None else ", m the bare table's" if sheet.kind == "shaker" else ""
+        w = 2 * math.pi * sheet.resonance_Hz
+        spring = [
+            f"# f0 = {_n(sheet.resonance_Hz)} Hz and Q = {_n(sheet.quality)}: k = {symbol} (2 pi f0)^2, c = {symbol} "
+            f"2 pi f0 / Q{said}",
+            f"stiffness_N_m = {_n(mass * w**2)}",
+            f"damping_N_s_m = {_n(mass * w / sheet.quality)}",
+        ]
+    return [
+        "[model]",
+        'kind = "voice_coil"  # the acceleration is that of '
+        + ("the moving part" if sheet.case_mass_kg is None else "the case"),
+        f"moving_mass_kg = {_n(m + sheet.payload_kg)}{carried}",
+        *([f"case_mass_kg = {_n(sheet.case_mass_kg)}"] if sheet.case_mass_kg is not None else []),
+        *spring,
+        *coil,
+    ]
+
+
+def _limits(sheet: Datasheet) -> list[str]:
+    steady = sheet.peak if sheet.rated is None else sheet.rated
+    key = f"{sheet.input}_{sheet.unit}"
+    return [
+        "[limits]",
+        f"{key} = {_n(sheet.peak)}  # at every instant",
+        f"steady_{key} = {_n(steady)}  # for ever, the peak of a sine; a baseline of the report, no limit",
+        "# stroke_m = 0.0005  # from rest to the stop, in either direction"
+        if sheet.stroke_m is None
+        else f"stroke_m = {_n(sheet.stroke_m)}  # from rest to the stop, in either direction",
+    ]

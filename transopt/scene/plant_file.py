@@ -1,0 +1,209 @@
+"""Files of a plant by its matrices: read with a scene that names one, written by `transopt plant fit`.
+
+dx/dt = A x + B u, acceleration = C x + D u. NPZ and MAT files hold the variables A (n, n), B (n,), C (n,), D (0
+where it is missing), and a row `output_NAME` (n,) for every further output that limits may be on; an NPZ file also
+`input`, "current" or "voltage". A CSV file is the block matrix [A B; C D] below comment lines, of which
+`# input: voltage` and `# outputs: position, velocity` say the same; the rows of these outputs follow, their last
+cell 0.
+
+What a file holds is put into the table `[model]`, so that a library does not need the file.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from transopt.base import mat5
+from transopt.base.errors import InputError
+from transopt.base.files import read_file, whole_file
+from transopt.base.nearest import did_you_mean
+from transopt.base.npz import Archive
+from transopt.base.shown import cut
+from transopt.base.signals import FloatArray
+from transopt.base.sizes import MOST_MODEL_BYTES, MOST_STATES
+from transopt.plant.state_space import StateSpace
+from transopt.recordings.formats import guarded
+
+OUTPUT = "output_"  # how the name of a further output's row begins
+USUAL_UNITS = {"position": "m", "velocity": "m/s", "current": "A"}  # of outputs that limits know by name
+INPUTS = ("current", "voltage")
+SUFFIXES = (".npz", ".mat", ".csv")
+_STATED = re.compile(r"#\s*(input|outputs)\s*[:=]\s*(.*?)[;,\s]*")
+_ADVICE = "a plant file holds the matrices A, B, C, D as .npz, .mat or .csv"
+
+
+def with_plant_file(scene: Path, table: dict[str, Any]) -> dict[str, Any]:
+    """The table [model] of a scene with the matrices of the file that it names, if it names one.
+
+    Parameters
+    ----------
+    scene : the scene's file; the plant's counts from its folder.
+    table : as the scene states it.
+
+    Raises
+    ------
+    InputError : one line: scene, file, matrix, what is wrong with it.
+    """
+    named = table.get("file")
+    if table.get("kind") != "state_space" or named is None:
+        return table
+    if not isinstance(named, str):
+        raise InputError(f'{scene}: model.file = {cut(repr(named))}: must be the path of a file, "plant.npz"')
+    twice = next((name for name in "ABCD" if name in table), None)
+    if twice is not None:
+        raise InputError(f"{scene}: model.{twice}: stands in model.file = {named!r} too: take one of them out")
+    try:
+        found = read_plant(scene.parent / named)
+        return {**table, **found, **_said(table, found)}
+    except InputError as error:
+        raise InputError(f"{scene}: model.file = {named!r}: {error}") from None
+
+
+def _said(table: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
+    """Input and outputs, as far as file and scene state them between each other."""
+    stated = table.get("input")
+    if stated is not None and found.get("input", stated) != stated:
+        raise InputError(
+            f"a {found['input']} drives it, and the scene states input = {stated!r}: take that line out of the scene"
+        )
+    own = table.get("outputs", {})
+    if not isinstance(own, dict) or not all(isinstance(each, dict) for each in own.values()):
+        raise InputError('model.outputs: must be tables, [model.outputs.NAME] with unit = "m"')
+    rows, outputs = found["outputs"], {}
+    for name, row in rows.items():
+        each = own.get(name, {})
+        if "row" in each:
+            raise InputError(f"model.outputs.{name}: the scene has a row of it as well: take one of them out")
+        unit = each.get("unit", USUAL_UNITS.get(name))
+        if unit is None:
+            raise InputError(
+                f'{OUTPUT}{name} has no unit: add [model.outputs.{name}] with unit = "m" or whatever it is in'
+            )
+        outputs[name] = {"row": row, "unit": unit}
+    for name, each in own.items():
+        if name not in rows and "row" not in each:
+            raise InputError(
+                f"model.outputs.{name}: no row {OUTPUT}{name} in the file{did_you_mean(name, rows)}; it has "
+                f"{', '.join(rows) or 'none'}: state its row in the scene"
+            )
+        outputs.setdefault(name, each)
+    return {"outputs": outputs}
+
+
+def read_plant(path: Path) -> dict[str, Any]:
+    """A, B, C, D, and as far as the file states them input and outputs (name -> row), as the table [model] has them.
+
+    Raises
+    ------
+    InputError : one line: file, matrix, its shape, the shape that it needs.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: unknown format {path.suffix!r}: save the matrices as {', '.join(SUFFIXES)}")
+    data = read_file(path, MOST_MODEL_BYTES, _ADVICE)
+    try:
+        if suffix == ".csv":
+            return _checked(*_of_text(data))
+        kind, remedy = ("NPZ", "save it with numpy.savez") if suffix == ".npz" else ("MAT", "save it with -v7")
+        with guarded(f"not a readable {kind} file", f"{remedy}: {_ADVICE}"):
+            found: Mapping[str, Any] = Archive(data) if suffix == ".npz" else mat5.variables(data)
+            named = {name: found[name] for name in found if name in (*"ABCD", "input") or name.startswith(OUTPUT)}
+        return _checked({name: _numbers(name, value) for name, value in named.items() if name != "input"}, named)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _numbers(name: str, value: Any) -> FloatArray:
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf" or array.ndim > 2:
+        raise InputError(f"{name}: must be a matrix of real numbers; convert it")
+    return np.atleast_2d(np.asarray(array, dtype=float))
+
+
+def _of_text(data: bytes) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """The matrices of a CSV file, and what its comments state."""
+    try:
+        lines = data.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise InputError(f"cannot be read as text ({error}); save it as UTF-8 text") from None
+    stated, rows = dict[str, str](), list[list[float]]()
+    for number, line in enumerate(lines, 1):
+        content = line.strip()
+        if found := _STATED.fullmatch(content):
+            stated[found[1]] = found[2]
+        if not content or content.startswith("#"):
+            continue
+        mark = ";" if ";" in content else "," if "," in content else None
+        cells = (content.replace(",", ".") if mark == ";" else content).split(mark)
+        try:
+            rows.append([float(cell) for cell in cells])
+        except ValueError:
+            raise InputError(
+                f"row {number}: {cut(content)!r} is no row of numbers; put # before a remark; the rows are [A B; C D]"
+            ) from None
+        if len(rows[-1]) != len(rows[0]):
+            raise InputError(f"row {number}: {len(rows[-1])} cells, the rows above have {len(rows[0])}: correct it")
+    names = [name.strip() for name in stated.get("outputs", "").split(",") if name.strip()]
+    n = len(rows[0]) - 1 if rows else 0
+    if n < 1 or len(rows) != n + 1 + len(names):
+        raise InputError(
+            f"{len(rows)} rows of {n + 1} cells: the block matrix [A B; C D] of n states has n + 1 rows and columns, "
+            f"and below it a row for each of {len(names)} outputs that a line '# outputs: ...' names"
+        )
+    block = np.array(rows)
+    fed = next((name for name, row in zip(names, block[n + 1 :], strict=True) if row[n] != 0), None)
+    if fed is not None:
+        raise InputError(f"output {fed}: its last cell must be 0, limits may only be on what the states tell")
+    matrices = {"A": block[:n, :n], "B": block[:n, n:], "C": block[n : n + 1, :n], "D": block[n : n + 1, n:]}
+    outputs = {f"{OUTPUT}{name}": row[None, :n] for name, row in zip(names, block[n + 1 :], strict=True)}
+    return {**matrices, **outputs}, dict(stated)
+
+
+def _checked(matrices: Mapping[str, FloatArray], stated: Mapping[str, Any]) -> dict[str, Any]:
+    """The matrices as lists, each of the shape that A asks for."""
+    missing = [name for name in "ABC" if name not in matrices]
+    if missing:
+        has = ", ".join(matrices) or "none of them"
+        raise InputError(f"no {missing[0]}: {_ADVICE}; it has {has}")
+    A = matrices["A"]
+    n = A.shape[0]
+    if A.shape != (n, n) or not 1 <= n <= MOST_STATES:
+        raise InputError(f"A: of shape {A.shape}, must be square with 1 to {MOST_STATES} rows")
+    found: dict[str, Any] = {"A": A.tolist(), "D": 0.0, "outputs": {}}
+    for name, matrix in matrices.items():
+        most = 1 if name == "D" else n
+        if name != "A" and (matrix.size != most or 1 not in matrix.shape):
+            raise InputError(
+                f"{name}: of shape {matrix.shape}, must have {most} number{'s' * (most > 1)}, one input and one "
+                f"output, for A with {n} states"
+            )
+        if not np.all(np.isfinite(matrix)):
+            raise InputError(f"{name}: holds a number that is not finite; correct it")
+        if name.startswith(OUTPUT):
+            found["outputs"][name.removeprefix(OUTPUT)] = matrix.ravel().tolist()
+        elif name != "A":
+            found[name] = float(matrix.ravel()[0]) if name == "D" else matrix.ravel().tolist()
+    if "input" in stated:
+        word = str(np.asarray(stated["input"]).ravel()[0]) if np.size(stated["input"]) else ""
+        if word not in INPUTS:
+            raise InputError(f"input = {cut(word)!r}: must be {' or '.join(INPUTS)}")
+        found["input"] = word
+    return found
+
+
+def save_plant(plant: StateSpace, path: Path) -> None:
+    """Write a plant as the NPZ file that `read_plant` reads, its outputs included.
+
+    Raises
+    ------
+    InputError : another ending, or a place that cannot be written.
+    """
+    if path.suffix.lower() != ".npz":
+        raise InputError(f"{path}: a plant file that is written ends in .npz")
+    arrays: dict[str, Any] = {name: getattr(plant, name) for name in "ABCD"}
+    arrays |= {f"{OUTPUT}{name}": output.row for name, output in plant.outputs.items()}
+    with whole_file(path) as file:
+        np.savez(file, input=np.array(plant.driven_by.name), **arrays)
