@@ -192,7 +192,7 @@ TIP = "\n[tip]\nforce_per_current_N_A = 1.25\nmoving_mass_kg = 0.014\n"
         (BOX, {"device": state_space_device()}, [], ROBUST, r"robust\.model_uncertainty: .*no covariance"),
         (ON_FILE, {"device": state_space_device()}, [], "", r"recordings\.simulated: .*no stylus"),
         (WOOD, {}, [], ROBUST, r"robust\.model_uncertainty: needs a model file"),
-        (ON_FILE, {"device": drive_device()}, [], "\n[robust]\nsamples = 3\n", "give grip_spread, or"),
+        (ON_FILE, {"device": drive_device()}, [], "\n[robust]\nsamples = 3\n", "give grip_spread, model_uncertainty = true"),
         (
             ON_FILE,
             {"device": drive_device(3.0)},
