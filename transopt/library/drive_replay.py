@@ -17,7 +17,7 @@ from transopt.base.shown import brief
 from transopt.base.signals import FloatArray
 from transopt.library.drive import Drive, Driver
 from transopt.library.library import Library
-from transopt.library.trade import TradeFigures, trade_of
+from transopt.library.trade import TradeFigures, entry_trade
 from transopt.plant.discretise import StageModel, TimeGrid, discretise
 from transopt.problem.limits import posed
 from transopt.problem.limits.limit import Limits, Setting
@@ -136,7 +136,7 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
 
 def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
     """Play drives of a library, all for the same driver."""
-    stages, dt_s = library.command.shape[2], library.meta["dt_s"]
+    stages = library.command.shape[2]
     instants: dict[int, _Instants] = {}
     found = []
     for drive in drives:
@@ -151,7 +151,7 @@ def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:
                 nrmse=target.nrmse(acceleration[:stages]),
                 nrmse_after=target.nrmse_after(acceleration[stages:]),
                 nrmse_designed=float(library.nrmse[drive.iv, drive.ig]),
-                figures=trade_of(acceleration, target, dt_s),
+                figures=entry_trade(library, drive.iv, acceleration),
                 limits_left=limits_left(library, drive),
             )
         )

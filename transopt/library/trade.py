@@ -14,16 +14,17 @@ from transopt.library.library import Library
 from transopt.problem.objective.target import Target
 
 PRESENT = 0.1  # share of the peak below which nothing counts as vibration any more, or yet
+SAME = 1e-6  # of a sample: what rounding may do to the end of a target
 RISEN = 0.9  # share of the peak at which the rise is over
-ENDED = 0.01  # share of the target's peak: after it was last this large, the target asks for rest
+ENDED = 0.01  # share of its peak at which a tap, which nobody says an end of, is last over
 
 
 @dataclass(frozen=True)
 class TradeFigures:
     """What a click is like; a is its acceleration over the window and what was looked at after it.
 
-    The pulse is a up to the target's end, the ring is a after it; the target ends when |r| is last `ENDED` of its
-    peak. Crossings are interpolated between samples.
+    The pulse is a up to the target's end, the ring is a after it. A named target states its end; a tap ends when |r|
+    is last `ENDED` of its peak. Crossings are interpolated between samples.
 
     Attributes
     ----------
@@ -62,7 +63,13 @@ def _first(size: FloatArray, level: float) -> float:
     return float(at - 1 + (level - before) / (now - before))
 
 
-def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float) -> TradeFigures:
+def _last_asked(target: Target) -> int:
+    """Index of the last sample that is `ENDED` of the target's peak; 0 of a target of zero."""
+    asked = np.abs(target.continued_m_s2)
+    return int(np.flatnonzero(asked >= ENDED * asked.max())[-1]) if asked.any() else 0
+
+
+def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s: float | None = None) -> TradeFigures:
     """The figures of an acceleration.
 
     Parameters
@@ -71,10 +78,10 @@ def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float) -> Trad
         can be seen to end.
     target : r, (N,) in the window.
     dt_s : between two samples.
+    ends_s : when the target is over, from the first sample on; None for where it is last `ENDED` of its peak.
     """
-    a, asked = acceleration_m_s2, np.abs(target.continued_m_s2)
-    asked_for = np.flatnonzero(asked >= ENDED * asked.max()) if asked.any() else np.zeros(1, dtype=np.intp)
-    last = min(int(asked_for[-1]), a.size - 1)
+    a = acceleration_m_s2
+    last = min(_last_asked(target) if ends_s is None else max(int(ends_s / dt_s + SAME), 0), a.size - 1)
     pulse, ring = a[: last + 1], a[last + 1 :]
     size = np.abs(a)
     peak, energy, after = float(size.max()), float(a @ a), float(ring @ ring)
@@ -102,7 +109,14 @@ def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float) -> Trad
     )
 
 
+def entry_trade(library: Library, iv: int, acceleration_m_s2: FloatArray) -> TradeFigures:
+    """The figures of what an entry of row `iv` does, (N + M,) at the switching instants of its library."""
+    wanted = library.wanted(float(library.speeds_m_s[iv]), np.eye(library.speeds_m_s.size)[iv])
+    grid = library.time_grid()
+    ends_s = wanted.ends_s - float(grid.switching_times_s[0]) if np.isfinite(wanted.ends_s) else None
+    return trade_of(acceleration_m_s2, wanted.target, grid.dt_s, ends_s)
+
+
 def trade_figures(library: Library, iv: int, ig: int) -> TradeFigures:
     """The figures of an entry as it was designed, through its window and `weights.after_s` after it."""
-    acceleration, _ = library.lasting(iv, ig)
-    return trade_of(acceleration, library.target(np.eye(library.speeds_m_s.size)[iv]), library.meta["dt_s"])
+    return entry_trade(library, iv, library.lasting(iv, ig)[0])

@@ -7,6 +7,7 @@ import pytest
 from scipy import optimize
 
 from tests.benches.clicks import clicks
+from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, trade_figures, trade_of
 from transopt.problem.objective.target import Target
 
@@ -84,6 +85,16 @@ def test_the_error_is_that_of_the_window(figures: TradeFigures) -> None:
     assert figures.nrmse == pytest.approx(float(wanted), rel=1e-12)
 
 
+def test_an_end_that_is_stated_is_taken(figures: TradeFigures) -> None:
+    t = DT_S * np.arange(WINDOW + AFTER)
+    asked = (t <= TARGET_S + DT_S / 2).astype(float)
+    later = trade_of(ringing(t), Target(asked[:WINDOW], asked[WINDOW:]), DT_S, TARGET_S + 5e-3)
+    assert later.target_ends_s == pytest.approx(TARGET_S + 5e-3, abs=DT_S / 2)
+    # A period later the ring is smaller by its decay, and there is as much less to brake.
+    assert later.pulse_to_ring == pytest.approx(figures.pulse_to_ring * np.exp(5e-3 / TAU_S), rel=1e-5)
+    assert figures.brake_s - later.brake_s == pytest.approx(5e-3, abs=1e-3 * DT_S)
+
+
 def test_what_rings_to_the_end_was_not_seen_to_brake() -> None:
     t = 1e-4 * np.arange(200)
     found = trade_of(np.sin(OMEGA * t), Target((t < 5e-3).astype(float)), 1e-4)
@@ -114,13 +125,20 @@ def test_a_target_of_zero() -> None:
     assert trade_of(np.zeros(50), Target(np.zeros(20)), 1e-4).target_ends_s == 0.0
 
 
+def test_a_recorded_tap_ends_at_a_hundredth_of_its_peak(library: Library) -> None:
+    found = trade_figures(library, 1, 1)
+    r = np.abs(np.append(library.reference_m_s2[1], library.reference_after_m_s2[1]))
+    last = round(found.target_ends_s / library.meta["dt_s"])
+    assert r[last] >= 0.01 * r.max() > r[last + 1 :].max(initial=0.0)
+
+
 def test_an_entry_of_a_library_has_its_own_target() -> None:
     library = clicks()
     click, tick = (trade_figures(library, iv, 0) for iv in (0, 1))
     assert click.nrmse == pytest.approx(library.nrmse[0, 0], rel=1e-6)
-    # A Hann burst falls below a hundredth of its peak shortly before its end, at 10 ms and at 8 ms.
-    assert 9.3e-3 < click.target_ends_s < 10e-3
-    assert 7.4e-3 < tick.target_ends_s < 8e-3
+    # A burst is over after its cycles, 10 ms and 8 ms.
+    assert click.target_ends_s == pytest.approx(10e-3, abs=library.meta["dt_s"])
+    assert tick.target_ends_s == pytest.approx(8e-3, abs=library.meta["dt_s"])
     assert click.peak_m_s2 > tick.peak_m_s2
     louder = replace(library, command=2 * library.command)
     assert trade_figures(louder, 0, 0).peak_m_s2 == pytest.approx(2 * click.peak_m_s2, rel=1e-9)
