@@ -28,16 +28,16 @@ def export(
     ] = None,
     full_scale: Annotated[
         float | None,
-        typer.Option(FULL_SCALE, help="Output at the largest count [V or A]; without it the range of the command."),
+        typer.Option(FULL_SCALE, help="Output at the largest count, in V or A; without it the range of the command."),
     ] = None,
     target: Annotated[str | None, typer.Option(TARGET, help="Only the target of this name.")] = None,
-    speed: Annotated[float | None, typer.Option(SPEED, help="Only this speed of the grid [m/s].")] = None,
-    grip: Annotated[float | None, typer.Option(GRIP, help="Only this grip of the grid [N].")] = None,
+    speed: Annotated[float | None, typer.Option(SPEED, help="Only this speed of the grid, in m/s.")] = None,
+    grip: Annotated[float | None, typer.Option(GRIP, help="Only this grip of the grid, in N.")] = None,
     unproven: Unproven = False,
 ) -> None:
     """Write a library as MAT, CSV, WAV (to listen to) or a C header; or its commands for a driver (--drive).
 
-    Exit 1: at the driver's rate and depth an entry leaves a limit of its scene; the files are written all the same.
+    Exit 1: as an entry leaves, it is beyond a limit of its scene by over 0.1 %; the files are written all the same.
     """
     asked = {RATE: rate_Hz, BITS: bits, FULL_SCALE: full_scale, TARGET: target, SPEED: speed, GRIP: grip}
     if not drive:

@@ -20,7 +20,7 @@ from transopt.library.library import Library
 from transopt.library.trade import TradeFigures, entry_trade
 from transopt.plant.discretise import StageModel, TimeGrid, discretise
 from transopt.problem.limits import posed
-from transopt.problem.limits.limit import Limits, Setting
+from transopt.problem.limits.limit import Limit, Limits, Setting
 from transopt.problem.limits.slew import SlewLimit
 from transopt.problem.limits.temperature import TemperatureLimit
 from transopt.problem.objective.target import Target
@@ -29,6 +29,9 @@ from transopt.proof.replay import replay
 # What is not asked of samples: the step between two of them, which depends on the rate, and the coil's temperature,
 # which a mean of the command can only lower.
 NOT_WATCHED = (SlewLimit.name, TemperatureLimit.name)
+# Share of a limit by which samples may leave it, beside half a count where they have its unit: amplifiers and drivers
+# are not that exact, and the design's own margins are for its own rate.
+EXCUSED = 1e-3
 SAME = 9  # decimals of a driver's period in which two instants within it are the same
 
 
@@ -103,7 +106,10 @@ class _Instants:
 
 
 def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
-    """One sentence for each limit that the samples leave, but `NOT_WATCHED`; none of a library with a wall."""
+    """One sentence for each limit that the samples leave by more than `EXCUSED` and half a count.
+
+    The limits `NOT_WATCHED` are not among them, and of a library with a wall none is.
+    """
     posing, axes = library.posing(), library.axes
     if posing.wall is not None:
         return ()
@@ -131,7 +137,13 @@ def limits_left(library: Library, drive: Drive) -> tuple[str, ...]:
         tuple(limit for limit in posed(posing.asked, setting, posing.law_of) if limit.name not in NOT_WATCHED)
     )
     (found,) = replay(stage, grid, values[None], [Target(nothing)], None, limits=[limits])
-    return tuple(limit.replayed(found.peak(limit)) for limit in limits if found.leaves(limit))
+
+    def most(limit: Limit) -> float:
+        rounded = drive.driver.scale / 2 if limit.unit == drive.driver.unit else 0.0
+        return limit.stated + max(limit.replay_tolerance, EXCUSED * abs(limit.stated)) + rounded
+
+    # A number that is not finite leaves every limit.
+    return tuple(limit.replayed(found.peak(limit)) for limit in limits if not found.peak(limit) <= most(limit))
 
 
 def played(library: Library, drives: Sequence[Drive]) -> list[PlayedDrive]:

@@ -16,15 +16,14 @@ from transopt.problem.objective.target import Target
 PRESENT = 0.1  # share of the peak below which nothing counts as vibration any more, or yet
 SAME = 1e-6  # of a sample: what rounding may do to the end of a target
 RISEN = 0.9  # share of the peak at which the rise is over
-ENDED = 0.01  # share of its peak at which a tap, which nobody says an end of, is last over
 
 
 @dataclass(frozen=True)
 class TradeFigures:
     """What a click is like; a is its acceleration over the window and what was looked at after it.
 
-    The pulse is a up to the target's end, the ring is a after it. A named target states its end; a tap ends when |r|
-    is last `ENDED` of its peak. Crossings are interpolated between samples.
+    The pulse is a up to the target's end, the ring is a after it. A named target states its end; a tap,
+    whose end nobody states, ends when |r| is last `PRESENT` of its peak. Crossings are interpolated between samples.
 
     Attributes
     ----------
@@ -64,9 +63,9 @@ def _first(size: FloatArray, level: float) -> float:
 
 
 def _last_asked(target: Target) -> int:
-    """Index of the last sample that is `ENDED` of the target's peak; 0 of a target of zero."""
+    """Index of the last sample that is `PRESENT` of the target's peak; 0 of a target of zero."""
     asked = np.abs(target.continued_m_s2)
-    return int(np.flatnonzero(asked >= ENDED * asked.max())[-1]) if asked.any() else 0
+    return int(np.flatnonzero(asked >= PRESENT * asked.max())[-1]) if asked.any() else 0
 
 
 def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s: float | None = None) -> TradeFigures:
@@ -78,7 +77,7 @@ def trade_of(acceleration_m_s2: FloatArray, target: Target, dt_s: float, ends_s:
         can be seen to end.
     target : r, (N,) in the window.
     dt_s : between two samples.
-    ends_s : when the target is over, from the first sample on; None for where it is last `ENDED` of its peak.
+    ends_s : when the target is over, from the first sample on; None for where it is last `PRESENT` of its peak.
     """
     a = acceleration_m_s2
     last = min(_last_asked(target) if ends_s is None else max(int(ends_s / dt_s + SAME), 0), a.size - 1)

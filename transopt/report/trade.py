@@ -9,12 +9,12 @@ from transopt.base.writing import percent
 from transopt.library.drive import is_multiple
 from transopt.library.drive_replay import PlayedDrive
 from transopt.library.library import Library
-from transopt.library.trade import ENDED, PRESENT, RISEN, TradeFigures, trade_figures
+from transopt.library.trade import PRESENT, RISEN, TradeFigures, trade_figures
 
 TRADE_COLUMNS = ("peak m/s^2", "pulse / ring", "rise ms", "duration ms", "brake ms", "ring energy %")
 TRADE_LEGEND = (
-    f"The pulse is the acceleration until the target ends (a tap when it is last {100 * ENDED:g} % of its peak), the "
-    "ring what comes after. pulse / ring: peak to peak of the one over that of the other. rise: first instant at "
+    f"The pulse is the acceleration until the target ends (a tap when it is last {100 * PRESENT:g} % of its peak), "
+    "the ring what comes after. pulse / ring: peak to peak of the one over that of the other. rise: first instant at "
     f"{100 * PRESENT:g} % of the peak to the first at {100 * RISEN:g} %. duration: first to last instant at "
     f"{100 * PRESENT:g} %. brake: from the target's end to the last instant at {100 * PRESENT:g} %. ring energy: "
     "share of the ring in all of the acceleration squared."
@@ -73,7 +73,12 @@ def drive_table(library: Library, left: Sequence[PlayedDrive]) -> Table:
 def drive_remarks(library: Library, left: Sequence[PlayedDrive]) -> list[str]:
     """What deserves a second look in what leaves, one line each."""
     driver = left[0].drive.driver
-    said = [f"{each.drive.name}: {limit} as it leaves" for each in left for limit in each.limits_left]
+    said = [
+        f"{each.drive.name}: {limit} as it leaves; more --bits, a multiple of the design's rate or a lower limit in "
+        "the scene would keep it"
+        for each in left
+        for limit in each.limits_left
+    ]
     saturated = sum(each.drive.saturated for each in left)
     if saturated:
         said.append(

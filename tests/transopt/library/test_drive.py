@@ -209,6 +209,15 @@ class TestPlayed:
         found, usual = played(lra, [mean, replace(mean, samples=samples)])
         assert found.nrmse < usual.nrmse
 
+    @pytest.mark.parametrize("bits", ["8", "16"])
+    def test_rounding_alone_leaves_no_limit(self, lra: Library, bits: str) -> None:
+        scale = 3.0 / 40.6 if bits == "8" else 3.0 / 10000.6  # the limit is rounded up to a count
+        driver = driver_for(lra, bits=bits, full_scale=scale * COUNTS[bits])
+        drive = drive_of(lra, 0, 0, driver)
+        assert drive.peak > 3.0 + scale / 3
+        (found,) = played(lra, [drive])
+        assert found.limits_left == ()
+
     def test_a_limit_that_the_samples_leave_is_said(self, lra: Library) -> None:
         drive = drive_of(lra, 0, 0, driver_for(lra))
         louder = replace(drive, driver=Driver(drive.driver.rate_Hz, drive.driver.depth, 12.0, "V"))

@@ -125,11 +125,11 @@ def test_a_target_of_zero() -> None:
     assert trade_of(np.zeros(50), Target(np.zeros(20)), 1e-4).target_ends_s == 0.0
 
 
-def test_a_recorded_tap_ends_at_a_hundredth_of_its_peak(library: Library) -> None:
+def test_a_recorded_tap_ends_at_a_tenth_of_its_peak(library: Library) -> None:
     found = trade_figures(library, 1, 1)
     r = np.abs(np.append(library.reference_m_s2[1], library.reference_after_m_s2[1]))
     last = round(found.target_ends_s / library.meta["dt_s"])
-    assert r[last] >= 0.01 * r.max() > r[last + 1 :].max(initial=0.0)
+    assert r[last] >= 0.1 * r.max() > r[last + 1 :].max(initial=0.0)
 
 
 def test_an_entry_of_a_library_has_its_own_target() -> None:
